@@ -28,6 +28,7 @@ check: $(VENV)/.check
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(PY) -m mypy
+	$(PY) -m mypy.stubtest dpstack.blocking --mypy-config-file pyproject.toml
 	$(PY) -m pytest tests/test_docs.py tests/test_imports.py
 	$(PY) -m pytest -p tools.book_commands README.md docs
 	$(BUILD_DOCS)

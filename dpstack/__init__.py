@@ -13,6 +13,7 @@ The names here and in these namespaces are public; the rest may change without n
 
 - :mod:`dpstack.events`: the classes of all events of a bus, to be matched
 - :mod:`dpstack.slave`: slaves of one's own
+- :mod:`dpstack.blocking`: the names without ``await``, for scripts, the Python shell, Jupyter
 - :mod:`dpstack.profile`: for authors of drive plugins
 - :mod:`dpstack.gsd`: GSD files
 - :mod:`dpstack.decode`: telegrams explained to the bit
@@ -29,7 +30,7 @@ from typing import TYPE_CHECKING, Final
 from dpstack.namespaces import loader
 
 if TYPE_CHECKING:
-    from dpstack import decode, events, gsd, profile, slave
+    from dpstack import blocking, decode, events, gsd, profile, slave
     from dpstack.api.bus.bus import Bus, open_bus
     from dpstack.api.bus.cycles import Cycle
     from dpstack.api.bus.find_baud import BaudReport, find_baud
@@ -132,6 +133,7 @@ __all__ = [
     "World",
     "__version__",
     "at",
+    "blocking",
     "decode",
     "events",
     "find_baud",
@@ -146,6 +148,7 @@ __all__ = [
 
 #: module and its public names
 _PLACES: Final = """
+blocking
 decode
 events
 gsd

@@ -196,6 +196,7 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
             "inputs {'limit': True}",
             "slave 126 does not answer Slave_Diag; check address and power; `dpstack scan` shows who is there",
         ],
+        "blocking_script": ["the flap is open", "the fan is at 10%"],
         "watch_events": ["slave 3 (hoist): data_exchange", "8 valves data_exchange 00"],
     }[example.stem]
     assert [line for line in wanted if line not in out] == []

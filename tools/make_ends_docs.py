@@ -28,7 +28,7 @@ _COLUMNS: Final = (
     ("way out", "program", "driver", "last octets to the slave", "safe by", "slave without watchdog"),
     ("messages", "exit code"),
 )
-_PROGRAMS: Final = {"application": "application", "run": "`dpstack run`"}
+_PROGRAMS: Final = {"application": "application", "blocking": "script", "run": "`dpstack run`"}
 #: the groups of the data in the order of the page, with the words before a row's own
 _GROUPS: Final = {
     "end": "",

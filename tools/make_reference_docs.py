@@ -28,6 +28,7 @@ NAMESPACES: Final = (
     "dpstack",
     "dpstack.events",
     "dpstack.slave",
+    "dpstack.blocking",
     "dpstack.profile",
     "dpstack.gsd",
     "dpstack.decode",

@@ -138,7 +138,8 @@ class Program:
             command = [sys.executable, "-m", "dpstack.cli.main", "run", str(plant)]
             command += ["--outputs", f"4={LIVE}", f"5={LIVE_LAMPS}", "--plain", *files]
         else:
-            command = [sys.executable, str(KITS / "ends_faults.py"), link, row.driver, row.way]
+            file = "ends_blocking.py" if row.program == "blocking" else "ends_faults.py"
+            command = [sys.executable, str(KITS / file), link, row.driver, row.way]
         stdin = stdout = subprocess.PIPE
         if row.reader_goes:
             self.unread, stdout = os.pipe()
@@ -231,10 +232,10 @@ Act = Callable[["Program", Recorder], None]
 
 @dataclass
 class Row:
-    """One row. ``program``: application, run. ``way``: of ``ends_faults``; ``act``: what happens to it once its outputs
-    are live, where it does nothing itself. ``may_go_on``: it may outlive this. ``quick``: measured in ``make test``.
-    ``reader_goes``: its standard output is a pipe that ``act`` closes. ``may_tell``: the beginning of a text that it
-    tells at some loads of the computer only; it is left out."""
+    """One row. ``program``: application, blocking, run. ``way``: of ``ends_faults`` or ``ends_blocking``; ``act``: what
+    happens to it once its outputs are live, where it does nothing itself. ``may_go_on``: it may outlive this.
+    ``quick``: measured in ``make test``. ``reader_goes``: its standard output is a pipe that ``act`` closes.
+    ``may_tell``: the beginning of a text that it tells at some loads of the computer only; it is left out."""
 
     group: str
     text: str
@@ -435,6 +436,26 @@ WAYS: Final = {
         "no_memory_in_the_machine": "`MemoryError` in the protocol machine",
     },
 }
+#: of a script with ``dpstack.blocking``: the method of ``ends_blocking``
+BLOCKING_WAYS: Final = {
+    "end": {
+        "the_block_ends": "the `with` block ends",
+        "an_exception": "an exception leaves the block",
+        "sys_exit": "`sys.exit()` in the block",
+        "the_interpreter_ends": "the interpreter ends, and nobody closed the bus (a REPL)",
+        "the_main_thread_ends": "an exception ends the main thread, and another thread still waits",
+        "os_exit": "`os._exit()`",
+        "a_forked_child_ends": "a forked child ends",
+    },
+    "exception": {
+        "in_a_signal_handler": "in a signal handler",
+        "sys_exit_in_on_event": "`sys.exit()` in `on_event`",
+    },
+    "cancellation": {
+        "ctrl_c_three_times": "by Ctrl-C, three times",
+        "ctrl_c_is_caught": "by Ctrl-C in a waiting call, and the program catches it",
+    },
+}
 #: ways that the bus process does not have: the machines are out of the test's reach there
 ASYNCIO_ONLY: Final = {"a_defect", "no_memory_in_the_machine"}
 QUICK: Final = {
@@ -442,6 +463,8 @@ QUICK: Final = {
     ("no_handles_and_a_forked_child_ends", "asyncio"),
     ("os_exit", "process"),
 }
+#: a script in which nobody closes the bus
+QUICK_BLOCKING: Final = {("the_interpreter_ends", "process")}
 #: of the real-time signals, which are alike, the first and the last
 SIGNALS: Final = sorted(n for n in signal.valid_signals() if not signal.SIGRTMIN < n < signal.SIGRTMAX)
 #: of a terminal, and that end a program
@@ -468,6 +491,16 @@ def rows() -> list[Row]:
         if not (driver == "process" and way in ASYNCIO_ONLY)
     ]
     for driver in DRIVERS:
+        script = functools.partial(Row, driver=driver, program="blocking")
+        found += [
+            script(group, text, way=way, quick=(way, driver) in QUICK_BLOCKING)
+            for group, ways in BLOCKING_WAYS.items()
+            for way, text in ways.items()
+        ]
+        found += [
+            script("cancellation", "by Ctrl-C in a waiting call", act=send(signal.SIGINT)),
+            *(script("end", f"it gets {name_of(n)}", act=send(n)) for n in (signal.SIGTERM, signal.SIGKILL)),
+        ]
         for program in ("application", "run"):
             make = functools.partial(Row, driver=driver, program=program)
             if driver == "asyncio" or program == "application":
@@ -549,7 +582,7 @@ def wait_until_live(program: Program, recorder: Recorder) -> bool:
     """Whether the slaves have live outputs, and an application to which something will happen knows it."""
     if not slaves_are_live(program, recorder):
         return False
-    if program.row.program == "application" and program.row.act is not None and program.process.stdout is not None:
+    if program.row.program != "run" and program.row.act is not None and program.process.stdout is not None:
         wait_for(lambda: "live" in program.written["out"], "the application's own word")
     return True
 

@@ -46,6 +46,8 @@ class Bus(Sealed):
     With the baud rate "auto" what depends on the rate raises UsageError until the rate is found.
     """
 
+    class2: Class2
+
     def __init__(
         self,
         config: Config,

@@ -10,7 +10,8 @@ from typing import Final
 
 from dpstack.api.config.config import Config
 from dpstack.drivers.realtime.rights import rights
-from dpstack.ports import Delivery, Port
+from dpstack.ports import Delivery, Port, open_port
+from dpstack.units import BAUD_RATES
 
 ASYNCIO: Final = "asyncio"
 PROCESS: Final = "process"
@@ -32,6 +33,13 @@ def driver_for(config: Config, port: Port | None) -> str:
     if port is None:
         return VIRTUAL
     return PROCESS if wanted == "auto" and _process_pays(port) else ASYNCIO
+
+
+def is_free_for_process(config: Config) -> bool:
+    """Whether the configuration leaves the driver open, and its port can have a bus process."""
+    if config.bus.driver != "auto" or config.port == VIRTUAL:
+        return False
+    return _why_no_process(open_port(config.port, BAUD_RATES[0])) is None
 
 
 def _process_pays(port: Port) -> bool:

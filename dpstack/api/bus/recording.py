@@ -43,6 +43,8 @@ _EXCHANGING: Final = SlaveState.DATA_EXCHANGE.value
 class BusRecording:
     """A recording of a running bus, made by ``bus.record()``. It ends with :meth:`stop`, its block, or the bus."""
 
+    troubles: list[str]
+
     def __init__(
         self, path: str | Path, *, on_change: bool = False, dead_band: float = 0.0, rotate: str | None = None
     ) -> None:
@@ -71,7 +73,7 @@ class BusRecording:
         self._stopping: asyncio.Task[None] | None = None
         self._hurried = False
         #: lines about troubles, the latest last; those before the end are events, too
-        self.troubles: list[str] = []
+        self.troubles = []
 
     async def __aenter__(self) -> BusRecording:
         return self

@@ -133,6 +133,8 @@ def slave_from_gsd(
 class ServedSlave(Sealed):
     """A served slave. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
 
+    device: Device
+
     def __init__(
         self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience, waiters: Waiters
     ) -> None:
@@ -353,6 +355,11 @@ class SlaveServer(Sealed):
     Leaving sets all outputs to their safe values. Raises ConfigError; PortError on entering.
     """
 
+    baud: int
+    slaves: tuple[ServedSlave, ...]
+    on_event: OnEvent | None
+    failure: BusError | None
+
     def __init__(
         self,
         slaves: Mapping[int, Device],
@@ -377,7 +384,7 @@ class SlaveServer(Sealed):
         self.on_event = on_event
         self._clock = WallClock(lambda: self._runtimes[0].now(), lambda: world is not None)
         #: the failure that stopped the server, a defect in dpstack; None without one
-        self.failure: BusError | None = None
+        self.failure = None
         self._waiters = Waiters()
         opened = None if port is None or world is not None else open_port(port, self.baud)
         patience = EXACT if opened is None else patience_of(opened)

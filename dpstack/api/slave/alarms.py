@@ -36,6 +36,20 @@ class SlaveAlarm:
     ``diagnosis``: the telegram with the alarm, ``texts``: its other blocks. ``t_ns``: bus time.
     """
 
+    address: int
+    name: str
+    type: int
+    title: str
+    slot: int
+    sequence: int
+    specifier: Specifier
+    data: bytes
+    user_ack: bool
+    diagnosis: Diagnosis
+    texts: tuple[str, ...]
+    t_ns: int
+    text: str
+
     def __init__(self, raised: AlarmRaised, listeners: AlarmListeners, keepers: set[_Listener]) -> None:
         self.address = raised.address
         self.name = raised.name
@@ -46,7 +60,7 @@ class SlaveAlarm:
         self.specifier = Specifier(raised.alarm.specifier)
         self.data = raised.alarm.data
         self.user_ack = raised.alarm.add_ack
-        self.diagnosis: Diagnosis = raised.diagnosis
+        self.diagnosis = raised.diagnosis
         self.texts = raised.texts
         self.t_ns = raised.t_ns
         #: slave and alarm in one line

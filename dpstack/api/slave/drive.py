@@ -56,6 +56,8 @@ class DrivePlugin(NamedTuple):
 class Drive(Sealed, Readable):
     """A drive by its name in the configuration. Orders are awaitable and raise DriveFault or DriveTimeout."""
 
+    slave: Slave
+
     def __init__(self, bus: Host, slave: Slave, plugin: DrivePlugin) -> None:
         self._bus = bus
         self._core, self._last_status = plugin

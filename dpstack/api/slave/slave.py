@@ -40,6 +40,8 @@ Out = TypeVar("Out", bound=Outputs)
 class Slave(Sealed, RecordAccess):
     """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
 
+    config: SlaveConfig
+
     def __init__(self, bus: Host, config: SlaveConfig, setup: SlaveParams, *, has_plugin: bool) -> None:
         self._bus = bus
         self._setup = setup

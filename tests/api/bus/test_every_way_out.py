@@ -32,7 +32,8 @@ from tools.make_ends_docs import TARGET, render
 LIVE, SAFE = "1122", "a55a"
 ROWS = {row.key: row for row in rows()}
 #: applications by way and driver, as they were measured
-TABLE = {(row.way, row.driver): kept()[key] for key, row in ROWS.items() if row.act is None and row.way != "waits"}
+APPLICATIONS = {key: row for key, row in ROWS.items() if row.program == "application" and row.act is None}
+TABLE = {(row.way, row.driver): kept()[key] for key, row in APPLICATIONS.items() if row.way != "waits"}
 
 
 def check(way: str, words: list[str], told: str) -> None:
