@@ -594,11 +594,18 @@ def _refusals(f: Facts) -> Findings:
         said = [f"{step.asked} was refused with {step.answered}" + (f" {step.times} times." if step.times > 1 else ".")]
         if step.asked == SLAVE_DIAG:
             said.append("Every DP slave serves Slave_Diag in every state.")
-        yield Finding(Cause.SERVICE_REFUSED, 0.92 if f.is_fault("refused") else 0.7, said)
+        yield Finding(Cause.SERVICE_REFUSED, 0.92 if f.is_fault("refused") else 0.7, said, next=_after(step.answered))
     data = f.refused(DATA_EXCHANGE)
     if data is not None and f.is_fault("refused") and not f.lost_by_itself:
         said = [f"Data_Exchange was refused with {data.answered}, and its diagnosis wants no parameters."]
-        yield Finding(Cause.SERVICE_REFUSED, 0.85, said)
+        yield Finding(Cause.SERVICE_REFUSED, 0.85, said, next=_after(data.answered))
+
+
+def _after(answered: str) -> str:
+    """The next step after a service that was refused with ``answered``: RS, RR or UE."""
+    if answered == "RS":
+        return "is it a DP slave at all? If it is, switch it off and on: its own start-up may be unfinished"
+    return "switch it off and on, and look at its fault display"
 
 
 # --- ready, watchdog, restarts ----------------------------------------------------------------------------------------
