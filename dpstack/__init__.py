@@ -17,6 +17,7 @@ The names here and in these namespaces are public; the rest may change without n
 - :mod:`dpstack.profile`: for authors of drive plugins
 - :mod:`dpstack.gsd`: GSD files
 - :mod:`dpstack.decode`: telegrams explained to the bit
+- :mod:`dpstack.testing`: tests of applications and of drive plugins
 
 Each name is loaded at its first use, so that a drive plugin or a child process that needs one layer does not load all
 of them.
@@ -30,7 +31,7 @@ from typing import TYPE_CHECKING, Final
 from dpstack.namespaces import loader
 
 if TYPE_CHECKING:
-    from dpstack import blocking, decode, events, gsd, profile, slave
+    from dpstack import blocking, decode, events, gsd, profile, slave, testing
     from dpstack.api.bus.bus import Bus, open_bus
     from dpstack.api.bus.cycles import Cycle
     from dpstack.api.bus.find_baud import BaudReport, find_baud
@@ -144,6 +145,7 @@ __all__ = [
     "run_virtual",
     "simulate",
     "slave",
+    "testing",
 ]
 
 #: module and its public names
@@ -154,6 +156,7 @@ events
 gsd
 profile
 slave
+testing
 api.bus.bus Bus open_bus
 api.bus.cycles Cycle
 api.bus.find_baud BaudReport find_baud

@@ -85,9 +85,11 @@ MAY: dict[str, set[str]] = {
         "gsd",
         "decode",
         "blocking",
+        "testing",
     },
     "events": {"api", "dp", "dpv1", "drivers", "fdl", "trace"},
     "slave": {"api", "dp", "dpv1", "errors"},
+    "testing": {"api", "decode", "dp", "drivers", "fdl", "gsd", "namespaces", "params", "profile", "sim"} | PURE_BASE,
     "__main__": {"cli"},
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
@@ -136,7 +138,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("api/commissioning",),
     ("api/control",),
     ("api/listen",),
-    ("blocking", "screen", "wireshark", "web"),
+    ("blocking", "screen", "wireshark", "web", "testing"),
     ("cli/terminal",),
     ("cli",),
     ("cli/commands", "cli/listening"),

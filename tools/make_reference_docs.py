@@ -32,6 +32,7 @@ NAMESPACES: Final = (
     "dpstack.profile",
     "dpstack.gsd",
     "dpstack.decode",
+    "dpstack.testing",
 )
 #: those with private base classes, whose members are listed; the members of these classes are not listed again
 _INHERITING: Final = {"dpstack": "object, int, tuple, BaseException, Enum, DpError, Event, Slave"}

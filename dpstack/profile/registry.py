@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import functools
+from collections.abc import Iterator
 from importlib import metadata
 from typing import Final
 
@@ -52,6 +54,20 @@ def places() -> dict[str, str]:
 def refresh() -> None:
     """Forget what was found; the next call looks again."""
     _scan.cache_clear()
+
+
+@contextlib.contextmanager
+def also(profile: DriveProfile) -> Iterator[None]:
+    """Find ``profile`` by its name inside the block, before an installed drive of that name."""
+    drives = _scan()[0]
+    before = drives.get(profile.name)
+    drives[profile.name] = profile
+    try:
+        yield
+    finally:
+        del drives[profile.name]
+        if before is not None:
+            drives[profile.name] = before
 
 
 def find(name: str) -> DriveProfile:

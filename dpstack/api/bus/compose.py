@@ -185,7 +185,7 @@ def compose(
                 for slave in config.slaves:
                     bench.add(slave)
             runtime = stack.line = VirtualRuntime(world, station, on_events, on_failure=on_failure)
-        attach = partial(attach_core, stack.master, simulated=bench is not None)
+        attach = partial(attach_core, stack.master, simulated=world is not None)
         plugins = {s.address: plugin for s in config.slaves if (plugin := attach(s)) is not None}
         attach_new = partial(_attach_async, attach)
     return Parts(

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 def run_virtual(program: Coroutine[object, object, T], *, paced: bool = False) -> T:
     """Like ``asyncio.run``, but in virtual time: exact, deterministic, and as fast as this computer can. Buses need
-    ``port="virtual"``. ``paced``: not faster than real time.
+    ``port="virtual"``. ``paced``: not faster than real time. Raises UsageError inside a running event loop.
     """
     return loop.run(program, paced=paced)
 

@@ -11,12 +11,12 @@ import asyncio
 import selectors
 import sys
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import Executor
 from contextvars import Context
 from typing import Any, Final, Protocol, TypeVar, TypeVarTuple, Unpack
 
-from dpstack.errors import DpError
+from dpstack.errors import DpError, UsageError
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ns_to_s, s_to_ns
 
 _T = TypeVar("_T")
@@ -271,7 +271,26 @@ def _never() -> bool:
     return False
 
 
+def refuse_running_loop(called: str, program: Awaitable[object]) -> None:
+    """Raises UsageError where an event loop runs in this thread already: ``called`` needs its own. Closes ``program``,
+    which nobody will await."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return
+    if isinstance(program, Coroutine):
+        program.close()
+    raise UsageError(
+        f"{called} needs an event loop of its own, and one runs here already: call it from a plain function "
+        "(def test_...(), not async def test_...()), or await the coroutine in the loop that runs"
+    )
+
+
 def run(main: Coroutine[Any, Any, _T], *, paced: bool = False, debug: bool | None = None) -> _T:
-    """``asyncio.run`` in virtual time: runs ``main`` in a :class:`VirtualLoop` of its own."""
+    """``asyncio.run`` in virtual time: runs ``main`` in a :class:`VirtualLoop` of its own.
+
+    Raises UsageError inside a running event loop.
+    """
+    refuse_running_loop("run_virtual()", main)
     with asyncio.Runner(debug=debug, loop_factory=lambda: VirtualLoop(paced=paced)) as runner:
         return runner.run(main)

@@ -1,0 +1,310 @@
+"""``SimulatedBus``: a master and simulated slaves in virtual time, for plain (not async) tests."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final, Literal, TypeVar
+
+from dpstack.api.bus.bus import Bus, SlaveTable, core_of, open_bus
+from dpstack.api.bus.virtual import simulate
+from dpstack.api.config.config import Config, load_config, make_config
+from dpstack.api.server.fault_steps import put_input
+from dpstack.api.server.virtual_bench import SimulatedSlave, VirtualBench
+from dpstack.api.slave.drive import Drive
+from dpstack.api.slave.slave import Slave
+from dpstack.drivers.virtual.loop import VirtualLoop, refuse_running_loop
+from dpstack.errors import UsageError
+from dpstack.profile import DriveDevice
+from dpstack.sim.world import World
+from dpstack.testing.faults import Faults
+from dpstack.testing.wire import Watched, Wire
+from dpstack.text import printable
+from dpstack.trace import Event
+from dpstack.units import ns_to_s
+
+_T = TypeVar("_T")
+#: limit of one run in seconds of virtual time
+_LONGEST_S: Final = 600.0
+_BAUD: Final = 500_000
+#: events that are kept
+_EVENTS: Final = 1_000
+
+
+class VirtualTime:
+    """An event loop in virtual time that a plain test drives: it goes while :meth:`run` runs, and stands still between.
+
+    What a program has started (buses, tasks, timers) goes on in the next run.
+    """
+
+    def __init__(self) -> None:
+        self._runner = asyncio.Runner(loop_factory=VirtualLoop)
+
+    def __repr__(self) -> str:
+        return f"<VirtualTime {self.now:.6f} s>"
+
+    @property
+    def now(self) -> float:
+        """Virtual time in seconds, from 0."""
+        return self._runner.get_loop().time()
+
+    def run(self, program: Awaitable[_T], *, timeout: float | None = _LONGEST_S) -> _T:
+        """Run ``program`` to its end, and return its result.
+
+        ``timeout``: seconds of virtual time after which TimeoutError ends it; None: never. Raises UsageError inside a
+        running event loop.
+        """
+        refuse_running_loop("run()", program)
+        return self._runner.run(_limited(program, timeout))
+
+    def wait(self, seconds: float) -> None:
+        """Let ``seconds`` of virtual time go by."""
+        self.run(asyncio.sleep(seconds), timeout=None)
+
+    def close(self) -> None:
+        """End all tasks, and the loop."""
+        self._runner.close()
+
+
+async def _limited(program: Awaitable[_T], timeout: float | None) -> _T:
+    try:
+        async with asyncio.timeout(timeout) as limit:
+            return await program
+    except TimeoutError:
+        if not limit.expired():
+            raise
+        raise TimeoutError(
+            f"the program did not end within {timeout:g} s of virtual time; give run() another timeout if it needs more"
+        ) from None
+
+
+class SimulatedDevice:
+    """The device side of a simulated slave: the outputs that act at it, and its inputs."""
+
+    def __init__(self, bench: VirtualBench, address: int) -> None:
+        self._bench = bench
+        self._address = address
+
+    def __repr__(self) -> str:
+        return f"<SimulatedDevice {self._unit.who}: {self._unit.app.state.value}>"
+
+    @property
+    def _unit(self) -> SimulatedSlave:
+        return self._bench.units[self._address]
+
+    @property
+    def exchanging(self) -> bool:
+        """Whether the slave is in data exchange, as it sees it itself."""
+        return self._unit.app.data is not None
+
+    @property
+    def outputs(self) -> bytes:
+        """The outputs that the device acts on: zeros in Clear, empty outside data exchange."""
+        return self._unit.app.outputs
+
+    @property
+    def inputs(self) -> bytes:
+        """The inputs that the master reads. Assigning sets them until :meth:`mirror`; without that a slave's inputs are
+        its outputs. Raises UsageError for another length, and for a drive, whose motor makes them."""
+        return self._unit.inputs
+
+    @inputs.setter
+    def inputs(self, octets: bytes) -> None:
+        self._unit.set_inputs(octets)
+
+    def set(self, **values: object) -> None:
+        """Set named inputs (the key ``inputs`` of the slave), all or none. Raises UsageError, ValueError."""
+        unit = self._unit
+        unit.check_settable()
+        image = unit.inputs
+        for name, value in values.items():
+            image = put_input(unit, image, name, value)
+        unit.set_inputs(image)
+
+    def mirror(self) -> None:
+        """The inputs are the outputs again."""
+        self._unit.set_inputs(None)
+
+    @property
+    def drive(self) -> DriveDevice:
+        """The simulated drive: ``motor`` (speed, torque), ``set_load()``, ``release()``. Raises UsageError for another
+        slave."""
+        unit = self._unit
+        device = unit.device
+        if not isinstance(device, DriveDevice):
+            raise UsageError(f"{unit.who} is no simulated drive")
+        device.advance(self._bench.now)
+        return device
+
+
+class SimulatedBus:
+    """Simulated slaves, and a master in Operate, on a line in virtual time. The fixture ``dpstack_bus`` makes it.
+
+    ``faults``: faults of slaves and line; ``wire``: what went over the line; ``world``: the line itself; ``events``:
+    the last 1,000 events of the master.
+    """
+
+    def __init__(
+        self,
+        time: VirtualTime,
+        config: Config,
+        *,
+        has_master: bool = True,
+        safe: Mapping[str, bytes | str] | None = None,
+    ) -> None:
+        self._time = time
+        self._bus: Bus | None = None
+        self.config = config
+        self.events: list[Event] = []
+        if has_master:
+            self._bus = open_bus(config, on_event=self._on_event)
+            core = core_of(self._bus)
+            assert core.world is not None
+            assert core.bench is not None
+            self.world, self._bench = core.world, core.bench
+        else:
+            self.world = World(referee=False)
+            self._bench = simulate(self.world, config.slaves, baud=config.baud)
+        octets = {name: bytes.fromhex(one) if isinstance(one, str) else one for name, one in (safe or {}).items()}
+        unknown = octets.keys() - {slave.name for slave in config.slaves}
+        if unknown:
+            raise UsageError(f"safe: no slave is called {', '.join(sorted(unknown))}")
+        watched = [Watched.of(slave, octets.get(slave.name)) for slave in config.slaves]
+        self.wire = Wire(watched, lambda: self.world.baud)
+        self.world.log.listener = self.wire.add
+        self.faults = Faults(self._bench, self.world, config.bus.address)
+
+    def __repr__(self) -> str:
+        who = f"{len(self.config.slaves)} slaves without a master" if self._bus is None else repr(self._bus)
+        return f"<SimulatedBus {self.now:.6f} s: {who}>"
+
+    async def bring_up(self, *, operate: bool, ready_s: float) -> None:
+        """Open the master's bus; ``operate``: to Operate, until all slaves are in data exchange, within ``ready_s``."""
+        await self.master.open()
+        if operate:
+            await self.master.operate()
+            await self.master.ready(ready_s)
+
+    def _on_event(self, event: Event) -> None:
+        self.events.append(event)
+        del self.events[:-_EVENTS]
+
+    # --- time -------------------------------------------------------------------------------------------------------
+
+    @property
+    def now(self) -> float:
+        """Bus time in seconds, that of ``wire``; events have it as ``t_ns``."""
+        return ns_to_s(self.world.now)
+
+    def run(self, program: Awaitable[_T], *, timeout: float | None = _LONGEST_S) -> _T:
+        """Run ``program`` to its end in virtual time, see :meth:`VirtualTime.run`; the bus goes on meanwhile."""
+        return self._time.run(program, timeout=timeout)
+
+    def wait(self, seconds: float) -> None:
+        """Let ``seconds`` of virtual time go by."""
+        self._time.wait(seconds)
+
+    # --- master -----------------------------------------------------------------------------------------------------
+
+    @property
+    def master(self) -> Bus:
+        """The bus for the application under test. Raises UsageError where the application opens its own."""
+        if self._bus is None:
+            raise UsageError("this bus was made with master=None: the application opens its own, by open_bus() of it")
+        return self._bus
+
+    def slave(self, which: str | int) -> Slave:
+        """A slave of the master by name or address."""
+        return self.master.slave(which)
+
+    def drive(self, which: str | int) -> Drive:
+        """A drive of the master by name or address."""
+        return self.master.drive(which)
+
+    def open_bus(self, config: str | Path | Config | None = None, **arguments: Any) -> Bus:
+        """As :func:`dpstack.open_bus`, on this line whatever the port is: for an application that opens its bus itself.
+
+        ``config`` None: the one that the line was made of. Made with ``master=None``, the application is the only
+        master.
+        """
+        arguments |= {"driver": "auto", "world": self.world}
+        return open_bus(self.config if config is None else config, **arguments)
+
+    # --- slaves -----------------------------------------------------------------------------------------------------
+
+    def device(self, which: str | int) -> SimulatedDevice:
+        """The device side of a simulated slave by name or address. Raises UsageError, which lists the slaves."""
+        names = self._bench.names()
+        for address, name in names.items():
+            if which in (name, address):
+                return SimulatedDevice(self._bench, address)
+        known = ", ".join(f"{name} ({address})" for address, name in names.items()) or "none"
+        raise UsageError(f"no slave {which!r} is simulated on this line; there are: {known}")
+
+    # --- end --------------------------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """The ordered end of the master: safe outputs, Clear, out of the ring. May be repeated."""
+        if self._bus is not None:
+            self.run(self._bus.close())
+
+    def report(self, telegrams: int, events: int = 20) -> str:
+        """The end of the events and of the decoded wire log, for people."""
+        lines = [f"bus time {self.now:.6f} s"]
+        if self.events and events > 0:
+            lines += ["the last events:"]
+            lines += [f"  {ns_to_s(one.t_ns):.6f} s  {printable(one.text)}" for one in self.events[-events:]]
+        faults = [f"{name}: {text}" for name, texts in self.faults.active.items() for text in texts]
+        if faults:
+            lines += ["faults that act: " + printable("; ".join(faults))]
+        return "\n".join([*lines, f"the last telegrams ({telegrams} at most):", self.wire.text(telegrams)])
+
+
+class BusFactory:
+    """Makes simulated buses for one test, all in the same virtual time. The fixture ``dpstack_bus``.
+
+    ``buses``: those made so far.
+    """
+
+    def __init__(self, time: VirtualTime) -> None:
+        self._time = time
+        self.buses: list[SimulatedBus] = []
+
+    def __call__(
+        self,
+        config: str | Path | Config | None = None,
+        *,
+        slaves: Iterable[SlaveTable] = (),
+        baud: int | None = None,
+        master: Literal["operate", "clear"] | None = "operate",
+        safe: Mapping[str, bytes | str] | None = None,
+        ready_s: float = 30.0,
+        **bus: object,
+    ) -> SimulatedBus:
+        """A simulated bus of a configuration file (its port does not count) or of ``slaves``, mappings with the keys of
+        a [[slave]] table.
+
+        ``baud``: bit/s (default: that of the file, or 500,000). ``master``: "operate" returns in Operate with all
+        slaves in data exchange; "clear" returns in Clear, while the bring-up begins; None simulates the slaves only,
+        and the application opens its bus itself. ``safe``: safe outputs by name, octets or hex, where they are not
+        zeros or those of the drive. ``ready_s``: seconds of virtual time for the bring-up. ``bus``: further keys of
+        [bus].
+
+        Raises ConfigError; SlaveFault or SlaveTimeout where a slave does not come into data exchange.
+        """
+        if config is None:
+            made = make_config("virtual", _BAUD if baud is None else baud, 2, slaves, where="dpstack_bus", bus=bus)
+        else:
+            made = config if isinstance(config, Config) else load_config(config)
+            made = made.with_bus(**{"driver": "auto", **bus, "port": "virtual", "baud": baud}).with_slaves(slaves)
+        one = SimulatedBus(self._time, made, has_master=master is not None, safe=safe)
+        self.buses.append(one)  # before its bring-up, so that the report of a failing one has its wire log
+        if master is not None:
+            one.run(one.bring_up(operate=master == "operate", ready_s=ready_s))
+        return one
+
+    def close(self) -> None:
+        """End all buses in order."""
+        for bus in self.buses:
+            bus.close()

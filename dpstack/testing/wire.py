@@ -1,0 +1,360 @@
+"""Observation of a simulated line by its octets: exchanges, services, Clear, safe outputs.
+
+Nothing here asks the master or a slave: every statement follows from the octets on the line, the requests and the
+answers. Octets that no station received whole (dropped, damaged, collided, cut off) count as not sent.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.decode.wire_log import render
+from dpstack.dp.pdu.requests import GlobalControl
+from dpstack.dp.services import EMPTY_STATUS, SERVICE_NAMES, positive
+from dpstack.errors import PduError, UsageError
+from dpstack.fdl.codec import decode
+from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SAP_SLAVE_DIAG, Kind, Req, Telegram
+from dpstack.params import BROADCAST
+from dpstack.profile import Goal, State
+from dpstack.text import printable
+from dpstack.trace import WireEntry
+from dpstack.units import ns_to_s
+
+#: the name of the service without a SAP
+DATA_EXCHANGE: Final = "Data_Exchange"
+#: telegrams, exchanges and services that are kept
+KEPT: Final = 20_000
+#: outputs that a message shows
+_SHOWN: Final = 12
+#: goals of a drive's control word without a run
+_RESTING: Final = (Goal.IDLE, Goal.STOP, Goal.QUICK_STOP, Goal.COAST)
+#: remarks of the simulated line about octets that no station received, or not whole
+_NOT_RECEIVED: Final = ("dropped", "silenced", "collision", "cut off", "damaged")
+#: the services of a bring-up in their order
+_BRING_UP: Final = ("Slave_Diag", "Set_Prm", "Chk_Cfg", "Slave_Diag", DATA_EXCHANGE)
+# Set_Prm, first octet: Lock_Req, Unlock_Req; group ident in the last of its seven octets
+_LOCK: Final = 0x80
+_UNLOCK: Final = 0x40
+_GROUP_AT: Final = 6
+# Slave_Diag: Station_Not_Ready in octet 1, Prm_Req in octet 2
+_SRD: Final = (Req.SRD_LOW, Req.SRD_HIGH)
+_NOT_READY: Final = 0x02
+_PRM_REQ: Final = 0x01
+
+
+class Exchange(NamedTuple):
+    """A Data_Exchange at ``t`` seconds of bus time. ``inputs``: the octets of a positive answer; None without one."""
+
+    t: float
+    outputs: bytes
+    inputs: bytes | None
+
+
+class Service(NamedTuple):
+    """A service of the master at a slave at ``t`` seconds of bus time; ``answered``: positively. Successive
+    Data_Exchanges are one entry, which is answered when one of them was."""
+
+    t: float
+    name: str
+    answered: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """A slave whose outputs are judged. ``safe``: safe outputs, for people; ``places``: the octets that tell whether
+    outputs are safe, ``accepted``: what these may be."""
+
+    name: str
+    address: int
+    safe: bytes
+    places: tuple[int, ...]
+    accepted: frozenset[bytes]
+
+    @classmethod
+    def of(cls, slave: SlaveConfig, safe: bytes | None = None) -> Watched:
+        """``safe`` None: those of the configuration, or any control word of the drive that stops it or does not start
+        it. Raises UsageError for another length."""
+        own = slave.params.safe_outputs if safe is None else safe
+        if len(own) != slave.params.output_len:
+            raise UsageError(f"{slave.name}: {len(own)} safe octets, it has {slave.params.output_len} of outputs")
+        if safe is not None or slave.raw or slave.profile is None:
+            return cls(slave.name, slave.address, own, tuple(range(len(own))), frozenset({own}))
+        core = slave.profile.core(slave.name, slave.telegram, slave.options, simulated=True)
+        zero, ones = core.encode(0, 0), core.encode(0xFFFF, 0)
+        lead = len(own) - len(zero)  # the parameter channel
+        control = [at for at in range(len(zero)) if zero[at] != ones[at]]
+        if not control:
+            return cls(slave.name, slave.address, own, tuple(range(len(own))), frozenset({own}))
+        words = {core.table.steady[goal] for goal in _RESTING} - {core.table.run.get(State.RUNNING)}
+        accepted = {bytes(core.encode(word, 0)[at] for at in control) for word in words}
+        accepted.add(bytes(own[lead + at] for at in control))
+        return cls(slave.name, slave.address, own, tuple(lead + at for at in control), frozenset(accepted))
+
+    def is_safe(self, outputs: bytes) -> bool:
+        return bytes(outputs[at] for at in self.places if at < len(outputs)) in self.accepted
+
+    @property
+    def zeros_are_safe(self) -> bool:
+        return bytes(len(self.places)) in self.accepted
+
+
+class _Outputs:
+    """The outputs that may act at one slave, as the octets on the line tell.
+
+    Outputs that are not safe count at once; safe ones, Clear and Unlock count when the slave has answered them, or
+    answered before them where they have no answer.
+    """
+
+    def __init__(self, slave: Watched) -> None:
+        self.slave = slave
+        self.last: bytes | None = None
+        #: the last outputs that act and are not safe, with their time in ns; None: safe
+        self.acting: tuple[int, bytes] | None = None
+        self._received: tuple[int, bytes] | None = None  # they act with the next SYNC
+        self._synced = False
+        self._group = 0
+        self._answers = False  # its last request was answered
+        self._zeros_are_safe = slave.zeros_are_safe
+
+    def exchange(self, t_ns: int, outputs: bytes) -> None:
+        self.last = outputs
+        self._answers = False
+        if any(outputs) and not self.slave.is_safe(outputs):
+            self._received = (t_ns, outputs)
+            if not self._synced:
+                self.acting = self._received
+
+    def exchanged(self, outputs: bytes) -> None:
+        """The slave has answered these outputs positively."""
+        self._answers = True
+        if not outputs:
+            self._received = self.acting = None
+        elif self.slave.is_safe(outputs):
+            self._received = None
+            if not self._synced:
+                self.acting = None
+
+    def control(self, command: GlobalControl) -> None:
+        if command.group_mask and not command.group_mask & self._group:
+            return
+        if command.clear and self._answers and self._zeros_are_safe:
+            self._received = self.acting = None
+        if command.unsync:
+            if self._synced:
+                self.acting = self._received
+            self._synced = False
+        elif command.sync:
+            self.acting = self._received
+            self._synced = True
+
+    def service(self, dsap: int | None, request: bytes, answer: bytes, done: bool) -> None:
+        """A service with or without a positive answer."""
+        self._answers = done
+        if not done:
+            return
+        if dsap == SAP_SET_PRM and len(request) > _GROUP_AT:
+            if request[0] & _UNLOCK:
+                self._leave()
+            elif request[0] & _LOCK:
+                self._group = request[_GROUP_AT]
+        elif dsap == SAP_SLAVE_DIAG and len(answer) > 1 and (answer[0] & _NOT_READY or answer[1] & _PRM_REQ):
+            self._leave()
+
+    def _leave(self) -> None:
+        """The slave is not in data exchange, so it has no outputs."""
+        self._received = self.acting = None
+        self._synced = False
+
+
+class _Open(NamedTuple):
+    """A request that has no answer yet."""
+
+    t_ns: int
+    telegram: Telegram
+
+
+class Wire:
+    """Everything that went over a simulated line, from its octets. Times are seconds of bus time.
+
+    Slaves are named by name or address. ``exchanges`` and ``services`` know the last 20,000 of each slave, ``text`` the
+    last 20,000 telegrams; ``assert_last_outputs_safe`` knows all.
+    """
+
+    def __init__(self, slaves: Iterable[Watched], baud: Callable[[], int]) -> None:
+        self._baud = baud
+        self._slaves = tuple(slaves)
+        self._entries: deque[WireEntry] = deque(maxlen=KEPT)
+        self._outputs = {slave.address: _Outputs(slave) for slave in self._slaves}
+        self._exchanges: Mapping[int, deque[Exchange]] = {s.address: deque(maxlen=KEPT) for s in self._slaves}
+        self._services: Mapping[int, deque[Service]] = {s.address: deque(maxlen=KEPT) for s in self._slaves}
+        self._clears: deque[float] = deque(maxlen=KEPT)
+        self._open: _Open | None = None
+
+    def __repr__(self) -> str:
+        return f"<Wire of {len(self._slaves)} slaves, {len(self._entries)} telegrams kept>"
+
+    # --- what was seen ----------------------------------------------------------------------------------------------
+
+    def exchanges(self, slave: str | int, since: float = 0.0) -> list[Exchange]:
+        """The Data_Exchanges of ``slave`` from ``since`` on, with those that it did not answer."""
+        return [one for one in self._exchanges[self._find(slave).address] if one.t >= since]
+
+    def services(self, slave: str | int, since: float = 0.0) -> list[Service]:
+        """The services of the master at ``slave`` from ``since`` on, repetitions too."""
+        return [one for one in self._services[self._find(slave).address] if one.t >= since]
+
+    def last_outputs(self, slave: str | int) -> bytes | None:
+        """The outputs of the last Data_Exchange that was sent to ``slave``; None before the first."""
+        return self._outputs[self._find(slave).address].last
+
+    @property
+    def clears(self) -> list[float]:
+        """The times of each Global_Control with Clear."""
+        return list(self._clears)
+
+    def text(self, last: int = 40) -> str:
+        """The decoded log of the ``last`` telegrams, a line for each."""
+        shown = list(self._entries)[-last:] if last > 0 else []
+        return "\n".join(map(printable, render(shown, self._baud()).splitlines()))
+
+    # --- assertions -------------------------------------------------------------------------------------------------
+
+    def assert_last_outputs_safe(self, slave: str | int) -> None:
+        """The outputs that act at ``slave`` are safe: by its last Data_Exchanges, by Clear, or because the slave says
+        that it is not in data exchange.
+
+        Safe are the outputs for every way out, which are zeros without another configuration, and of a drive every
+        control word that stops it or does not start it. Safe outputs, Clear and Unlock count only from a slave that
+        answers; other outputs count as soon as they are sent. Outputs under SYNC act with the next SYNC. Where zeros
+        are no safe outputs, zeros and Clear leave what acts.
+        """
+        __tracebackhide__ = True
+        outputs = self._outputs[self._find(slave).address]
+        if outputs.acting is None:
+            return
+        t_ns, octets = outputs.acting
+        watched = outputs.slave
+        raise AssertionError(
+            f"{_who(watched)} may still act on outputs that are not safe: {octets.hex(' ')} at {ns_to_s(t_ns):.6f} s; "
+            f"safe are {watched.safe.hex(' ')}, or Clear, answered by the slave"
+        )
+
+    def assert_exchanged(self, slave: str | int, outputs: bytes | str | None = None, since: float = 0.0) -> None:
+        """``slave`` answered a Data_Exchange from ``since`` on, one with ``outputs`` (octets, or hex) if given."""
+        __tracebackhide__ = True
+        watched = self._find(slave)
+        wanted = bytes.fromhex(outputs) if isinstance(outputs, str) else outputs
+        found = [one for one in self.exchanges(slave, since) if one.inputs is not None]
+        if any(wanted in (None, one.outputs) for one in found):
+            return
+        seen = ", ".join(dict.fromkeys(one.outputs.hex(" ") or "none" for one in found[-_SHOWN:])) or "no exchange"
+        behind = "" if wanted is None else f" with the outputs {wanted.hex(' ')}"
+        raise AssertionError(f"{_who(watched)} answered no Data_Exchange{behind} since {since:g} s; answered: {seen}")
+
+    def assert_clear(self, since: float = 0.0) -> None:
+        """A Global_Control with Clear was sent from ``since`` on."""
+        __tracebackhide__ = True
+        if not any(t >= since for t in self._clears):
+            raise AssertionError(f"no Clear was sent since {since:g} s")
+
+    def assert_brought_up(self, slave: str | int, since: float = 0.0) -> None:
+        """From ``since`` on ``slave`` answered the services of a bring-up in their order: Slave_Diag, Set_Prm, Chk_Cfg,
+        Slave_Diag, Data_Exchange. Other services may stand between them."""
+        __tracebackhide__ = True
+        names = [one.name for one in self.services(slave, since) if one.answered]
+        left: Sequence[str] = _BRING_UP
+        for name in names:
+            if left and name == left[0]:
+                left = left[1:]
+        if left:
+            seen = ", ".join(dict.fromkeys(names)) or "nothing"
+            raise AssertionError(
+                f"{_who(self._find(slave))}: the bring-up lacks {', '.join(left)} since {since:g} s; answered: {seen}"
+            )
+
+    def _find(self, slave: str | int) -> Watched:
+        for one in self._slaves:
+            if slave in (one.name, one.address):
+                return one
+        known = ", ".join(f"{one.name} ({one.address})" for one in self._slaves) or "none"
+        raise UsageError(f"no slave {slave!r} on this bus; there are: {known}")
+
+    # --- from the line ----------------------------------------------------------------------------------------------
+
+    def add(self, entry: WireEntry) -> None:
+        """A transmission on the line, in the order of their ends."""
+        self._entries.append(entry)
+        if entry.note and any(word in entry.note for word in _NOT_RECEIVED):
+            return
+        telegram = decode(entry.octets)
+        if telegram is None:
+            return
+        if telegram.kind is Kind.SD4:
+            self._open = None
+        elif telegram.is_request:
+            self._request(entry.start_ns, telegram)
+        elif self._open is not None and (telegram.kind is Kind.SC or telegram.sa == self._open.telegram.da):
+            request, self._open = self._open, None
+            self._answered(request, telegram)
+
+    def _request(self, t_ns: int, telegram: Telegram) -> None:
+        self._open = None
+        if telegram.dsap == SAP_GLOBAL_CONTROL:
+            self._control(t_ns, telegram)
+            return
+        outputs = self._outputs.get(telegram.da)
+        if outputs is None:
+            return
+        t = ns_to_s(t_ns)
+        if _is_data_exchange(telegram):
+            outputs.exchange(t_ns, telegram.data)
+            self._exchanges[telegram.da].append(Exchange(t, telegram.data, None))
+            self._note(telegram.da, t, DATA_EXCHANGE)
+        elif telegram.dsap is not None and telegram.dsap in SERVICE_NAMES:
+            outputs.service(telegram.dsap, telegram.data, b"", done=False)
+            self._note(telegram.da, t, SERVICE_NAMES[telegram.dsap])
+        else:
+            return  # FDL_Status, DP-V1
+        self._open = _Open(t_ns, telegram)
+
+    def _control(self, t_ns: int, telegram: Telegram) -> None:
+        try:
+            command = GlobalControl.parse(telegram.data)
+        except PduError:
+            return
+        if command.clear:
+            self._clears.append(ns_to_s(t_ns))
+        for address, outputs in self._outputs.items():
+            if telegram.da in (BROADCAST, address):
+                outputs.control(command)
+
+    def _answered(self, request: _Open, answer: Telegram) -> None:
+        address, dsap = request.telegram.da, request.telegram.dsap
+        outputs, services = self._outputs[address], self._services[address]
+        if dsap is None:
+            done = answer.kind is Kind.SC or answer.function in EMPTY_STATUS
+            if done:
+                outputs.exchanged(request.telegram.data)
+                self._exchanges[address][-1] = self._exchanges[address][-1]._replace(inputs=answer.data)
+        else:
+            done = positive(dsap, answer)
+            outputs.service(dsap, request.telegram.data, answer.data, done)
+        if done:
+            services[-1] = services[-1]._replace(answered=True)
+
+    def _note(self, address: int, t: float, name: str) -> None:
+        services = self._services[address]
+        if name != DATA_EXCHANGE or not services or services[-1].name != DATA_EXCHANGE:
+            services.append(Service(t, name, answered=False))
+
+
+def _is_data_exchange(telegram: Telegram) -> bool:
+    return telegram.dsap is None and telegram.function in _SRD
+
+
+def _who(slave: Watched) -> str:
+    return printable(f"{slave.name} ({slave.address})")

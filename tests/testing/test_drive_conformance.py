@@ -1,0 +1,89 @@
+"""The conformance of our drives and of the example from outside; broken plugins fail it with a clear message."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+from dpstack.errors import DriveError, UsageError
+from dpstack.profile import DriveCore, DriveProfile, Options, TelegramSpec, find
+from dpstack.testing import BusFactory, DriveConformance
+
+FUJI = find("fuji-frenic")
+sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "thirdparty_drive"))
+
+
+class Quick(DriveConformance):
+    """A slow bus has few telegrams to simulate."""
+
+    baud = 19_200
+    rest_s = 5.0
+
+
+class TestDemag(Quick):
+    drive = "demag-dedrive"
+    simulated = {"412": 1}
+    fault = "F2100"
+
+
+class TestFuji(Quick):
+    drive = "fuji-frenic"
+
+
+class TestImo(Quick):
+    drive = "imo-hd2"
+    baud = 93_750
+    simulated = {"P15.02": 1, "P15.13": 1}
+    has_quick_stop = False
+    stops_when_lost = False
+
+
+class TestKeb(Quick):
+    drive = "keb-f5"
+    stops_when_lost = False
+
+
+class TestLs(Quick):
+    drive = "ls-s100"
+    stops_when_lost = False
+
+
+class TestThirdParty(Quick):
+    """As the author of a plugin writes it, before the package is installed."""
+
+    profile = importlib.import_module("acme_drive").DRIVE
+    telegrams = ("PKW", "STD")
+
+
+def test_a_class_without_a_drive_says_so() -> None:
+    with pytest.raises(UsageError, match=r'Quick: set drive = "NAME" or profile = DRIVE in the class'):
+        Quick.dpstack_telegrams()
+
+
+def test_a_telegram_of_another_length_fails() -> None:
+    spec = dataclasses.replace(FUJI.telegram("PPO3"), name="A", inputs=6)
+
+    class Wrong(Quick):
+        profile = dataclasses.replace(FUJI, telegrams={"A": spec}, default_telegram="A")
+
+    with pytest.raises(AssertionError, match="A: its identifiers 71 have 4 octets of inputs and 4 of outputs"):
+        Wrong().test_telegrams_have_the_lengths_of_their_identifiers()
+
+
+def test_a_plugin_that_turns_the_wrong_way_fails(dpstack_bus: BusFactory) -> None:
+    def turned(_profile: DriveProfile, name: str, telegram: TelegramSpec, _options: Options) -> DriveCore:
+        core = FUJI.core(name, telegram.name, simulated=True)
+        right = core.encode
+        core.encode = lambda control, setpoint: right(control, -setpoint & 0xFFFF)  # type: ignore[method-assign]
+        return core
+
+    class Wrong(Quick):
+        profile = dataclasses.replace(FUJI, core_factory=turned)
+
+    with pytest.raises((AssertionError, DriveError)) as told:
+        Wrong().test_set_points_in_each_direction(dpstack_bus, "PPO3")
+    assert "set point" in str(told.value)
