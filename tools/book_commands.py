@@ -10,12 +10,17 @@ A comment above a block says more:
 - ``<!-- beside: COMMAND; COMMAND -->``: programs that are started before the block
 - ``<!-- parsed: REASON -->``: the commands are parsed (tests/test_docs.py), not run;
   docs/development/book.md lists them
+
+A ``text`` block right below it, marked ``<!-- printed -->``, is what its commands print: each line of the block is in
+their output, in this order. Any number stands for any other, ``...`` alone for lines, and at the end of a line for its
+rest.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import io
 import os
 import re
 import shlex
@@ -39,6 +44,9 @@ ROOT: Final = Path(__file__).resolve().parent.parent
 FIRST_PLANT: Final = ROOT / "docs" / "tutorial" / "first-plant.md"
 _MARK: Final = re.compile(r"<!-- ([a-z]+): ([^>]*?) -->\n$")
 _FILE: Final = re.compile(r"<!-- file: (\S+) -->\n```toml\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_PRINTED: Final = re.compile(r"\A(?:```)?\s*<!-- printed -->\n```text\n(.*?)^```", re.DOTALL | re.MULTILINE)
+#: ports of the simulated segment of a page
+_PORTS: Final = ("far0", "ttyUSB0", "far1")
 _HANG_S: Final = 60.0
 #: commands that go on until Ctrl-C, unless an option limits them
 _ENDLESS: Final = {"segment", "sim", "run", "web", "capture", "monitor"}
@@ -96,7 +104,7 @@ class Stage:
 
     def write_files(self, text: str) -> None:
         for name, content in _FILE.findall(text):
-            (self.folder / name).write_text(content, encoding="utf-8")
+            (self.folder / name).write_text(self._own_paths(content), encoding="utf-8")
 
     def start(self, words: list[str]) -> None:
         """A program that goes on; one that holds its port, or a web server, ends before."""
@@ -123,10 +131,7 @@ class Stage:
         """One command of the book or of a mark."""
         if "/dev/" in line and not (self.folder / "usb").exists():
             self.start(["segment", "--stations", "3", "--dir", str(self.folder / "usb")])
-        for number, name in enumerate(("far0", "ttyUSB0", "far1")):
-            line = line.replace(f"/dev/{name}", f"{self.folder}/usb/{number}")
-        line = line.replace("/tmp/bus", f"{self.folder}/bus")
-        program, *words = shlex.split(line)
+        program, *words = shlex.split(self._own_paths(line))
         assert program == "dpstack", f"{line}: mark the block with <!-- parsed: REASON --> if this cannot run in a test"
         port = words[words.index("--port") + 1] if "--port" in words else None
         for other in [one for one in self._programs if port and port in one.words and one.words[0] in ("run", "sim")]:
@@ -138,7 +143,19 @@ class Stage:
             self.start(words)
         else:
             with contextlib.nullcontext() if self._programs else _virtual_time():
-                assert main(words) == 0, line
+                assert _exit_code(words) == 0, line
+
+    def _own_paths(self, text: str) -> str:
+        """``text`` of the book with the paths of this folder."""
+        for number, name in enumerate(_PORTS):
+            text = text.replace(f"/dev/{name}", f"{self.folder}/usb/{number}")
+        return text.replace("/tmp/bus", f"{self.folder}/bus")
+
+    def book_paths(self, output: str) -> str:
+        """``output`` with the paths that the book has."""
+        for number, name in enumerate(_PORTS):
+            output = output.replace(f"{self.folder}/usb/{number}", f"/dev/{name}")
+        return output.replace(f"{self.folder}/bus", "/tmp/bus")
 
     def close(self) -> None:
         """Ends everything; the first program that has not gone on fails the page."""
@@ -154,6 +171,13 @@ class Stage:
             if self._before[1] is not None:
                 os.environ["XDG_RUNTIME_DIR"] = self._before[1]
             self._temporary.cleanup()
+
+
+def _exit_code(words: list[str]) -> object:
+    try:
+        return main(words)
+    except SystemExit as end:  # --version, --help
+        return end.code
 
 
 @contextlib.contextmanager
@@ -174,8 +198,32 @@ def run_block(example: Example) -> None:
     if kind == "parsed":
         return
     lines = [line.removeprefix("$ ") for line in example.parsed.splitlines()]
-    for line in [*(text.split("; ") if kind == "beside" else []), *lines]:
+    for line in text.split("; ") if kind == "beside" else []:
         stage.line(line)
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        for line in lines:
+            stage.line(line)
+    printed = _PRINTED.match(example.document.text[example.end :])
+    if printed:
+        said = stage.book_paths(output.getvalue())
+        assert missing_line(printed[1], said) is None, f"{missing_line(printed[1], said)!r} is not in:\n{said}"
+
+
+def _shape(line: str) -> str:
+    """``line`` without the width of its columns, and with one number for all."""
+    return re.sub(r"\d+(?:\.\d+)?", "0", " ".join(line.split()))
+
+
+def missing_line(wanted: str, output: str) -> str | None:
+    """The first line of ``wanted`` that does not follow the ones before it in ``output``."""
+    rest = iter([_shape(line) for line in output.splitlines()])
+    for line in wanted.splitlines():
+        shape = _shape(line)
+        begin = shape.removesuffix("...")
+        if begin and not any(one.startswith(begin) if begin != shape else one == shape for one in rest):
+            return line
+    return None
 
 
 def _set_up(namespace: dict[str, Any]) -> None:

@@ -12,11 +12,10 @@ import re
 import struct
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from screen_kit import DRIVE, Item, event, field, plant, slave_plant, snapshot, values
-from stranger_kit import run_program
+from svg_pictures import box, render
 from textual.pilot import Pilot
 
 from dpstack.screen.app import Plant
@@ -139,23 +138,3 @@ def test_pictures_of_the_screen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         render(svg, png, tmp_path)
         width, height = struct.unpack(">II", png.read_bytes()[16:24])
         assert (width, height) == box(svg)
-
-
-def box(svg: Path) -> tuple[int, int]:
-    found = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg.read_text(encoding="utf-8"))
-    assert found is not None
-    return round(float(found[1])), round(float(found[2]))
-
-
-def render(svg: Path, png: Path, folder: Path) -> None:
-    width, height = box(svg)
-    page = folder / "page.html"
-    page.write_text(
-        f'<body style="margin:0"><img src="{svg.name}" width="{width}" height="{height}">', encoding="utf-8"
-    )
-    arguments: list[Any] = [
-        "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--no-first-run", "--disable-dev-shm-usage",
-        f"--user-data-dir={folder / 'profile'}", f"--window-size={width},{height}", f"--screenshot={png.absolute()}",
-        page.as_uri(),
-    ]  # fmt: skip
-    run_program("chromium", arguments)
