@@ -228,11 +228,11 @@ PLANTS: Final[dict[str, Callable[[], Plant]]] = {
 
 
 async def why(plant: Plant) -> str:
-    """What ``dpstack why`` prints of it, 100 columns wide, without the steps: the likeliest cause."""
+    """What ``dpstack why`` prints of it, 84 columns wide, without the steps: the likeliest cause."""
     async with bring(plant) as bus:
         story = (await bus.why(plant.name)).as_dict()
     story["causes"] = story["causes"][:1]  # type: ignore[index]
-    return "\n".join(story_lines(story, 100, steps=False)) + "\n"
+    return "\n".join(story_lines(story, 84, steps=False)) + "\n"
 
 
 def printed(*words: str) -> str:
@@ -277,7 +277,7 @@ def planned() -> str:
         path.write_text("\n".join(lines), encoding="utf-8")
         text = printed("plan", str(path))
     note = next(line for line in text.splitlines() if "over a USB adapter" in line)
-    return textwrap.fill(note, 100) + "\n"
+    return textwrap.fill(note, 84) + "\n"
 
 
 TEXTS: Final[dict[str, Callable[[], str]]] = {
