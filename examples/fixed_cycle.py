@@ -28,12 +28,12 @@ async def main() -> None:
         left, right = bus.slave("left"), bus.slave("right")
         apart = count = 0
         async for cycle in bus.cycles():
-            apart = max(apart, abs(cycle["left"]["position"] - cycle["right"]["position"]))
+            apart = max(apart, abs(int(cycle["left"]["position"]) - int(cycle["right"]["position"])))
             left["target"] = right["target"] = count = count + 1
             if count == 200:
+                print(f"{count} cycles, the two never more than {apart} apart, {cycle.missed} missed")
                 break
         lamp = bus.stats.slaves[9].exchanges / bus.stats.slaves[5].exchanges
-        print(f"{count} cycles, the two never more than {apart} apart, {cycle.missed} missed")
         print(f"the lamp was told {lamp:.2f} times a cycle")
 
 

@@ -27,7 +27,9 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 #: with a process of its own: in real time
 BUSY = ROOT / "examples" / "busy_program.py"
-EXAMPLES = sorted(set((ROOT / "examples").glob("*.py")) - {BUSY})
+#: with packages of others: tests/strangers/test_examples_with_packages.py
+WITH_PACKAGES = {ROOT / "examples" / "fastapi_service.py", ROOT / "examples" / "parquet_logger.py"}
+EXAMPLES = sorted(set((ROOT / "examples").glob("*.py")) - {BUSY} - WITH_PACKAGES)
 _BLOCK = re.compile(r"(?:<!-- (?P<mark>[^>]*?) -->\n)?```(?P<kind>\w+)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 _CITATION = re.compile(r"docs/[\w/-]+\.md(?:#[\w-]+)?")
@@ -148,7 +150,8 @@ def test_the_example_with_a_bus_process_runs(
 
 @pytest.mark.usefixtures("fast")
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda p: p.stem)
-def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_examples_run(example: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.argv", [str(example)])
     runpy.run_path(str(example), run_name="__main__")
     out = capsys.readouterr().out
     wanted = {
@@ -183,6 +186,25 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
             "give the record exactly the octets its manual names",
             "slave 9 (mixer): Write of slot 1, index 13 of master 2 refused: its function failed "
             "(OSError: disk full), in write(), dpv1_slave.py line 36",
+        ],
+        "conveyor_and_pump": [
+            "not started: the tank is empty, or the stop button is pressed",
+            "running: pump and conveyor turn",
+            "idle: the tank is empty",
+            "fault: conveyor: without a name: PPO3 and PPO4 do not carry it, the keypad shows it",
+            "  pump stopped",
+            "fault: pump: stopped answering during Data_Exchange",
+            "  conveyor stopped",
+            "  pump did not stop by order",
+            "idle: acknowledged",
+        ],
+        "plant_watcher": ["stopped, missing: no slave; diagnoses: none; masters: [2]"],
+        "soft_slave": [
+            "mixer: in data exchange with master 2",
+            "PLC: slot 1 (2 octets in, 1 octet out), input channel 0 (unspecific): mixer too hot (let it cool down)",
+            "PLC: inputs 01 3e",
+            "PLC: no diagnosis any more",
+            "mixer: off",
         ],
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
         "valves_in_step": [
