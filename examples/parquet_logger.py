@@ -13,7 +13,7 @@ from pathlib import Path
 import dpstack
 
 try:
-    import pyarrow.compute
+    import pyarrow
     import pyarrow.parquet
 except ImportError:
     raise SystemExit("this example needs pyarrow: pip install 'dpstack[parquet]'") from None
@@ -58,9 +58,8 @@ def read_back(folder: Path) -> None:
     """Any tool that reads Parquet does it: pandas.read_parquet(folder), duckdb, Spark."""
     files = sorted(folder.glob("tank_*.parquet"))
     table = pyarrow.concat_tables([pyarrow.parquet.read_table(file) for file in files])
-    level = table["tank.level"].drop_null()
-    ends = pyarrow.compute.min_max(level).as_py()
-    print(f"{len(files)} files, {table.num_rows} rows, level {ends['min']:.0f} to {ends['max']:.0f} %")
+    levels = table["tank.level"].drop_null().to_pylist()
+    print(f"{len(files)} files, {table.num_rows} rows, level {min(levels):.0f} to {max(levels):.0f} %")
 
 
 def main(port: str, folder: Path) -> None:
