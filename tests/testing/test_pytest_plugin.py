@@ -43,6 +43,8 @@ async def test_of_another_plugin(dpstack_bus):
     await asyncio.sleep(0)
 """
 ASYNCIO = "pytest_asyncio.plugin"
+#: pytest-asyncio warns where it is left out
+SCOPE = ("-o", "asyncio_default_fixture_loop_scope=function")
 
 
 def run_pytest(folder: Path, *arguments: str, plugins: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
@@ -75,10 +77,10 @@ def test_without_another_plugin_and_the_wire_log_of_a_failure(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("plugins", "arguments", "mark"),
     [
-        ((ASYNCIO,), ("-o", "asyncio_mode=strict"), "asyncio"),
-        ((ASYNCIO,), ("-o", "asyncio_mode=auto"), "asyncio"),
+        ((ASYNCIO,), (*SCOPE, "-o", "asyncio_mode=strict"), "asyncio"),
+        ((ASYNCIO,), (*SCOPE, "-o", "asyncio_mode=auto"), "asyncio"),
         (("anyio.pytest_plugin",), (), "anyio"),
-        (("anyio.pytest_plugin", ASYNCIO), ("-o", "asyncio_mode=auto"), "asyncio"),
+        (("anyio.pytest_plugin", ASYNCIO), (*SCOPE, "-o", "asyncio_mode=auto"), "asyncio"),
     ],
     ids=["asyncio strict", "asyncio auto", "anyio", "both"],
 )
@@ -156,6 +158,7 @@ def test_faults_by_name_begin_and_end(dpstack_bus: BusFactory) -> None:
     bus.wait(0.9)
     assert not device.exchanging
     bus.run(raw.ready())
+    bus.wait(0.05)
     bus.wire.assert_brought_up("raw", since=began)
     with pytest.raises(dpstack.ConfigError, match="by_ms"):
         bus.faults.late_answers("raw", 99_999)
