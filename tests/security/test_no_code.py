@@ -203,6 +203,7 @@ def sources() -> dict[str, str]:
             r"import_module\(|run_module\(|entry_points\(|spec_from_file",
             {
                 "__init__.py",  # its own lazy names
+                "namespaces.py",  # the lazy names of all namespaces
                 "cli/parser.py",  # the modules of its commands
                 "ports/posix.py",  # fcntl, termios, grp
                 "api/bus/driver_choice.py",  # msgspec

@@ -51,6 +51,10 @@ def sender_of(octets: bytes) -> int | None:
     return None if at is None else octets[at] & 0x7F
 
 
+class _All(dpstack.Outputs):
+    octets: dpstack.Octets = dpstack.at(0, 1)
+
+
 #: arguments of every method; those that are missing here are called without
 ARGS: dict[str, Callable[[Path], tuple[tuple[Any, ...], dict[str, Any]]]] = {
     "Bus.add_slave": lambda _: (({"name": "new", "address": 20, "ident": 1, "config": "20"},), {}),
@@ -60,10 +64,17 @@ ARGS: dict[str, Callable[[Path], tuple[tuple[Any, ...], dict[str, Any]]]] = {
     "Bus.why": lambda _: (("raw",), {}),
     "Bus.rotated": lambda _: ((2,), {}),
     "Bus.until": lambda _: ((lambda: True,), {}),
+    "Bus.wait_state": lambda _: ((dpstack.Mode.CLEAR,), {"timeout": 1}),
     "Bus.record": lambda path: ((path / "r.csv",), {}),
     "Slave.read": lambda _: ((1, 47), {}),
     "Slave.write": lambda _: ((1, 47, b"\x01"), {}),
     "Slave.write_im": lambda _: ((dpstack.Im1(),), {}),
+    "Slave.changes": lambda _: (("a",), {}),
+    "Slave.inputs_as": lambda _: ((dpstack.Inputs,), {}),
+    "Slave.outputs_as": lambda _: ((dpstack.Outputs,), {}),
+    "Slave.send": lambda _: ((_All(octets=b"\xff"),), {}),
+    "Slave.until": lambda _: ((lambda _: True,), {"timeout": 1}),
+    "Slave.value": lambda _: (("a", int), {}),
     "Slave.update": lambda _: (({"a": 1},), {}),
     "Slave.reparameterise": lambda _: ((), {"user_prm": "00"}),
     "Slave.outputs": lambda _: ((b"\xff",), {}),

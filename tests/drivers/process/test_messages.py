@@ -86,7 +86,11 @@ LIMITED: dict[object, st.SearchStrategy[object]] = {
 }
 
 
-KINDS = (*m.order_classes().values(), *m.event_classes().values(), Counters, m.Hello, m.News, LinkStats, StackSpec)
+#: without those of other tests
+NEWS = [
+    kind for kind in (*m.order_classes().values(), *m.event_classes().values()) if kind.__module__.startswith("dpstack")
+]
+KINDS = (*NEWS, Counters, m.Hello, m.News, LinkStats, StackSpec)
 
 
 def made(hint: Any) -> st.SearchStrategy[Any]:

@@ -22,53 +22,56 @@ from process_kit import VALVES, process_of, ready_bus, runtime_of, stopped
 import dpstack
 from dpstack.api.config.config import make_config
 from dpstack.api.slave.class2 import Class2
-from dpstack.dp.master.commands import SetMode
 from dpstack.dpv1.pdu.im import Im1
 from dpstack.drivers.process.channel import LIMIT_NS
 from dpstack.errors import DpError, DriveError, UsageError
-from dpstack.trace import Notice
 
 RIG = VALVES | {"address": 5, "dpv1": True, "user_prm": "00 00 00"}
-NOTICE = Notice(t_ns=0, source="test", message="nothing")
 
 #: what begins the end of a bus, or is its own call to a drive
 NOT_CALLED: dict[type, set[str]] = {
-    dpstack.Bus: {"open", "close", "hurry", "leave"},
+    dpstack.Bus: {"open", "close", "hurry"},
     dpstack.Drive: {"end", "on_payload", "on_refused"},
     dpstack.Slave: set(),
     Class2: set(),
 }
 
 
+class Level(dpstack.Inputs):
+    level: dpstack.Int = dpstack.at()
+
+
+class Target(dpstack.Outputs):
+    target: dpstack.Int = dpstack.at()
+
+
 def arguments(bus: dpstack.Bus) -> dict[type, dict[str, tuple[Any, ...]]]:
     """Of the methods that need some; who adds a public method adds its arguments here."""
     rig, saved = bus.slave("valves"), "/nowhere/saved.toml"
-    operate = SetMode(dpstack.Mode.OPERATE)
     return {
         dpstack.Bus: {
             "add_slave": (RIG | {"name": "more", "address": 6},),
-            "command": (operate,),
             "drive": ("fan",),
-            "find_drive": (4,),
-            "fitting": (rig.config,),
-            "listen_to_events": (None,),
-            "notice": ("test", "nothing"),
-            "order": (operate,),
-            "poll_interval_ns": (rig.setup,),
             "record": ("/nowhere/kept.csv",),
             "remove": ("valves",),
             "rotated": (None,),
             "slave": ("fan",),
-            "publish": (NOTICE,),
             "until": (lambda: False,),
+            "wait_state": (dpstack.Mode.STOP,),
             "why": ("valves",),
         },
         dpstack.Slave: {
+            "changes": ("level",),
             "check_outputs": (bytes(2),),
             "conspicuous_text": (rig.diagnosis,),
+            "inputs_as": (Level,),
             "output_field": ("target",),
+            "outputs_as": (Target,),
             "read": (1, 2),
+            "send": (Target(target=7),),
+            "until": (lambda _: False,),
             "update": ({"target": 7},),
+            "value": ("target", int),
             "write": (1, 2, b"\x01"),
             "write_im": (Im1(),),
         },
