@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import logging
 import re
 import runpy
 import shlex
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
 
@@ -148,11 +150,24 @@ def test_the_example_with_a_bus_process_runs(
     ]
 
 
+@contextlib.contextmanager
+def logging_as_before() -> Iterator[None]:
+    """Put levels and handlers back that an example sets for its program."""
+    root = logging.getLogger()
+    handlers = list(root.handlers)
+    yield
+    root.handlers[:] = handlers
+    for logger in list(logging.Logger.manager.loggerDict.values()):
+        if isinstance(logger, logging.Logger) and logger.name.startswith(("dpstack", "plant")):
+            logger.setLevel(logging.NOTSET)
+
+
 @pytest.mark.usefixtures("fast")
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda p: p.stem)
 def test_examples_run(example: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("sys.argv", [str(example)])
-    runpy.run_path(str(example), run_name="__main__")
+    with logging_as_before():
+        runpy.run_path(str(example), run_name="__main__")
     out = capsys.readouterr().out
     wanted = {
         "auto_baud": [
