@@ -72,10 +72,13 @@ def python_packages() -> dict[str, str]:
 
 
 def missing_python() -> list[str]:
-    """The requirements whose module is not there."""
+    """The requirements whose module is not there. A folder ``build`` beside the project is no package of this name."""
     importlib.invalidate_caches()
+    found = {module: importlib.util.find_spec(module) for module in python_packages().values()}
     return [
-        requirement for requirement, module in python_packages().items() if importlib.util.find_spec(module) is None
+        requirement
+        for requirement, module in python_packages().items()
+        if (spec := found[module]) is None or spec.origin is None
     ]
 
 
