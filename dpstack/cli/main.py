@@ -28,7 +28,7 @@ _COMMANDS = {
     "drive": "one drive by hand: through the run that holds the port, "
     "otherwise as master in the foreground until Ctrl-C",
     "acyclic": "records of a slave (DP-V1): through the run that holds the port, otherwise as master in the foreground",
-    "scan": "who is on the bus: stations 0-126 with type, ident number, state and owner; changes nothing",
+    "scan": "the stations on the bus: addresses 0-126 with type, ident number, state and owner; changes nothing",
     "diag": "diagnosis, configuration, inputs and outputs of any station, beside its own master; writes nothing",
     "why": "why a slave is not in data exchange: its last bring-up step by step, likely causes, what to try next",
     "address": "gives a slave that no master owns another station address (Set_Slave_Add) and verifies it",

@@ -35,7 +35,7 @@ _EVENTS: Final = 1_000
 class VirtualTime:
     """An event loop in virtual time that a plain test drives: it goes while :meth:`run` runs, and stands still between.
 
-    What a program has started (buses, tasks, timers) goes on in the next run.
+    Buses, tasks and timers that a program has started go on in the next run.
     """
 
     def __init__(self) -> None:

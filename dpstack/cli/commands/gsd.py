@@ -60,12 +60,12 @@ def add_to(parser: Parser) -> None:
     def command(name: str, text: str, example: str) -> Parser:
         return inner.add_parser(name, help=text, description=text, epilog=f"example: dpstack gsd {example}")
 
-    shower = command("show", "what a GSD file says", "show valves.gsd --json")
+    shower = command("show", "the contents of a GSD file", "show valves.gsd --json")
     shower.value("file", "FILE", "GSD file, or a drive that has one here (demag-dedrive, keb-f5)")
     shower.run_by(show)
     checker = command(
         "check",
-        "what is wrong or odd in GSD files, with a summary for a directory; exit code 1 where one is damaged",
+        "faults and oddities of GSD files, with a summary for a directory; exit code 1 where one is damaged",
         "check *.gsd",
     )
     checker.value("files", "FILE|DIR", "GSD files, or directories of them", nargs="+")

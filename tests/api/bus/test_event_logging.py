@@ -41,7 +41,7 @@ class Kept(logging.Handler):
 
 @pytest.fixture
 def lines() -> Iterator[list[dict[str, Any]]]:
-    """What a handler at "dpstack" writes, at INFO, as JSON."""
+    """The lines of a handler at "dpstack", at INFO, as JSON."""
     handler = Kept()
     logger = logging.getLogger("dpstack")
     level = logger.level

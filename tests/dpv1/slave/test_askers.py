@@ -1,4 +1,4 @@
-"""Who asked: requests of one master in one data exchange have one asker, and I&M keeps the calls of each apart."""
+"""Askers: requests of one master in one data exchange have one asker, and I&M keeps the calls of each apart."""
 
 from __future__ import annotations
 
