@@ -109,35 +109,6 @@ def test_a_hoist_as_delivered_says_where_set_412_goes(
     assert main(["drive", "plant.toml", "hoist", "start", "--seconds", "1"]) == 0
 
 
-def test_the_program_with_a_gsd_file_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(ROOT)
-    (text,) = [text for mark, text in blocks(ROOT / "docs" / "how-to" / "gsd.md", "python") if mark != "run"]
-    program = tmp_path / "program.py"
-    program.write_text(text, encoding="utf-8")
-    runpy.run_path(str(program))
-    assert capsys.readouterr().out.splitlines() == ["2010 80000008000100fa 1 1", "['fuse blown']"]
-
-
-@pytest.mark.usefixtures("fast")
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_programs_in_the_documents_run(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A program marked "run" prints what the next block of kind text says. It finds the files that the page names."""
-    if write_files(page, tmp_path):
-        monkeypatch.chdir(tmp_path)
-    wanted = [text for mark, text in blocks(page, "text") if mark == "output"]
-    programs = [text for mark, text in blocks(page, "python") if mark == "run"]
-    assert len(programs) == len(wanted)
-    for number, text in enumerate(programs):
-        program = tmp_path / f"program{number}.py"
-        program.write_text(text, encoding="utf-8")
-        runpy.run_path(str(program), run_name="__main__")
-        assert capsys.readouterr().out == wanted[number]
-
-
 def test_the_example_with_a_bus_process_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

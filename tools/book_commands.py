@@ -1,9 +1,9 @@
-"""Plugin for pytest: the commands of the book run. `python -m pytest -p tools.book_commands README.md docs`
+"""The commands of the book run: the marks of a ``console`` block, and the folder in which the blocks of a page run.
 
-The ``console`` blocks of a page run in their order, in a folder of the page's own. The folder has examples/, the plant
-of the tutorial, and the configurations that the page gives a file name. A command ends with exit code 0; one that goes
-on until Ctrl-C has to start, and to be there still at the end of the page. /dev/ttyUSB0 is the middle port of a
-simulated segment, /dev/far0 and /dev/far1 are the ports beside it; /tmp/bus is in the folder too.
+The blocks of a page run in their order, in a folder of the page's own. The folder has examples/, the plant of the
+tutorial, and the files that the page gives a name. A command ends with exit code 0; one that goes on until Ctrl-C has
+to start, and to be there still at the end of the page. /dev/ttyUSB0 is the middle port of a simulated segment, and
+/dev/far0 and /dev/far1 are the ports beside it. /tmp/bus is in the folder too.
 
 A comment above a block says more:
 
@@ -33,8 +33,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from sybil import Example, Sybil
-from sybil.parsers.myst import CodeBlockParser
+from sybil import Example
 
 import dpstack
 from dpstack.api.config.config import load_config
@@ -43,8 +42,8 @@ from dpstack.cli.main import main
 ROOT: Final = Path(__file__).resolve().parent.parent
 FIRST_PLANT: Final = ROOT / "docs" / "tutorial" / "first-plant.md"
 _MARK: Final = re.compile(r"<!-- ([a-z]+): ([^>]*?) -->\n$")
-_FILE: Final = re.compile(r"<!-- file: (\S+) -->\n```toml\n(.*?)^```", re.DOTALL | re.MULTILINE)
-_PRINTED: Final = re.compile(r"\A(?:```)?\s*<!-- printed -->\n```text\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_FILE: Final = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_PRINTED: Final = re.compile(r"\A(?:```)?\s*<!-- printed -->\n```\w+\n(.*?)^```", re.DOTALL | re.MULTILINE)
 #: ports of the simulated segment of a page
 _PORTS: Final = ("far0", "ttyUSB0", "far1")
 _HANG_S: Final = 60.0
@@ -142,7 +141,7 @@ class Stage:
         elif words[0] in _ENDLESS and not _LIMITS & set(words):
             self.start(words)
         else:
-            with contextlib.nullcontext() if self._programs else _virtual_time():
+            with contextlib.nullcontext() if self._programs else virtual_time():
                 assert _exit_code(words) == 0, line
 
     def _own_paths(self, text: str) -> str:
@@ -157,12 +156,15 @@ class Stage:
             output = output.replace(f"{self.folder}/usb/{number}", f"/dev/{name}")
         return output.replace(f"{self.folder}/bus", "/tmp/bus")
 
+    def close_programs(self) -> None:
+        while self._programs:
+            self._programs[-1].end()
+            self._programs.pop()
+
     def close(self) -> None:
         """Ends everything; the first program that has not gone on fails the page."""
         try:
-            while self._programs:
-                self._programs[-1].end()
-                self._programs.pop()
+            self.close_programs()
         finally:
             for program in self._programs:
                 program.kill()
@@ -181,7 +183,7 @@ def _exit_code(words: list[str]) -> object:
 
 
 @contextlib.contextmanager
-def _virtual_time() -> Iterator[None]:
+def virtual_time() -> Iterator[None]:
     real = asyncio.run
     asyncio.run = dpstack.run_virtual  # type: ignore[assignment]
     try:
@@ -190,7 +192,7 @@ def _virtual_time() -> Iterator[None]:
         asyncio.run = real
 
 
-def run_block(example: Example) -> None:
+def run_commands(example: Example) -> None:
     stage: Stage = example.namespace["stage"]
     stage.write_files(example.document.text)
     mark = _MARK.search(example.document.text[: example.start])
@@ -224,21 +226,3 @@ def missing_line(wanted: str, output: str) -> str | None:
         if begin and not any(one.startswith(begin) if begin != shape else one == shape for one in rest):
             return line
     return None
-
-
-def _set_up(namespace: dict[str, Any]) -> None:
-    namespace["stage"] = Stage()
-
-
-def _tear_down(namespace: dict[str, Any]) -> None:
-    namespace["stage"].close()
-
-
-pytest_collect_file = Sybil(
-    parsers=[CodeBlockParser(language="console", evaluator=run_block)],
-    pattern="*.md",
-    excludes=["docs/reference/options.md"],  # examples of --help, with files that are not there
-    path=str(ROOT),
-    setup=_set_up,
-    teardown=_tear_down,
-).pytest()

@@ -25,13 +25,22 @@ of the book follows from these links: a page that no index names is an error. Pa
 a tool each: `tools/make_*_docs.py` and `tools/make_pictures.py`. A new public namespace is added to `NAMESPACES` in
 `tools/make_reference_docs.py`.
 
-Tests of the pages, most of them in `tests/test_docs.py`:
+Every block of code has a kind, and each kind its test. `make check` runs two kinds with sybil, in the order of the page
+and in a folder of the page's own (`tools/book_blocks.py` and `tools/book_commands.py` tell the marks of a block):
 
-- `python` blocks marked `<!-- run -->` run in virtual time, and print what the next block marked `<!-- output -->` says
-- `toml` blocks load, and blocks of telegrams decode as printed; `json` blocks are JSON
-- `console` blocks are parsed by `make test`, and run in `make check`, in order, in a folder of the page's own, with
-  `/dev/ttyUSB0` on a simulated segment (`tools/book_commands.py` tells the marks that a block can have)
-- links inside the book lead to a page and a heading that exist
+- `python`: a program in virtual time; its output stands below it
+- `console`: commands, with `/dev/ttyUSB0` on a simulated segment; what they print may stand below them
+
+`make test` has the others:
+
+- `console`: each command is parsed (`tests/test_docs.py`)
+- `toml`: loads as a configuration, a scenario or what its mark says (`tests/test_docs.py`)
+- `json`: each line is JSON (`tests/test_docs.py`)
+- `text` marked `<!-- decode -->`: telegrams decode as printed (`tests/cli/listening/test_decode_page.py`)
+- `text` marked `<!-- session -->`: a shell shows it (`tests/blocking/test_blocking_pages.py`)
+- `text` marked `<!-- symptom -->`: `dpstack why` says it of a plant with that fault (`tests/why/test_symptoms.py`)
+
+Links inside the book lead to a page and a heading that exist (`tests/test_docs.py`).
 """
 
 

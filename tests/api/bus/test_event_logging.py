@@ -5,11 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import re
-import runpy
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -80,26 +77,6 @@ def test_the_events_of_a_bus_are_records(lines: list[dict[str, Any]]) -> None:
     }
     assert exchange["time"].endswith("Z")
     assert 0 < exchange["t"] < 2
-
-
-@pytest.mark.usefixtures("lines")  # takes the level back
-def test_the_example_of_the_page_logs_json_lines(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page = Path(__file__).parents[3] / "docs" / "how-to" / "service.md"
-    (text,) = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    program = tmp_path / "program.py"
-    program.write_text(text, encoding="utf-8")
-    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
-    logger = logging.getLogger("dpstack")
-    before = list(logger.handlers)
-    try:
-        runpy.run_path(str(program), run_name="__main__")
-    finally:
-        logger.handlers[:] = before
-    told = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
-    assert {line["logger"] for line in told} == {"dpstack.bus", "dpstack.slave.valves"}
-    assert "data_exchange" in [line.get("state") for line in told]
 
 
 def notice(severity: Severity, text: str = "x") -> Notice:
