@@ -210,6 +210,22 @@ def test_examples_run(example: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert [line for line in wanted if line not in out] == []
 
 
+def test_the_page_lists_every_example_with_its_one_command() -> None:
+    folder = ROOT / "examples"
+    rows = re.findall(
+        r"^\| `([^`]+)` \|", (ROOT / "docs" / "how-to" / "examples.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    starts = {".py": "python", ".ipynb": "jupyter lab"}
+    programs = {f"{starts[path.suffix]} examples/{path.name}" for path in folder.iterdir() if path.suffix in starts}
+    folders = {"pytest examples/test_bench", "pip install ./examples/thirdparty_drive"}
+    commands = {row for row in rows if row.startswith("dpstack ")}
+    assert sorted(rows) == sorted(programs | folders | commands)
+    named = {name for row in rows for name in re.findall(r"examples/([\w.]+)", row)}
+    assert named == {path.name for path in folder.iterdir() if path.name != "__pycache__"}
+    for command in commands:
+        build_parser().parse_args(shlex.split(command)[1:])
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_configurations_load(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)  # files they name are of the checkout

@@ -1,13 +1,17 @@
-"""Examples: heads with their commands, a case of the watcher for every event, one line for a missing package."""
+"""Examples: heads with their commands, the watcher's case for every event, the notebook, a missing package."""
 
 from __future__ import annotations
 
 import ast
+import json
 import logging
+import re
 import runpy
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -16,6 +20,7 @@ from dpstack.events import FaultKind, SlaveState
 from dpstack.trace import Event
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+NOTEBOOK = EXAMPLES / "notebook.ipynb"
 WATCHER = EXAMPLES / "plant_watcher.py"
 #: examples that start on a simulated bus, and on a port that is given as argument
 WITH_PORT = ("conveyor_and_pump", "fastapi_service", "parquet_logger", "plant_watcher", "soft_slave")
@@ -85,3 +90,53 @@ def test_a_missing_package_is_one_line(name: str, package: str, says: str, monke
     with pytest.raises(SystemExit) as ended:
         runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     assert ended.value.code == says
+
+
+class Axes:
+    """Stands in for a picture of matplotlib; keeps the curves."""
+
+    def __init__(self) -> None:
+        self.curves: list[tuple[list[float], list[float]]] = []
+
+    def plot(self, x: list[float], y: list[float]) -> None:
+        self.curves.append((x, y))
+
+    def __getattr__(self, _: str) -> Any:
+        return lambda *_, **__: None
+
+
+def cells_of(notebook: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in found if cell["cell_type"] == "code"]
+
+
+def test_the_cells_of_the_notebook_run_one_after_the_other(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In one namespace, without Jupyter and matplotlib: tests/strangers has those."""
+    axes, pyplot = Axes(), ModuleType("matplotlib.pyplot")
+    monkeypatch.setattr(pyplot, "subplots", lambda **_: (object(), axes), raising=False)
+    matplotlib = ModuleType("matplotlib")
+    monkeypatch.setattr(matplotlib, "pyplot", pyplot, raising=False)
+    monkeypatch.setitem(sys.modules, "matplotlib", matplotlib)
+    shell: dict[str, Any] = {"__name__": "__main__"}
+    for number, cell in enumerate(cells_of(NOTEBOOK)):
+        exec(compile("".join(cell["source"]), f"<cell {number}>", "exec"), shell)
+    ((seconds, levels),) = axes.curves
+    assert seconds == sorted(seconds)
+    assert levels == sorted(levels)
+    assert levels[0] < 10 < 60 <= levels[-1] < 70
+    lost, bus, fan, cause, todo, back, level = capsys.readouterr().out.splitlines()
+    assert lost.startswith("slave 9 (tank): stopped answering during Data_Exchange")
+    assert (bus, fan) == ("<Bus virtual 93.75 kbit/s operate, 1 of 2 slaves>", "fan: running")
+    assert cause.startswith("not_there (")
+    assert todo.startswith("next: look at the device: is its power on")
+    assert back == "<Bus virtual 93.75 kbit/s operate, 2 of 2 slaves>"
+    assert re.fullmatch(r"level: [67]\d\.\d %", level)  # the water stays in the tank
+    assert shell["bus"].is_open is False
+
+
+def test_the_notebook_is_kept_without_outputs() -> None:
+    """What it shows is made by a run; old outputs would say what an earlier version did."""
+    for cell in cells_of(NOTEBOOK):
+        assert (cell["outputs"], cell["execution_count"], cell["metadata"]) == ([], None, {})

@@ -39,7 +39,7 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "systemd-analyze": "systemd",
 }
 #: Python packages of the extra ``strangers`` whose module has another name
-MODULES: Final[Mapping[str, str]] = {"python-pcapng": "pcapng"}
+MODULES: Final[Mapping[str, str]] = {"ipython": "IPython", "python-pcapng": "pcapng"}
 _APT_S: Final = 600
 _PIP_S: Final = 300
 

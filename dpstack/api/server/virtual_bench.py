@@ -353,6 +353,9 @@ class VirtualBench(Bench):
         self._units: dict[int, SimulatedSlave] = {}
         self._silent: dict[int, int] = {}  # ends of the silences in ns
 
+    def __repr__(self) -> str:
+        return f"<VirtualBench {', '.join(unit.config.name for unit in self._units.values()) or 'without slaves'}>"
+
     def add(self, config: SlaveConfig) -> None:
         """Add a slave; it replaces one with the same address."""
         before = self._units.get(config.address)
