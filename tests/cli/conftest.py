@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import tempfile
 from collections.abc import Iterator
 
 import pytest
 from cli_kit import Cli
+
+from dpstack.drivers.virtual import loop
 
 
 @pytest.fixture
@@ -20,3 +23,9 @@ def alone(monkeypatch: pytest.MonkeyPatch, runtime_directory: str) -> Iterator[N
     with tempfile.TemporaryDirectory(prefix="d", dir=runtime_directory) as path:
         monkeypatch.setenv("XDG_RUNTIME_DIR", path)
         yield
+
+
+@pytest.fixture
+def virtual_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands of this test run in virtual time: a simulated bus neither waits for the clock nor for the computer."""
+    monkeypatch.setattr(asyncio, "run", loop.run)

@@ -38,7 +38,7 @@ def add_to(parser: Parser) -> None:
     parser.value("config", "CONFIG", "configuration file", nargs="?")
     options.add_other_port(parser)
     parser.value("--seconds", "S", "end after so many seconds in the ring", type=options.seconds)
-    parser.value("--rotations", "N", "end after so many rotations", type=options.count)
+    parser.value("--rotations", "N", "end after so many rotations in Operate (or Clear)", type=options.count)
     parser.value("--driver", None, "what keeps the bus going", choices=("auto", "asyncio", "process"))
     parser.value("--address", "N", "another station address of the master, 0..125", type=options.address)
     parser.value(
@@ -144,7 +144,9 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                     plant.start(core_of(bus).started_ns)
                     if not (args.clear or config.bus.read_only):
                         await bus.operate()
-                    await stop.or_done(_limit(bus, args.seconds, args.rotations))
+                    # a busy computer orders Operate late: all N rotations are in the mode of the run
+                    end = None if args.rotations is None else bus.stats.rotations + args.rotations
+                    await stop.or_done(_limit(bus, args.seconds, end))
                     stats, missing, held = bus.stats, not_exchanging(bus), clear_since(core_of(bus))
                     stories = await lines.stories()
                 finally:
@@ -215,7 +217,7 @@ def _service_state(bus: Bus, args: argparse.Namespace) -> BusState:
 
 
 async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:
-    """Wait until the first of the limits, counted from the first token on; for ever where there is none."""
+    """Wait until the first of the limits: ``seconds`` in the ring, ``rotations`` of the bus in all. None is no limit."""
     try:
         await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - core_of(bus).seconds_in_ring))
     except TimeoutError:
