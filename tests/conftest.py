@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import tempfile
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
+from forked_programs import ForkServer
 from hypothesis import is_hypothesis_test
 from programs import Starter
 from property_kit import register_profiles, soaking
@@ -59,12 +61,23 @@ def world() -> Iterator[WorldFactory]:
     factory.check()
 
 
+@pytest.fixture(scope="session")
+def fork_server(runtime_directory: str) -> Iterator[ForkServer | None]:
+    """None on systems where the server cannot wait for its forks."""
+    if not hasattr(os, "pidfd_open"):
+        yield None
+        return
+    server = ForkServer()
+    yield server
+    server.close()
+
+
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Starter]:
+def start(tmp_path: Path, fork_server: ForkServer | None) -> Iterator[Starter]:
     """Starts ``dpstack`` with the arguments it is called with; at the end of the test nothing of it runs on."""
     folder = tmp_path / "output"
     folder.mkdir()
-    starter = Starter(folder)
+    starter = Starter(folder, fork_server)
     yield starter
     starter.close()
 

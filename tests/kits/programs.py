@@ -12,6 +12,7 @@ from typing import Any
 
 from control_kit import socket_of
 from far_ends import HANG_S
+from forked_programs import ForkedProcess, ForkServer
 
 from dpstack.api.control.client import connect
 
@@ -73,11 +74,18 @@ def wait_for_exchanges(port: Path, more: int) -> None:
 
 
 class Program:
-    """One ``dpstack`` process; its output goes to files, so that it never waits for a reader."""
+    """One ``dpstack`` process; its output goes to files, so that it never waits for a reader.
 
-    def __init__(self, folder: Path, *args: str) -> None:
+    With ``server`` it is forked from a process that has imported dpstack.
+    """
+
+    def __init__(self, folder: Path, *args: str, server: ForkServer | None = None) -> None:
         self._out = folder / f"out{len(list(folder.iterdir()))}"
+        self.process: subprocess.Popen[bytes] | ForkedProcess
         with self._out.open("wb") as out, self._out.with_suffix(".err").open("wb") as err:
+            if server is not None:
+                self.process = ForkedProcess(server, args, self._out, self._out.with_suffix(".err"))
+                return
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "dpstack.cli.main", *args], stdout=out, stderr=err, stdin=subprocess.DEVNULL
             )
@@ -122,12 +130,20 @@ class Program:
 class Starter:
     """Starts programs and sees to it that none is left."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, server: ForkServer | None = None) -> None:
         self.folder = folder
+        self._server = server
         self._programs: list[Program] = []
 
     def __call__(self, *args: str) -> Program:
-        program = Program(self.folder, *args)
+        """``dpstack`` as a process of its own, forked where there is a server."""
+        return self._started(Program(self.folder, *args, server=self._server))
+
+    def interpreter(self, *args: str) -> Program:
+        """``python -m dpstack.cli.main``: an interpreter of its own, which imports everything."""
+        return self._started(Program(self.folder, *args))
+
+    def _started(self, program: Program) -> Program:
         self._programs.append(program)
         return program
 

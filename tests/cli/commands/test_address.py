@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from cli_kit import Cli
 from far_ends import HANG_S
+from forked_programs import ForkServer
 from programs import Starter
 from support_responder import Responder
 
@@ -22,10 +23,10 @@ SLAVES = ("126:1234:2111:2:2", "20:1234:2111:2:2", "5:0696:f3f1:12:12,owner=1")
 
 
 @pytest.fixture(scope="module")
-def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def bus(tmp_path_factory: pytest.TempPathFactory, fork_server: ForkServer | None) -> Iterator[Path]:
     """A segment of two: the slaves on port 0, port 1 is free."""
     folder = tmp_path_factory.mktemp("address")
-    starter = Starter(folder)
+    starter = Starter(folder, fork_server)
     try:
         starter.segment(folder / "bus")
         with Responder(str(folder / "bus" / "0"), SLAVES):
