@@ -217,7 +217,7 @@ def _service_state(bus: Bus, args: argparse.Namespace) -> BusState:
 
 
 async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:
-    """Wait until the first of the limits: ``seconds`` in the ring, ``rotations`` of the bus in all. None is no limit."""
+    """Wait until the first of the limits: ``seconds`` in the ring, ``rotations`` of the bus in all; None: no limit."""
     try:
         await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - core_of(bus).seconds_in_ring))
     except TimeoutError:
