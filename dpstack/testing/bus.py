@@ -10,10 +10,12 @@ from typing import Any, Final, Literal, TypeVar
 from dpstack.api.bus.bus import Bus, SlaveTable, core_of, open_bus
 from dpstack.api.bus.virtual import simulate
 from dpstack.api.config.config import Config, load_config, make_config
+from dpstack.api.listen.names import decode_names
 from dpstack.api.server.fault_steps import put_input
 from dpstack.api.server.virtual_bench import SimulatedSlave, VirtualBench
 from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.slave import Slave
+from dpstack.dp.master.events import DriveEvent
 from dpstack.drivers.virtual.loop import VirtualLoop, refuse_running_loop
 from dpstack.errors import UsageError
 from dpstack.profile import DriveDevice
@@ -171,7 +173,7 @@ class SimulatedBus:
         if unknown:
             raise UsageError(f"safe: no slave is called {', '.join(sorted(unknown))}")
         watched = [Watched.of(slave, octets.get(slave.name)) for slave in config.slaves]
-        self.wire = Wire(watched, lambda: self.world.baud)
+        self.wire = Wire(watched, lambda: self.world.baud, decode_names(config))
         self.world.log.listener = self.wire.add
         self.faults = Faults(self._bench, self.world, config.bus.address)
 
@@ -228,7 +230,14 @@ class SimulatedBus:
         ``config`` None: the one that the line was made of. Made with ``master=None``, the application is the only
         master.
         """
-        arguments |= {"driver": "auto", "world": self.world}
+        own = arguments.get("on_event")
+
+        def on_event(event: Event) -> None:
+            self._on_event(event)
+            if own is not None:
+                own(event)
+
+        arguments |= {"driver": "auto", "world": self.world, "on_event": on_event}
         return open_bus(self.config if config is None else config, **arguments)
 
     # --- slaves -----------------------------------------------------------------------------------------------------
@@ -254,11 +263,24 @@ class SimulatedBus:
         lines = [f"bus time {self.now:.6f} s"]
         if self.events and events > 0:
             lines += ["the last events:"]
-            lines += [f"  {ns_to_s(one.t_ns):.6f} s  {printable(one.text)}" for one in self.events[-events:]]
+            lines += [f"  {ns_to_s(one.t_ns):.6f} s  {printable(one.text)}" for one in _changes(self.events)[-events:]]
         faults = [f"{name}: {text}" for name, texts in self.faults.active.items() for text in texts]
         if faults:
             lines += ["faults that act: " + printable("; ".join(faults))]
-        return "\n".join([*lines, f"the last telegrams ({telegrams} at most):", self.wire.text(telegrams)])
+        return "\n".join([*lines, f"the last of the wire ({telegrams} lines):", self.wire.text(telegrams)])
+
+
+def _changes(events: Iterable[Event]) -> list[Event]:
+    """The events without those of a drive whose text repeats the one before of the same drive."""
+    last: dict[int, str] = {}
+    found: list[Event] = []
+    for event in events:
+        if isinstance(event, DriveEvent):
+            if last.get(event.address) == event.text:
+                continue
+            last[event.address] = event.text
+        found.append(event)
+    return found
 
 
 class BusFactory:

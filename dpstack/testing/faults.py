@@ -16,7 +16,7 @@ from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.errors import ConfigError, UsageError
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
-from dpstack.units import s_to_ns
+from dpstack.units import ns_to_s, s_to_ns
 
 #: a year in seconds
 _LONGEST_S: Final = 365 * 86_400
@@ -30,9 +30,18 @@ class Fault:
         self.text = text
         self.slave = slave
         self._end = end
+        #: bus time in seconds at which it ends by itself; None: it does not
+        self.until: float | None = None
 
     def __repr__(self) -> str:
         return f"<Fault {self.slave or 'line'}: {self.text}>"
+
+    @property
+    def acts(self) -> str | None:
+        """The fault with its end in bus time, for people; None: it has ended, or has no end."""
+        if self._end is None:
+            return None
+        return self.text if self.until is None else f"{self.text} until {self.until:.6f} s"
 
     def __enter__(self) -> Fault:
         return self
@@ -169,8 +178,17 @@ class Faults:
     @property
     def active(self) -> dict[str, list[str]]:
         """The faults that act at this moment, for people: slave -> texts. Slaves without one are left out."""
-        found = {name: self._bench.injected(address) for address, name in self._bench.names().items()}
+        found = {name: self._active(address, name) for address, name in self._bench.names().items()}
         return {name: texts for name, texts in found.items() if texts}
+
+    def _active(self, address: int, name: str) -> list[str]:
+        """The faults that the slave has, those that were begun here with their end."""
+        begun = {one.text: one.acts for one in self._begun if one.slave == name and one.acts is not None}
+        texts = []
+        for text in self._bench.injected(address):
+            own = next((one for one in begun if text.replace("-", " ").startswith(one)), None)
+            texts.append(text if own is None else begun[own])
+        return texts
 
     def clear(self, slave: str | int | None = None) -> None:
         """End every fault that was begun here, or those of ``slave``; noise on the line too, without ``slave``."""
@@ -184,6 +202,7 @@ class Faults:
 
     def _run(self, fault: Fault, for_ns: int | None) -> Fault:
         if for_ns is not None:
+            fault.until = ns_to_s(self._bench.now + for_ns)
             self._bench.call_at(self._bench.now + for_ns, fault.end)
         self._begun.append(fault)
         return fault

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.decode.wire_log import render
+from dpstack.decode.names import NO_NAMES, Names
+from dpstack.decode.wire_log import render, render_changes
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.services import EMPTY_STATUS, SERVICE_NAMES, positive
 from dpstack.errors import PduError, UsageError
@@ -28,6 +29,8 @@ from dpstack.units import ns_to_s
 DATA_EXCHANGE: Final = "Data_Exchange"
 #: telegrams, exchanges and services that are kept
 KEPT: Final = 20_000
+#: telegrams that the log of a failure decodes first
+_NEAR: Final = 4_000
 #: outputs that a message shows
 _SHOWN: Final = 12
 #: goals of a drive's control word without a run
@@ -184,8 +187,10 @@ class Wire:
     last 20,000 telegrams; ``assert_last_outputs_safe`` knows all.
     """
 
-    def __init__(self, slaves: Iterable[Watched], baud: Callable[[], int]) -> None:
+    def __init__(self, slaves: Iterable[Watched], baud: Callable[[], int], names: Names = NO_NAMES) -> None:
         self._baud = baud
+        self._names = names
+        self._count = 0
         self._slaves = tuple(slaves)
         self._entries: deque[WireEntry] = deque(maxlen=KEPT)
         self._outputs = {slave.address: _Outputs(slave) for slave in self._slaves}
@@ -216,10 +221,22 @@ class Wire:
         """The times of each Global_Control with Clear."""
         return list(self._clears)
 
-    def text(self, last: int = 40) -> str:
-        """The decoded log of the ``last`` telegrams, a line for each."""
-        shown = list(self._entries)[-last:] if last > 0 else []
-        return "\n".join(map(printable, render(shown, self._baud()).splitlines()))
+    def text(self, last: int = 40, *, every: bool = False) -> str:
+        """The last lines of the decoded log. Telegrams that repeat what was there before are one line, so that the log
+        reaches back to what has changed: other outputs, an answer that is missing, a bring-up. ``every``: a line for
+        each of the ``last`` telegrams."""
+        entries = list(self._entries)
+        if every:
+            log = render(entries[-last:] if last > 0 else [], self._baud())
+        else:
+            # most failures have their reason in the last seconds; the whole log is decoded only where it is needed
+            for reach in (_NEAR, KEPT):
+                near = entries[-reach:]
+                first = self._count - len(near) + 1
+                log = render_changes(near, self._baud(), names=self._names, last=last, number=first)
+                if log.count("\n") >= last or len(near) == len(entries):
+                    break
+        return "\n".join(map(printable, log.splitlines()))
 
     # --- assertions -------------------------------------------------------------------------------------------------
 
@@ -287,6 +304,7 @@ class Wire:
 
     def add(self, entry: WireEntry) -> None:
         """A transmission on the line, in the order of their ends."""
+        self._count += 1
         self._entries.append(entry)
         if entry.note and any(word in entry.note for word in _NOT_RECEIVED):
             return

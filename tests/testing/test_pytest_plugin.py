@@ -68,9 +68,10 @@ def test_without_another_plugin_and_the_wire_log_of_a_failure(tmp_path: Path) ->
     head = told.partition("dpstack bus 1 of 1")[2]
     assert "slave 4 (fan): stopped answering during Data_Exchange" in head
     assert "faults that act: fan: silence" in head
-    log = head.partition("the last telegrams (12 at most):")[2]
-    assert len(re.findall(r"^ +\d+ +\d+\.\d{3}", log, re.MULTILINE)) == 12
-    assert "token 2 -> 2 (to itself)" in log
+    log = head.partition("the last of the wire (12 lines):")[2].partition("short test summary")[0]
+    assert len(re.findall(r"^ +(?:\d+ +\d+\.\d{9}|\.\.\. \d+ telegrams) ", log, re.MULTILINE)) == 12
+    assert re.search(r"Data_Exchange request 2 -> 4 \[fan\].*CTW 047E .*set point 0\.0%.*; not answered", log)
+    assert "Slave_Diag request 2 -> 4 [fan]" in log
 
 
 @pytest.mark.soak
@@ -143,10 +144,11 @@ def test_faults_by_name_begin_and_end(dpstack_bus: BusFactory) -> None:
     assert (device.outputs, raw["level"]) == (b"\x07", 7)
     with bus.faults.silence("raw"):
         bus.wait(0.05)
-        assert bus.faults.active == {"raw": ["silence until resume"]}
+        assert bus.faults.active == {"raw": ["silence"]}
     assert bus.faults.active == {}
     bus.run(raw.ready())
-    bus.faults.power_off("raw", 0.5)
+    fault = bus.faults.power_off("raw", 0.5)
+    assert bus.faults.active == {"raw": [f"power off until {fault.until:.6f} s"]}
     bus.wait(0.2)
     assert not raw.ready_now
     bus.run(raw.ready())

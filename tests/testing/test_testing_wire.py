@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from dpstack.errors import UsageError
@@ -196,10 +198,46 @@ def test_the_log_is_decoded_bounded_and_printable(line: Line) -> None:
     for _ in range(10):
         line.exchange(9, "01")
     line.wire.add(WireEntry(10**9, 10**9 + 1, b"\xe5", "\x1b[31mred"))
-    lines = line.wire.text(3).splitlines()
+    lines = line.wire.text(3, every=True).splitlines()
     assert len(lines) == 4
     assert "Data_Exchange request 2 -> 9" in lines[1]
-    assert "\x1b" not in line.wire.text()
+    assert "\x1b" not in line.wire.text() + line.wire.text(every=True)
+
+
+def test_what_repeats_is_one_line_and_what_is_new_is_not(line: Line) -> None:
+    """Twenty equal rotations, an answer that is missing, its retry, and twenty more: the missing one is seen."""
+    for beat in (0x5D, 0x7D) * 10:
+        line.send(sd2(9, 2, beat, "01"))
+        line.send(sd2(2, 9, 0x08, "55"))
+        line.send(bytes.fromhex("10 32 02 49 7D 16"))  # nobody has address 50
+        line.send(b"\xdc\x02\x02")
+    line.send(sd2(9, 2, 0x5D, "01"))
+    line.send(sd2(9, 2, 0x5D, "01"))
+    for beat in (0x08, 0x7D, 0x08, 0x5D) * 10:
+        line.send(sd2(2, 9, 0x08, "55") if beat == 0x08 else sd2(9, 2, beat, "01"))
+    line.send(sd2(2, 9, 0x0A, "55"))
+    text = [re.sub(r".*  ", "", one).strip() for one in line.wire.text().splitlines()[1:]]
+    assert text == [
+        "Data_Exchange request 2 -> 9, 1 octet (SRD high, FCV=1 FCB=0)",
+        "Data_Exchange answer 9 -> 2, 1 octet (DL, slave)",
+        "FDL_Status request 2 -> 50 (FC 0x49); not answered",
+        "token 2 -> 2 (to itself)",
+        "... 76 telegrams in 75.4 ms as before: 19 Data_Exchange to 9, 19 FDL_Status, 19 token",
+        "Data_Exchange request 2 -> 9, 1 octet (SRD high, FCV=1 FCB=0); not answered",
+        "Data_Exchange request 2 -> 9, 1 octet (SRD high, FCV=1 FCB=0); retry of 81",
+        "Data_Exchange answer 9 -> 2, 1 octet (DL, slave)",
+        "Data_Exchange request 2 -> 9, 1 octet (SRD high, FCV=1 FCB=1)",
+        "... 38 telegrams in 37.4 ms as before: 19 Data_Exchange to 9",
+        "Data_Exchange answer 9 -> 2, 1 octet (DH, slave)",
+    ]
+    assert [one.split()[0] for one in line.wire.text(3).splitlines()[1:]] == ["84", "...", "123"]
+
+
+def test_the_log_reaches_back_to_the_change_however_long_ago(line: Line) -> None:
+    line.exchange(9, "01")
+    for _ in range(2_000):
+        line.exchange(9, "02")
+    assert [one.split()[0] for one in line.wire.text(5).splitlines()[1:]] == ["1", "2", "3", "..."]
 
 
 @pytest.mark.parametrize(

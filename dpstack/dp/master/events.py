@@ -287,6 +287,11 @@ class DriveEvent(SlaveEvent):
             said = ", ".join((*parts, *(f"warning {one}" for one in _texts(payload.get("warnings")))))
         elif kind == "failed":
             said = f"its plugin failed: {said}"
+        elif kind == "result" and payload.get("ok"):
+            value = payload.get("value")
+            said = "order done" if value is None or isinstance(value, (dict, list)) else f"order done: {value}"
+        elif kind == "result":
+            said = "order failed" + ("" if payload.get("text") is None else f": {payload['text']}")
         return f"drive {self.address} ({self.name}): {said}"
 
     @property
