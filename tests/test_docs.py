@@ -8,6 +8,7 @@ import logging
 import re
 import runpy
 import shlex
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache, partial
@@ -17,13 +18,17 @@ import pytest
 
 import dpstack
 import dpstack.profile
+from bench.__main__ import BENCHMARKS
 from dpstack.api.config.config import load_config, parse_config
 from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.control.scenario import parse_scenario
+from dpstack.api.listen.plant_files import load_thresholds
+from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.cli.main import _COMMANDS, build_parser, main
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 from tools import make_book_docs, make_config_docs, make_pictures, make_reference_docs
+from tools.book_commands import commands
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -33,6 +38,20 @@ BUSY = ROOT / "examples" / "busy_program.py"
 WITH_PACKAGES = {ROOT / "examples" / "fastapi_service.py", ROOT / "examples" / "parquet_logger.py"}
 EXAMPLES = sorted(set((ROOT / "examples").glob("*.py")) - {BUSY} - WITH_PACKAGES)
 _BLOCK = re.compile(r"(?:<!-- (?P<mark>[^>]*?) -->\n)?```(?P<kind>\w+)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE)
+_ANY = re.compile(
+    r"(?:<!-- (?P<mark>[^>]*?) -->\n)?^ *```(?P<kind>[^\n]*)\n(?P<text>.*?)^ *```$", re.DOTALL | re.MULTILINE
+)
+#: the kinds of blocks with their marks; docs/development/book.md names the test of each
+_MARKS = {
+    "console": {"", "beside", "parsed"},
+    "json": {"", "printed"},
+    "mermaid": {"", "picture"},
+    "python": {"", "file", "tests"},
+    "text": {"", "after Ctrl-C", "decode", "filters", "output", "printed", "session", "symptom", "syntax"},
+    "toml": {"", "file", "parameter list", "parsed", "scenario", "thresholds file"},
+    "{eval-rst}": {""},
+}
+_SUDO = re.compile(r"^sudo (-u \w+ )?(\w+=\S+ )?")
 _LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 _CITATION = re.compile(r"docs/[\w/-]+\.md(?:#[\w-]+)?")
 _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
@@ -227,11 +246,18 @@ def test_the_page_lists_every_example_with_its_one_command() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_configurations_load(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_configurations_load(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)  # files they name are of the checkout
     for mark, text in blocks(page, "toml"):
         try:
-            if mark == "scenario":
+            if mark.startswith("parsed:"):  # listed on docs/development/book.md
+                tomllib.loads(text)
+            elif mark == "thresholds file":
+                (tmp_path / "limits.toml").write_text(text, encoding="utf-8")
+                load_thresholds(tmp_path / "limits.toml")
+            elif mark == "parameter list":
+                ParameterList.parse(text, page.name)
+            elif mark == "scenario":
                 bench = dpstack.simulate(dpstack.World(), load_config(ROOT / "examples" / "plant.toml").slaves)
                 parse_scenario(text, bench, slave_handlers(bench), page.name)
             else:
@@ -251,10 +277,10 @@ def test_json_is_json(page: Path) -> None:
 def test_commands_exist(page: Path) -> None:
     parser = build_parser()
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for _, text in blocks(page, "console"):
-        for line in text.splitlines():
-            words = shlex.split(re.split(r" >>? ", line)[0].removeprefix("$ "))
-            if words[0] == "dpstack":
+    for mark, text in blocks(page, "console"):
+        for line in re.split(r"\n| && | \| ", "\n".join(commands(text))):
+            words = shlex.split(re.split(r" >>? ", _SUDO.sub("", line))[0], comments=True)
+            if Path(words[0]).name == "dpstack":
                 try:
                     parser.parse_args(words[1:])
                 except SystemExit as end:  # --version
@@ -262,9 +288,21 @@ def test_commands_exist(page: Path) -> None:
             elif words[:2] == ["pip", "install"]:
                 folder = words[2].partition("[")[0]  # before the extras
                 assert (ROOT / folder / "pyproject.toml").exists()
+            elif words[:3] == ["python", "-m", "bench"]:
+                assert words[3] in {*BENCHMARKS, "compare"}
+            elif words[0] == "make":
+                assert all(f"\n{word}:" in makefile for word in words[1:]), line
             else:
-                assert words[0] == "make"
-                assert f"\n{words[1]}:" in makefile
+                assert mark.startswith("parsed: "), line
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_block_is_of_a_kind_and_a_mark_with_a_test(page: Path) -> None:
+    found = [(match["kind"], match["mark"] or "", match["text"]) for match in _ANY.finditer(page.read_text("utf-8"))]
+    kinds = [(kind, mark.partition(":")[0]) for kind, mark, _ in found]
+    assert [one for one in kinds if one[1] not in _MARKS.get(one[0], ())] == []
+    plain = [text for kind, mark, text in found if (kind, mark) == ("text", "")]
+    assert [text for text in plain if re.search(r"^(\$ |(dpstack|import|async|await|from) )", text, re.MULTILINE)] == []
 
 
 def slug(heading: str) -> str:
@@ -321,6 +359,20 @@ def test_every_command_and_option_is_documented() -> None:
     text = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     for name in _COMMANDS:
         assert f"`dpstack {name}" in text
+
+
+def test_the_syntax_of_the_commands_names_options_that_they_have() -> None:
+    ((_, text),) = [found for found in blocks(ROOT / "docs/reference/commands.md", "text") if found[0] == "syntax"]
+    known = {
+        command.prog: {option for action in command.actions() for option in action.option_strings}
+        for command, _ in make_reference_docs.commands(build_parser())
+    }
+    lines = re.sub(r"\n +", " ", text).splitlines()
+    assert len(lines) > len(_COMMANDS)
+    for line in lines:
+        words = line.split()
+        options = known.get(" ".join(words[:3])) or known[" ".join(words[:2])]
+        assert set(re.findall(r"--[\w-]+", line)) <= options, line
 
 
 def test_every_control_command_is_documented() -> None:

@@ -2,8 +2,9 @@
 
 The blocks of a page run in their order, in a folder of the page's own. The folder has examples/, the plant of the
 tutorial, and the files that the page gives a name. A command ends with exit code 0; one that goes on until Ctrl-C has
-to start, and to be there still at the end of the page. /dev/ttyUSB0 is the middle port of a simulated segment, and
-/dev/far0 and /dev/far1 are the ports beside it. /tmp/bus is in the folder too.
+to start, and to be there still at the end of the page, or until another `run` takes its port. ``--seconds`` is 1 where
+time is real. /dev/ttyUSB0 is the middle port of a simulated segment, and /dev/far0 and /dev/far1 are the ports beside
+it. /tmp/bus is in the folder too.
 
 A comment above a block says more:
 
@@ -31,13 +32,14 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
-
-from sybil import Example
+from typing import TYPE_CHECKING, Any, Final
 
 import dpstack
 from dpstack.api.config.config import load_config
 from dpstack.cli.main import main
+
+if TYPE_CHECKING:
+    from sybil import Example  # not needed by what only lists the commands
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 FIRST_PLANT: Final = ROOT / "docs" / "tutorial" / "first-plant.md"
@@ -50,6 +52,11 @@ _HANG_S: Final = 60.0
 #: commands that go on until Ctrl-C, unless an option limits them
 _ENDLESS: Final = {"segment", "sim", "run", "web", "capture", "monitor"}
 _LIMITS: Final = {"--seconds", "--rotations"}
+
+
+def commands(block: str) -> list[str]:
+    """The commands of a block: lines that end with a backslash joined, without the prompt."""
+    return [line.removeprefix("$ ") for line in re.sub(r" *\\\n *", " ", block).splitlines()]
 
 
 class Program:
@@ -107,13 +114,13 @@ class Stage:
 
     def start(self, words: list[str]) -> None:
         """A program that goes on; one that holds its port, or a web server, ends before."""
+        before = self._sockets()
         program = Program(words, self.folder)
         self._programs.append(program)
         if words[0] == "segment":
             folder = Path(words[words.index("--dir") + 1])
-            program.wait_until(lambda: (folder / "0").exists())
+            program.wait_until(lambda: (folder / "0").exists() and self._sockets() - before)
         elif words[0] in ("run", "sim"):
-            before = self._sockets()
             program.wait_until(lambda: self._sockets() - before)
             if words[0] == "run":
                 slaves = len(load_config(words[1]).slaves)
@@ -130,18 +137,26 @@ class Stage:
         """One command of the book or of a mark."""
         if "/dev/" in line and not (self.folder / "usb").exists():
             self.start(["segment", "--stations", "3", "--dir", str(self.folder / "usb")])
-        program, *words = shlex.split(self._own_paths(line))
+        line, _, target = line.partition(" > ")
+        program, *words = shlex.split(self._own_paths(line), comments=True)
         assert program == "dpstack", f"{line}: mark the block with <!-- parsed: REASON --> if this cannot run in a test"
         port = words[words.index("--port") + 1] if "--port" in words else None
-        for other in [one for one in self._programs if port and port in one.words and one.words[0] in ("run", "sim")]:
-            self._programs.remove(other)
-            other.end()
+        for one in [other for other in self._programs if other.words[0] in ("run", "sim")]:
+            if port in one.words if port else words[:2] == one.words[:2]:
+                self._programs.remove(one)
+                one.end()
         if "--web" in words or words[0] == "web":
             self.start([*words, "--listen", "127.0.0.1:0"])
         elif words[0] in _ENDLESS and not _LIMITS & set(words):
             self.start(words)
         else:
-            with contextlib.nullcontext() if self._programs else virtual_time():
+            if self._programs and "--seconds" in words:  # in real time
+                words[words.index("--seconds") + 1] = "1"
+            with contextlib.ExitStack() as around:
+                if target:
+                    around.enter_context(contextlib.redirect_stdout(around.enter_context(Path(target).open("w"))))
+                if not self._programs:
+                    around.enter_context(virtual_time())
                 assert _exit_code(words) == 0, line
 
     def _own_paths(self, text: str) -> str:
@@ -199,13 +214,16 @@ def run_commands(example: Example) -> None:
     kind, text = (mark[1], mark[2]) if mark else ("", "")
     if kind == "parsed":
         return
-    lines = [line.removeprefix("$ ") for line in example.parsed.splitlines()]
     for line in text.split("; ") if kind == "beside" else []:
         stage.line(line)
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-        for line in lines:
-            stage.line(line)
+        try:
+            for line in commands(example.parsed):
+                stage.line(line)
+        except AssertionError as error:
+            error.add_note(stage.book_paths(output.getvalue()))
+            raise
     printed = _PRINTED.match(example.document.text[example.end :])
     if printed:
         said = stage.book_paths(output.getvalue())

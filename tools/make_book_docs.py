@@ -9,11 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from tools.book_commands import commands
+
 ROOT: Final = Path(__file__).resolve().parent.parent
 TARGET: Final = ROOT / "docs" / "development" / "book.md"
-_PARSED: Final = re.compile(r"<!-- parsed: ([^>]*?) -->\n```console\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_PARSED: Final = re.compile(r"<!-- parsed: ([^>]*?) -->\n```(console|toml)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 #: not the addresses of this computer
-_LINK: Final = re.compile(r"https?://(?!127\.0\.0\.1|localhost)[^\s)>`\"|,]+")
+_LINK: Final = re.compile(r"https?://(?!127\.0\.0\.1|localhost)(?:[^\s()>`\"|,]|\([^\s()]*\))+")
 _ROW: Final = re.compile(r"^\| (\d{4}-\d\d-\d\d) \| <(\S+)> \|", re.MULTILINE)
 _HEAD: Final = """# The book
 
@@ -34,9 +36,11 @@ and in a folder of the page's own (`tools/book_blocks.py` and `tools/book_comman
 `make test` has the others:
 
 - `console`: each command is parsed (`tests/test_docs.py`)
-- `toml`: loads as a configuration, a scenario or what its mark says (`tests/test_docs.py`)
+- `toml`: loads as a configuration, or as its mark says: scenario, thresholds, list of parameters (`tests/test_docs.py`)
 - `json`: each line is JSON (`tests/test_docs.py`)
 - `text` marked `<!-- decode -->`: telegrams decode as printed (`tests/cli/listening/test_decode_page.py`)
+- `text` marked `<!-- filters -->`: filters of `dpstack decode` (the same file)
+- `text` marked `<!-- syntax -->`: the commands have these options (`tests/test_docs.py`)
 - `text` marked `<!-- session -->`: a shell shows it (`tests/blocking/test_blocking_pages.py`)
 - `text` marked `<!-- symptom -->`: `dpstack why` says it of a plant with that fault (`tests/why/test_symptoms.py`)
 
@@ -50,10 +54,11 @@ def pages() -> list[Path]:
 
 
 def parsed_only() -> Iterator[tuple[str, Path, str]]:
-    """Command, page and reason of the commands that no test runs."""
+    """Command, page and reason of the commands that no test runs; of a block of TOML its first line."""
     for page in pages():
-        for reason, text in _PARSED.findall(page.read_text(encoding="utf-8")):
-            yield from ((line.removeprefix("$ "), page, reason) for line in text.splitlines())
+        for reason, kind, text in _PARSED.findall(page.read_text(encoding="utf-8")):
+            lines = commands(text) if kind == "console" else [text.partition("\n")[0] + " ..."]
+            yield from ((re.sub(r" +#.*", "", line), page, reason) for line in lines)
 
 
 def outside() -> dict[str, list[Path]]:
@@ -65,6 +70,11 @@ def outside() -> dict[str, list[Path]]:
     return dict(sorted(found.items()))
 
 
+def _code(text: str) -> str:
+    """Code in a cell of a table."""
+    return "`" + text.replace("|", "\\|") + "`"
+
+
 def _page_link(page: Path) -> str:
     name = page.stem if page.stem != "README" else f"{page.parent.name}/README" if page.parent != ROOT else "README"
     return f"[{name}]({os.path.relpath(page, TARGET.parent)})"
@@ -74,7 +84,7 @@ def render(old: str) -> str:
     """The page; links that are in ``old`` keep their date, new ones get that of today."""
     since = {link: date for date, link in _ROW.findall(old)}
     today = datetime.date.today().isoformat()
-    commands = [f"| `{command}` | {_page_link(page)} | {reason} |" for command, page, reason in parsed_only()]
+    parsed = [f"| {_code(command)} | {_page_link(page)} | {reason} |" for command, page, reason in parsed_only()]
     links = [
         f"| {since.get(link, today)} | <{link}> | {', '.join(map(_page_link, where))} |"
         for link, where in outside().items()
@@ -82,10 +92,10 @@ def render(old: str) -> str:
     return "\n".join(
         [
             _HEAD,
-            "## Commands that are parsed only\n",
+            "## Commands and blocks that are parsed only\n",
             "The examples of `--help` in [options](../reference/options.md), because of their files, and these:\n",
             "| command | page | reason |\n|---|---|---|",
-            *commands,
+            *parsed,
             "\n## Links to other sites\n",
             "The date is the day on which the link came into the book. No test asks these sites.\n",
             "| since | link | on |\n|---|---|---|",

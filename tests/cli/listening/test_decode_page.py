@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from dpstack.cli.main import main
+from dpstack.decode.filter import parse_filter
 
 PAGE = (Path(__file__).parents[3] / "docs" / "how-to" / "decode.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"<!-- decode -->\n```text\n\$ dpstack (decode .*?)\n(.*?)```", PAGE, re.DOTALL)
@@ -28,6 +29,11 @@ def test_an_example_prints_what_the_page_says(
     code = main(shlex.split(command))
     assert capsys.readouterr().out == printed
     assert code == ("no telegram" in printed)
+
+
+def test_the_filters_are_filters() -> None:
+    (text,) = re.findall(r"<!-- filters -->\n```text\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    assert len([parse_filter(line) for line in text.splitlines()]) >= 3
 
 
 def test_there_are_examples_of_all_kinds() -> None:
