@@ -12,7 +12,7 @@ from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import DetachUser
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
-from dpstack.fdl.livelist import LiveList, live_allowance, long_look
+from dpstack.fdl.livelist import LiveList, LongLook, live_allowance, long_look
 from dpstack.fdl.telegram import Kind, Req, StationType, Telegram
 from dpstack.params import BusParams
 from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, slack
@@ -111,6 +111,19 @@ def test_a_repeated_live_list_drops_stations_that_are_gone() -> None:
     found = [(e.address, e.kind) for e in bus.events_of(StationFound)]
     assert found == [(4, StationType.SLAVE), (4, None)]
     assert live.done
+
+
+def test_the_next_list_begins_without_the_longer_time_outs_of_the_last_pass() -> None:
+    live = LiveList(2, addresses=[3], passes=1, period_ns=1_000, long_look=LongLook(late_ns=10, extra_ns=50, most_ns=90))
+    given = []
+    for now in (0, 100, 1_000):
+        live.token_received(now)
+        request = live.next_request(now, False)
+        assert request is not None
+        given.append(request.extra_ns)
+        live.started(request, now)
+        live.result(request, Failure.NO_ANSWER, now + 20)
+    assert given == [0, 50, 0]
 
 
 def test_silent_polls_on_a_host_port_keep_to_their_share_and_leave_the_gap_its_own() -> None:

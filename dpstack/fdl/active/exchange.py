@@ -112,7 +112,7 @@ class Exchange(Awaiting):
             self._candidate = telegram
             self.machine.deadline = now + self.admission.kept_back_ns()
             return True
-        peers.expect_none(first.sa if first.sa >= 0 else self.request.da)
+        peers.expect_none(self.request.da)  # the candidate answers this request: it is from that station, or SC
         self._count_late(first, now)
         return False
 

@@ -84,6 +84,16 @@ def test_a_gap_poll_that_found_no_time_eight_times_goes_first(skipped: int, firs
     assert user.asked[0] is (first == "gap")
 
 
+def test_a_hold_without_time_for_a_gap_poll_counts_once() -> None:
+    bus = RingBus()
+    station = bus.master(2, hsa=6)
+    bus.until(station, State.PASS_TOKEN)
+    station._gap.restart()
+    before = station._gap.skipped
+    assert not station._poll.start(bus.now, bus.now)
+    assert station._gap.skipped == before + 1
+
+
 def test_rotations_are_measured_from_the_second_hold_on() -> None:
     bus = RingBus()
     station = bus.master(2, gap=0)
