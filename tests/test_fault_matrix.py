@@ -33,7 +33,7 @@ def test_the_matrix_is_whole() -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_what_every_cell_holds(fault: Fault) -> None:
+def test_every_cell_holds_its_promises(fault: Fault) -> None:
     """No wrong octet, every bus well again, no slave lost without a reason, no outputs left live."""
     lines = kept()
     for cell in cells([fault]):

@@ -116,7 +116,7 @@ def test_an_event_of_an_application_has_a_printable_text() -> None:
     assert Own(t_ns=0, source="x", message="\x1b").text == r"\x1b\x1b"
 
 
-async def test_what_an_event_handler_raises_is_logged_printable(caplog: pytest.LogCaptureFixture) -> None:
+async def test_an_exception_of_an_event_handler_is_logged_printable(caplog: pytest.LogCaptureFixture) -> None:
     def handler(event: Event) -> None:
         raise ConfigError(EVIL)
 

@@ -41,7 +41,7 @@ def test_a_file_made_by_hand_is_read() -> None:
     assert _read(HAND) == [packet]
 
 
-def test_what_is_written_is_what_the_specification_says() -> None:
+def test_blocks_are_written_as_the_specification_says() -> None:
     file = io.BytesIO()
     writer = Writer(file, "")
     writer.interface("pb", 500_000, "")
@@ -65,7 +65,7 @@ def test_what_is_written_is_what_the_specification_says() -> None:
         )
     )
 )
-def test_what_is_written_is_read_again(rows: list[tuple[int, int, bytes, int, str]]) -> None:
+def test_telegrams_that_were_written_are_read_again(rows: list[tuple[int, int, bytes, int, str]]) -> None:
     file = io.BytesIO()
     writer = Writer(file, "dpstack")
     ports = [
@@ -150,7 +150,7 @@ def test_a_pipe_delivers_in_pieces() -> None:
         (HAND[:48] + struct.pack("<HH", 2, 900) + HAND[52:], "an option of type 2 claims 900 octets"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(octets: bytes, text: str) -> None:
+def test_a_wrong_file_is_refused_with_the_place(octets: bytes, text: str) -> None:
     with pytest.raises(CaptureFileError, match=rf"^a.pcapng: .*{text}.* \(at octet \d+\)$"):
         _read(octets)
 

@@ -59,7 +59,9 @@ STRANGE: dict[str, tuple[Callable[[Path], Path], str]] = {
 
 @pytest.mark.parametrize("read", [read_gsd, load_config, ParameterList.load, RecordList.load])
 @pytest.mark.parametrize("kind", STRANGE)
-def test_what_is_no_ordinary_file_is_refused_at_once(kind: str, read: Callable[[Path], object], tmp_path: Path) -> None:
+def test_a_path_that_is_no_ordinary_file_is_refused_at_once(
+    kind: str, read: Callable[[Path], object], tmp_path: Path
+) -> None:
     make, what = STRANGE[kind]
     path = make(tmp_path)
     link = tmp_path / "link"
@@ -212,7 +214,7 @@ def test_dump_replaces_its_own_file_only(plant: Path, capsys: pytest.CaptureFixt
         assert path.read_text("utf-8") == before
 
 
-def test_what_was_read_is_not_lost_for_a_part_of_somebody_else(plant: Path, cli: Cli) -> None:
+def test_a_part_file_of_another_program_is_found_before_anything_is_read(plant: Path, cli: Cli) -> None:
     """The file for a dump that is cut short is looked at before anything is read."""
     part = plant.with_name("hoist.toml.part")
     part.write_text("mine", encoding="utf-8")

@@ -128,7 +128,7 @@ def test_values_as_people_write_them(text: str, typed: str, value: Value) -> Non
 
 
 @pytest.mark.parametrize(("text", "how"), [("bool@0.0", "on or off"), ("i16@0", "a number"), ("bytes@0:1", "hex dig")])
-def test_what_people_wrote_wrongly(text: str, how: str) -> None:
+def test_a_wrong_field_is_refused_with_advice(text: str, how: str) -> None:
     with pytest.raises(ValueError, match=f"x = 'maybe' is no .*: write {how}"):
         Field.parse("x", text).read("maybe")
 

@@ -33,7 +33,7 @@ def test_a_slave_of_every_cycle_is_in_each() -> None:
     assert fullest(shares, chosen) == {3, 4}
 
 
-def test_what_runs_keeps_its_offset_when_another_one_comes() -> None:
+def test_a_running_slave_keeps_its_offset_when_another_one_comes() -> None:
     shares = [Share(3, 2, 10), Share(4, 2, 20)]
     assert offsets(shares) == {4: 0, 3: 1}
     more = [*shares, Share(5, 2, 50)]

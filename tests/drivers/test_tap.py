@@ -117,7 +117,7 @@ def still(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("each_driver", "still")
-async def test_what_a_tap_adds_to_an_exchange_is_two_calls_and_two_entries() -> None:
+async def test_a_tap_adds_two_calls_and_two_entries_to_an_exchange() -> None:
     async with Rig() as rig:
         rig.machine.on_receive = lambda _chunk, _now: rig.machine.tx.append(TOKEN)
         for _ in range(20):  # the length of the answers is learned

@@ -157,7 +157,7 @@ def test_a_drive_that_never_tells_its_map_is_a_time_out_with_a_reason() -> None:
     assert "not yet told what its process data are (P15.02 to P15.23)" in bench.text(token, "timeout")
 
 
-def test_what_was_given_does_not_come_back_with_the_drive() -> None:
+def test_old_outputs_do_not_come_back_with_the_drive() -> None:
     bench = Card({2: 4})
     bench.do("output", number="torque", value=50)
     bench.do("control", number="dc_brake", value=1)

@@ -82,7 +82,7 @@ def test_k7_k11_maps_are_checked_before_they_are_written(inputs: str, outputs: s
 
 
 @pytest.mark.parametrize("text", ["2033:word", "2033@x", "sy:long@", "x", "@1"])
-def test_what_is_no_map(text: str) -> None:
+def test_a_wrong_map_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"is no mapped value|neither an index"):
         PdMap.parse(text)
 

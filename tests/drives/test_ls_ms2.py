@@ -66,7 +66,7 @@ def test_one_at_a_time() -> None:
     assert drive.two.service(drive.second, READ) == IS_964
 
 
-def test_whoever_is_gone_or_never_comes_keeps_nobody_out() -> None:
+def test_a_master_that_is_gone_or_never_comes_keeps_nobody_out() -> None:
     drive = Drive()
     assert drive.one.service(drive.first, READ_965) == TAKEN
     drive.until_ready()

@@ -41,7 +41,7 @@ def test_a_write_between_two_steps_is_refused_with_both_of_them(
     assert says in drive.text(token, "usage")
 
 
-def test_what_decimal_fractions_lose_as_floats_is_no_step() -> None:
+def test_rounding_errors_of_decimal_fractions_are_no_step() -> None:
     bench = ppo1()
     bench.order("write", number=375, value=0.1 + 0.2 + 49.7)
     bench.run()

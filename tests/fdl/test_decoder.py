@@ -414,7 +414,7 @@ def test_a_length_that_looks_like_a_start_octet() -> None:
 
 
 @pytest.mark.parametrize("end", ["stalled", "reset"])
-def test_what_was_skipped_before_says_nothing_about_the_next_octets(end: str) -> None:
+def test_skipped_octets_say_nothing_about_the_next_ones(end: str) -> None:
     """A frame with LE = 0 claims nine octets; the octets skipped before it are no LE of a lost head."""
     decoder = Decoder(stall_ns=1_000)
     decoder.feed(b"\x44\x44\x10\x05", 0)

@@ -143,7 +143,7 @@ def test_the_service_of_a_telegram(telegram: Telegram, name: str) -> None:
         (lambda: encode(Telegram(Kind.SD3, 3, 2, 0)), "SD3 telegrams are accepted but never sent: use SD2"),
     ],
 )
-def test_what_the_codec_refuses(call: Callable[[], bytes], message: str) -> None:
+def test_the_codec_refuses_values_out_of_range(call: Callable[[], bytes], message: str) -> None:
     with pytest.raises(ValueError) as refused:
         call()
     assert str(refused.value) == message

@@ -114,7 +114,9 @@ def test_a_repeated_live_list_drops_stations_that_are_gone() -> None:
 
 
 def test_the_next_list_begins_without_the_longer_time_outs_of_the_last_pass() -> None:
-    live = LiveList(2, addresses=[3], passes=1, period_ns=1_000, long_look=LongLook(late_ns=10, extra_ns=50, most_ns=90))
+    live = LiveList(
+        2, addresses=[3], passes=1, period_ns=1_000, long_look=LongLook(late_ns=10, extra_ns=50, most_ns=90)
+    )
     given = []
     for now in (0, 100, 1_000):
         live.token_received(now)

@@ -47,7 +47,7 @@ def test_damage_to_one_octet_gives_no_wrong_data(octets: bytes) -> None:
                 assert telegram.kind in (Kind.SD4, Kind.SC) or telegram._replace(kind=sound.kind) == sound
 
 
-def test_how_many_errors_of_four_bits_pass() -> None:
+def test_errors_of_four_bits_pass_as_often_as_computed() -> None:
     """Of 45 million ways to invert four bits of 231 that do not show at the UART or in the sum: a few thousand."""
     passing = 0
     covered = range(4, len(ANSWER) - 1)

@@ -28,7 +28,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "W2": (
         "fdl/test_residual_errors.py::test_damage_to_one_octet_gives_no_wrong_data",
-        "fdl/test_residual_errors.py::test_how_many_errors_of_four_bits_pass",
+        "fdl/test_residual_errors.py::test_errors_of_four_bits_pass_as_often_as_computed",
     ),
     "W3": ("dp/slave/test_slave_octet_master.py::test_requests_of_another_master_change_nothing",),
     "W4": ("dp/master/test_master_faults.py::test_slave_of_another_master_is_never_parameterised",),
@@ -87,7 +87,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         _CONTROL + "test_a_line_without_end_is_cut",
         _CONTROL + "test_the_seventeenth_client_pushes_out_the_one_that_was_idle_longest",
         _CONTROL + "test_a_client_that_asks_nothing_for_long_is_told_and_dropped",
-        _CONTROL + "test_who_does_not_read_is_dropped_and_the_others_are_served",
+        _CONTROL + "test_a_client_that_does_not_read_is_dropped_and_the_others_are_served",
     ),
     "P11": (_CONTROL + "test_a_defect_is_told_and_survived", "api/control/test_control_json.py::test_any_request"),
     "B1": (
@@ -128,7 +128,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     "B12": ("web/test_web_runs.py::test_another_run_on_the_port_gets_no_order_of_this_page",),
     "B13": (
         "web/test_web_runs.py::test_the_web_server_opens_no_port_and_only_this_computer_reaches_it",
-        "web/test_web_runs.py::test_what_was_started_ends_with_the_server_and_what_was_joined_goes_on",
+        "web/test_web_runs.py::test_a_run_that_the_server_started_ends_with_it_and_a_joined_one_goes_on",
     ),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",
@@ -142,7 +142,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "F5": (_CODE + "test_matplotlib_reads_no_settings_of_the_working_directory",),
     "F6": (
-        "cli/test_files.py::test_what_is_no_ordinary_file_is_refused_at_once",
+        "cli/test_files.py::test_a_path_that_is_no_ordinary_file_is_refused_at_once",
         "cli/test_files.py::test_a_pipe_in_place_of_the_file_that_was_looked_at",
         "cli/test_files.py::test_one_octet_more_than_the_limit_is_read",
         "api/config/test_toml_limits.py::test_a_file_that_is_too_long",

@@ -26,7 +26,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("delivered", "intact", "damaged", "odd"), CASES)
-def test_however_it_is_cut(delivered: str, intact: str, damaged: int, odd: int) -> None:
+def test_marks_cut_at_any_place_are_read(delivered: str, intact: str, damaged: int, odd: int) -> None:
     octets = bytes.fromhex(delivered)
     cuts = range(len(octets) + 1)
     for first, second in itertools.combinations_with_replacement(cuts, 2):

@@ -183,7 +183,9 @@ async def test_refusals_of_the_system_name_a_remedy(
     ("group", "says"),
     [("dialout", "add yourself to the group dialout (sudo usermod -aG dialout $USER)"), ("root", "udev rule")],
 )
-def test_how_to_be_permitted(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch, group: str, says: str) -> None:
+def test_a_port_without_permission_is_refused_with_advice(
+    far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch, group: str, says: str
+) -> None:
     class Group:
         gr_name = group
 

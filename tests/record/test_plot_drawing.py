@@ -63,7 +63,7 @@ def test_a_choice_of_slaves_and_columns(tmp_path: Path) -> None:
         drawn(tmp_path / "a.csv", [HEAD])
 
 
-def test_what_finds_no_room_is_named(tmp_path: Path) -> None:
+def test_columns_without_room_are_named(tmp_path: Path) -> None:
     numbers = [f"s{n}.x" for n in range(MOST_TRACES + 2)]
     bits = [f"s{n}.b" for n in range(MOST_BANDS + 1)]
     line = ",".join([at(0), *["1.5"] * len(numbers), *["true"] * len(bits)])

@@ -93,7 +93,7 @@ def test_silence_of_the_bus_process_ends_with_its_return() -> None:
     assert view_of([*some_plant(), silent, back]).alive("3")
 
 
-def test_what_is_not_as_it_should_be_is_said() -> None:
+def test_conspicuous_states_are_shown() -> None:
     held = {"since": 3.5, "because": "stall"}
     view = view_of([*some_plant(), snapshot({}, whole=False, mode="clear", clear=held, in_ring=False), {"lost": 7}])
     texts = "\n".join(text for text, _ in notices(view))

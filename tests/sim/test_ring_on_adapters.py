@@ -74,7 +74,7 @@ def test_a_simulated_slave_needs_t_sl_for_its_answers_only() -> None:
     assert t_sl_of_answers(params, HOST) == 0
 
 
-def test_how_long_joining_takes() -> None:
+def test_joining_takes_as_long_as_computed() -> None:
     """G x T_TR of 267 ms; 127 polls of 2.592 ms on a pty are 10.97 % of 3 s, so 10 %; of 20.592 ms on an adapter."""
     params = BusParams.preset(187_500, address=5)
     assert pass_ns(params, HOST) / MS == pytest.approx(266.7 + 127 * 25.92, abs=1)

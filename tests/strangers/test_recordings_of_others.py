@@ -124,7 +124,7 @@ def test_a_parquet_file_that_cannot_be_made(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1" + bytes(100), b"time,t\n"])
-def test_what_is_no_parquet_file(content: bytes, tmp_path: Path, cli: Cli) -> None:
+def test_a_file_that_is_no_parquet_is_refused(content: bytes, tmp_path: Path, cli: Cli) -> None:
     parquet()
     path = tmp_path / "p.parquet"
     path.write_bytes(content)

@@ -107,7 +107,7 @@ def test_the_group_is_that_of_the_last_lock(line: Line) -> None:
 
 
 @pytest.mark.parametrize("note", ["dropped", "silenced", "collision", "damaged", "cut off after 3 of 9 octets"])
-def test_what_no_station_received_counts_as_not_sent(line: Line, note: str) -> None:
+def test_a_telegram_that_no_station_received_counts_as_not_sent(line: Line, note: str) -> None:
     line.exchange(9, "01", note=note)
     assert line.is_safe()
     line.exchange(9, "01")

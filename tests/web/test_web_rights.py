@@ -138,7 +138,7 @@ def test_an_address_of_others_needs_tokens_and_with_control_tls(
         make_rights(local=local, control=control, tokens=tokens, tls=tls)
 
 
-def test_who_may_do_what_in_a_sentence() -> None:
+def test_rights_are_told_in_a_sentence() -> None:
     looking, secret = Rights(), Rights(True, secret="x" * 32)
     assert who_may(looking, tls=False, local=True).endswith("nobody may give orders")
     assert "whole address may give orders" in who_may(secret, tls=False, local=True)

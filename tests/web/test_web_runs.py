@@ -199,7 +199,7 @@ async def test_a_run_that_does_not_come_up_says_why(tmp_path: Path) -> None:
         assert (await page.order("start"))["error"] == "start: COM7 is held by another program"
 
 
-async def test_what_was_started_ends_with_the_server_and_what_was_joined_goes_on(tmp_path: Path) -> None:
+async def test_a_run_that_the_server_started_ends_with_it_and_a_joined_one_goes_on(tmp_path: Path) -> None:
     file, children = plant_file(tmp_path), Children()
     async with serve(source_of(file, children)) as server, page_of(server) as page:
         await told(page, "starts dpstack run")

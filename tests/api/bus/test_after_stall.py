@@ -188,7 +188,7 @@ async def test_alive_without_a_watchdog_and_without_a_bus() -> None:
         ("application_watchdog_ms = -1", "config:5: [bus]: application_watchdog_ms"),
     ],
 )
-def test_what_is_refused(keys: str, text: str) -> None:
+def test_wrong_values_of_after_stall_are_refused(keys: str, text: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_config(CONFIG.format(keys=keys))
     assert text in str(caught.value)

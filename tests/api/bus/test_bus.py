@@ -280,7 +280,7 @@ async def test_a_plugin_that_raises_stops_its_drive_only(monkeypatch: pytest.Mon
 
 
 @in_virtual_time
-async def test_what_the_plan_says_of_a_slave_that_is_added_is_told() -> None:
+async def test_findings_of_the_plan_about_an_added_slave_are_told() -> None:
     """As at the start: notes of its table, its watchdog, its place in the round. What was told then is not repeated."""
     told: list[str] = []
 

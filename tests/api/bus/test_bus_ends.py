@@ -208,7 +208,7 @@ def test_a_handler_that_raises_loses_no_event_and_does_not_hold_up_the_end() -> 
 
 
 @in_virtual_time
-async def test_who_waits_is_told_of_the_end() -> None:
+async def test_a_waiting_caller_is_told_of_the_end() -> None:
     async with bus_of(RAW) as bus:
         waiting = [
             asyncio.ensure_future(bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)),

@@ -65,7 +65,7 @@ def test_a_zipapp_that_holds_compiled_packages_itself(rights: pytest.MonkeyPatch
         driver_for(config("process"), uart())
 
 
-def test_what_a_process_cannot_do_is_refused_with_what_to_do(rights: pytest.MonkeyPatch) -> None:
+def test_a_bus_process_that_cannot_be_is_refused_with_advice(rights: pytest.MonkeyPatch) -> None:
     wanted = r'\[bus\]: driver = "process": '
     with pytest.raises(ConfigError, match=wanted + "a simulated bus lives in the program's own process; leave driver"):
         dpstack.open_bus(port="virtual", baud=500_000, driver="process")

@@ -74,7 +74,7 @@ async def test_nothing_is_half_written() -> None:
 
 
 @in_virtual_time
-async def test_what_cannot_be_sent_says_why_and_does_not_hang() -> None:
+async def test_a_global_control_that_cannot_be_sent_says_why_and_does_not_hang() -> None:
     async with bus_of(NORTH, SOUTH) as bus:
         await bus.ready()
         with pytest.raises(dpstack.UsageError, match="in Clear all outputs are zero"):

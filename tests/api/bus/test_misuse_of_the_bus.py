@@ -96,7 +96,7 @@ def test_a_slave_of_ones_own_may_have_more_attributes_in_a_class_of_its_own() ->
 
 
 @in_virtual_time
-async def test_what_may_be_assigned_still_may() -> None:
+async def test_attributes_that_may_be_assigned_still_may() -> None:
     class Named(dpstack.Bus):
         """A class of a user's own has attributes of its own."""
 

@@ -59,7 +59,7 @@ def test_an_interval_and_a_watchdog_that_do_not_fit_name_the_slave() -> None:
 
 
 @in_virtual_time
-async def test_what_has_no_room_is_refused_while_the_bus_runs() -> None:
+async def test_a_slave_without_room_in_the_cycle_is_refused_while_the_bus_runs() -> None:
     long = {"name": "long", "address": 10, "ident": 1, "config": "FF FF"}
     async with bus_of(RAW, cycle_ms=1.0) as bus:
         with pytest.raises(ConfigError, match="cycle_ms = 1 is shorter than possible: the shortest rotation with 2 "):
@@ -70,7 +70,7 @@ async def test_what_has_no_room_is_refused_while_the_bus_runs() -> None:
         await bus.ready()
 
 
-def test_what_a_usb_adapter_does_to_a_cycle() -> None:
+def test_a_usb_adapter_makes_cycles_longer() -> None:
     notes = plan_bus(config("cycle_ms = 2\n", port="/dev/ttyUSB7")).notes
     assert (
         "over a USB adapter with a latency timer of 1 ms an exchange takes 2 ms or so at any rate, a round of 1 slave "

@@ -169,7 +169,7 @@ async def test_a_read_only_bus_shows_and_changes_nothing() -> None:
 
 
 @in_virtual_time
-async def test_what_was_heard_on_a_silent_bus() -> None:
+async def test_a_silent_bus_is_reported_as_silent() -> None:
     told: list[dpstack.Event] = []
     async with bus_of(RAW, on_event=told.append):
         pass

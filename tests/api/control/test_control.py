@@ -148,7 +148,7 @@ def test_the_client_gives_its_requests_the_time_for_which_it_waits() -> None:
         (b"[" * 60_000, "a request is one line: "),
     ],
 )
-async def test_what_is_refused(request_: bytes, answer: dict[str, object] | str) -> None:
+async def test_wrong_requests_are_refused(request_: bytes, answer: dict[str, object] | str) -> None:
     async with server(), octet_client() as client:
         told = json.loads(await client.ask(request_))
         if isinstance(answer, str):
@@ -179,7 +179,7 @@ async def test_a_line_without_end_is_cut() -> None:
 
 
 @pytest.mark.parametrize("size", [10_000, 100])
-async def test_who_does_not_read_is_dropped_and_the_others_are_served(size: int) -> None:
+async def test_a_client_that_does_not_read_is_dropped_and_the_others_are_served(size: int) -> None:
     ended = asyncio.Event()
 
     async def flood(send: Send) -> None:
@@ -287,7 +287,7 @@ async def test_a_second_program_is_refused_a_stale_socket_is_not() -> None:
 
 
 @pytest.mark.parametrize("kind", ["run", "sim"])
-async def test_what_a_killed_program_left_behind_is_no_other_program(kind: str, tmp_path: Path) -> None:
+async def test_the_socket_of_a_killed_program_is_no_other_program(kind: str, tmp_path: Path) -> None:
     """After a kill -9 there are a socket that nobody answers at and links to it, by the names of the same port."""
     (tmp_path / "device").touch()
     link = tmp_path / "0"

@@ -130,7 +130,7 @@ def test_a_class_that_is_not_of_the_tree_comes_as_the_one_above_it() -> None:
         {"error": "odd", "kind": "AcyclicError", "address": 3, "service": "Read", "slot": 1, "index": 2, "codes": [1]},
     ],
 )
-def test_what_another_version_tells_is_an_error_of_the_bus(answer: dict[str, object]) -> None:
+def test_an_answer_of_another_version_is_an_error_of_the_bus(answer: dict[str, object]) -> None:
     back = failure(answer)
     assert (type(back), str(back)) == (BusError, "odd")
     assert type(failure({**answer, "usage": True})) is UsageError

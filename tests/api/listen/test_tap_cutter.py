@@ -24,7 +24,7 @@ def test_a_long_telegram_at_a_slow_rate_comes_in_pieces_that_last_longer_than_a_
     assert [(one.octets, one.t_ns) for one in heard] == [(LONG, EPOCH + now - chars_to_ns(len(LONG), 9_600))]
 
 
-def test_what_the_program_sends_begins_anew_and_another_epoch_counts_from_then_on() -> None:
+def test_octets_of_the_program_begin_a_telegram_and_another_epoch_counts_from_then_on() -> None:
     heard: list[Transmission] = []
     tap = TapCutter("a port", heard.append, lambda event: None)
     tap.begin(EPOCH, "run")

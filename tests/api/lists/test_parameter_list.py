@@ -98,7 +98,7 @@ _maybe = st.none() | st.integers(0, 255)
     _texts,
     st.booleans(),
 )
-def test_what_is_written_is_read(params: list[SavedParam], name: str, complete: bool) -> None:
+def test_a_list_that_was_written_is_read(params: list[SavedParam], name: str, complete: bool) -> None:
     wanted = replace(LIST, parameters=tuple(params), name=name, complete=complete)
     assert ParameterList.parse(wanted.text()) == wanted
 
@@ -145,7 +145,7 @@ def test_files_that_cannot_be(tmp_path: Path) -> None:
         LIST.save(tmp_path / "no" / "file.toml")
 
 
-def test_what_is_no_ordinary_file_keeps_its_name(tmp_path: Path) -> None:
+def test_a_device_or_a_pipe_keeps_its_name(tmp_path: Path) -> None:
     """A name in /dev, a pipe: it would have become a file."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -223,7 +223,7 @@ async def test_each_drive_is_dumped_and_compared(kind: str, tmp_path: Path) -> N
 
 
 @in_virtual_time
-async def test_what_cannot_be_read_says_why_and_is_not_compared(tmp_path: Path) -> None:
+async def test_a_parameter_that_cannot_be_read_says_why_and_is_not_compared(tmp_path: Path) -> None:
     async with bus_with("demag-dedrive") as bus:
         await bus.operate()
         it = bus.drive("it")

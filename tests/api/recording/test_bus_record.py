@@ -168,7 +168,7 @@ async def test_a_disk_that_hangs_holds_up_nobody(tmp_path: Path, monkeypatch: py
 
 
 @in_virtual_time
-async def test_what_cannot_be_recorded(tmp_path: Path) -> None:
+async def test_a_recording_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "plant.csv"
     path.write_text("mine")
     bus = bus_of(VALVES)

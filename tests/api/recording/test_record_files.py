@@ -266,7 +266,7 @@ def test_a_log_on_a_full_disk(disk: dict[str, int], tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["folder", "pipe", "no/bus.log", "\0"])
-def test_what_is_no_log(name: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_log_is_refused(name: str, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UsageError, match="; name a file"):

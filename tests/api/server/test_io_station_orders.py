@@ -52,7 +52,7 @@ def ext(slave: dpstack.Slave) -> str:
 
 
 @in_virtual_time
-async def test_what_happens_to_it_reaches_the_master() -> None:
+async def test_faults_of_the_station_reach_the_master() -> None:
     async with station() as (bus, order):
         left_out = "done, without an alarm: slave io: process alarm, slot 1: its master did not enable process alarms"
         assert order("input io 1 05") == (f'{left_out} in Set_Prm; add "process" to alarms of [slave.dpv1] there')
@@ -190,7 +190,7 @@ async def test_orders_that_cannot_be(text: str, says: str) -> None:
         assert says in str(caught.value)
 
 
-def test_what_the_simulation_calls_it() -> None:
+def test_the_simulation_names_the_kind_of_a_slave() -> None:
     params = BusParams.preset(500_000)
     kinds = [SimulatedSlave(slave_config(table), params).kind for table in (IO, RAW)]
     assert kinds == ["io-station", "mirror"]

@@ -77,7 +77,9 @@ async def test_status_messages() -> None:
     ],
 )
 @in_virtual_time
-async def test_what_cannot_go_out_raises_at_once(parameters: bytes | None, kind: AlarmType, reason: str) -> None:
+async def test_an_alarm_that_cannot_go_out_raises_at_once(
+    parameters: bytes | None, kind: AlarmType, reason: str
+) -> None:
     async with rig(parameters=parameters) as (slave, _):
         with pytest.raises(AlarmError, match="slave rig: ") as caught:
             await slave.alarm(kind, 1)

@@ -142,7 +142,7 @@ async def test_a_slave_of_its_description_or_of_its_own_number() -> None:
 
 
 @in_virtual_time
-async def test_what_a_slave_says_no_to(world: WorldFactory) -> None:
+async def test_a_slave_refuses_services_that_it_does_not_have(world: WorldFactory) -> None:
     """The master reads why, as one who opens the connection and as one who has it."""
     refused: list[int] = []
     made = world()

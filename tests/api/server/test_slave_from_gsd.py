@@ -74,7 +74,7 @@ def test_it_takes_all_that_a_slave_takes() -> None:
         dpstack.slave.slave_from_gsd(WHOLE, echo, colour=1)  # type: ignore[call-arg]
 
 
-def test_what_is_plugged_may_be_told_otherwise_than_preset() -> None:
+def test_plugged_modules_may_differ_from_the_preset() -> None:
     assert dpstack.slave.slave_from_gsd(WHOLE, echo, config=b"\x10\x20").configs[0] == b"\x10\x20"
     with pytest.raises(ConfigError, match="configuration 10 is not 20"):
         dpstack.slave.slave_from_gsd(WHOLE, echo, ["8 DO"], config=b"\x10")
@@ -97,7 +97,7 @@ def test_three_lines_make_a_slave() -> None:
         ("3D 3E B0 01 01 0B 1A 2B 00 80 00 00 08 00 01 01 F4", "02 04 00 02 1A 2B"),  # SYNC and FREEZE are supported
     ],
 )
-def test_what_the_file_says_is_judged(prm: str, diagnosis: str) -> None:
+def test_parameters_are_judged_by_the_file(prm: str, diagnosis: str) -> None:
     master = Octets(dpstack.slave.slave_from_gsd(WHOLE, echo, ["8 DO", "8 DI"]))
     assert master.ask(prm) == SC
     assert master.diagnosis() == diagnosis

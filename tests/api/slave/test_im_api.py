@@ -47,7 +47,7 @@ class Memory:
 
 
 @in_virtual_time
-async def test_what_a_master_writes_survives_a_restart(world: WorldFactory) -> None:
+async def test_records_that_a_master_writes_survive_a_restart(world: WorldFactory) -> None:
     memory = Memory()
     async with master_of(memory.slave(), world()) as slave:
         await slave.write_im(Im1("pump", "cellar"))
@@ -69,7 +69,7 @@ async def test_a_slave_that_is_served_again_has_what_was_written(world: WorldFac
 
 
 @in_virtual_time
-async def test_what_cannot_be_kept_is_refused_and_reported(world: WorldFactory) -> None:
+async def test_a_record_that_cannot_be_kept_is_refused_and_reported(world: WorldFactory) -> None:
     def keep(slot: int, record: Im) -> None:
         if record == Im1("locked"):
             raise RecordRefused(0xB6)

@@ -274,7 +274,7 @@ def setup(keys: str) -> tuple[Dpv1 | None, str]:
         ),
     ],
 )
-def test_what_is_sent(keys: str, octets: str) -> None:
+def test_dpv1_keys_become_parameter_octets(keys: str, octets: str) -> None:
     assert setup(OCTETS + keys)[1] == octets
 
 

@@ -117,7 +117,7 @@ def test_im(run: Cli) -> None:
     ("supported", "text"),
     [(0, "I&M0 only (0x0000)"), (0b11110, "I&M1, I&M2, I&M3, I&M4 (0x001E)"), (1, "profile specific (0x0001)")],
 )
-def test_which_im_records_there_are(supported: int, text: str, capsys: Out) -> None:
+def test_the_im_records_that_a_slave_has_are_listed(supported: int, text: str, capsys: Out) -> None:
     fields = {"supported": supported, "version": [2, 0]}
     acyclic._show({"order": "im", "address": 8, "slave": "rig", "slot": 0, "im": {"0": fields}})
     out = capsys.readouterr().out
@@ -152,7 +152,7 @@ def test_refusals(run: Cli, args: list[str], code: int, text: str) -> None:
 
 
 @pytest.mark.usefixtures("world")
-def test_what_keeps_it_from_coming_up_is_told_once(run: Cli, plant: Path) -> None:
+def test_the_fault_that_keeps_a_slave_from_coming_up_is_told_once(run: Cli, plant: Path) -> None:
     plant.write_text(plant.read_text(encoding="utf-8").replace("10 20", "10 21", 1), encoding="utf-8")
     assert run.err("8", "read", "1", "2", code=1) == (
         "dpstack: slave 8 (rig): refuses the configuration (Cfg_Fault): Chk_Cfg was 10 21, it has 10 20: octet 2 "

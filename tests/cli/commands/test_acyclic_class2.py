@@ -174,7 +174,7 @@ def test_wrong_use(run: Cli, args: list[str], text: str) -> None:
     assert text in run.err(*args)
 
 
-def test_what_only_one_class_has(plant: Path, cli: Cli) -> None:
+def test_services_and_options_of_the_other_class_are_refused(plant: Path, cli: Cli) -> None:
     assert "Data_Transport is a service of class 2 connections: add --class 2" in cli.err(
         "acyclic", str(plant), "8", "transport", "1", "2"
     )

@@ -137,7 +137,7 @@ def test_a_port_that_cannot_be_opened(computer: Computer) -> None:
     assert told(examine(computer=replace(computer, probe=broken)), Level.FINDING)[0][0].endswith("no device behind it")
 
 
-def test_what_an_adapter_cannot_do(computer: Computer, port: Path, tmp_path: Path) -> None:
+def test_missing_abilities_of_an_adapter_are_told(computer: Computer, port: Path, tmp_path: Path) -> None:
     poor = Abilities(rates=[9600, 19200])
     checks = examine(computer=replace(computer, probe=lambda _path: poor, sysfs=tmp_path / "nothing"))
     assert [text for text, _ in told(checks, Level.FINDING)] == ["has no parity bit: only check sums protect the data"]
@@ -261,7 +261,7 @@ def test_fix_with_yes_needs_root(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> N
     assert cli.err("doctor", "--yes") == "dpstack: --yes carries out what --fix prints: give both\n"
 
 
-def test_what_other_masters_need_beside_the_adapter_named(computer: Computer, port: Path) -> None:
+def test_needs_of_other_masters_are_told_beside_the_named_adapter(computer: Computer, port: Path) -> None:
     ((text, todo),) = told(examine(str(port), computer), Level.NOTE)
     assert text == (
         "other masters on its bus need T_SL above its delay (20 ms until a run has measured it): "

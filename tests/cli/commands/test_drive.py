@@ -174,7 +174,7 @@ def test_parameters_for_people(drive: Drive) -> None:
         ("hoist start", 1, "412 is 44: control not by the bus; write 412 = 1 in the active data set (1)"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(drive: Drive, words: str, code: int, says: str) -> None:
+def test_an_order_that_cannot_be_done_is_one_line(drive: Drive, words: str, code: int, says: str) -> None:
     out, err = drive(*words.split(), code=code)
     assert out == []
     assert len(err) == 1
@@ -389,7 +389,7 @@ async def test_a_run_carries_the_orders_out(plant: Path) -> None:
     assert await find_drive(dpstack.load_config(plant), "hoist") is None
 
 
-async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_client_that_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A start that waits for the bus to operate must not come true when nobody waits for it any more."""
     monkeypatch.setattr(server, "_SIGN_OF_LIFE_S", 0.02)
     async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):

@@ -123,7 +123,7 @@ def test_check_tells_that_a_modular_station_has_no_module(cli: Cli, tmp_path: Pa
 
 
 @pytest.mark.parametrize("command", ["show", "configure"])
-def test_what_cannot_be_read(command: str, cli: Cli, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_one_line(command: str, cli: Cli, tmp_path: Path) -> None:
     assert cli.err("gsd", command, str(tmp_path / "none.gsd")) == (
         f"dpstack: {tmp_path}/none.gsd: No such file or directory; give the path of a GSD file\n"
     )

@@ -63,7 +63,7 @@ def test_a_run_with_files(plant: Path, cli: Cli) -> None:
         (["--log", "."], ".: cannot be written (is no ordinary file); name a file in a directory of yours"),
     ],
 )
-def test_what_cannot_be_kept(words: list[str], line: str, plant: Path, cli: Cli) -> None:
+def test_a_recording_or_log_that_cannot_be_made_is_one_line(words: list[str], line: str, plant: Path, cli: Cli) -> None:
     assert cli.err("run", "plant.toml", *words).startswith(f"dpstack: {line}")
     assert [path.name for path in plant.iterdir()] == ["plant.toml"]
 

@@ -60,7 +60,7 @@ def test_in_one_line_beside_the_json(command: list[str], plant: str, cli: Cli, m
         assert told["im"]["0"]["order_id"] == "8 DO"
 
 
-def test_what_is_refused_before_is_refused_in_one_line(plant: str, capsys: Out) -> None:
+def test_an_order_refused_before_the_bus_opens_is_one_line(plant: str, capsys: Out) -> None:
     path = Path(plant)
     path.write_text(PLANT.replace("[bus]", "[bus]\nread_only = true"), encoding="utf-8")
     for command in COMMANDS:

@@ -32,7 +32,7 @@ def loaded(program: str, *args: str) -> tuple[set[str], set[str]]:
 
 
 @pytest.mark.parametrize("args", [["--version"], ["--help"], ["nonsense"], []], ids=" ".join)
-def test_what_is_no_command_loads_no_command(args: list[str]) -> None:
+def test_help_and_wrong_commands_load_no_command(args: list[str]) -> None:
     ours, heavy = loaded(_PROGRAM, *args)
     assert len(ours) <= 12
     assert heavy == set()
@@ -45,7 +45,7 @@ def test_the_control_client_is_all_that_ctl_loads() -> None:
     assert {name for name in ours if name.startswith("dpstack.api.bus")} == set()
 
 
-def test_what_is_heard_is_explained_and_judged_without_ports_drives_and_an_event_loop(tmp_path: Path) -> None:
+def test_captures_are_explained_and_judged_without_ports_drives_and_an_event_loop(tmp_path: Path) -> None:
     path = tmp_path / "bus.pcapng"
     with path.open("wb") as file:
         writer = Writer(file, "a test")

@@ -65,7 +65,7 @@ def queue(lost: list[OSError]) -> Queue:
     return Queue(lambda lines: f"({lines} missing)", lost.append)
 
 
-def test_what_finds_no_room_is_counted_and_told_later(full_pipe: tuple[int, int]) -> None:
+def test_lines_that_find_no_room_are_counted_and_told_later(full_pipe: tuple[int, int]) -> None:
     reading, writing = full_pipe
     lost: list[OSError] = []
     waiting = queue(lost)

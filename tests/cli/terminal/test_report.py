@@ -121,7 +121,7 @@ def test_many_repetitions_bring_advice_in_the_summary(
     assert ("extra_idle_bits = 60" in out) is pause
 
 
-def test_what_is_over_is_told_once_and_leaves_the_table(capsys: Out) -> None:
+def test_a_diagnosis_that_is_over_is_told_once_and_leaves_the_table(capsys: Out) -> None:
     async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
         order["wire-break"](["io", "3", "0", "on"])
         await asyncio.sleep(0.5)

@@ -211,7 +211,7 @@ def test_a_hurried_end_that_hangs_is_left(
     assert "not over within a second after the second signal" in capfd.readouterr().err
 
 
-def test_what_the_work_raises_is_raised() -> None:
+def test_an_exception_of_the_work_is_raised() -> None:
     async def fails() -> None:
         raise ZeroDivisionError
 

@@ -303,7 +303,7 @@ def test_on_a_port_that_delivers_late_silence_costs_what_a_dying_slave_costs(cla
     assert plant.exchanging
 
 
-def test_whom_nobody_knows_is_waited_for_on_a_late_port_between_two_cycles_only(world: WorldFactory) -> None:
+def test_an_unknown_slave_is_waited_for_on_a_late_port_between_two_cycles_only(world: WorldFactory) -> None:
     """A class 2 service to an absent address: its last attempt has 50 ms, and never more than there is room."""
     w = world()
     plant = silent(w, cycle_ns=10 * MS, patience=HOST)

@@ -304,7 +304,7 @@ def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFa
     assert [(stats.stations[a].retries, stats.stations[a].timeouts) for a in (3, 4)] == [(0, 0)] * 2
 
 
-def test_whoever_is_named_is_waited_for_before_it_is_said_to_be_silent() -> None:
+def test_a_slave_named_by_its_address_is_waited_for_before_it_counts_as_silent() -> None:
     """The first times no longer than for any address; the last time as for one that is there, where there is room."""
     silence = RequestEnd(Failure.NO_ANSWER, 0, 0)
     steps = ask(9, Service.DIAGNOSIS)

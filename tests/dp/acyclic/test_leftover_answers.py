@@ -34,7 +34,7 @@ def short_read(kit: Ms1Bus) -> ServiceFailure | None:
     return kit.end(kit.tokens).outcome.failure
 
 
-def test_what_is_there_is_fetched_though_the_slave_has_had_its_time() -> None:
+def test_an_answer_that_is_there_is_fetched_though_the_slave_has_had_its_time() -> None:
     """Nobody asked for a while: one look is due all the same."""
     kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=1_000 * MS))
     assert short_read(kit) is short_read(kit) is ServiceFailure.LATE
@@ -59,7 +59,7 @@ def test_over_a_connection_it_ends_with_the_slaves_time() -> None:
     assert 1_000 * MS <= over.t_ns - begun < 1_100 * MS
 
 
-def test_what_the_station_asks_on_its_own_waits_as_long_as_a_programs_service() -> None:
+def test_requests_of_the_station_itself_wait_as_long_as_a_programs_service() -> None:
     """A slave that may work for more than 10 s at a service."""
     alarms = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=15_000 * MS))
     alarms.alarm_slave.says[51] = lambda octets: SC

@@ -246,7 +246,7 @@ def test_the_times_of_a_request() -> None:
 
 
 @pytest.mark.parametrize("answer", [Failure.ABANDONED, Failure.HELD_BACK])
-def test_what_was_not_sent_is_asked_again(answer: Failure) -> None:
+def test_a_request_that_was_not_sent_is_asked_again(answer: Failure) -> None:
     bus = Holds()
     job = Pieces(3, 2)
     bus.order(job)
@@ -254,7 +254,7 @@ def test_what_was_not_sent_is_asked_again(answer: Failure) -> None:
     assert [end.answer for end in job.ends_of] == [SHORT_ACK] * 2
 
 
-def test_what_the_slave_may_have_taken_counts_as_unanswered() -> None:
+def test_a_request_that_the_slave_may_have_taken_counts_as_unanswered() -> None:
     provider = Full()
     provider.reached = True
     bus = Holds(provider)

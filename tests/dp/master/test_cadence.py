@@ -204,7 +204,7 @@ def test_a_round_off_the_grid_ends_it() -> None:
     assert [cadence.due(now) for now in (1_016, 1_017)] == [False, True]
 
 
-def test_what_is_published_of_a_round() -> None:
+def test_the_times_of_a_round_are_published() -> None:
     data = CycleData(number=3, published=2, t_ns=110, due_ns=100, inputs={}, fresh=frozenset(), missed=0)
     assert data.late_ns == 10
     stats = CycleStats(100)

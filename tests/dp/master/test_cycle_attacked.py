@@ -163,13 +163,13 @@ class Attack:
 
 
 @pytest.mark.parametrize("n", range(10))
-def test_whatever_happens_cycles_stay_on_the_grid(world: WorldFactory, n: int) -> None:
+def test_cycles_stay_on_the_grid_under_any_fault(world: WorldFactory, n: int) -> None:
     strike(world, n)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("n", range(10, 400))
-def test_whatever_happens_many_times(world: WorldFactory, n: int) -> None:
+def test_cycles_stay_on_the_grid_under_any_fault_many_times(world: WorldFactory, n: int) -> None:
     strike(world, n)
 
 

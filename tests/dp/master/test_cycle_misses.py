@@ -52,7 +52,7 @@ def test_bring_up_beside_a_cycle_takes_several_services_a_gap(world: WorldFactor
     assert steps(bus.exchanges(5)) == {10 * MS}
 
 
-def test_what_fits_into_no_gap_goes_out_in_the_end_and_is_told_once(world: WorldFactory) -> None:
+def test_a_request_that_fits_into_no_gap_goes_out_in_the_end_and_is_told_once(world: WorldFactory) -> None:
     """A diagnosis of unknown length: 11 octets twice with T_SL, 255 octets, T_ID1: 3484 bits, 7 ms; the cycle is 4."""
     class2 = acyclic_services(2)
     bus = running(world, more=[class2])

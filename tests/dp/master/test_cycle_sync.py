@@ -100,7 +100,7 @@ def test_clear_and_the_end_let_go(world: WorldFactory) -> None:
     assert [real_outputs(bus, a) for a in (5, 6)] == [bytes(12)] * 2  # SYNC held nothing back
 
 
-def test_who_comes_back_is_taken_in_without_a_word(world: WorldFactory) -> None:
+def test_a_slave_that_comes_back_is_taken_in_without_a_report(world: WorldFactory) -> None:
     bus = running(world)
     bus.world.remove(bus.slaves[6])
     bus.run(60 * MS)

@@ -43,7 +43,7 @@ def test_a_turn_whose_cycle_was_left_out_comes_in_the_next_one() -> None:
     assert turns(rates, 6, range(15, 30)) == [16, 20, 24, 28]
 
 
-def test_who_comes_back_takes_a_turn_of_its_own() -> None:
+def test_a_slave_that_comes_back_takes_a_turn_of_its_own() -> None:
     rates = RateTurns(P500)
     rates.arrange([slave(6, every=4)])
     assert turns(rates, 6, range(1, 6)) == [4]
@@ -51,7 +51,7 @@ def test_who_comes_back_takes_a_turn_of_its_own() -> None:
     assert turns(rates, 6, range(101, 110)) == [104, 108]
 
 
-def test_who_runs_keeps_its_turns_when_another_one_comes() -> None:
+def test_a_running_slave_keeps_its_turns_when_another_one_comes() -> None:
     rates = RateTurns(P500)
     rates.arrange([slave(6, every=2), slave(8, every=2)])
     before = turns(rates, 8, range(1, 10))

@@ -172,7 +172,7 @@ def scan_octets(bus: RingBus, addresses: Sequence[int]) -> Scanner:
     return scanner
 
 
-def test_what_is_no_dp_slave_stays_unknown() -> None:
+def test_a_station_that_is_no_dp_slave_stays_unknown() -> None:
     """It answers FDL status, and RS to everything else."""
     bus = RingBus()
     status, refusal = bytes.fromhex("10 02 04 00 06 16"), bytes.fromhex("10 02 04 03 09 16")

@@ -105,7 +105,7 @@ def test_a_picture_is_of_exchanges_after_the_freeze() -> None:
     assert picture.inputs == {3: b"\x0a\x0b\x0c\x0d", 4: b"\x01\x02\x03\x04"}
 
 
-def test_what_cannot_be_is_refused_by_name() -> None:
+def test_an_impossible_order_is_refused_by_name() -> None:
     bus = operating(setup(3), setup(4, sync=False), setup(5, groups=(2,), freeze=False))
     order = bus.master.command
     with pytest.raises(UsageError, match=r"slave 4 \(s4\): not parameterised for SYNC"):

@@ -92,7 +92,7 @@ def test_shorter_than_possible_is_refused_with_the_shortest_that_is() -> None:
     )
 
 
-def test_what_the_refusal_names_is_taken() -> None:
+def test_the_cycle_that_a_refusal_names_is_accepted() -> None:
     """Also where the rate makes an odd number of ns: rounded up to the next microsecond."""
     for baud in BAUD_RATES:
         (refusal,) = plan(0.001, baud=baud).refusals
@@ -230,7 +230,7 @@ def test_buses_with_hardly_anything_on_them(number: int) -> None:
     assert few.findings == ()
 
 
-def test_how_late_a_cycle_can_begin_beside_others() -> None:
+def test_the_latest_begin_of_a_cycle_beside_others() -> None:
     """What the other one needs for its longest normal round, by hand, and both tokens."""
     params = BusParams.preset(1_500_000)
     found = make_plan(params, FIVE, cycle_ns=30 * NS_PER_MS, others=OtherMasters(alike=1))

@@ -69,7 +69,7 @@ def test_it_is_the_last_line_of_the_author(name: str, how: str, origin: str, tmp
     assert bool(failed.origin) == bool(origin)
 
 
-def test_what_is_raised_around_a_call_is_not_the_authors() -> None:
+def test_an_exception_raised_around_a_call_is_not_the_authors() -> None:
     with pytest.raises(ValueError, match="ours") as caught:
         raise ValueError("ours")
     assert origin_of(caught.value) == ""

@@ -70,7 +70,7 @@ def test_an_acknowledgement_has_the_lane_of_its_sap() -> None:
     assert (refused.failure, refused.codes) == (ServiceFailure.NEGATIVE, (0x80, 0xB5, 7))
 
 
-def test_who_waits_for_record_47() -> None:
+def test_units_wait_for_record_47() -> None:
     kit = Ms1Bus()
     ms1 = ms1_of(kit)
     since = kit.master.handlers[4].since

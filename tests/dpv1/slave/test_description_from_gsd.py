@@ -143,7 +143,7 @@ def test_fixed_presets_alone_are_the_whole_slave() -> None:
     assert described(text) == SlaveDescription(**PLAIN | {"configs": (b"\x30",), "max_modules": 3})
 
 
-def test_what_is_chosen_is_all_that_it_accepts() -> None:
+def test_a_slave_accepts_the_chosen_modules_only() -> None:
     prm = "Ext_Module_Prm_Data_Len = 4\nExt_User_Prm_Data_Const(0) = 1,2,3,4\n"
     text = MODULAR + f'Max_User_Prm_Data_Len = 9\nModule = "d" 0x31\n{prm}EndModule\n'
     for more, lengths, v1 in (

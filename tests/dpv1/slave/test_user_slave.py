@@ -105,7 +105,7 @@ def test_attributes(changes: dict[str, Any], options: dict[str, Any], differs: d
         ),
     ],
 )
-def test_what_is_refused(options: dict[str, Any], text: str) -> None:
+def test_wrong_descriptions_are_refused(options: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError) as refused:
         slave(**options)
     assert str(refused.value).startswith(text)

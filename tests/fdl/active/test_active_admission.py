@@ -72,7 +72,7 @@ def test_another_service_is_reported_too() -> None:
 
 
 @pytest.mark.parametrize(("room", "fits"), [(424 * BIT + 500, True), (424 * BIT + 499, False)])
-def test_what_follows_a_request_has_to_fit_too(room: int, fits: bool) -> None:
+def test_the_telegrams_behind_a_request_have_to_fit_too(room: int, fits: bool) -> None:
     admission = admission_of()
     admission.window.begin(NOW + room)
     assert admission.admits(POLL, NOW, 500) is fits

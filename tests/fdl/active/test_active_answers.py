@@ -46,7 +46,9 @@ RS = Telegram(Kind.SD1, 2, 3, 0x03)
         (Request(3, Req.IDENT), SHORT_ACK, False),
     ],
 )
-def test_which_telegram_answers_which_request(request_: Request, telegram: Telegram, fits: bool) -> None:
+def test_a_telegram_answers_the_request_to_its_sender_and_saps(
+    request_: Request, telegram: Telegram, fits: bool
+) -> None:
     assert answers(request_, telegram) is fits
 
 

@@ -68,7 +68,7 @@ def test_the_new_successor_takes_the_first_token_of_a_station_that_repeated_a_pa
         (("dc0302", "100903495516", "dc0502", "dc0502"), True),  # as ever
     ],
 )
-def test_which_station_counts_as_repeating_a_pass_in_vain(heard: tuple[str, ...], taken: bool) -> None:
+def test_a_station_repeats_a_pass_in_vain_when_it_passes_twice(heard: tuple[str, ...], taken: bool) -> None:
     """Station 3 comes before station 5 in its ring: a token from another one is a stranger's, refused once.
 
     Station 5 has heard one pass from 2 to 3 when its time begins.
