@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 from collections.abc import Iterable, Mapping, Set
+from numbers import Real
 from typing import Any
 
 from dpstack.errors import UnknownAttribute, UsageError
@@ -31,6 +33,34 @@ def functions(who: str, error: type[Exception] = UsageError, /, **functions: obj
     for at, (name, value) in enumerate(functions.items()):
         if not callable(value) and (value is not None or not at):
             raise error(f"{who}: {name} = {value!r} is no function")
+
+
+def plain_function(what: str, value: object, example: str, error: type[Exception] = UsageError) -> None:
+    """Raises ``error`` unless ``value`` is callable, and no coroutine function: nobody would await its result.
+
+    ``example``: a call with such a function.
+    """
+    if not callable(value):
+        raise error(f"{what} = {value!r} is no function: give one, {example} for instance")
+    if inspect.iscoroutinefunction(value):
+        raise error(f"{what} is an async function, whose result nobody awaits: give a plain one (def, lambda)")
+
+
+def instance(what: str, value: object, kind: type, example: str, error: type[Exception] = UsageError) -> None:
+    """Raises ``error`` unless ``value`` is a ``kind``. ``example``: one, or a call that takes one."""
+    if not isinstance(value, kind):
+        raise error(f"{what} = {value!r} is no {kind.__name__}: give one, {example} for instance")
+
+
+def is_number(value: object) -> bool:
+    """Whether ``value`` is a number of any library; True and False are none."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def seconds(what: str, value: object) -> None:
+    """Raises UsageError unless ``value`` is a number of seconds, or None."""
+    if value is not None and not is_number(value):
+        raise UsageError(f"{what} = {value!r} is no time: give a number of seconds, 2.5 for instance")
 
 
 class Sealed:

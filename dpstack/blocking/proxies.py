@@ -93,6 +93,8 @@ class Items(Proxy):
                 self._pending.clear()
             if isinstance(error, StopAsyncIteration):
                 raise StopIteration from None
+            if isinstance(error, TimeoutError) and self._pending:
+                raise TimeoutError(f"nothing came within {self._timeout:g} s; the iteration can go on") from None
             raise
         self._pending.clear()
         return _wrap(self._portal, item)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
+import difflib
+import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Literal
+from typing import Final, Literal
 
 from dpstack.api.bus.core import BusCore
 from dpstack.api.bus.cycles import Cycle
@@ -16,13 +17,15 @@ from dpstack.api.bus.recording import BusRecording
 from dpstack.api.bus.statistics import BusStats, bus_figures
 from dpstack.api.bus.sync_freeze import Group, Groups, send_control
 from dpstack.api.bus.why import gather
+from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import Config, load_config, make_config, slave_config
 from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.config.table import keys_of
 from dpstack.api.slave.class2 import Class2
 from dpstack.api.slave.drive import Drive
-from dpstack.api.slave.slave import Slave
+from dpstack.api.slave.slave import Slave, all_ready
 from dpstack.api.streams import EventStream, OnEvent
-from dpstack.argcheck import Sealed
+from dpstack.argcheck import Sealed, instance, plain_function
 from dpstack.dp.master.commands import Alive, Mode, SetMode
 from dpstack.dp.master.events import ControlSent, ForcedClear
 from dpstack.dp.master.scanner import Found
@@ -237,10 +240,8 @@ class Bus(Sealed):
         """Wait until every slave in service is in data exchange. Raises SlaveFault or SlaveTimeout for the first that
         is not.
         """
-        loop = asyncio.get_running_loop()
-        end = None if timeout is None else loop.time() + timeout
-        for slave in [slave for slave in self.slaves if not slave.deactivated]:
-            await slave.ready(None if end is None else max(0.0, end - loop.time()))
+        self._core.check_open()
+        await all_ready(self._core, [slave for slave in self.slaves if not slave.deactivated], timeout)
 
     async def sync(self, groups: Groups = (), *, settle: bool = False) -> ControlSent:
         """SYNC to ``groups`` (0 or nothing: all slaves): the slaves apply their last received outputs at one moment,
@@ -386,14 +387,27 @@ class Bus(Sealed):
         ``timeout`` in seconds. Raises what ``condition`` raises, TimeoutError, and the reason of the end when the bus
         ends meanwhile.
         """
-        await self._core.until(condition, timeout)
+        plain_function("condition", condition, "until(lambda: bus.collision is not None)")
+        try:
+            await self._core.until(condition, timeout)
+        except TimeoutError as error:
+            if error.args:  # of the condition
+                raise
+            raise TimeoutError(f"the condition is not true after {timeout:g} s") from None
 
     async def wait_state(self, mode: Mode, timeout: float | None = None) -> None:
         """Wait until the master is in ``mode``: ``Mode.OPERATE`` for instance is reached late with ``auto_clear``.
 
-        ``timeout`` in seconds. Raises TimeoutError, and the reason of the end when the bus ends meanwhile.
+        ``timeout`` in seconds. Raises TimeoutError with the mode that it is in, and the reason of the end when the bus
+        ends meanwhile.
         """
-        await self._core.until(lambda: self.mode is mode, timeout)
+        instance("mode", mode, Mode, "wait_state(Mode.OPERATE)")
+        try:
+            await self._core.until(lambda: self.mode is mode, timeout)
+        except TimeoutError:
+            why = "" if self.forced_clear is None else f": {self.forced_clear.text}"
+            wanted, present = mode.name.lower(), self.mode.name.lower()
+            raise TimeoutError(f"the master is not in {wanted} after {timeout:g} s, it is in {present}{why}") from None
 
     async def rotated(self, rotations: int | None, timeout: float | None = None) -> None:
         """Wait until the bus has had ``rotations`` rotations in all (None: for ever). Raises TimeoutError."""
@@ -434,6 +448,7 @@ def open_bus(
 
     Raises ConfigError here, with "auto" on entering; PortError and BusError on entering.
     """
+    _check_arguments(config, slaves, on_event, world, bus)
     if config is None:
         if baud is None:
             raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
@@ -445,3 +460,27 @@ def open_bus(
         made = config if isinstance(config, Config) else load_config(config)
         made = made.with_bus(port=port, baud=baud, address=address, driver=driver, **bus).with_slaves(slaves)
     return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
+
+
+#: the arguments of :func:`open_bus` that are no keys of [bus]
+_OWN_ARGUMENTS: Final = ("config", "slaves", "on_event", "join_timeout", "world")
+
+
+def _check_arguments(config: object, slaves: object, on_event: object, world: object, bus: Iterable[str]) -> None:
+    """Raises ConfigError for arguments of another type, and for one whose name is not known."""
+    if not isinstance(config, (str, os.PathLike, Config, type(None))):
+        raise ConfigError(
+            f"open_bus: {config!r} is no configuration: give the path of a file, or port=, baud= and slaves="
+        )
+    if isinstance(slaves, (str, Mapping)) or not isinstance(slaves, Iterable):
+        raise ConfigError(f"open_bus: slaves = {slaves!r} is no list: write slaves=[{{'name': 'fan', ...}}]")
+    if on_event is not None:
+        plain_function("open_bus: on_event", on_event, "on_event=print", ConfigError)
+    if world is not None:
+        instance("open_bus: world", world, World, "world = dpstack.World()", ConfigError)
+    names = (*_OWN_ARGUMENTS, *keys_of(BusConfig))
+    for name in bus:
+        if name not in names:
+            near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names)}"
+            raise ConfigError(f"open_bus: unknown argument {name!r}; {hint}")

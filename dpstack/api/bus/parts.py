@@ -18,6 +18,7 @@ from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.services import Services
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Events, OnEvent, Rounds, Waiters, WallClock
+from dpstack.argcheck import seconds
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import ForcedClear
 from dpstack.dp.plan.plan import Plan
@@ -218,7 +219,12 @@ class BusBase:
         if self.is_left and self._over is not None:
             raise self._over
         if not self._open:
-            raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
+            if self._ending is not None:
+                raise UsageError("the bus is not open any more: make a new one with open_bus()")
+            raise UsageError(
+                "the bus is not open: use it inside `async with open_bus(...)` (dpstack.blocking: `with`), "
+                "or call open() first"
+            )
 
     @contextlib.contextmanager
     def _reason_of_the_end(self) -> Iterator[None]:
@@ -236,7 +242,11 @@ class BusBase:
             raise refused
 
     async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
-        """Wait until ``condition()``, evaluated after every event, is true; it may raise. Raises TimeoutError."""
+        """Wait until ``condition()``, evaluated after every event, is true; it may raise. Raises TimeoutError, and
+        UsageError when the bus is not open."""
+        seconds("timeout", timeout)
+        if self._over is None or isinstance(self._over, UsageError):  # the reason of a failure says more
+            self.check_open()
 
         def condition_or_end() -> bool:
             if self._over is not None:

@@ -95,7 +95,10 @@ class Table:
         self._path = path
         self.title = title
         if not isinstance(data, Mapping):
-            raise source.error(path, f"{title} must be a table", f"write {title} on a line of its own")
+            todo = f"write {title} on a line of its own"
+            if source.lines is None:  # of a program
+                todo = "give a mapping of its keys, {'name': 'fan', 'address': 4, ...} for instance"
+            raise source.error(path, f"{title} must be a table", todo)
         self._data: dict[str, object] = {str(key): value for key, value in data.items()}
 
     def fail(self, key: str | None, what: str, todo: str) -> NoReturn:

@@ -16,7 +16,7 @@ from dpstack.api.slave.host import Host
 from dpstack.api.slave.record_parameters import drive_error
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Stream
-from dpstack.argcheck import Sealed
+from dpstack.argcheck import Sealed, is_number
 from dpstack.dp.master.commands import DriveCommand, Mode
 from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import DriveCore, DriveStatus, ListedParam
@@ -129,8 +129,11 @@ class Drive(Sealed, Readable):
         self._set("frequency", hertz, self._core.reference_hz)
 
     def _set(self, op: str, value: float, reference: float) -> None:
-        if isinstance(value, (int, float)) and LARGEST < abs(value) < math.inf:
+        if not is_number(value):
+            raise UsageError(f"drive {self.name}: {op} = {value!r} is no number: give one, 0.5 for instance")
+        if LARGEST < abs(value) < math.inf:
             raise UsageError(f"drive {self.name}: {op} must be a number up to {LARGEST:g}")
+        value = float(value)
         try:
             self._core.setpoint_word(value / reference)
         except (ValueError, TypeError) as error:
@@ -337,7 +340,7 @@ class Drive(Sealed, Readable):
                 reader.put(status)
 
     async def _order(self, op: str, timeout: float, **args: object) -> dict[str, object]:
-        if not 0 <= timeout <= LARGEST:
+        if not is_number(timeout) or not 0 <= timeout <= LARGEST:
             raise UsageError(f"drive {self.name}: {op}: timeout must be a number of seconds, not {timeout!r}")
         token = next(_tokens)
         refused, self._refused = self._refused, None

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping
 from typing import TypeVar, Unpack
 
+from dpstack import argcheck
 from dpstack.api.config.slave import Changes, SlaveConfig, changed
 from dpstack.api.slave.alarms import AlarmStream
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.records import RecordAccess, RecordWay
-from dpstack.api.slave.typed import Inputs, Outputs
+from dpstack.api.slave.typed import Inputs, Outputs, typed
 from dpstack.api.streams import Reader
-from dpstack.argcheck import Sealed
+from dpstack.argcheck import Sealed, instance, plain_function
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, SlaveState
@@ -220,8 +221,9 @@ class Slave(Sealed, RecordAccess):
 
     @outputs.setter
     def outputs(self, octets: bytes) -> None:
-        self.check_outputs(octets)
-        self._bus.view.set_outputs(self.address, octets)
+        given = octets if type(octets) is bytes else argcheck.octets(f"{self.who}: outputs", octets)
+        self.check_outputs(given)
+        self._bus.view.set_outputs(self.address, given)
 
     @property
     def outputs_held(self) -> bytes:
@@ -320,18 +322,22 @@ class Slave(Sealed, RecordAccess):
 
         See :attr:`inputs_valid`. Raises UsageError where the class does not fit the configuration.
         """
-        return kind.taken(self.inputs, self.config.input_fields, self.who)
+        return typed(Inputs, kind).taken(self.inputs, self.config.input_fields, self.who)
 
     def outputs_as(self, kind: type[Out]) -> Out:
         """The outputs of the next Data_Exchange in Operate as an object of ``kind``, a class of
         :class:`dpstack.Outputs`. Raises UsageError where the class does not fit the configuration."""
-        return kind.taken(self.outputs, self.config.output_fields, self.who)
+        return typed(Outputs, kind).taken(self.outputs, self.config.output_fields, self.who)
 
     def send(self, outputs: Outputs) -> None:
         """Change the outputs that ``outputs`` has, and no others: they go out in the same rotation.
 
         Raises UsageError where the class does not fit the configuration, or a value its field; and as :attr:`outputs`.
         """
+        if not isinstance(outputs, Outputs):
+            raise UsageError(
+                f"{self.who}: send({outputs!r}) takes an object of a class of dpstack.Outputs; update() takes names"
+            )
         self.outputs = outputs.put(self.outputs, self.config.output_fields, self.who)
 
     async def until(self, condition: Callable[[Mapping[str, Value]], bool], timeout: float | None = None) -> None:
@@ -341,6 +347,8 @@ class Slave(Sealed, RecordAccess):
         ``timeout`` in seconds. Raises what ``condition`` raises, SlaveTimeout with the reason, and the reason of the
         end when the bus ends meanwhile.
         """
+
+        plain_function("condition", condition, 'until(lambda v: v["limit"])')
 
         def holds() -> bool:
             return self.inputs_valid and condition(self.input_values)
@@ -384,6 +392,8 @@ class Slave(Sealed, RecordAccess):
     def _unknown(self, name: object, what: str, known: tuple[str, ...]) -> UsageError:
         who = self.who
         if name in self:
+            if what == "input":
+                return UsageError(f"{who}: {name} is an output: give the name of an input")
             return UsageError(f"{who}: {name} is an input: only outputs can be set")
         near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(known) or 'none'}"
@@ -480,6 +490,8 @@ class Slave(Sealed, RecordAccess):
 
     async def wait_state(self, *states: SlaveState, timeout: float | None = None) -> SlaveState:
         """Wait until the slave is in one of ``states``. Raises SlaveTimeout with the state that it is in."""
+        for state in states or (None,):
+            instance("state", state, SlaveState, "wait_state(SlaveState.DATA_EXCHANGE, timeout=5)")
         try:
             await self._bus.until(lambda: self.state in states, timeout)
         except TimeoutError:
@@ -507,6 +519,17 @@ class Slave(Sealed, RecordAccess):
 
     def _late(self, wanted: str, timeout: float | None) -> SlaveTimeout:
         fault = self.fault
-        why = fault.text if fault else f"it is in {self.state.value}"
+        why = fault.text if fault else f"its state is {self.state.value}"
         text = f"{self.who}: not in {wanted} after {timeout:g} s: {why}"
         return SlaveTimeout(self.address, text)
+
+
+async def all_ready(bus: Host, slaves: Collection[Slave], timeout: float | None) -> None:
+    """Wait until all ``slaves`` are in data exchange. Raises as ``Slave.ready`` for the first that is not."""
+    try:
+        await bus.until(lambda: all(slave._is_ready() for slave in slaves), timeout)
+    except TimeoutError:
+        for slave in slaves:
+            if not slave.ready_now:
+                raise slave._late("data exchange", timeout) from None
+        raise

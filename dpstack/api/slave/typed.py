@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any, Final, Self, TypeAlias, dataclass_transform, get_type_hints
+from typing import Any, Final, Self, TypeAlias, TypeVar, dataclass_transform, get_type_hints
 
 from dpstack.dp.process_data import Field, FieldMap, field_of, with_scale
 from dpstack.errors import ConfigError, UsageError
@@ -27,6 +27,7 @@ Int: TypeAlias = int
 Scaled: TypeAlias = float
 Octets: TypeAlias = bytes
 
+K = TypeVar("K", bound="_Typed")
 _AT: Final = "dpstack.at"
 _NO_SCALE: Final[Mapping[str, object]] = {"scale": 1, "offset": 0, "unit": ""}
 #: annotation of a field -> its name here, and the declarations that fit
@@ -88,6 +89,14 @@ class Outputs(_Typed):
         return octets
 
 
+def typed(base: type[_Typed], kind: type[K]) -> type[K]:
+    """``kind``. Raises UsageError where it is no class of ``base``, :class:`Inputs` or :class:`Outputs`."""
+    if not isinstance(kind, type) or not issubclass(kind, base):
+        name = base.__name__
+        raise UsageError(f"{kind!r} is no class of {name.lower()}: write class Tank(dpstack.{name}): level: Int = at()")
+    return kind
+
+
 def _fields(kind: Any, known: FieldMap, who: str, length: int) -> dict[str, tuple[Field, object]]:
     """The fields of ``kind``, a class of Inputs or Outputs, with their annotations. Raises UsageError."""
     called = f"{who}: {kind.__name__}"
@@ -136,6 +145,8 @@ def _field(name: str, place: tuple[int, object, Mapping[str, Any]] | None, kind:
         return None
     octet, what, given = place
     if kind is bool:
+        if isinstance(what, str):
+            raise ConfigError(f"{name}: at({octet}, {what!r}) is no place of a Bool; give its bit: at({octet}, 3)")
         spec = f"bool@{octet}.{what}"
     elif kind is bytes:
         spec = f"bytes@{octet}:{what}"

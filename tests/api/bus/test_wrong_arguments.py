@@ -1,0 +1,140 @@
+"""Wrong arguments of a Python program: each call raises at once, and its message says what to give instead."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+from api_kit import FAN, bus_of, in_virtual_time, operating
+
+import dpstack
+from dpstack import Int, at
+
+TANK: dict[str, object] = {
+    "name": "tank", "address": 8, "ident": 0x1234, "config": "10 20",
+    "inputs": {"level": "u8@0"}, "outputs": {"order": "u8@0"},
+}  # fmt: skip
+WAITED = 'condition = False is no function: give one, until(lambda v: v["limit"]) for instance'
+
+
+class Order(dpstack.Outputs):
+    order: Int = at()
+
+
+class Plain:
+    level: int
+
+
+class Bits(dpstack.Inputs):
+    level: dpstack.Bool = at(0, "u8")
+
+
+OPENED: list[tuple[Any, dict[str, Any], str]] = [
+    ({"bus": {}}, {}, "open_bus: {'bus': {}} is no configuration: give the path of a file, or port=, baud= and slaves"),
+    (None, {"baudrate": 500_000}, "open_bus: unknown argument 'baudrate'; did you mean 'baud'?"),
+    (None, {"baud": 500_000, "slave": [TANK]}, "open_bus: unknown argument 'slave'; did you mean 'slaves'?"),
+    (None, {"baud": 500_000, "slaves": "plant.toml"}, "open_bus: slaves = 'plant.toml' is no list: write slaves=[{'na"),
+    (None, {"baud": 500_000, "slaves": {"a": 1}}, "open_bus: slaves = {'a': 1} is no list: write slaves=[{'name'"),
+    (None, {"baud": 500_000, "slaves": ["a"]}, "open_bus: slave 1 must be a table; give a mapping of its keys, {'name"),
+    (None, {"baud": 500_000, "on_event": "print"}, "open_bus: on_event = 'print' is no function: give one, on_event=p"),
+    (None, {"baud": 500_000, "on_event": asyncio.sleep}, "open_bus: on_event is an async function, whose result nobod"),
+    (None, {"baud": 500_000, "world": dpstack.World}, "is no World: give one, world = dpstack.World() for instance"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("config", "arguments", "says"), OPENED, ids=range(len(OPENED)))
+def test_open_bus_refuses(config: Any, arguments: dict[str, Any], says: str) -> None:
+    with pytest.raises(dpstack.ConfigError) as raised:
+        dpstack.open_bus(config, port="virtual", **arguments)
+    assert says in str(raised.value)
+
+
+Call = Callable[[Any, Any, Any], Any]
+CALLED: list[tuple[Call, str]] = [
+    (lambda bus, tank, fan: tank.until(tank["level"] == 5), WAITED),
+    (lambda bus, tank, fan: tank.until(asyncio.sleep), "condition is an async function, whose result nobody awaits"),
+    (lambda bus, tank, fan: tank.until(lambda v: True, "1"), "timeout = '1' is no time: give a number of seconds"),
+    (lambda bus, tank, fan: bus.until(True), "condition = True is no function: give one, until(lambda: bus"),
+    (lambda bus, tank, fan: bus.ready("5"), "timeout = '5' is no time: give a number of seconds, 2.5 for instance"),
+    (lambda bus, tank, fan: bus.wait_state("operate"), "mode = 'operate' is no Mode: give one, wait_state(Mode.OPERAT"),
+    (lambda bus, tank, fan: tank.wait_state("offline"), "state = 'offline' is no SlaveState: give one, wait_state(Sl"),
+    (
+        lambda bus, tank, fan: tank.wait_state(dpstack.SlaveState.OFFLINE, 1),
+        "state = 1 is no SlaveState: give one, wait_state(SlaveState.DATA_EXCHANGE, timeout=5) for instance",
+    ),
+    (lambda bus, tank, fan: tank.wait_state(), "state = None is no SlaveState"),
+    (lambda bus, tank, fan: setattr(tank, "outputs", 1), "slave 8 (tank): outputs = 1 is no octets: give bytes"),
+    (lambda bus, tank, fan: setattr(tank, "outputs", [300]), "slave 8 (tank): outputs = [300] is no octets: give byte"),
+    (lambda bus, tank, fan: tank.inputs_as(Plain), "is no class of inputs: write class Tank(dpstack.Inputs): level: I"),
+    (lambda bus, tank, fan: tank.inputs_as(Order), "is no class of inputs: write class Tank(dpstack.Inputs): level: I"),
+    (lambda bus, tank, fan: tank.outputs_as(3), "3 is no class of outputs: write class Tank(dpstack.Outputs): level"),
+    (lambda bus, tank, fan: tank.inputs_as(Bits), "Bits: level: at(0, 'u8') is no place of a Bool; give its bit: at(0"),
+    (lambda bus, tank, fan: tank.send({"order": 1}), "send({'order': 1}) takes an object of a class of dpstack.Output"),
+    (lambda bus, tank, fan: tank.send(Order), "takes an object of a class of dpstack.Outputs; update() takes names"),
+    (lambda bus, tank, fan: anext(tank.changes("order")), "slave 8 (tank): order is an output: give the name of an in"),
+    (lambda bus, tank, fan: setattr(fan, "speed", "fast"), "drive fan: speed = 'fast' is no number: give one, 0.5"),
+    (lambda bus, tank, fan: setattr(fan, "speed", True), "drive fan: speed = True is no number: give one, 0.5"),
+    (lambda bus, tank, fan: fan.start(timeout="1"), "drive fan: start: timeout must be a number of seconds, not '1'"),
+]  # fmt: skip
+
+
+@in_virtual_time
+async def test_calls_of_a_running_bus_refuse() -> None:
+    said: list[str] = []
+    async with operating(TANK, FAN) as bus:
+        tank, fan = bus.slave("tank"), bus.drive("fan")
+        for call, says in CALLED:
+            began = bus.seconds
+            with pytest.raises(dpstack.UsageError) as raised:
+                await _outcome(call(bus, tank, fan))
+            if says not in str(raised.value) or bus.seconds > began + 0.1:
+                said.append(f"{raised.value} ({bus.seconds - began:.1f} s)\n    wanted: {says}")
+        assert said == []
+        fan.speed = 0.25  # the wrong set points above left nothing behind
+        assert fan.status.setpoint == 0.25
+
+
+async def _outcome(found: object) -> None:
+    if isinstance(found, Awaitable):
+        await found
+
+
+WAITING: list[Callable[[dpstack.Bus], Awaitable[object]]] = [
+    lambda bus: bus.ready(timeout=60),
+    lambda bus: bus.wait_state(dpstack.Mode.OPERATE),
+    lambda bus: bus.until(lambda: False),
+    lambda bus: bus.slave("tank").ready(timeout=60),
+    lambda bus: bus.slave("tank").until(lambda _: False),
+    lambda bus: bus.slave("tank").wait_state(dpstack.SlaveState.DATA_EXCHANGE),
+]
+
+
+@pytest.mark.parametrize("wait", WAITING, ids=range(len(WAITING)))
+@in_virtual_time
+async def test_waiting_on_a_bus_that_is_not_open_raises_at_once(
+    wait: Callable[[dpstack.Bus], Awaitable[object]],
+) -> None:
+    bus, began = bus_of(TANK), time.monotonic()
+    with pytest.raises(dpstack.UsageError, match=r"the bus is not open: use it inside .* \(dpstack.blocking: `with`\)"):
+        await wait(bus)
+    async with bus:
+        pass
+    with pytest.raises(dpstack.UsageError, match=r"the bus is not open any more: make a new one with open_bus\(\)"):
+        await wait(bus)
+    assert time.monotonic() - began < 60
+
+
+@in_virtual_time
+async def test_a_wait_in_vain_says_what_it_waited_for() -> None:
+    async with bus_of(TANK, FAN) as bus:
+        with pytest.raises(TimeoutError, match=r"the master is not in operate after 0.1 s, it is in clear$"):
+            await bus.wait_state(dpstack.Mode.OPERATE, 0.1)
+        with pytest.raises(TimeoutError, match=r"the condition is not true after 0.1 s"):
+            await bus.until(lambda: False, 0.1)
+        with pytest.raises(
+            dpstack.SlaveTimeout, match=r"slave 8 \(tank\): not in offline after 0.1 s: its state is data_ex"
+        ):
+            await bus.slave("tank").wait_state(dpstack.SlaveState.OFFLINE, timeout=0.1)
