@@ -354,6 +354,11 @@ def test_slaves_without_a_gsd_file(changes: dict[str, object], says: str) -> Non
     assert says in str(told.value)
 
 
+def test_areas_that_end_at_the_same_bit_are_two() -> None:
+    texts = (DiagText("area", 0, 3, 5, "from bit 0", ""), DiagText("area", 1, 3, 5, "from bit 1", ""))
+    assert as_gsd_file(dataclasses.replace(TANK, diag_texts=texts))[0].diag_texts == texts
+
+
 @in_virtual_time
 async def test_a_master_with_the_written_file(tmp_path: Path) -> None:
     """A master that knows only the file brings the slave up and reads its diagnosis in words."""

@@ -50,7 +50,7 @@ class Plant:
         self.driven = Driven(kind, self.station, self.kernel, self.patch, held_up=self.station.held_up)
         self.driven.runtime.command(GoOnline())
         self.driven.runtime.command(SetMode(Mode.OPERATE))
-        self.run(500)
+        self.run(300)
         assert self.given[-1][1] == RUN
 
     def run(self, ms: int) -> None:
@@ -108,7 +108,7 @@ def test_stopped_anywhere_nothing_old_goes_out(kind: str, what: str, number: int
     plant = Plant(kind)
     began = plant.kernel.now
     plant.kernel.held_up = held_up_at({(what, number): 900})
-    plant.run(3_000)
+    plant.run(1_500)
     plant.close()
     resumed = max((b for a, b in gaps(plant) if b - a > 800 * NS_PER_MS), default=0)
     assert resumed > began
@@ -136,7 +136,7 @@ def test_suspended_anywhere_nothing_old_goes_out(kind: str, what: str, number: i
         return ns
 
     kernel.held_up = asleep
-    plant.run(3_000)
+    plant.run(1_500)
     plant.close()
     resumed = max(b for a, b in gaps(plant) if b - a > 800 * NS_PER_MS)
     assert plant.master.mode is Mode.CLEAR
@@ -171,7 +171,7 @@ def test_a_port_that_takes_nothing_is_a_stall(kind: str, ms: int, mode: Mode) ->
     plant.run(ms)
     port._send = write
     resumed = plant.kernel.now
-    plant.run(3_000)
+    plant.run(1_500)
     plant.close()
     assert plant.master.mode is mode
     given = {octets for at, octets in plant.given if at >= resumed}
@@ -193,7 +193,7 @@ def test_a_request_whose_answer_was_lost_meanwhile_is_not_repeated(kind: str) ->
     begin = len(plant.given)
     plant.run(950)
     plant.mute = False
-    plant.run(3_000)
+    plant.run(1_500)
     plant.close()
     assert [octets for _, octets in plant.given[begin:]].count(RUN) <= 1  # the one before it was held up
     assert plant.master.mode is Mode.CLEAR
@@ -214,7 +214,7 @@ def test_a_shorter_pause_changes_nothing(kind: str, ms: int) -> None:
 def test_resume_sends_the_old_outputs_again(kind: str) -> None:
     plant = Plant(kind, after_stall="resume")
     plant.kernel.held_up = held_up_at({("woken", 5): 900})
-    plant.run(4_000)
+    plant.run(2_000)
     plant.close()
     assert plant.master.mode is Mode.OPERATE
     assert plant.given[-1][1] == RUN
