@@ -16,6 +16,9 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.highlighting import lexer_classes
 from sphinx.transforms import SphinxTransform
+from sphinx.util import logging
+
+logger = logging.getLogger(__name__)
 
 project = "dpstack"
 author = copyright = "The dpstack authors"
@@ -37,8 +40,11 @@ html_theme = "furo"
 html_title = f"dpstack {release}"
 html_show_sphinx = False
 html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["book.css"]
 
 _LINK = re.compile(r"\]\((?P<target>[\w./-]+\.md)\)")
+_PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
 _ANCHOR = re.compile(r'<a id="([\w-]+)">')
 #: beside each README.html, so that the folder's own address leads to it
 _TO_README = """<!doctype html>
@@ -72,8 +78,26 @@ class HtmlAnchors(SphinxTransform):
         found = {name: (0, name, name) for name in _ANCHOR.findall(raw)}
         if found:
             slugs = {**getattr(self.document, "myst_slugs", {}), **found}
-            self.document.myst_slugs = slugs
+            self.document.myst_slugs = slugs  # type: ignore[attr-defined]  # myst_parser puts its own there
             self.env.metadata[self.env.docname]["myst_slugs"] = slugs
+
+
+class Pictures(SphinxTransform):
+    """A Mermaid block below ``<!-- picture: NAME -->`` becomes pictures/NAME.svg (tools/draw_pictures.py)."""
+
+    default_priority = 400
+
+    def apply(self, **kwargs: Any) -> None:
+        for block in list(self.document.findall(nodes.literal_block)):
+            if block.get("language") != "mermaid":
+                continue
+            above = block.previous_sibling()
+            mark = _PICTURE.fullmatch(above.astext().strip()) if isinstance(above, nodes.raw) else None
+            if mark is None:
+                logger.warning("no picture is named above this block", location=block)
+                continue
+            image = nodes.image(uri=f"/pictures/{mark[1]}.svg", alt=mark[1])
+            block.replace_self(nodes.container("", image, classes=["picture"]))
 
 
 def write_redirects(app: Sphinx, exception: Exception | None) -> None:
@@ -83,8 +107,9 @@ def write_redirects(app: Sphinx, exception: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    lexer_classes["mermaid"] = lexer_classes["none"]  # pictures of states: plain viewers draw them
+    lexer_classes["mermaid"] = lexer_classes["none"]  # plain viewers draw it, the book has pictures
     app.add_transform(HtmlAnchors)
+    app.add_transform(Pictures)
     app.connect("source-read", add_tree)
     app.connect("source-read", link_outside)
     app.connect("build-finished", write_redirects)

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -27,7 +28,7 @@ from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.cli.main import _COMMANDS, build_parser, main
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
-from tools import make_book_docs, make_config_docs, make_pictures, make_reference_docs
+from tools import draw_pictures, make_book_docs, make_config_docs, make_pictures, make_reference_docs
 from tools.book_commands import commands
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -45,7 +46,7 @@ _ANY = re.compile(
 _MARKS = {
     "console": {"", "beside", "parsed"},
     "json": {"", "printed"},
-    "mermaid": {"", "picture"},
+    "mermaid": {"picture"},
     "python": {"", "file", "tests"},
     "text": {"", "after Ctrl-C", "decode", "filters", "output", "printed", "session", "symptom", "syntax"},
     "toml": {"", "file", "parameter list", "parsed", "scenario", "thresholds file"},
@@ -438,6 +439,19 @@ def test_pictures_are_made_by_the_tool() -> None:
     assert text == make_pictures.architecture(text), "run tools/make_pictures.py"
     assert make_pictures.STATES.read_text(encoding="utf-8") == make_pictures.states(), "run tools/make_pictures.py"
     assert make_pictures.RING.read_text(encoding="utf-8") == make_pictures.token_ring(), "run tools/make_pictures.py"
+
+
+@pytest.mark.parametrize("name", make_pictures.PICTURES)
+def test_the_drawn_pictures_are_those_of_the_pages(name: str) -> None:
+    """The file says what it was drawn from, and has a box for each room or state and all words at the arrows."""
+    source = make_pictures.PICTURES[name]()
+    assert draw_pictures.source_of(name) == source, "run python -m tools.make_pictures"
+    drawn = ElementTree.parse(draw_pictures.path_of(name)).iter("{http://www.w3.org/2000/svg}text")
+    words = Counter(" ".join("".join(text.itertext()) for text in drawn).split())
+    labels = re.findall(r'\["(.*)"\]|: (.*)', source)
+    ends = re.findall(r"(\w+) <?-->|--> (\w+)", source) if source.startswith("state") else []
+    wanted = " ".join([*map("".join, labels), *dict.fromkeys(map("".join, ends))])
+    assert words == Counter(wanted.split())
 
 
 def _file(name: str) -> Path:

@@ -1,14 +1,16 @@
 """Draws the pictures of the documents as Mermaid: rooms and their imports, and the tables of states.
 
 Writes docs/reference/states.md, and in docs/development/architecture.md the block behind each ``<!-- picture: NAME
--->``. A test holds both to what this makes: no picture is drawn by hand.
+-->``, and for the book docs/pictures/NAME.svg (tools/draw_pictures.py). A test holds all to what this makes: no picture
+is drawn by hand.
 """
 
 from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +19,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.slave import state_table
 from dpstack.dpv1.slave import ms2_states
 from dpstack.fdl.active import states as ring_states
+from tools import draw_pictures
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 ARCHITECTURE: Final = ROOT / "docs" / "development" / "architecture.md"
@@ -26,13 +29,18 @@ RING: Final = ROOT / "docs" / "reference" / "fdl-states.md"
 _BASE: Final = "base"
 #: public namespaces: they only gather names, and nothing of ours imports them
 _NAMESPACES: Final = ("events", "slave")
-_MARK: Final = re.compile(r"(<!-- picture: ([\w-]+) -->\n)(?:```mermaid\n.*?^```\n)?", re.DOTALL | re.MULTILINE)
+_MARK: Final = re.compile(r"<!-- picture: ([\w-]+) -->\n(?:```mermaid\n.*?^```\n)?", re.DOTALL | re.MULTILINE)
 
 Graph = dict[str, set[str]]
 
 
-def imports(path: Path) -> Iterable[str]:
+@cache
+def imports(path: Path) -> tuple[str, ...]:
     """Our modules that ``path`` imports, also for type checking and inside functions."""
+    return tuple(_imports(path))
+
+
+def _imports(path: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -159,35 +167,46 @@ def _name(state: state_table.SlaveAppState) -> str:
     return _title(state.name.lower())
 
 
-PICTURES: Final[dict[str, Callable[[], str]]] = {
-    "packages": packages,
-    "protocol-rooms": protocol_rooms,
-    "slave-handler": slave_handler,
-    "slave": slave,
-}
-
-
-def architecture(text: str) -> str:
-    """``text`` with its pictures made anew."""
-    return _MARK.sub(lambda found: f"{found[1]}```mermaid\n{PICTURES[found[2]]()}\n```\n", text)
-
-
-def token_ring() -> str:
-    """The page of the active station's table."""
-    ring = ring_states.State
+def ring() -> str:
+    """An active station, without disturbances."""
+    state = ring_states.State
     regular = {
-        ring.OFFLINE: {ring.LISTEN_TOKEN},
-        ring.LISTEN_TOKEN: {ring.ACTIVE_IDLE},
-        ring.CHECK_TOKEN_PASS: {ring.ACTIVE_IDLE},
+        state.OFFLINE: {state.LISTEN_TOKEN},
+        state.LISTEN_TOKEN: {state.ACTIVE_IDLE},
+        state.CHECK_TOKEN_PASS: {state.ACTIVE_IDLE},
     }
-    left_out = {ring.OFFLINE, ring.LISTEN_TOKEN, ring.ACTIVE_IDLE}
+    left_out = {state.OFFLINE, state.LISTEN_TOKEN, state.ACTIVE_IDLE}
     arrows = (
         (_title(row.state.name.lower()), _title(target.name.lower()), row.input.name.lower().replace("_", " "))
         for row in ring_states.TABLE
         for target in row.next
         if target not in left_out - regular.get(row.state, set())
     )
-    parts = [f"{_RING_HEAD}\n```mermaid\n{diagram('Offline', arrows)}\n```\n"]
+    return diagram("Offline", arrows)
+
+
+PICTURES: Final[dict[str, Callable[[], str]]] = {
+    "packages": packages,
+    "protocol-rooms": protocol_rooms,
+    "slave-handler": slave_handler,
+    "slave": slave,
+    "ring": ring,
+}
+
+
+def block(name: str) -> str:
+    """The block of a picture in a page."""
+    return f"<!-- picture: {name} -->\n```mermaid\n{PICTURES[name]()}\n```\n"
+
+
+def architecture(text: str) -> str:
+    """``text`` with its pictures made anew."""
+    return _MARK.sub(lambda found: block(found[1]), text)
+
+
+def token_ring() -> str:
+    """The page of the active station's table."""
+    parts = [f"{_RING_HEAD}\n{block('ring')}"]
     for state in ring_states.State:
         parts.append(f"## {_title(state.name.lower())}\n\n{_RING_COLUMNS}")
         for row in ring_states.TABLE:
@@ -213,13 +232,13 @@ def states() -> str:
         for (state, event), row in slave_states.TABLE.items()
     ]
     parts.append(
-        _section(_HANDLER, slave_handler(), "| state | what happened | next | source |\n|---|---|---|---|", rows)
+        _section(_HANDLER, "slave-handler", "| state | what happened | next | source |\n|---|---|---|---|", rows)
     )
     rows = [
         f"| {_name(state)} | {event.value} | {_name(row.next)} | {_source(row.clause)} |"
         for (state, event), row in state_table.TABLE.items()
     ]
-    parts.append(_section(_SLAVE, slave(), "| state | what happened | next | source |\n|---|---|---|---|", rows))
+    parts.append(_section(_SLAVE, "slave", "| state | what happened | next | source |\n|---|---|---|---|", rows))
     rows = [
         f"| {access.name} | {'default' if sap is None else sap} | {', '.join(sorted(map(_name, access.states)))} "
         f"| {'owner' if access.owner_only else 'any master'} | {_source(access.clause)} |"
@@ -235,7 +254,7 @@ def states() -> str:
 
 
 def _section(head: str, picture: str, columns: str, rows: Iterable[str]) -> str:
-    return "\n".join([head, f"```mermaid\n{picture}\n```\n", columns, *rows]) + "\n"
+    return "\n".join([head, block(picture), columns, *rows]) + "\n"
 
 
 _STATES_HEAD: Final = """# Tables of states
@@ -281,6 +300,8 @@ _CONNECTION: Final = """## A class 2 connection at the slave
 
 
 def main() -> None:
+    for name, make in PICTURES.items():
+        draw_pictures.write(name, make(), (make.__doc__ or "").rstrip("."))
     STATES.write_text(states(), encoding="utf-8")
     RING.write_text(token_ring(), encoding="utf-8")
     ARCHITECTURE.write_text(architecture(ARCHITECTURE.read_text(encoding="utf-8")), encoding="utf-8")
