@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from docutils import nodes
+from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.highlighting import lexer_classes
 from sphinx.transforms import SphinxTransform
@@ -46,6 +47,7 @@ html_css_files = ["book.css"]
 _LINK = re.compile(r"\]\((?P<target>[\w./-]+\.md)\)")
 _PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
 _ANCHOR = re.compile(r'<a id="([\w-]+)">')
+_LONGEST_VALUE = 80
 #: beside each README.html, so that the folder's own address leads to it
 _TO_README = """<!doctype html>
 <meta charset="utf-8"><meta http-equiv="refresh" content="0; url=README.html"><title>dpstack</title>
@@ -100,6 +102,17 @@ class Pictures(SphinxTransform):
             block.replace_self(nodes.container("", image, classes=["picture"]))
 
 
+class LongValues(SphinxTransform):
+    """The value of an attribute in the reference is left out where it fills the page, like a table of texts."""
+
+    default_priority = 400
+
+    def apply(self, **kwargs: Any) -> None:
+        for node in list(self.document.findall(addnodes.desc_annotation)):
+            if node.astext().startswith(" =") and len(node.astext()) > _LONGEST_VALUE:
+                node.replace_self(addnodes.desc_annotation("", " = ..."))
+
+
 def write_redirects(app: Sphinx, exception: Exception | None) -> None:
     if exception is None and app.builder.format == "html":
         for page in Path(app.outdir).rglob("README.html"):
@@ -110,6 +123,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     lexer_classes["mermaid"] = lexer_classes["none"]  # plain viewers draw it, the book has pictures
     app.add_transform(HtmlAnchors)
     app.add_transform(Pictures)
+    app.add_transform(LongValues)
     app.connect("source-read", add_tree)
     app.connect("source-read", link_outside)
     app.connect("build-finished", write_redirects)
