@@ -7,7 +7,7 @@ are not named here are allowed: a newer version may have them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Required, TypedDict
+from typing import Annotated, Any, Final, Required, TypedDict
 
 import msgspec
 
@@ -182,9 +182,20 @@ class AnyItem(TypedDict, total=False):
     end: EndBody
 
 
-def check_item(item: Mapping[str, Any]) -> None:
-    """Raise ValueError if ``item`` is no item of the stream."""
+#: kinds of items, each the key of its item
+_KINDS: Final = frozenset(AnyItem.__annotations__)
+
+
+def check_item(item: Mapping[str, Any]) -> str | None:
+    """Return the kind of ``item``: its key, for instance ``plant``; None for an item that only a newer version knows.
+
+    Raises ValueError if ``item`` is no item of the stream, or has the keys of several: readers would not agree on it.
+    """
     try:
         msgspec.convert(item, AnyItem)
     except (msgspec.ValidationError, UnicodeError, RecursionError) as error:
         raise ValueError(f"this is no item of the stream: {error}; is the other program another version?") from None
+    kinds = sorted(_KINDS & item.keys())
+    if len(kinds) > 1:
+        raise ValueError(f"this is no item of the stream: it is {' and '.join(kinds)} at the same time")
+    return kinds[0] if kinds else None

@@ -24,7 +24,7 @@ class Pending:
         self._end: Item | None = None
 
     def put(self, item: Item) -> None:
-        """Add an item; it is not changed."""
+        """Add an item; it is not changed. One that only a newer version knows is left out."""
         if "snapshot" in item:
             later = item["snapshot"]
             if self._snapshot is None:
@@ -37,7 +37,7 @@ class Pending:
             self._plant, self._snapshot, self._end = item, None, None  # a bus that runs again has not ended
         elif "lost" in item:
             self._lost += item["lost"]
-        else:
+        elif "end" in item:
             self._end = item
 
     @property

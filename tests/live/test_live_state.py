@@ -75,6 +75,20 @@ def test_events_beyond_the_depth_are_counted_and_the_end_comes_last() -> None:
     assert [item["event"]["t"] for item in taken[2:5]] == [2, 3, 4]
 
 
+def test_an_item_of_a_newer_version_is_left_out_and_takes_no_end_away() -> None:
+    pending, state = Pending(), LiveState()
+    stream: list[dict[str, Any]] = [{"plant": {"slaves": {}}}, {"end": {"text": "over"}}, {"news": 1}, {}]
+    for item in stream:
+        state.apply(item)
+        pending.put(item)
+    assert state.end == "over"
+    assert [pending.take(), pending.take(), pending.take()] == [
+        {"plant": {"slaves": {}}},
+        {"end": {"text": "over"}},
+        None,
+    ]
+
+
 def test_a_snapshot_of_many_slaves_comes_in_portions() -> None:
     many = {str(address): {"state": "data_exchange"} for address in range(125)}
     found = list(portions({"snapshot": {"t": 1.0, "whole": True, "bus": {"mode": "operate"}, "slaves": many}}))
@@ -125,6 +139,7 @@ def test_the_difference_has_new_and_changed_keys() -> None:
         {"snapshot": {"t": 1, "whole": False, "bus": {}, "slaves": {"1000": {}}}},
         {"plant": {"slaves": {"3": {"inputs": [{"unit": "bar"}]}}}},
         {"event": {"text": "x", "address": {}}},
+        {"end": {"text": "over"}, "event": {"text": "x"}},
     ],
 )
 def test_an_item_that_no_face_could_show_is_refused_and_changes_nothing(item: dict[str, Any]) -> None:
