@@ -21,9 +21,10 @@ from textual.widgets import Input
 
 from dpstack.live.state import Item
 from dpstack.screen import overview
-from dpstack.screen.lines import STYLES, Line, cut_line, padded, wrapped
+from dpstack.screen.lines import STYLES, Line, cut_line, padded, piece, wrapped
 from dpstack.screen.one_slave import page
 from dpstack.screen.view import View
+from dpstack.text import printable
 
 #: cells of the bar that shows the place on a long page
 _BAR: Final = 1
@@ -81,7 +82,8 @@ class Lines(ScrollView, can_focus=False):
         marked = Style(reverse=True) if number == self.marked else None
         plain = marked is not None or self.app.no_color
         segments = []
-        for text, name in cut_line(self._make(number), width):
+        # the only place where lines reach the terminal: nothing raw passes, whoever made the line
+        for text, name in cut_line([piece(text, name) for text, name in self._make(number)], width):
             style = Style.parse(STYLES[name][plain])
             segments.append(Segment(text, style + marked if marked else style))
         return Strip(segments).adjust_cell_length(width, marked)
@@ -93,6 +95,13 @@ class Lines(ScrollView, can_focus=False):
             self.scroll_to(y=number, animate=False, immediate=True)
         elif number >= top + height:
             self.scroll_to(y=number - height + 1, animate=False, immediate=True)
+
+
+class FilterInput(Input):
+    """The words of the filter. Pasted text may hold escape sequences of the terminal: they stand as escapes."""
+
+    def validate_value(self, value: str) -> str:
+        return printable(value)
 
 
 class Page(Screen[None]):
@@ -137,7 +146,7 @@ class Overview(Page):
         yield Lines(id="columns")
         yield Lines(id="slaves")
         yield Lines(id="events")
-        yield Input(placeholder="filter: words in address, name, state, remark; enter", id="filter")
+        yield FilterInput(placeholder="filter: words in address, name, state, remark; enter", id="filter")
         yield Lines(id="keys")
 
     def on_mount(self) -> None:
@@ -276,7 +285,7 @@ class Scrolled(Page):
         head = self.query_one("#head", Lines)
         head.display = bool(told)
         head.styles.height = len(told)
-        head.show_lines([cut_line([piece], width) for piece in told])
+        head.show_lines([cut_line([one], width) for one in told])
         self.query_one("#body", Lines).show_lines(self.lines(view, width - _BAR))
         self.query_one("#keys", Lines).show_lines([[(padded(self.keys, width), "title")]])
 

@@ -27,7 +27,7 @@ _EXCHANGE: Final = "data exchange"
 
 def head(view: View, width: int, *, paused: str = "", note: str = "") -> list[Line]:
     """State of the bus; what is not as it should be, a line each; rotation time with histogram, counters."""
-    told = [cut_line([piece(text, style)], width) for text, style in notices(view, paused=paused, note=note)]
+    told = [cut_line([one], width) for one in notices(view, paused=paused, note=note)]
     return [_title(view, width), *told, *_figures(view, width)]
 
 
@@ -41,7 +41,7 @@ def _title(view: View, width: int) -> Line:
             clock = datetime.fromtimestamp(plant.get("started", 0) + state.t).strftime("%H:%M:%S")
     baud = plant.get("baud")
     where: Line = [
-        (f" {mode.capitalize()} ", _mode_style(mode, plant) if view.fresh else "stale"),
+        piece(f" {mode.capitalize()} ", _mode_style(mode, plant) if view.fresh else "stale"),
         piece(f"{clock} ", "" if view.fresh else "stale"),
         piece(f"master {plant.get('address', '?')} on {plant.get('port', '?')}", "bold"),
         piece(f" at {baud_text(baud)}" if baud else ""),
@@ -95,7 +95,7 @@ def bars(classes: Sequence[Sequence[float]], room: int) -> str:
     return "".join(_BARS[min(7, int(8 * count / most))] if count else " " for count in counts)
 
 
-def notices(view: View, *, paused: str = "", note: str = "") -> list[tuple[str, str]]:
+def notices(view: View, *, paused: str = "", note: str = "") -> list[Piece]:
     """What keeps the page from being the plant of this moment, and the master from letting outputs out."""
     state, found = view.state, []
     bus = state.bus
@@ -106,7 +106,7 @@ def notices(view: View, *, paused: str = "", note: str = "") -> list[tuple[str, 
     if state.end is not None:
         found.append((f"ended: {state.end}", "bad"))
     elif view.silent_s >= SHOWN_SILENT_S:
-        found.append((f"no news from the bus for {view.silent_s:.0f} s: nothing here is of this moment", "bad"))
+        found.append((f"no values from the bus for {view.silent_s:.0f} s: nothing here is of this moment", "bad"))
     if view.process_silent:
         found.append(("the bus process is silent: nothing here is of this moment", "bad"))
     elif bus.get("stale") and state.end is None:
@@ -127,7 +127,7 @@ def notices(view: View, *, paused: str = "", note: str = "") -> list[tuple[str, 
         found.append((f"in Clear: no outputs go out; dpstack ctl {name} operate lets them out", "warn"))
     if state.lost:
         found.append((f"{state.lost} events did not get here", "warn"))
-    return found
+    return [piece(text, style) for text, style in found]
 
 
 #: from here on the silence of `run` is shown; the values count as old a moment later

@@ -10,13 +10,15 @@ from typing import Any, Final
 from dpstack.live.items import check_item
 from dpstack.live.state import Item, LiveState
 
-#: without an item for so long (s) nothing counts as fresh: a snapshot comes every 0.1 s
+#: without a snapshot for so long (s) nothing counts as fresh: one comes every 0.1 s
 SILENT_S: Final = 2.0
 #: a value is marked as changed for so long (s)
 CHANGED_S: Final = 1.0
 #: marks of changed values that are kept, also where they are older
 _MOST_CHANGED: Final = 10_000
 _EXCHANGE: Final = "data_exchange"
+#: kinds of items that bring values
+_VALUES: Final = ("plant", "snapshot")
 
 
 class View:
@@ -32,8 +34,10 @@ class View:
 
     def apply(self, item: Item, now: float) -> None:
         """Take an item of the stream. Raises ValueError for something else."""
-        check_item(item)
-        self.now = self._received_at = now
+        kind = check_item(item)
+        self.now = now
+        if kind in _VALUES:  # events alone do not make old values fresh
+            self._received_at = now
         snapshot = item.get("snapshot")
         if isinstance(snapshot, dict):
             self._mark_changes(snapshot, now)
@@ -60,7 +64,7 @@ class View:
 
     @property
     def silent_s(self) -> float:
-        """Seconds since the last item."""
+        """Seconds since the last snapshot or plant."""
         return max(0.0, self.now - self._received_at)
 
     @property

@@ -9,6 +9,7 @@ from typing import Any
 
 from far_ends import HANG_S
 from screen_kit import plant, slave_plant, snapshot, some_plant, values
+from textual import events
 from textual.widgets import Input
 
 from dpstack.screen.app import Events, Help, Lines, OneSlave, Overview, Plant, Question
@@ -79,10 +80,25 @@ async def pages_keys_and_orders() -> None:
         assert "tank" in seen(app)
         app.simulate_key("escape")
         await until(app, lambda: "valves" in seen(app))
+        app.simulate_key("slash")
+        await until(app, lambda: isinstance(app.focused, Input))
+        assert isinstance(app.focused, Input)
+        app.focused.post_message(events.Paste("\x1b[2J\u202e"))
+        await until(app, lambda: 'filter "\\x1b[2J\\u202e"' in seen(app, "#columns"))
+        assert app.focused.value == "\\x1b[2J\\u202e"
+        app.simulate_key("enter")
+        await until(app, lambda: app.focused is None)
+        app.simulate_key("escape")
+        await until(app, lambda: "valves" in seen(app))
         app.simulate_key("f")
         await until(app, lambda: "valves" not in seen(app))
         assert "hoist" in seen(app)
         app.simulate_key("f")
+
+        # nothing raw reaches the terminal, whoever made the line
+        columns = app.screen.query_one("#columns", Lines)
+        columns.show_lines([[("\x1b[2J\u202e", "bad")]])
+        assert columns.render_line(0).text.rstrip() == "\\x1b[2J\\u202e"
 
         # a narrow terminal of a few lines
         await pilot.resize_terminal(40, 10)
@@ -108,7 +124,7 @@ async def pages_keys_and_orders() -> None:
 
         # nothing comes any more: nothing is shown as alive
         now += 3
-        await until(app, lambda: "no news from the bus for 3 s" in seen(app, "#head"))
+        await until(app, lambda: "no values from the bus for 3 s" in seen(app, "#head"))
         assert all(line.startswith("-") for line in seen(app).splitlines())
 
         # orders; each question is answered by y alone

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -41,6 +43,26 @@ def test_every_line_fits_and_is_plain_text(width: int) -> None:
         assert text_of(line).isprintable()
         assert {style for _, style in line} <= set(STYLES)
     assert text_of(event_line(view.state.events[-1])).isprintable()
+
+
+def hostile(value: Any) -> Any:
+    """``value`` with an escape sequence of terminals and a change of direction in each of its texts."""
+    if isinstance(value, dict):
+        return {key: hostile(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [hostile(one) for one in value]
+    return f"\x1b[2J\u202e{value}" if isinstance(value, str) else value
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_no_text_of_any_item_is_drawn_raw(ended: bool) -> None:
+    held = {"since": 3.5, "because": "stall"}
+    items = [*some_plant(), snapshot({}, whole=False, clear=held), *([{"end": {"text": "over"}}] if ended else [])]
+    view = view_of([hostile(item) for item in items])
+    lines = [*all_lines(view, 4_000), *([one] for one in notices(view, paused="", note=LONG))]
+    lines += [event_line(event) for event in view.events_of()]
+    assert all(text_of(line).isprintable() for line in lines)
+    assert {"\\x1b[2J\\u202e" in text_of(line) for line in lines} == {True, False}
 
 
 def test_a_slave_shows_names_values_and_units() -> None:
@@ -84,6 +106,15 @@ def test_old_values_never_look_fresh(case: str) -> None:
     assert "not alive" in "\n".join(map(text_of, lines))
     for one in lines:
         assert not any("3.4" in text and style != "stale" for text, style in one)
+
+
+def test_events_and_unknown_items_do_not_make_old_values_fresh() -> None:
+    view = view_of(some_plant())
+    stream: list[Item] = [event("still there"), {"news": {}}]
+    for item in stream:
+        view.apply(item, 12.5)
+        assert not view.alive("3")
+        assert any("no values from the bus for 2 s" in text for text, _ in notices(view))
 
 
 def test_silence_of_the_bus_process_ends_with_its_return() -> None:

@@ -109,7 +109,7 @@ def draw(view: View, width: int) -> None:
     view.addresses("data 3", conspicuous=True)
     lines += [overview.event_line(event) for event in view.events_of()[-5:]]
     lines += [overview.event_line(event) for event in view.events_of("3")[-5:]]
-    for line in lines:
+    for line in [*lines, overview.notices(view, note="x")]:
         for text, _ in line:
             assert_plain(text)
     assert all(width_of(line) <= width for line in lines[:3])
