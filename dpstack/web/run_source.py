@@ -18,6 +18,7 @@ from typing import Final
 from dpstack.api.config.config import Config, file_digest
 from dpstack.api.control.client import ControlClient, connect, find_run, is_same_file, running
 from dpstack.errors import BusError, DpError, PortError, UsageError
+from dpstack.live.items import check_item
 from dpstack.ports.base import VIRTUAL
 from dpstack.web.child import Child
 from dpstack.web.fan_out import Item
@@ -174,6 +175,14 @@ class RunSource(Source):
                         silent = True
                         continue
                     silent = False
+                    try:
+                        kind = check_item(item)
+                    except ValueError as error:
+                        self._note(str(error), "error")
+                        continue
+                    if kind is None:
+                        continue
+                    item = {kind: item[kind]}  # other keys are none of the source's own items
                     if "plant" in item:
                         self._set_kind(_kind_of(link, item))
                         self._read = item["plant"].get("config"), item["plant"].get("config_digest")

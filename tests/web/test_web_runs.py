@@ -230,6 +230,22 @@ async def test_a_run_with_another_file_is_told_and_not_joined(tmp_path: Path) ->
     assert children.made == []
 
 
+async def test_a_run_that_sends_something_else_than_items_is_told_and_followed(tmp_path: Path) -> None:
+    file = plant_file(tmp_path)
+    async with FakeRun(file) as run, serve(source_of(file, Children())) as server, page_of(server) as page:
+        await page.until("snapshot")
+        nonsense: list[object] = [5, [], {"plant": 7}, {"end": 7}]
+        for one in nonsense:
+            run.more.put_nowait(one)
+            await told(page, "no item of the stream")
+        foreign: list[object] = [{"note": 5}, {"source": "none"}, {**delta(1, "set_prm"), "note": 5, "source": 5}]
+        for one in foreign:
+            run.more.put_nowait(one)
+        while "snapshot" not in (item := await page.item()):
+            assert "welcome" not in item
+        assert item == delta(1, "set_prm")
+
+
 async def test_a_run_that_is_stopped_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "TIMEOUT_S", 0.02)
     file = plant_file(tmp_path)
