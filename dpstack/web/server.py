@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from aiohttp import WSMsgType, web
+from aiohttp import HttpVersion10, HttpVersion11, WSMsgType, web
 
 from dpstack import __version__
 from dpstack.api.commissioning.commissioning import Commissioning
@@ -42,6 +42,8 @@ _MOST_STRANGERS: Final = 32
 _MOST_OF_A_NETWORK: Final = 16
 _MOST_CONNECTIONS: Final = 256
 _BACKLOG: Final = 64
+#: of HTTP; aiohttp would take 0.9 and 2.0 too
+_VERSIONS: Final = (HttpVersion10, HttpVersion11)
 #: hosts of --listen that are no address to open
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 #: seconds for the first message
@@ -263,6 +265,11 @@ class WebServer:
     async def _respond(self, request: web.Request) -> web.StreamResponse:
         if request.transport is not None:
             self._answered.add(request.transport)
+            if request.version not in _VERSIONS:
+                # aiohttp would write the version of the request into the status line
+                request.transport.write(b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 0\r\n\r\n")
+                request.transport.close()
+                return web.Response(status=400)  # written nowhere any more
         host = request.headers.get("Host")
         if not self._origins.is_own_host(host):
             return _refusal(421, "this server is not the one of that name: open the address that it has printed")

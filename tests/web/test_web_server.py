@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 
 import aiohttp
 import pytest
@@ -120,6 +121,17 @@ async def test_octets_of_strangers_reach_no_terminal(capfd: pytest.CaptureFixtur
             writer.close()
         await page.until("plant")
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("version", ["0.9", "2.0", "9.9"])
+async def test_other_versions_of_http_are_refused_in_one_of_ours(version: str) -> None:
+    async with serve(GivenItems()) as server:
+        host, port = server.url.split("/")[2].split(":")
+        reader, writer = await asyncio.open_connection(host, int(port))
+        writer.write(f"GET / HTTP/{version}\r\nHost: {host}:{port}\r\n\r\n".encode())
+        answer = await asyncio.wait_for(reader.read(), 5)
+        assert re.match(rb"HTTP/1\.[01] 400 Bad Request\r\n", answer)
+        writer.close()
 
 
 async def test_connections_without_a_request_are_closed_and_their_number_is_bounded(
