@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from dpstack.api.commissioning.commissioning import Commissioning
     from dpstack.api.config.config import Config, load_config
     from dpstack.api.lists.parameter_list import ParameterPlace
+    from dpstack.api.server.virtual_bench import VirtualBench
     from dpstack.api.slave.alarms import SlaveAlarm
     from dpstack.api.slave.class2 import Connection
     from dpstack.api.slave.drive import Drive
@@ -131,6 +132,7 @@ __all__ = [
     "StatusType",
     "UnknownAttribute",
     "UsageError",
+    "VirtualBench",
     "World",
     "__version__",
     "at",
@@ -164,6 +166,7 @@ api.bus.virtual run_virtual simulate World IoStation
 api.commissioning.commissioning Commissioning
 api.config.config Config load_config
 api.lists.parameter_list ParameterPlace
+api.server.virtual_bench VirtualBench
 api.slave.alarms SlaveAlarm
 api.slave.class2 Connection
 api.slave.drive Drive

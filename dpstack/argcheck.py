@@ -6,7 +6,7 @@ import difflib
 import inspect
 from collections.abc import Iterable, Mapping, Set
 from numbers import Real
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dpstack.errors import UnknownAttribute, UsageError
 
@@ -86,6 +86,21 @@ class Sealed:
             elif callable(found) or not hasattr(kind, name):
                 raise UnknownAttribute(self._no_attribute(name, method=callable(found)))
         super().__setattr__(name, value)
+
+    if not TYPE_CHECKING:  # a type checker names the attributes that there are
+
+        def __getattr__(self, name: str) -> object:
+            text = f"{type(self).__name__!r} object has no attribute {name!r}"
+            hint = "" if name.startswith("_") else self._read_hint(name)
+            if hint:
+                raise AttributeError(text + hint)
+            raise AttributeError(text, name=name, obj=self)
+
+    def _read_hint(self, name: str) -> str:
+        """The end of the message about the unknown attribute ``name``; empty where nothing comes near."""
+        known = [key for key in dir(type(self)) if not key.startswith("_")]
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.7)
+        return f"; did you mean {near[0]}?" if near else ""
 
     def _sealed_name(self) -> str:
         return type(self).__name__.lower()

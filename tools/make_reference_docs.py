@@ -17,6 +17,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
+from dpstack import events as bus_events
+from dpstack import slave as slave_names
 from dpstack.cli.main import build_parser
 from dpstack.cli.parser import Parser
 from dpstack.trace import Event
@@ -130,6 +132,9 @@ def _has_text(event: type[Event]) -> bool:
 
 def _event(event: type[Event]) -> Iterator[str]:
     yield f"## {event.__name__}\n\n{plain(event.__doc__)}\n"
+    if not hasattr(bus_events, event.__name__):
+        own = event.__name__ in slave_names.__all__
+        yield f"Not of a bus: {'a served slave has it, import it from `dpstack.slave`' if own else 'it is internal'}.\n"
     fields = [field for field in dataclasses.fields(event) if field.name not in ("t_ns", "wall_ns")]
     if fields:
         rows = (f"| `{field.name}` | `{cell(str(field.type))}` |" for field in fields)
@@ -143,8 +148,13 @@ def events_page() -> str:
 
 {_MADE}
 
-`async for event in bus.events()` yields those of a bus; the others belong to served slaves, scans, and searches for a
-rate. Each event has `t_ns`, the time of the machine in nanoseconds, `time`, the wall clock (`wall_ns` in nanoseconds),
+`async for event in bus.events()` yields those of a bus; programs import their classes from `dpstack.events`. The others
+belong to served slaves, scans, and searches for a rate, and stand where their sections say. Most wanted of a bus:
+`SlaveFaulted` (a slave is lost or refuses, with cause and remedy), `SlaveStateChanged` (it comes and goes),
+`SlaveDiagnosis`, `AlarmRaised`, `DriveEvent`, `ModeChanged`, `ForcedClear` (the master went to Clear by itself; the
+base class of `ApplicationSilent`, `AutoCleared` and `Stalled`), `PortLost`, and `BusFailed`.
+
+Each event has `t_ns`, the time of the machine in nanoseconds, `time`, the wall clock (`wall_ns` in nanoseconds),
 `severity`, and `text`: one line for people, with what to do where something is to be done. Where a text is given here,
 names in braces stand for fields or properties of the event; the other texts depend on the values of the fields. Faults
 of a slave and the remedy for each:

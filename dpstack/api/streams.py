@@ -118,12 +118,16 @@ class WallClock:
 
     def stamped(self, event: Event) -> Event:
         """``event`` with its wall clock."""
+        return replace(event, wall_ns=self.wall_ns(event.t_ns))
+
+    def wall_ns(self, t_ns: int) -> int:
+        """The wall clock in ns at ``t_ns`` of the machine."""
         offset_ns = self._offset_ns
         if offset_ns is None:
             offset_ns = time.time_ns() - self._now()
             if self._virtual():
                 self._offset_ns = offset_ns
-        return replace(event, wall_ns=event.t_ns + offset_ns)
+        return t_ns + offset_ns
 
 
 def call_on_event(on_event: OnEvent | None, event: Event) -> None:

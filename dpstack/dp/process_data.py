@@ -18,7 +18,7 @@ from decimal import Decimal
 from fractions import Fraction
 from typing import Final
 
-from dpstack.errors import ConfigError
+from dpstack.errors import ConfigError, UsageError
 from dpstack.text import shortened
 
 #: the value of a field
@@ -271,6 +271,15 @@ class FieldMap(Collection[str]):
         if len(octets) < self.length:
             return {}
         return {name: found.get(octets) for name, found in self.fields.items()}
+
+
+class NamedValues(dict[str, Value]):
+    """Values of fields by name. A name that is none raises UsageError with the nearest one, instead of KeyError."""
+
+    def __missing__(self, name: object) -> Value:
+        near = difflib.get_close_matches(str(name), self, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(self) or 'none'}"
+        raise UsageError(f"no input is called {name!r}; {hint}")
 
 
 def field_of(name: str, text: str, length: int, what: str) -> Field:

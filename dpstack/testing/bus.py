@@ -11,7 +11,6 @@ from dpstack.api.bus.bus import Bus, SlaveTable, core_of, open_bus
 from dpstack.api.bus.virtual import simulate
 from dpstack.api.config.config import Config, load_config, make_config
 from dpstack.api.listen.names import decode_names
-from dpstack.api.server.fault_steps import put_input
 from dpstack.api.server.virtual_bench import SimulatedSlave, VirtualBench
 from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.slave import Slave
@@ -119,10 +118,7 @@ class SimulatedDevice:
         """Set named inputs (the key ``inputs`` of the slave), all or none. Raises UsageError, ValueError."""
         unit = self._unit
         unit.check_settable()
-        image = unit.inputs
-        for name, value in values.items():
-            image = put_input(unit, image, name, value)
-        unit.set_inputs(image)
+        unit.set_inputs(unit.inputs_with(values))
 
     def mirror(self) -> None:
         """The inputs are the outputs again."""

@@ -7,7 +7,7 @@ import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from dpstack.api.bus.core import BusCore
 from dpstack.api.bus.cycles import Cycle
@@ -32,7 +32,7 @@ from dpstack.dp.master.scanner import Found
 from dpstack.dp.plan.plan import Plan
 from dpstack.drivers.futures import run_through_cancellation
 from dpstack.drivers.snapshots import BusSnapshot
-from dpstack.errors import ConfigError
+from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import BusParams
 from dpstack.sim.world import World
@@ -76,6 +76,13 @@ class Bus(Sealed):
         ready = sum(slave.ready_now for slave in slaves)
         return f"<Bus {where} {core.mode.name.lower()}, {ready} of {len(slaves)} slaves>"
 
+    def _read_hint(self, name: str) -> str:
+        """Slaves and drives are no attributes."""
+        for kind, known in (("drive", self.drives), ("slave", self.slaves)):
+            if any(one.name == name for one in known):
+                return f": write bus.{kind}({name!r})"
+        return super()._read_hint(name)
+
     # --- from beginning to end ----------------------------------------------------------------------------------
 
     async def __aenter__(self) -> Bus:
@@ -86,6 +93,14 @@ class Bus(Sealed):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.close()
+
+    if not TYPE_CHECKING:  # a type checker says that there is none
+
+        def __enter__(self) -> None:
+            raise UsageError("a bus is entered by `async with`; for plain `with` take dpstack.blocking.open_bus(...)")
+
+        def __exit__(self, *_: object) -> None:
+            """Python asks for it before it calls __enter__."""
 
     async def open(self) -> None:
         """Listen, join the token ring, begin the bring-up in Clear. Raises PortError, BusError.
@@ -275,7 +290,7 @@ class Bus(Sealed):
 
         With ``port="virtual"`` it is simulated like the others. Findings of the plan about it come as notices.
         """
-        config = table if isinstance(table, SlaveConfig) else slave_config(table)
+        config = table if isinstance(table, SlaveConfig) else slave_config(table, where="add_slave")
         core = self._core
         others = list(core.view.setups.values())
         if any(other.name == config.name for other in others):

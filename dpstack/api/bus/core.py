@@ -109,6 +109,8 @@ class BusCore(BusBase):
                 self.notice("bus", rate_text)
             for note in (*self.plan.findings, *self.plan.notes):
                 self.notice("plan", note, Severity.WARNING)
+            for text in [] if self.bench is None else self.bench.unfed:
+                self.notice("simulation", text, Severity.WARNING)
             await self.order(GoOnline())
             await join(self, self._join_timeout)
         except BaseException:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import TypeVar
 
 from dpstack.api.bus.parts import BusBase
+from dpstack.api.slave.typed import Inputs, typed
 from dpstack.api.streams import Stream
 from dpstack.dp.master.fixed_cycle import CycleData
-from dpstack.dp.process_data import FieldMap, Value
+from dpstack.dp.process_data import FieldMap, NamedValues, Value
 from dpstack.dp.process_image import inputs_are_valid
 from dpstack.errors import NoInputs, UsageError
-from dpstack.units import NS_PER_MS, ns_to_s
+from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
+
+In = TypeVar("In", bound=Inputs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,9 +39,16 @@ class Cycle:
     missed: int
     skipped: int = 0
     _fields: Mapping[str, FieldMap] = field(default_factory=dict, repr=False, compare=False)
+    #: the wall clock in ns at a time of the machine
+    _wall: Callable[[int], int] = field(default=lambda t_ns: t_ns, repr=False, compare=False)
     #: addresses of all slaves of the bus by name
     _slaves: Mapping[str, int] = field(default_factory=dict, repr=False, compare=False)
     _now: Callable[[], int] = field(default=lambda: 0, repr=False, compare=False)
+
+    @property
+    def time(self) -> datetime:
+        """The wall clock (UTC) at its first bit."""
+        return datetime.fromtimestamp(self._wall(self.t_ns) / NS_PER_S, UTC)
 
     @property
     def late_ms(self) -> float:
@@ -59,7 +71,7 @@ class Cycle:
         """
         octets = self.inputs.get(name)
         if octets is not None:
-            return self._fields[name].values(octets)
+            return NamedValues(self._fields[name].values(octets))
         if name not in self._slaves:
             known = ", ".join(self._slaves) or "none"
             raise UsageError(f"no slave {name!r} on this bus; there are: {known}")
@@ -73,6 +85,23 @@ class Cycle:
             text = f"slave {address} ({name}) has no inputs in cycle {self.number}: it is not in data exchange"
             raise NoInputs(address, f"{text}; cycle.get({name!r}) gives None then")
         return found
+
+    def inputs_as(self, name: str, kind: type[In]) -> In:
+        """The inputs of one slave as an object of ``kind``, a class of :class:`dpstack.Inputs`.
+
+        Raises NoInputs while it is not in data exchange (``name in cycle`` tells), UsageError for a name that no slave
+        of the bus has, and where the class does not fit the configuration.
+        """
+        self.values(name)
+        return typed(Inputs, kind).taken(self.inputs[name], self._fields[name], f"slave {self._slaves[name]} ({name})")
+
+    def __contains__(self, name: object) -> bool:
+        """Whether the slave is in data exchange, with valid inputs."""
+        return name in self.inputs
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the slaves in data exchange."""
+        return iter(self.inputs)
 
     def __getitem__(self, name: str) -> dict[str, Value]:
         return self.values(name)
@@ -151,4 +180,5 @@ class _Reader:
             _slaves={slave.name: slave.address for slave in slaves.values()},
             _fields={slave.name: slave.config.input_fields for slave in here},
             _now=now,
+            _wall=self._bus.wall_ns,
         )

@@ -265,6 +265,10 @@ class BusBase:
         """Bus time since the start in seconds."""
         return ns_to_s(self.runtime.now() - self.started_ns)
 
+    def wall_ns(self, t_ns: int) -> int:
+        """The wall clock in ns at the machine's time ``t_ns``, as events have it."""
+        return self._wall_clock.wall_ns(t_ns)
+
     def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
         """Publish ``message`` as an event."""
         self._events.publish(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))

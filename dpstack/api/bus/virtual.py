@@ -30,8 +30,8 @@ def simulate(world: World, slaves: Iterable[SlaveTable], *, baud: int | Literal[
     """Put simulated ``slaves`` (mappings with the keys of a [[slave]] table) on the bus of ``world``.
 
     ``baud`` in bit/s, or "auto": the slaves search the rate, and search again when the bus falls silent. Open a master
-    on the same bus by ``open_bus(world=world, ...)``. The returned bench switches the slaves off and on, and silences
-    them. Raises ConfigError.
+    on the same bus by ``open_bus(world=world, ...)``. The returned bench sets their inputs, and switches
+    them off and on. Raises ConfigError.
     """
     bench = VirtualBench(world, None if baud == AUTO else BusParams.preset(baud))
     for slave in slaves:

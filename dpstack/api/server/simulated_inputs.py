@@ -56,6 +56,7 @@ class SimulatedInputs:
 
     def __init__(self, bench: Bench, publish: Publish, *, allow_code: bool) -> None:
         self._bench = bench
+        bench.is_fed = True
         recordings: dict[tuple[Path, bool], list[SimulatedSlave]] = defaultdict(list)
         functions: list[tuple[SimulatedSlave, SimulateConfig]] = []
         for unit in bench.units.values():

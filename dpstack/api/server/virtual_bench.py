@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.dp.process_data import Field
+from dpstack.dp.process_data import Field, Value
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.auto_baud import SearchingSlave
 from dpstack.dpv1.slave.description import SlaveDescription
@@ -187,6 +187,14 @@ class SimulatedSlave:
             return held
         return self.app.inputs or bytes(self._held.length)
 
+    def inputs_with(self, values: Mapping[str, object]) -> bytes:
+        """:attr:`inputs` with named inputs set; a value is a number, or a text. Raises UsageError, ValueError."""
+        image = self.inputs
+        for name, value in values.items():
+            field = self.input_field(name)
+            image = field.put(image, field.read(value) if isinstance(value, str) else value)
+        return image
+
     def check_settable(self) -> None:
         """Raises UsageError where the device makes its inputs itself: a drive."""
         if isinstance(self.device, DriveDevice):
@@ -283,7 +291,10 @@ class SimulatedSlave:
 
 
 class Bench(ABC):
-    """Simulated slaves that commands silence and switch off and on. The caller checks addresses."""
+    """Simulated slaves that commands silence and switch off and on. Methods with ``address`` do not check it."""
+
+    #: True where the keys ``simulate`` of the slaves are carried out
+    is_fed: bool = False
 
     @property
     @abstractmethod
@@ -312,15 +323,36 @@ class Bench(ABC):
     @abstractmethod
     def _switch(self, address: int, on: bool) -> None: ...
 
+    @property
+    def unfed(self) -> list[str]:
+        """One line for each slave whose key ``simulate`` has no effect in this program."""
+        if self.is_fed:
+            return []
+        units = [unit for unit in self.units.values() if unit.config.simulate is not None]
+        return [
+            f"{unit.who}: its key simulate has an effect in `dpstack run` and `dpstack sim` only; here its inputs are "
+            "its outputs (a program sets them by dpstack.simulate(...).set())"
+            for unit in units
+        ]
+
     def names(self) -> dict[int, str]:
         """Address and name of every slave."""
         return {address: unit.config.name for address, unit in self.units.items()}
 
+    def address_of(self, which: str | int) -> int:
+        """The address of a slave by name or address. Raises UsageError, which lists the slaves."""
+        for address, unit in self.units.items():
+            if which in (unit.name, address):
+                return address
+        known = ", ".join(f"{unit.name} ({address})" for address, unit in self.units.items()) or "none"
+        raise UsageError(f"no slave {which!r} is simulated here; there are: {known}")
+
     def device(self, address: int) -> Device:
         return self.units[address].device
 
-    def power(self, address: int, on: bool) -> None:
-        """Switch a slave off or on; a drive keeps its EEPROM."""
+    def power(self, which: str | int, on: bool) -> None:
+        """Switch a slave, by name or address, off or on; a drive keeps its EEPROM. Raises UsageError."""
+        address = self.address_of(which)
         if on is not self.units[address].powered:
             self._switch(address, on)
             self.units[address].powered = on
@@ -344,9 +376,13 @@ class Bench(ABC):
 
 
 class VirtualBench(Bench):
-    """The simulated slaves of a bus in virtual time, at the rate of ``params``; None: they detect it."""
+    """The simulated slaves of a bus, see :func:`dpstack.simulate`: the plant of a program without hardware.
+
+    :meth:`set` gives the inputs that a master reads, :meth:`power` switches slaves off and on.
+    """
 
     def __init__(self, world: World, params: BusParams | None) -> None:
+        """``params``: the rate of the slaves; None: they detect it."""
         self._world = world
         self._params = params or BusParams.preset(BAUD_RATES[0])
         self._searching = params is None
@@ -355,6 +391,31 @@ class VirtualBench(Bench):
 
     def __repr__(self) -> str:
         return f"<VirtualBench {', '.join(unit.config.name for unit in self._units.values()) or 'without slaves'}>"
+
+    def set(self, which: str | int, **values: object) -> None:
+        """Set named inputs of a slave (the key ``inputs`` of its table), all or none: ``bench.set("tank", level=60)``.
+
+        They stay over :meth:`power`. Without it the inputs of a slave are its outputs, see :meth:`mirror`. Raises
+        UsageError for a name that no slave or no input has, a value that does not fit, and a simulated drive.
+        """
+        unit = self._units[self.address_of(which)]
+        unit.check_settable()
+        try:
+            unit.set_inputs(unit.inputs_with(values))
+        except ValueError as error:
+            raise UsageError(f"{unit.who}: {error}") from None
+
+    def mirror(self, which: str | int) -> None:
+        """The inputs of a slave are its outputs again. Raises UsageError for an I/O station and a simulated drive."""
+        self._units[self.address_of(which)].set_inputs(None)
+
+    def outputs(self, which: str | int) -> dict[str, Value]:
+        """The named outputs (the key ``outputs``) that act at the slave; zeros outside data exchange, and while it is
+        off."""
+        unit = self._units[self.address_of(which)]
+        fields = unit.config.output_fields
+        octets = unit.app.outputs if unit.powered else b""
+        return fields.values(octets.ljust(fields.length, b"\x00"))
 
     def add(self, config: SlaveConfig) -> None:
         """Add a slave; it replaces one with the same address."""
@@ -386,7 +447,10 @@ class VirtualBench(Bench):
 
         self.call_at(at_ns, send)
 
-    def silence(self, address: int, for_ns: int | None) -> None:
+    def silence(self, address: str | int, for_ns: int | None = None) -> None:
+        """Silence a slave, by name or address: it neither receives nor sends for ``for_ns`` nanoseconds; None: until
+        :meth:`resume`. Raises UsageError."""
+        address = self.address_of(address)
         if not self._units[address].powered:
             return
         self._unplug(address)
@@ -394,7 +458,9 @@ class VirtualBench(Bench):
         if for_ns is not None:
             self._world.call_at(until, lambda: self._end(address, until))
 
-    def resume(self, address: int) -> None:
+    def resume(self, address: str | int) -> None:
+        """End the silence of a slave. Raises UsageError."""
+        address = self.address_of(address)
         self._end(address, self._silent.get(address))
 
     def _switch(self, address: int, on: bool) -> None:

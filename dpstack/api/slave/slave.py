@@ -23,7 +23,7 @@ from dpstack.dp.pdu.alarm_blocks import Status
 from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.process_data import Field, Value
+from dpstack.dp.process_data import Field, NamedValues, Value
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import need_dpv1
@@ -66,6 +66,11 @@ class Slave(Sealed, RecordAccess):
             return f"{self._sealed_name()} has no attribute {name!r}: write slave[{near[0]!r}] = ..."
         return super()._no_attribute(name, method=method)
 
+    def _read_hint(self, name: str) -> str:
+        """Named process data are items, not attributes."""
+        near = difflib.get_close_matches(name, tuple(self), n=1, cutoff=0.8)
+        return f": write slave[{near[0]!r}]" if near else super()._read_hint(name)
+
     def __repr__(self) -> str:
         return f"<Slave {self.address} {self.name!r} {self.state.value}>"
 
@@ -96,7 +101,8 @@ class Slave(Sealed, RecordAccess):
     def state(self) -> SlaveState:
         """The state in which the master has the slave; on a read-only bus the state by its diagnosis.
 
-        OFFLINE while the bus does not run (its bus process was killed, or is stopped).
+        OFFLINE while the bus does not run (its bus process was killed, or is stopped). After the end of the bus, for
+        reports, the one in which the slave was; ``inputs_valid`` is false then.
         """
         if self._bus.runtime.not_running is not None and not self.deactivated:
             return SlaveState.OFFLINE
@@ -351,7 +357,7 @@ class Slave(Sealed, RecordAccess):
         plain_function("condition", condition, 'until(lambda v: v["limit"])')
 
         def holds() -> bool:
-            return self.inputs_valid and condition(self.input_values)
+            return self.inputs_valid and condition(NamedValues(self.input_values))
 
         try:
             await self._bus.until_round(holds, timeout)
@@ -363,11 +369,11 @@ class Slave(Sealed, RecordAccess):
 
     async def changes(self, name: str) -> AsyncIterator[Value]:
         """Each new value of a named input, seen at the ends of rounds while the inputs are valid. A slow reader gets
-        the latest one. Ends with the bus. Raises UsageError for a name that is no input.
+        the latest one. Ends with the bus. The value at the beginning is none of them: for it see :meth:`follow`.
+
+        Raises UsageError for a name that is no input.
         """
-        field = self.config.input_fields.fields.get(name)
-        if field is None:
-            raise self._unknown(name, "input", tuple(self.config.input_fields))
+        field = self._input_field(name)
         self._bus.check_open()
         told = field.get(self.inputs)
 
@@ -381,6 +387,33 @@ class Slave(Sealed, RecordAccess):
                 return
             told = field.get(self.inputs)
             yield told
+
+    async def follow(self, name: str, kind: type[T]) -> AsyncIterator[T]:
+        """The value of a named input as ``kind`` (see :meth:`value`): the present one as soon as the inputs are valid,
+        then each new one, as :meth:`changes`. It goes on when the slave was lost and comes back.
+
+        Raises UsageError for a name that is no input, and where the field has another type.
+        """
+        self._input_field(name)
+        told = self.value(name, kind)
+        first = True
+
+        def is_new() -> bool:
+            return self.inputs_valid and (first or self.value(name, kind) != told)
+
+        while True:
+            try:
+                await self._bus.until_round(is_new)
+            except DpError:
+                return
+            told, first = self.value(name, kind), False
+            yield told
+
+    def _input_field(self, name: str) -> Field:
+        found = self.config.input_fields.fields.get(name)
+        if found is None:
+            raise self._unknown(name, "input", tuple(self.config.input_fields))
+        return found
 
     def output_field(self, name: str) -> Field:
         """The declaration of a named output. Raises UsageError naming those there are."""

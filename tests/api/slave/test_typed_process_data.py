@@ -132,8 +132,8 @@ async def test_until_says_why_it_was_not_reached() -> None:
         with pytest.raises(SlaveTimeout, match=says):
             await slave.until(lambda _: True, 2)
         bench.power(9, True)
-        with pytest.raises(KeyError):
-            await slave.until(lambda v: bool(v["no"]), 60)
+        with pytest.raises(UsageError, match="no input is called 'limt'; did you mean limit"):
+            await slave.until(lambda v: bool(v["limt"]), 60)
 
 
 @in_virtual_time
