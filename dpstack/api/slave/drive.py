@@ -18,6 +18,7 @@ from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Stream
 from dpstack.argcheck import Sealed, is_number
 from dpstack.dp.master.commands import DriveCommand, Mode
+from dpstack.dp.master.events import FaultKind
 from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import DriveCore, DriveStatus, ListedParam
 from dpstack.profile.model.jobs import LARGEST
@@ -151,15 +152,20 @@ class Drive(Sealed, Readable):
         await self._order("start", timeout)
 
     async def stop(self, timeout: float = 60.0) -> None:
-        """Ramp down and switch off."""
+        """Ramp down and switch off.
+
+        Raises DriveError at once, with the state of the outputs, when the drive cannot get the order: its slave has a
+        fault, is out of service or leaves data exchange, or the master went to Clear by itself. The order stays: its
+        control word goes out with the first outputs in Operate, unless another order came since.
+        """
         await self._order("stop", timeout)
 
     async def quick_stop(self, timeout: float = 60.0) -> None:
-        """Stop by the quick stop ramp."""
+        """Stop by the quick stop ramp. Raises DriveError as :meth:`stop`."""
         await self._order("quick_stop", timeout)
 
     async def coast(self, timeout: float = 5.0) -> None:
-        """Switch the output off; the motor coasts to a stop."""
+        """Switch the output off; the motor coasts to a stop. Raises DriveError as :meth:`stop`."""
         await self._order("coast", timeout)
 
     async def acknowledge(self, timeout: float = 20.0) -> None:
@@ -352,19 +358,52 @@ class Drive(Sealed, Readable):
         try:
             await self._bus.order(DriveCommand(self.slave.address, op, {**given, "timeout_s": timeout}, token))
             async with asyncio.timeout(timeout + _GRACE + self._bus.rotation_limit_s):
+                if op in _STOPS:
+                    await self._bus.until(lambda: future.done() or self._gets_no_outputs)
+                    if self._gets_no_outputs:
+                        raise self._not_stopped(op)
                 result = await future
         except TimeoutError as error:
             if isinstance(error, DpError):
                 raise
             raise DriveTimeout(self.name, f"drive {self.name}: {op}: {self._why_silent()}") from None
         finally:
-            if self._pending.pop(token, None) is not None and not self._over:
+            if future.done() and not future.cancelled():
+                future.exception()  # asyncio reports one that nobody has asked for
+            if self._pending.pop(token, None) is not None and not self._over and op not in _STOPS:
                 # the caller was cancelled or its time is over: the plugin must not start the motor later
                 with contextlib.suppress(UsageError, BusError):
                     self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(_tokens)))
         if refused is not None:
             raise refused
         return result
+
+    @property
+    def _gets_no_outputs(self) -> bool:
+        """Whether no order reaches the drive until something changes at its slave or at the bus."""
+        slave = self.slave
+        if slave.ready_now:
+            return self._bus.forced_clear is not None
+        return slave.deactivated or slave.fault is not None
+
+    def _not_stopped(self, op: str) -> DriveError:
+        slave = self.slave
+        fault = slave.fault
+        silent = fault is not None and fault.kind in (FaultKind.ABSENT, FaultKind.LOST)
+        if slave.ready_now:
+            outputs = "the master sends it safe outputs"
+        elif fault is not None and fault.kind is FaultKind.LOCKED:
+            outputs = "its outputs are those of the other master"
+        elif silent and not slave.exchanges:
+            outputs = "this master has sent it no outputs"
+        elif silent and not slave.watchdog_ms:
+            outputs = "its watchdog is off: it keeps its last outputs and may go on turning; stop it at the device"
+        elif silent:
+            outputs = f"its watchdog makes its outputs safe {slave.watchdog_ms} ms after the last telegram"
+        else:
+            outputs = "outside data exchange its outputs are safe"
+        text = f"{self._why_silent()}. Now {outputs}. When it is back, the first outputs order {op} again"
+        return DriveError(self.name, f"drive {self.name}: {op}: {text}")
 
     def _why_silent(self) -> str:
         slave = self.slave

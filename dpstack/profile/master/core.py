@@ -28,6 +28,9 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 #: the orders that move a drive
 _MOTION: Final = ("start", "stop", "quick_stop", "coast", "acknowledge")
 _GOALS: Final = {"stop": Goal.STOP, "quick_stop": Goal.QUICK_STOP, "coast": Goal.COAST}
+_STOPPING: Final = frozenset(_GOALS.values())
+#: states in which a stop that was ordered may not be over
+_MAY_TURN: Final = MOVING | {State.OFFLINE, State.UNKNOWN}
 _PARAMETERS: Final = ("read_many", "read", "write")
 #: The orders every drive knows, with the ones that move it first.
 OPS: Final = (*_MOTION, "speed", "frequency", "reached", "settled", *_PARAMETERS)
@@ -217,7 +220,10 @@ class DriveCore:
         return self._outputs
 
     def lost(self, now: int) -> None:
-        """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
+        """The slave left data exchange, or outputs went to their safe values: pending orders end with a reason.
+
+        An order that stops the drive keeps its control word for the return, unless the drive had stopped.
+        """
         self.now = now
         self.online = False
         self._called_at = None
@@ -228,7 +234,10 @@ class DriveCore:
             lookup.reset()
         self.settings_check.reset()
         self._inputs = b""
-        self.set_goal(Goal.IDLE)
+        if self.goal in _STOPPING and self.state in _MAY_TURN:
+            self.update()
+        else:
+            self.set_goal(Goal.IDLE)
         self.state = State.OFFLINE
         self._tell_status()
         self._build()
