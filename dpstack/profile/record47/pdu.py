@@ -169,7 +169,7 @@ class Request:
             if len(found) != count:
                 raise PduError(f"record 47: values of {count} parameters announced, there are {len(found)}")
             # an error is no value: without one the server finds the number of values wrong
-            values = tuple(one if isinstance(one, Values) else Values(ERROR) for one in found)
+            values = tuple(Values(number, () if number == ERROR else raws) for number, raws in found)
             return dataclasses.replace(request, values=values)
         if len(octets) > end:
             raise PduError(f"record 47: {len(octets) - end} octets too many after {count} addresses")
@@ -221,7 +221,7 @@ class Response:
             ident & ~_NEGATIVE,
             drive_object,
             count,
-            tuple(_groups(octets, HEADER_LEN, count)),
+            tuple(_result(number, raws) for number, raws in _groups(octets, HEADER_LEN, count)),
             bool(ident & _NEGATIVE),
         )
 
@@ -232,8 +232,8 @@ def _header(octets: bytes, what: str) -> bytes:
     return octets[:HEADER_LEN]
 
 
-def _groups(octets: bytes, at: int, most: int) -> Iterator[Result]:
-    """Format, count and values, as many groups as there are octets for, at most ``most``."""
+def _groups(octets: bytes, at: int, most: int) -> Iterator[tuple[int, tuple[Raw, ...]]]:
+    """Format and values of each group (format, count, values): as many as there are octets for, at most ``most``."""
     while at < len(octets) and most:
         if len(octets) - at < VALUE_HEADER_LEN:
             raise PduError(f"record 47: octet {at + 1} (format) is the last one, the number of values is missing")
@@ -246,7 +246,7 @@ def _groups(octets: bytes, at: int, most: int) -> Iterator[Result]:
                 f"record 47: {count} values of format {form.name} are {size} octets, from octet {at + 1} on there are "
                 f"{len(octets) - at}"
             )
-        yield _result(number, form.unpack(octets[at : at + size]) if count and number != ZERO else ())
+        yield number, form.unpack(octets[at : at + size]) if count and number != ZERO else ()
         at += _even(size)
         most -= 1
     if any(octets[at:]):

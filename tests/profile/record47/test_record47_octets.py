@@ -150,6 +150,13 @@ def test_wrong_lengths_counts_and_formats(kind: type[Request | Response], text: 
         kind.parse(octets(text))
 
 
+@pytest.mark.parametrize("error", ["44 00", "44 01 00 15"])
+def test_an_error_in_a_change_is_no_value_with_or_without_its_number(error: str) -> None:
+    request = Request.parse(octets(f"FF 02 03 01 10 01 00 02 00 00 {error}"))
+    assert request.values == (Values(0x44),)
+    assert Request.parse(request.build()) == request
+
+
 def test_a_record_filled_up_with_zeros_is_read() -> None:
     assert Response.parse(octets("01 01 01 01 06 01 03 28") + bytes(232)).results == (Values(6, (0x328,)),)
 
