@@ -341,9 +341,10 @@ def test_gap_off_and_gap_slowed(world: WorldFactory) -> None:
     assert polls[1] > 5 * polls[20]
 
 
-def test_two_masters_keep_t_tr_over_10_000_rotations(world: WorldFactory) -> None:
+@pytest.mark.parametrize("rotations", [2_000, pytest.param(10_000, marks=pytest.mark.soak)])
+def test_two_masters_keep_t_tr(world: WorldFactory, rotations: int) -> None:
     """Both have more low-priority services than time, and one of high priority in every hold."""
-    t_tr, rotations = 2_000, 10_000
+    t_tr = 2_000
     ring = FireRing(world(keep=1), fire_params(t_tr=t_tr), ())
     users = [ListUser(per_hold=[Request(99, Req.SDN_HIGH, bytes(4))]) for _ in range(2)]
     for address, user in zip((2, 5), users, strict=True):
