@@ -6,7 +6,10 @@ from typing import Final
 
 from hypothesis import HealthCheck, Phase, settings
 
-#: ``make soak`` tries so many times the examples of ``make test``
+#: examples of a test that does not say how many, in ``make test`` and in ``make soak``
+_EXAMPLES: Final = 50
+_SOAK_EXAMPLES: Final = 1_000
+#: ``make soak`` tries so many times the examples of a test that says how many
 _MORE: Final = 10
 
 
@@ -22,8 +25,9 @@ def register_profiles() -> None:
         report_multiple_bugs=False,
         suppress_health_check=[HealthCheck.too_slow],
     )
-    settings.register_profile("test", same, derandomize=True, phases=(Phase.explicit, Phase.generate))
-    settings.register_profile("soak", same, derandomize=False, max_examples=_MORE * same.max_examples)
+    phases = (Phase.explicit, Phase.generate)
+    settings.register_profile("test", same, derandomize=True, max_examples=_EXAMPLES, phases=phases)
+    settings.register_profile("soak", same, derandomize=False, max_examples=_SOAK_EXAMPLES)
     settings.load_profile("test")
 
 

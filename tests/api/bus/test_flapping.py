@@ -31,7 +31,7 @@ def states_of(events: list[Event], address: int) -> list[dpstack.SlaveState]:
 @in_virtual_time
 async def test_a_flapping_slave_has_at_most_ten_events_a_second_and_the_last_one_is_its_last_state() -> None:
     events: list[Event] = []
-    async with bus_of(RAW, FAN, on_event=events.append) as bus:
+    async with bus_of(RAW, FAN, on_event=events.append, baud=93_750) as bus:
         begin = bus.seconds
         await flap(bus)
         seconds = bus.seconds - begin
@@ -55,7 +55,7 @@ async def test_a_flapping_slave_has_at_most_ten_events_a_second_and_the_last_one
 @in_virtual_time
 async def test_no_change_is_held_back_at_the_end_of_the_bus() -> None:
     events: list[Event] = []
-    async with bus_of(RAW, on_event=events.append) as bus:
+    async with bus_of(RAW, on_event=events.append, baud=93_750) as bus:
         await flap(bus)
         last = bus.slave(9).state
     assert states_of(events, 9)[-1] is last
@@ -64,7 +64,7 @@ async def test_no_change_is_held_back_at_the_end_of_the_bus() -> None:
 @in_virtual_time
 async def test_events_of_other_slaves_and_of_drives_are_not_limited() -> None:
     events: list[Event] = []
-    async with bus_of(RAW, FAN, on_event=events.append) as bus:
+    async with bus_of(RAW, FAN, on_event=events.append, baud=93_750) as bus:
         await flap(bus)
         await off_and_on(bus, 4)
     assert states_of(events, 4).count(dpstack.SlaveState.DATA_EXCHANGE) == 2

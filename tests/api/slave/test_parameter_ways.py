@@ -35,7 +35,9 @@ class Counted:
 
 
 @contextlib.asynccontextmanager
-async def drive_at(kind: str, telegram: str, baud: int = 1_500_000, **keys: object) -> AsyncIterator[tuple[dpstack.Drive, Counted]]:
+async def drive_at(
+    kind: str, telegram: str, baud: int = 1_500_000, **keys: object
+) -> AsyncIterator[tuple[dpstack.Drive, Counted]]:
     """A drive in data exchange, and the requests that reach its records."""
     table = {"name": "it", "address": 6, "drive": kind, "telegram": telegram, **keys}
     async with running(table, baud) as (bus, drive):

@@ -243,7 +243,7 @@ def test_a_slave_that_refuses_tells_its_fault_once_however_often_it_is_asked(cap
     async def program() -> None:
         world = dpstack.World()
         device = {**IO, "modules": ["8 DI", "8 DO"]}
-        dpstack.simulate(world, [slave_config(device)], baud=500_000)
+        dpstack.simulate(world, [slave_config(device)], baud=93_750)  # slow: ten seconds of a bus
         states: list[str] = []
 
         def on_event(event: dpstack.Event) -> None:
@@ -251,7 +251,7 @@ def test_a_slave_that_refuses_tells_its_fault_once_however_often_it_is_asked(cap
             if isinstance(event, SlaveStateChanged):
                 states.append(event.state.value)
 
-        bus = bus_of(IO, on_event=on_event, world=world)
+        bus = bus_of(IO, on_event=on_event, world=world, baud=93_750)
         reporter: Reporter = Reporter(bus, json=False)
         async with bus:
             await bus.operate()
