@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from far_ends import until
 from web_kit import PLANT, WHOLE, Page, delta, page_of
 
 import dpstack
 from dpstack.api.config.config import load_config
 from dpstack.api.control import stream
+from dpstack.api.control.client import ControlClient
 from dpstack.api.control.commands import KINDS
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.server import ControlServer, Handler
@@ -114,6 +116,7 @@ class Children:
 
     def __init__(self, code: int | None = None) -> None:
         self.made: list[FakeChild] = []
+        self.looks = 0  # of the source, for a run
         self._code = code
 
     def __call__(self, args: Sequence[str], on_line: Callable[[str], None]) -> Child:
@@ -124,6 +127,13 @@ class Children:
 def source_of(file: Path, children: Children, *, control: bool = False) -> RunSource:
     made = RunSource.of(load_config(file), control=control)
     made._make_child = children
+    find = made._find
+
+    def counted() -> ControlClient | None:
+        children.looks += 1
+        return find()
+
+    made._find = counted
     return made
 
 
@@ -176,7 +186,7 @@ async def test_with_control_nothing_starts_by_itself_and_a_started_run_is_in_cle
     file, children = plant_file(tmp_path), Children()
     async with serve(source_of(file, children, control=True), rights=RIGHTS) as server, page_of(server, TOKEN) as page:
         assert (await page.until("welcome"))["source"] == "none"
-        await asyncio.sleep(0.03)  # several looks for a run
+        await until(lambda: children.looks > 3, "several looks for a run")
         assert children.made == []
         assert "start it first" in (await page.order("operate"))["error"]
         await page.send({"order": {"id": 5, "command": "start", "confirmed": True}})
@@ -189,7 +199,8 @@ async def test_with_control_nothing_starts_by_itself_and_a_started_run_is_in_cle
             assert run.commands == [["operate"]]
             await children.made[0].end()
         await told(page, "has ended")
-        await asyncio.sleep(0.05)
+        looks = children.looks
+        await until(lambda: children.looks > looks + 3, "several looks for a run")
         assert len(children.made) == 1
 
 

@@ -15,6 +15,7 @@ import pytest
 from api_kit import bench_of
 from cli_kit import SIMULATED, Cli
 from ends_kit import told
+from far_ends import until
 from programs import PLANT, Program, Starter, plant_of
 
 import dpstack
@@ -392,6 +393,18 @@ async def test_a_run_carries_the_orders_out(plant: Path) -> None:
 async def test_a_client_that_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A start that waits for the bus to operate must not come true when nobody waits for it any more."""
     monkeypatch.setattr(server, "_SIGN_OF_LIFE_S", 0.02)
+    begun: list[float] = []
+    ended: list[float] = []
+    walk = dpstack.Drive.start
+
+    async def noted(drive: dpstack.Drive, timeout: float = 5.0) -> None:
+        begun.append(timeout)
+        try:
+            await walk(drive, timeout)
+        finally:
+            ended.append(timeout)
+
+    monkeypatch.setattr(dpstack.Drive, "start", noted)
     async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
         await bus.ready()  # in Clear
         found = await find_drive(dpstack.load_config(plant), "fan")
@@ -400,12 +413,12 @@ async def test_a_client_that_hangs_up_ends_the_order(plant: Path, monkeypatch: p
         with pytest.raises(DriveTimeout, match=says):
             await order(found, "start", "timeout=0.01")
         starting = asyncio.ensure_future(order(found, "start", "timeout=60"))
-        await asyncio.sleep(0.1)
+        await until(lambda: 60 in begun, "the order reaches the run")
         assert not starting.done()
         starting.cancel()
         with pytest.raises(asyncio.CancelledError):
             await starting
-        await asyncio.sleep(0.1)
+        await until(lambda: 60 in ended, "the run notices that the client has gone")
         await bus.operate()
         await bus.until(lambda: bus.drive("fan").status.state == "ready_to_switch_on", 5)
         await bus.rotated(bus.stats.rotations + 100, 5)
