@@ -9,6 +9,7 @@ import logging
 import os
 import sys
 import threading
+import types
 from collections.abc import Callable
 from time import monotonic
 from typing import Any, Final
@@ -64,8 +65,16 @@ class Call:
 
 
 async def _carry_out(function: Callable[..., object], args: tuple[object, ...], kwargs: dict[str, object]) -> object:
+    __tracebackhide__ = True
     result = function(*args, **kwargs)
     return await result if inspect.isawaitable(result) else result
+
+
+def _inside(trace: types.TracebackType | None) -> types.TracebackType | None:
+    """The part of ``trace`` in the loop's thread, without the frames of the future in between."""
+    while trace is not None and trace.tb_frame.f_code is not _carry_out.__code__:
+        trace = trace.tb_next
+    return trace
 
 
 class Portal:
@@ -106,14 +115,16 @@ class Portal:
         An exception in the waiting thread (Ctrl-C) cancels the call, and is raised when the call has ended; another
         one more than a second later is raised at once. Raises UsageError where the caller must not wait.
         """
+        __tracebackhide__ = True
         if self.is_own_thread:
             return self._run_here(function, args, kwargs)
         call = self._new_call(function, args, kwargs)
         try:
             call.begin()
             return call.outcome.result()
-        except BaseException:
+        except BaseException as error:
             if call.outcome.done():
+                error.__traceback__ = _inside(error.__traceback__)
                 raise
             call.cancel()
             until = monotonic() + _SAME_SIGNAL_S

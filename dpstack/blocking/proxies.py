@@ -39,6 +39,7 @@ class Proxy:
 
     def __getattr__(self, name: str) -> object:
         """Attributes that the class does not name."""
+        __tracebackhide__ = True
         if name.startswith("_"):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         value = self._portal.run(getattr, self._target, name)
@@ -47,6 +48,7 @@ class Proxy:
         return _wrap(self._portal, value)
 
     def __setattr__(self, name: str, value: object) -> None:
+        __tracebackhide__ = True
         self._portal.run(setattr, self._target, name, _unwrap(value))
 
     def __repr__(self) -> str:
@@ -131,6 +133,7 @@ def _unwrap(value: object) -> object:
 
 
 def _call(portal: Portal, function: Callable[..., object], /, *args: object, **kwargs: object) -> object:
+    __tracebackhide__ = True  # IPython and pytest leave such frames out of a traceback
     given = {key: _unwrap(value) for key, value in kwargs.items()}
     return _wrap(portal, portal.run(function, *map(_unwrap, args), **given))
 
@@ -185,6 +188,7 @@ def _method(name: str, function: Callable[..., object]) -> Callable[..., object]
     if _takes_timeout(function):
 
         def items(self: Proxy, *args: object, timeout: float | None = None, **kwargs: object) -> object:
+            __tracebackhide__ = True
             made = _call(self._portal, getattr(self._target, name), *args, **kwargs)
             object.__setattr__(made, "_timeout", timeout)
             return made
@@ -192,6 +196,7 @@ def _method(name: str, function: Callable[..., object]) -> Callable[..., object]
         return _dressed(items, function)  # type: ignore[no-any-return]
 
     def method(self: Proxy, *args: object, **kwargs: object) -> object:
+        __tracebackhide__ = True
         if name == "close" and self._portal.is_forked:  # the child of a fork has nothing to close
             return None
         return _call(self._portal, getattr(self._target, name), *args, **kwargs)
@@ -201,9 +206,11 @@ def _method(name: str, function: Callable[..., object]) -> Callable[..., object]
 
 def _property(name: str, doc: str | None, *, settable: bool) -> property:
     def get(self: Proxy) -> object:
+        __tracebackhide__ = True
         return _wrap(self._portal, self._portal.run(getattr, self._target, name))
 
     def set_(self: Proxy, value: object) -> None:
+        __tracebackhide__ = True
         self._portal.run(setattr, self._target, name, _unwrap(value))
 
     return property(get, set_ if settable else None, doc=doc)

@@ -8,11 +8,14 @@ import os
 import signal
 import sys
 import threading
+import traceback
 
 import pytest
+from api_kit import RAW
 from blocking_kit import interrupted
 from process_kit import eventually
 
+from dpstack import blocking
 from dpstack.blocking import portal as portals
 from dpstack.blocking.portal import the_portal
 from dpstack.errors import UsageError
@@ -133,3 +136,29 @@ def test_the_loops_own_thread_does_not_wait_for_itself() -> None:
 
     with pytest.raises(UsageError, match="never was called in the thread of the bus"):
         the_portal().run(within)
+
+
+def _shown(error: BaseException) -> list[str]:
+    """The functions in the traceback of ``error`` as IPython and pytest show them."""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    assert not any(frame.f_globals["__name__"].startswith("concurrent") for frame in frames)
+    return [frame.f_code.co_name for frame in frames if not frame.f_locals.get("__tracebackhide__")]
+
+
+def test_tracebacks_show_the_caller_and_the_bus_alone() -> None:
+    with blocking.open_bus(port="virtual", baud=500_000, slaves=[{**RAW, "inputs": {"level": "u8@0"}}]) as bus:
+        bus.ready()
+        slave = bus.slave("raw")
+        with pytest.raises(UsageError) as raised:
+            slave["flap"] = True
+        name = "test_tracebacks_show_the_caller_and_the_bus_alone"
+        assert _shown(raised.value) == [name, "__setitem__", "update", "output_field"]
+        with pytest.raises(AttributeError) as missing:
+            _ = slave.nothing  # type: ignore[attr-defined]
+        assert _shown(missing.value) == [name, "__getattr__"]
+        with pytest.raises(UsageError) as wrong:
+            slave.outputs = 3  # type: ignore[assignment]
+        assert _shown(wrong.value) == [name, "__setattr__", "outputs", "octets"]
+        level = slave.changes("level", timeout=0.05)
+        with pytest.raises(TimeoutError, match=r"nothing came within 0\.05 s; the iteration can go on"):
+            next(level)
