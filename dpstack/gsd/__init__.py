@@ -16,6 +16,8 @@ Order of work: text, lexer, parser with blocks, joining with settings; the resul
   its values
 - ``model``: Data model of a GSD file: device, modules, slots, user parameters, diagnosis texts, diagnostics of the
   file
+- ``module_comparison``: Comparison of the configuration that Chk_Cfg asks for with the slave's own one, module by
+  module
 - ``module_readings``: Readings of identifier octets: rows of modules of a GSD file that give the configuration that a
   slave has
 - ``parser``: Parser of GSD files: octets in, the model and diagnostics out

@@ -15,8 +15,8 @@ class DiagTexts:
     """
 
     def __init__(self, device: Device, modules: Sequence[Module | None] = ()) -> None:
+        self.device = device
         self.first_slot = device.first_slot
-        self._device = device.diagnosis
         self._types = {d.type: d for d in device.diag_types}
         self.modules = tuple(modules)
 
@@ -42,7 +42,7 @@ class DiagTexts:
         own = self._module(module)
         if own is not None:
             yield own.diagnosis
-        yield self._device
+        yield self.device.diagnosis
 
     def _module(self, number: int | None) -> Module | None:
         return self.modules[number] if number is not None and 0 <= number < len(self.modules) else None

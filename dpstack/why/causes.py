@@ -64,8 +64,8 @@ _ABOUT: Final[dict[Cause, About]] = {
     ),
     Cause.WRONG_ADDRESS: About(
         "the device has another address than the configuration says",
-        "nobody, or another device, answers at the address, and a station with its ident answers at another one that "
-        "no slave of the configuration has",
+        "nobody, or another device, answers at the address, and a station with its ident answers at another one, where "
+        "no such device is configured",
         "set the address switches of the device (or use `dpstack address`), or correct address in the configuration",
     ),
     Cause.IDENT: About(
@@ -75,22 +75,22 @@ _ABOUT: Final[dict[Cause, About]] = {
     ),
     Cause.MODULE_ORDER: About(
         "the modules are the right ones in another order",
-        "Cfg_Fault; Get_Cfg has the same identifiers in another order",
+        "Cfg_Fault, or Prm_Fault; Get_Cfg has the same identifiers in another order",
         "put `modules` into the order in which they are plugged, from the head station on",
     ),
     Cause.MODULE_MISSING: About(
         "a module of the configuration is not in the station",
-        "Cfg_Fault; Get_Cfg lacks identifiers of the configuration",
+        "Cfg_Fault, or Prm_Fault; Get_Cfg lacks identifiers of the configuration",
         "plug the missing module (is it pushed in fully, does it have power?), or take it out of `modules`",
     ),
     Cause.MODULE_EXTRA: About(
         "the station has a module that is not in the configuration",
-        "Cfg_Fault; Get_Cfg has identifiers that the configuration lacks",
+        "Cfg_Fault, or Prm_Fault; Get_Cfg has identifiers that the configuration lacks",
         "add the module to `modules` at its place, or pull it",
     ),
     Cause.MODULE_TYPE: About(
         "a module of another type is in a slot",
-        "Cfg_Fault; Get_Cfg has other identifiers in a slot",
+        "Cfg_Fault, or Prm_Fault; Get_Cfg has other identifiers in a slot",
         "compare the order numbers of the modules with `modules`, slot by slot",
     ),
     Cause.USER_PARAMETER: About(
@@ -176,7 +176,7 @@ _ABOUT: Final[dict[Cause, About]] = {
         "set dpv1 as the GSD file says: dpv1 = false for a slave without it",
     ),
     Cause.NO_TOKEN: About(
-        "the master of the slave does not get the token",
+        "the master of the slave does not run, or does not get the token",
         "it is not in the ring, or holds no token; nobody asks the slave",
         "look at the list of masters: HSA of the other masters must be above this address; is the master running?",
     ),

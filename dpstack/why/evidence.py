@@ -19,13 +19,14 @@ CLASS2 = "class2"
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """Another slave of the same configuration."""
+    """Another slave of the same configuration. ``ident``: as configured; ``found_ident``: in its last diagnosis."""
 
     address: int
     name: str
     state: SlaveState
     ident: int | None = None
     link: StationStats = field(default_factory=StationStats)
+    found_ident: int | None = None
 
     @property
     def answers(self) -> bool:
@@ -88,6 +89,7 @@ class Evidence:
     scanned; ``found_all``: of all addresses. ``unreadable``: addresses whose answers the scan could not read.
     ``since_ns``: the counters of stations and line count from this time on; a bus that runs for long is watched for a
     moment, as its counters from the start would hide a trouble of now.
+    ``unknown``: addresses of stations that GAP polls have found, and that the configuration does not have.
     ``asked``: services that were asked for this story, as steps; ``asked_in_vain``: attempts at them without an answer
     in time. ``read_only``: the asking station is no class 1 master
     of the slave; ``asker``: its address.
@@ -116,6 +118,7 @@ class Evidence:
     found: tuple[Found, ...] | None = None
     unreadable: frozenset[int] = frozenset()
     found_all: bool = True
+    unknown: frozenset[int] = frozenset()
     asked: tuple[Step, ...] = ()
     asked_in_vain: int = 0
     read_only: bool = False

@@ -14,9 +14,9 @@ from dpstack.dp.master.verdicts import foreign_owner
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.fdl.interface import StationStats
 from dpstack.fdl.telegram import StationType
+from dpstack.gsd.module_comparison import Comparison, Difference, compare_modules
 from dpstack.units import BITS_PER_CHAR, NS_PER_MS, NS_PER_S, bits_to_ns
 from dpstack.why.evidence import CLASS2, Evidence, Neighbour
-from dpstack.why.modules import Comparison, Difference, compare
 from dpstack.why.parameters import ParameterFacts, parameter_facts
 from dpstack.why.steps import CHK_CFG, SET_PRM
 
@@ -216,6 +216,17 @@ class Facts:
         return self.diagnosis.ident
 
     @cached_property
+    def is_elsewhere(self) -> bool:
+        """A device with its ident is at the address of a slave that is configured with another one."""
+        wanted = self.setup.ident
+        return wanted is not None and any(one.found_ident == wanted != one.ident for one in self.neighbours)
+
+    @cached_property
+    def is_neighbour(self) -> bool:
+        """The device at its address is one of those configured at other addresses."""
+        return self.wrong_ident is not None and any(one.ident == self.wrong_ident for one in self.neighbours)
+
+    @cached_property
     def waits_for_master(self) -> bool:
         """The right device wants parameters, and has refused none."""
         found = self.diagnosis
@@ -340,11 +351,20 @@ class Facts:
             return None
         device, modules = self.evidence.device, self.evidence.modules
         first = 1 if device is None else device.first_slot
-        return compare(self.setup.config, real, device, modules, first)
+        return compare_modules(self.setup.config, real, device, modules, first)
 
     @cached_property
     def differs(self) -> bool:
         return self.comparison is not None and self.comparison.kind is not Difference.SAME
+
+    @cached_property
+    def modules_refused(self) -> bool:
+        """It refuses Set_Prm, has other modules than configured, and those that differ have user parameters."""
+        found, device = self.comparison, self.evidence.device
+        if not (self.prm_fault and self.differs) or found is None or device is None or self.wrong_ident is not None:
+            return False
+        differ = {part.octets for _, wanted, real in found.slots for part in (wanted, real) if part is not None}
+        return any(module.prm.present for module in device.modules if module.config in differ)
 
     @cached_property
     def parameters(self) -> ParameterFacts:

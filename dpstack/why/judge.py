@@ -7,19 +7,19 @@ explanation for the answers: an ident number, a master's address, a configuratio
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from dpstack.dp.master.bring_ups import DATA_EXCHANGE, NOTHING, SLAVE_DIAG
+from dpstack.dp.master.bring_ups import DATA_EXCHANGE, NOTHING, SLAVE_DIAG, Loss
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.requests import SET_PRM_LEN
+from dpstack.gsd.module_comparison import Difference
 from dpstack.text import octets_text
 from dpstack.units import NS_PER_S, baud_text, ms_text
 from dpstack.why.causes import Cause
 from dpstack.why.evidence import CLASS2
 from dpstack.why.facts import ENOUGH, Facts, attempts, damaged, failures, is_disturbed, is_late, share
-from dpstack.why.modules import Difference
 from dpstack.why.steps import CHK_CFG, SET_PRM, hex_text
 
 #: damaged octets and telegrams on a line that nobody can use
@@ -28,6 +28,9 @@ _JAMMED: Final = 40
 _ALTERNATING: Final = 2
 #: waiting time after Chk_Cfg from which a slave counts as not ready
 _READY_NS: Final = NS_PER_S
+#: a slave counts as steady after so long, and after so many times the longest time between two of its losses
+_STEADY_NS: Final = 10 * NS_PER_S
+_STEADY: Final = 3
 #: min T_SDR in Set_Prm that every slave can have
 _USUAL_MIN_TSDR: Final = 11
 
@@ -77,6 +80,8 @@ def _weighed(f: Facts, found: list[Finding]) -> list[Finding]:
             one = one.less(0.5, "Its answers are disturbed: requests and answers get lost by that, too.")
         if one.cause is Cause.NOT_THERE and causes.get(Cause.WRONG_ADDRESS, 0.0) >= 0.6:
             one = one.less(0.45, "A station with its ident answers at another address.")
+        if one.cause is Cause.REBOOTS and max((causes.get(cause, 0.0) for cause in _OF_NOW), default=0.0) >= 0.6:
+            one = one.less(0.4, "Another cause explains why it is not in data exchange now.")
         if one.cause is Cause.NOISE_ON_STUB and causes.get(Cause.DUPLICATE_ADDRESS, 0.0) >= 0.7:
             one = one.less(0.5, "Noise leaves some answers readable.")
         weighed.append(one)
@@ -84,6 +89,20 @@ def _weighed(f: Facts, found: list[Finding]) -> list[Finding]:
 
 
 _OF_BUS: Final = (Cause.NO_TOKEN, Cause.SECOND_MASTER_SAME_ADDRESS, Cause.BUS_JAMMED)
+#: told by the slave itself, or by the device that stands elsewhere: restarts before it say nothing about now
+_OF_NOW: Final = (
+    Cause.WRONG_ADDRESS,
+    Cause.IDENT,
+    Cause.MODULE_ORDER,
+    Cause.MODULE_MISSING,
+    Cause.MODULE_EXTRA,
+    Cause.MODULE_TYPE,
+    Cause.USER_PARAMETER,
+    Cause.USER_PARAMETER_LENGTH,
+    Cause.DPV1_MISMATCH,
+    Cause.NOT_SUPPORTED,
+    Cause.LOCKED,
+)
 #: explained by a fault of the bus
 _BY_BUS: Final = (
     Cause.NOT_THERE,
@@ -132,9 +151,9 @@ def _masterless(f: Facts) -> Finding:
     if ring.own == f.evidence.asker:
         return Finding(Cause.NO_TOKEN, 0.8, said, next="start its master; its configuration must have this slave")
     if ring.own not in ring.masters:
-        said.append(f"No master {ring.own} is in the token ring.")
+        said.append(f"No master {ring.own} is in the token ring: nobody brings the slave up.")
         return Finding(
-            Cause.NO_TOKEN, 0.85, said, next=f"start the master with address {ring.own} (`dpstack run CONFIG`)"
+            Cause.NO_TOKEN, 0.85, said, next=f"start master {ring.own}: `dpstack run` with this configuration"
         )
     said.append(f"Master {ring.own} is in the token ring, and has not parameterised it (yet).")
     return Finding(
@@ -209,6 +228,11 @@ def _absent(f: Facts) -> Findings:
     elif f.evidence.found is not None:
         against.append("No other station answers either: a common cause is likelier.")
         confidence = 0.6
+    todo = ""
+    if f.evidence.found is None and f.evidence.unknown:
+        places = _some(map(str, sorted(f.evidence.unknown)))
+        said.append(f"Address {places} answers, and no slave is configured there: has the device that address?")
+        todo = f"read address {places} with `dpstack diag`: is it this device? {Cause.NOT_THERE.about.next}"
     if f.evidence.found is not None and not f.strangers and f.anybody:
         said.append("A scan found no unknown station, so it has no other address on this segment.")
     if is_late(f.link) or f.superfluous >= 3:
@@ -223,7 +247,7 @@ def _absent(f: Facts) -> Findings:
     if f.silent_after_prm and not f.lost:
         against.append("It answered until it was parameterised.")
         confidence = min(confidence, 0.5)
-    yield Finding(Cause.NOT_THERE, confidence, said, against)
+    yield Finding(Cause.NOT_THERE, confidence, said, against, todo)
     if not f.anybody and not f.present:
         yield from _nobody(f)
 
@@ -254,12 +278,15 @@ def _elsewhere(f: Facts) -> Findings:
     wanted = f.setup.ident
     if wanted is None or f.exchanging or (f.answers_now and f.wrong_ident is None):
         return
+    if not (f.silent_now or f.wrong_ident is not None):
+        return
     meant = {one.address for one in f.neighbours if one.ident == wanted}
+    yield from _swapped(f, wanted)
     there = [one for one in f.others_found if one.ident == wanted and one.address not in meant]
-    if not there or not (f.silent_now or f.wrong_ident is not None):
+    if not there:
         return
     places = ", ".join(str(one.address) for one in there)
-    said = [f"A station with its ident 0x{wanted:04X} answers at address {places}, which no slave here has with it."]
+    said = [f"A station with its ident 0x{wanted:04X} answers at address {places}; no such device is configured there."]
     if any(one.config == f.setup.config for one in there):
         said.append("That station has the configured modules, too.")
     against = []
@@ -270,6 +297,21 @@ def _elsewhere(f: Facts) -> Findings:
         confidence = 0.5
     todo = f"set the address of the device at {places} to {f.setup.address}: its switches, or `dpstack address`"
     yield Finding(Cause.WRONG_ADDRESS, confidence, said, against, todo)
+
+
+def _swapped(f: Facts, wanted: int) -> Findings:
+    """The device is at the address of another slave of the configuration."""
+    for one in f.neighbours:
+        if one.found_ident != wanted or one.ident in (wanted, None):
+            continue
+        place = f"{one.address} ({one.name})"
+        said = [f"The device at address {place} has the ident 0x{wanted:04X} that is configured here."]
+        todo = f"set the address of the device at {place} to {f.setup.address}"
+        if f.wrong_ident == one.ident:
+            said.append(f"The device here has the ident 0x{one.ident:04X} that is configured there.")
+            yield Finding(Cause.WRONG_ADDRESS, 0.93, said, next=f"exchange the addresses {f.setup.address} and {place}")
+        else:
+            yield Finding(Cause.WRONG_ADDRESS, 0.85, said, next=f"{todo}, or correct address in the configuration")
 
 
 def _ident(f: Facts) -> Findings:
@@ -286,7 +328,7 @@ def _ident(f: Facts) -> Findings:
     elif f.setup.ident in f.evidence.history.idents:
         said.append("The right ident came before: the device was exchanged.")
         confidence = 0.8
-    if any(one.ident == f.setup.ident for one in f.strangers):
+    if any(one.ident == f.setup.ident for one in f.strangers) or f.is_elsewhere:
         confidence = min(confidence, 0.6)
     yield Finding(Cause.IDENT, confidence, said, against)
 
@@ -484,6 +526,8 @@ def _parameters(f: Facts) -> Findings:
         found = [*known.impossible, *known.changed]
         sure = 0.91 if known.impossible else 0.86 if found else 0.5 if other >= 0.4 else 0.75
         none = [] if found else ["All of them are those of the GSD file."]
+        if f.modules_refused and not found:
+            sure, none = 0.5, [*none, "The station has other modules, and modules have parameters of their own."]
         yield Finding(Cause.USER_PARAMETER, sure, [*begin, *found, fits], none)
         yield Finding(Cause.USER_PARAMETER_LENGTH, 0.25, begin, [fits])
     else:
@@ -537,7 +581,7 @@ _BY_DIFFERENCE: Final = {
 def _modules(f: Facts) -> Findings:
     compared = f.comparison
     refused = (f.cfg_fault or _drops(f, CHK_CFG)) and f.wrong_ident is None and f.owner is None
-    if f.exchanging or not (refused or f.differs):
+    if f.exchanging or not (refused or f.differs) or f.is_neighbour:
         return
     begin = ["It refuses Chk_Cfg: Cfg_Fault (octet 1 bit 2 of its diagnosis)."] if f.cfg_fault else []
     if not f.cfg_fault and refused:
@@ -557,10 +601,14 @@ def _modules(f: Facts) -> Findings:
     cause, confidence = _BY_DIFFERENCE[compared.kind]
     said = [*begin, *compared.sentences, f"Chk_Cfg and Get_Cfg differ from octet {compared.octet} on."]
     against = []
-    if not refused:
+    if f.modules_refused:
+        said.insert(0, "It refuses Set_Prm, which has the parameters of the configured modules: Prm_Fault.")
+        confidence = 0.85
+    elif not refused:
         against = ["It has not refused Chk_Cfg (yet)."]
         confidence = 0.6 if f.evidence.source == CLASS2 or f.is_fault("not_ready", "wrong_length") else 0.5
-    yield Finding(cause, confidence, said, against)
+    todo = cause.about.next + (f"; the station as it is: {compared.key}" if compared.key else "")
+    yield Finding(cause, confidence, said, against, todo)
 
 
 def _lengths(f: Facts) -> Findings:
@@ -672,16 +720,19 @@ def _restarts(f: Facts) -> Findings:
         return
     back = [loss for loss in silent if loss.back_ns and loss.prm_req]
     away = sorted((loss.back_ns - loss.t_ns) / NS_PER_S for loss in back)
+    steady = _steady(f, silent)
     if len(back) >= 2 or (back and len(silent) >= 2):
         said = [
             f"It fell silent {_times(len(silent))} and came back without parameters, after "
             f"{away[0]:.1f} to {away[-1]:.1f} s."
         ]
         against = ["Octets that cannot be read came as well."] if f.damage_here > 3 * len(silent) else []
-        yield Finding(Cause.REBOOTS, 0.6 if against else 0.87, said, against)
+        found = Finding(Cause.REBOOTS, 0.6 if against else 0.87, said, against)
+        yield found.less(0.4, steady) if steady else found
     elif back:
         said = [f"It fell silent once, for {away[0]:.1f} s, and came back without parameters."]
-        yield Finding(Cause.REBOOTS, 0.6, said)
+        found = Finding(Cause.REBOOTS, 0.6, said)
+        yield found.less(0.25, steady) if steady else found
     kept = [loss for loss in silent if loss.back_ns and not loss.prm_req]
     if kept and not back and not is_late(f.link):
         said = [f"It fell silent {_times(len(kept))} and kept its parameters: it had power meanwhile."]
@@ -690,6 +741,18 @@ def _restarts(f: Facts) -> Findings:
             [] if f.evidence.line.paced else ["No wire gives the octets their time here: the computer may be late."]
         )
         yield Finding(Cause.NOISE_ON_STUB, 0.55 if len(kept) >= 2 and not unpaced else 0.3, [*said, more], unpaced)
+
+
+def _steady(f: Facts, losses: Sequence[Loss]) -> str:
+    """A sentence where the slave is in data exchange for so long that its last loss is over; else empty."""
+    last = f.evidence.bring_up
+    if not f.exchanging or last is None or not last.exchanging_ns:
+        return ""
+    since = f.evidence.now_ns - last.exchanging_ns
+    between = [b.t_ns - a.t_ns for a, b in itertools.pairwise(losses)]
+    if since < max(_STEADY_NS, *(_STEADY * one for one in between), 0):
+        return ""
+    return f"It has been in data exchange for {since / NS_PER_S:.0f} s since."
 
 
 # --- healthy ----------------------------------------------------------------------------------------------------------

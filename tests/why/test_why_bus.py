@@ -76,6 +76,44 @@ async def test_refusals_are_told_with_their_octets() -> None:
 
 
 @in_virtual_time
+async def test_a_station_without_a_module_names_the_slot_also_where_it_refuses_set_prm() -> None:
+    """The parameters of the I/O station depend on its modules: a missing one shows as Prm_Fault."""
+    plugged, configured = ["16 DI", "8 DO"], ["16 DI", "8 DO", "2 AI"]
+    world = World()
+    table = {"name": "io", "address": 8, "gsd": "io-station", "modules": configured}
+    async with (
+        dpstack.slave.serve_slave(dpstack.IoStation.of(plugged, name="io"), world=world, address=8),
+        dpstack.open_bus(world=world, baud=500_000, slaves=[table]) as bus,
+    ):
+        await asyncio.sleep(0.5)
+        fault = bus.slave("io").fault
+        assert fault is not None
+        assert fault.kind.value == "prm_fault"
+        assert fault.message.startswith(
+            "refuses the parameters (Prm_Fault): slot 3 has no module, the configuration 2 AI; Set_Prm was 88"
+        )
+        assert fault.remedy.endswith('or, if the station is right, write modules = ["16 DI", "8 DO"]')
+        assert (fault.actual, bus.slave("io").setup.config) == (b"\x11\x20", b"\x11\x20\x51")
+        story = await bus.why("io", ask=False)
+    assert story.first.cause == "module_missing"
+
+
+@in_virtual_time
+async def test_swapped_addresses_and_a_station_elsewhere_are_seen_without_asking() -> None:
+    world, params = World(), BusParams.preset(500_000)
+    for address, ident in ((9, 0x4321), (4, 0x1234), (40, 0x5555)):
+        world.add(make_slave(address, MirrorDevice(ident, b"\x20\x10"), params))
+    away = {**RAW, "name": "away", "address": 41, "ident": 0x5555}
+    slaves = [RAW, {**OTHER, "ident": 0x4321}, away]
+    async with dpstack.open_bus(world=world, baud=500_000, slaves=slaves, gap=1) as bus:
+        await asyncio.sleep(30)
+        assert (await bus.why("raw", ask=False)).first.next == "exchange the addresses 9 and 4 (other)"
+        assert (await bus.why("other", ask=False)).first.next == "exchange the addresses 4 and 9 (raw)"
+        story = await bus.why("away", ask=False)
+    assert any(text.startswith("Address 40 answers, and no slave is") for text in story.first.speaks_for)
+
+
+@in_virtual_time
 async def test_an_empty_bus_names_the_rate_and_a_closed_one_still_tells() -> None:
     async with bus_of() as bus:
         with pytest.raises(dpstack.UsageError, match="no slave"):

@@ -17,11 +17,14 @@ from dpstack.dp.master.scanner import Found
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import StationStats
 from dpstack.fdl.telegram import StationType
+from dpstack.gsd.configuration import configure
+from dpstack.gsd.parser import load_gsd
 from dpstack.why.causes import Cause
 from dpstack.why.evidence import Evidence, Line, Neighbour, Ring
 from dpstack.why.steps import refused_by, words
-from dpstack.why.story import story_lines, tell
+from dpstack.why.story import Likely, story_lines, tell
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "why.md"
 SETUP = SlaveParams(address=8, name="valves", ident=0x1234, config=b"\x20\x10", user_prm=b"\x00\x07")
 EMPTY = Evidence(
@@ -102,6 +105,91 @@ def test_refusals_name_their_cause(steps: tuple[Step, ...], more: dict[str, Any]
     assert first(*steps, **more)[0] == cause
 
 
+TERMINAL = load_gsd(EXAMPLES.joinpath("terminal.gsd").read_bytes()).device
+PLUGGED = configure(TERMINAL, ["8 DO", "8 DI", "4 AI"])
+SECOND = 10**9
+
+
+def of_terminal(refusal: str, real: str, **more: Any) -> tuple[Likely, ...]:
+    """The causes for a terminal that refuses with the diagnosis ``refusal`` and has the identifier octets ``real``."""
+    setup = SlaveParams(
+        address=8, name="io", ident=0x1234, config=PLUGGED.config, user_prm=PLUGGED.user_prm().octets()
+    )  # fmt: skip
+    steps = (diag("02 05 00 FF 12 34"), PRM, CFG, diag(refusal))
+    given = {"history": History((BringUp(steps),), idents=(0x1234,))} | more
+    evidence = dataclasses.replace(
+        EMPTY,
+        setup=setup,
+        state=SlaveState.FAULT,
+        device=TERMINAL,
+        modules=PLUGGED.modules,
+        expected_prm=setup.user_prm,
+        config=bytes.fromhex(real),
+        **given,
+    )
+    return tell(evidence).causes
+
+
+def test_a_module_cause_says_the_modules_to_write() -> None:
+    wrong = of_terminal("06 05 00 FF 12 34", "20 20 43 43 01 02 03")[0]
+    assert wrong.cause == "module_type"
+    assert wrong.speaks_for[1] == "Slot 2: the configuration has 8 DI (10), the slave has 8 DO (20)."
+    assert wrong.next.endswith('slot by slot; the station as it is: modules = ["8 DO", "8 DO", "4 AI"]')
+
+
+def test_prm_fault_with_other_modules_is_the_modules_and_not_the_parameters() -> None:
+    causes = of_terminal("42 05 00 FF 12 34", "20 43 43 01 02 03")
+    assert causes[0].cause == "module_missing"
+    assert all(one.confidence <= 0.5 for one in causes if one.cause == "user_parameter")
+    assert "Prm_Fault" in causes[0].speaks_for[0]
+    same = of_terminal("42 05 00 FF 12 34", PLUGGED.config.hex())
+    assert same[0].cause == "user_parameter"
+
+
+def test_restarts_before_a_refusal_do_not_hide_it() -> None:
+    """A person switches a station off and on to change a module."""
+    losses = tuple(Loss(t * SECOND, SECOND, "nothing", (t + 4) * SECOND, True, True) for t in (10, 60))
+    causes = of_terminal(
+        "06 05 00 FF 12 34",
+        "20 20 43 43 01 02 03",
+        history=History(
+            (BringUp((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 FF 12 34"))),), losses, 2, 2, (0x1234,)
+        ),
+    )
+    assert [one.cause for one in causes] == ["module_type", "reboots"]
+    assert causes[1].confidence <= 0.4
+
+
+@pytest.mark.parametrize(("since_s", "cause"), [(1, "reboots"), (200, "healthy")])
+def test_a_slave_that_has_run_for_long_since_its_restarts_is_healthy(since_s: int, cause: str) -> None:
+    losses = tuple(Loss(t * SECOND, SECOND, "nothing", (t + 4) * SECOND, True, True) for t in (10, 60))
+    data = Step(65 * SECOND, "Data_Exchange", b"\x00", "DL", b"\x00")
+    up = BringUp((diag("02 05 00 FF 12 34"), PRM, CFG, data), exchanging_ns=65 * SECOND)
+    now = (65 + since_s) * SECOND
+    more = {"state": SlaveState.DATA_EXCHANGE, "now_ns": now, "exchanged_ns": now}
+    assert first(history=History((up,), losses, 2, 3, (0x1234,)), **more)[0] == cause
+
+
+def test_two_devices_in_each_others_place_have_wrong_addresses() -> None:
+    there = Neighbour(20, "io", SlaveState.FAULT, 0x10D5, StationStats(requests=9, answers=9), found_ident=0x1234)
+    history = History((BringUp((diag("02 05 00 FF 10 D5"),)),), idents=(0x10D5,))
+    story = tell(dataclasses.replace(EMPTY, state=SlaveState.FAULT, history=history, neighbours=(there,), config=b"0"))
+    assert story.first.cause == "wrong_address"
+    assert story.first.next == "exchange the addresses 8 and 20 (io)"
+    assert [one.cause for one in story.causes] == ["wrong_address", "ident"]
+    assert story.causes[1].confidence <= 0.6
+
+
+def test_a_station_that_nobody_has_configured_is_named_where_a_slave_is_missing() -> None:
+    silent = Step(1, "Slave_Diag", b"", "nothing", times=40)
+    story = tell(dataclasses.replace(EMPTY, history=History((BringUp((silent,)),)), unknown=frozenset({22})))
+    assert story.first.cause == "not_there"
+    assert (
+        "Address 22 answers, and no slave is configured there: has the device that address?" in story.first.speaks_for
+    )
+    assert story.first.next.startswith("read address 22 with `dpstack diag`")
+
+
 def test_nobody_answers_is_one_group_and_an_ident_elsewhere_is_the_address() -> None:
     silent = Step(1, "Slave_Diag", b"", "nothing", times=40)
     other = Neighbour(3, "hoist", SlaveState.DATA_EXCHANGE, 0x0696, StationStats(requests=900, answers=900))
@@ -159,6 +247,7 @@ HISTORIES = st.builds(
 )
 STATES = st.sampled_from(tuple(SlaveState))
 FAULTS = st.none() | st.builds(Fault, st.sampled_from(tuple(FaultKind)), st.text(max_size=9), st.text(max_size=9))
+IDENTS = st.none() | st.integers(0, 9)
 FOUND = st.builds(
     Found, address=st.integers(0, 126), kind=st.sampled_from(tuple(StationType)), ident=st.none() | st.integers(0, 9)
 )
@@ -191,7 +280,15 @@ EVIDENCE = st.builds(
     history=HISTORIES,
     link=STATS,
     neighbours=st.lists(
-        st.builds(Neighbour, st.integers(0, 125), st.text(max_size=4), STATES, st.none() | st.integers(0, 9), STATS),
+        st.builds(
+            Neighbour,
+            st.integers(0, 125),
+            st.text(max_size=4),
+            STATES,
+            st.none() | st.integers(0, 9),
+            STATS,
+            st.none() | st.integers(0, 9),
+        ),
         max_size=3,
     ).map(tuple),
     watchdog_ns=TIMES,
@@ -200,6 +297,7 @@ EVIDENCE = st.builds(
     found=st.none() | st.lists(FOUND, max_size=3).map(tuple),
     asked=st.lists(STEPS, max_size=2).map(tuple),
     read_only=st.booleans(),
+    unknown=st.frozensets(st.integers(0, 126), max_size=3),
 )
 
 

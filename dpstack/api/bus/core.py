@@ -29,7 +29,7 @@ from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.runtime import stopped_by
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.fdl.commands import DetachUser, GoOnline
-from dpstack.fdl.events import AddressCollision, RingJoined
+from dpstack.fdl.events import AddressCollision, RingJoined, StationFound
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.fdl.telegram import StationType
 from dpstack.sim.world import World
@@ -255,6 +255,8 @@ class BusCore(BusBase):
                     self._drives[address].publish_status()
                 case AddressCollision():
                     self.collision = event.text
+                case StationFound(address=address, kind=kind):
+                    (self.gap_slaves.add if kind is StationType.SLAVE else self.gap_slaves.discard)(address)
                 case ForcedClear():
                     self.forced_clear = event
                 case ModeChanged(mode=mode) if mode is not Mode.CLEAR:

@@ -49,6 +49,8 @@ class BusBase:
         self.started_ns = 0
         #: text of the address collision with another station; None: there was none
         self.collision: str | None = None
+        #: addresses of the slaves that GAP polls have found
+        self.gap_slaves: set[int] = set()
         #: the event of a Clear that the master went to by itself, until Operate is ordered
         self.forced_clear: ForcedClear | None = None
         self.services = Services(self.command, self.order, lambda: self.is_open)

@@ -137,7 +137,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
     bad = counters.decoder.by_cause()
     bad |= {f"uart_{cause}": count for cause, count in counters.damage.items() if count}
     neighbours = [
-        Neighbour(one.address, one.name, one.state, one.setup.ident, link.station(one.address))
+        Neighbour(one.address, one.name, one.state, one.setup.ident, link.station(one.address), _ident_there(one))
         for one in bus.slaves
         if one is not slave
     ]
@@ -159,6 +159,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
         modules=modules,
         expected_prm=expected,
         rates=slave.config.baud_rates,
+        unknown=frozenset(bus.gap_slaves - {one.address for one in bus.slaves}),
         read_only=view.read_only,
         asker=bus.params.address,
         ring=Ring(
@@ -186,6 +187,12 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
             paced=bus.runtime.paced,
         ),
     )
+
+
+def _ident_there(slave: Slave) -> int | None:
+    """The ident number of the device that answers at the address of ``slave``; None where nobody has answered."""
+    there = slave.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED)
+    return slave.diagnosis.ident if there and slave.diagnosis is not None else None
 
 
 async def _asked(bus: BusBase, slave: Slave, before: Evidence) -> Evidence:

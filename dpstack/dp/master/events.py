@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from dpstack.dp.master.commands import Mode
@@ -43,11 +43,15 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault of a slave: what happened (``message``, one line), and what to do (``remedy``)."""
+    """A fault of a slave: what happened (``message``, one line), and what to do (``remedy``).
+
+    ``actual``: the identifier octets that the slave says to have, where they differ from the configuration; else empty.
+    """
 
     kind: FaultKind
     message: str
     remedy: str
+    actual: bytes = field(default=b"", repr=False)
 
     @property
     def text(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.dp.master.events import Fault, FaultKind
@@ -11,38 +11,66 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import SET_PRM_LEN
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import Failure
+from dpstack.gsd.identifiers import agree
+from dpstack.gsd.module_comparison import compare_modules
 from dpstack.text import octets_text
 from dpstack.units import baud_text
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CfgFault(Fault):
     """A fault that is complete with the difference between Chk_Cfg and the answer to Get_Cfg (:meth:`compared`).
 
-    ``config``: the octets of Chk_Cfg. ``remedy``: the advice if no difference is known; ``unanswered``: the advice if
-    the slave does not answer Get_Cfg. ``or_else`` follows the advice to correct a difference.
+    ``setup``: of the slave. ``remedy``: the advice if no difference is known; ``unanswered``: the advice if the slave
+    does not answer Get_Cfg. ``or_else`` follows the advice to correct a difference. ``perhaps``: a difference may be
+    the reason; without one the fault stays as it is.
     """
 
-    config: bytes
+    setup: SlaveParams = field(repr=False)
     unanswered: str = ""
     or_else: str = ""
+    perhaps: bool = False
 
     def compared(self, actual: bytes | None) -> Fault:
         """The fault with the ``actual`` octets of Get_Cfg, None where the slave gave none."""
-        difference, remedy = f"Chk_Cfg was {self.config.hex(' ')}", self.remedy
+        wanted = self.setup.config
+        differs = actual is not None and not agree(actual, wanted)
+        if self.perhaps and not differs:
+            return Fault(self.kind, self.message, self.remedy)
+        difference, remedy = f"Chk_Cfg {'is' if self.perhaps else 'was'} {wanted.hex(' ')}", self.remedy
         if actual is None:
             remedy = self.unanswered or remedy
-        elif actual == self.config:
+        elif actual == wanted:
             difference += ", although Get_Cfg names the same"
         else:
-            pairs = enumerate(zip(self.config, actual, strict=False))
-            at = next((i for i, (a, b) in pairs if a != b), min(len(self.config), len(actual)))
+            pairs = enumerate(zip(wanted, actual, strict=False))
+            at = next((i for i, (a, b) in pairs if a != b), min(len(wanted), len(actual)))
             difference += f", it has {actual.hex(' ')}: octet {at + 1} differs"
             config = actual.hex(" ").upper()
-            remedy = (
-                f'configure config = "{config}" (or its modules) or change the telegram set in the device{self.or_else}'
-            )
-        return Fault(self.kind, f"{self.message}: {difference}", remedy)
+            change = f'configure config = "{config}" (or its modules) or change the telegram set in the device'
+            remedy = self.remedy if self.perhaps else change + self.or_else
+        joint = ", and " if self.perhaps else ": "
+        fault = Fault(self.kind, f"{self.message}{joint}{difference}", remedy, (actual or b"") if differs else b"")
+        return with_modules(fault, self.setup)
+
+
+def with_modules(fault: Fault, setup: SlaveParams) -> Fault:
+    """``fault`` with the first slot that differs and the modules to change, by the names of the GSD file. (The bus
+    process has no GSD files: there the application calls it.)"""
+    if setup.texts is None or not fault.actual:
+        return fault
+    device, modules = setup.texts.device, setup.texts.modules
+    found = compare_modules(setup.config, fault.actual, device, modules, device.first_slot)
+    if not found.key:
+        return fault
+    head, _, rest = fault.message.partition(": ")
+    remedy = found.remedy
+    if fault.kind is FaultKind.NOT_READY:
+        remedy += f"; or {_LOOK}"
+    return Fault(fault.kind, f"{head}: {found.short}; {rest}", remedy, fault.actual)
+
+
+_LOOK: Final = "look at the device: it may wait for its own start-up or for modules"
 
 
 #: a remark: Set_Prm switched the watchdog on, the diagnosis says that it is off
@@ -139,15 +167,21 @@ def refusal(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:
 
 
 def prm_fault(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:
-    """Set_Prm refused. ``sent`` are the octets of Set_Prm."""
+    """Set_Prm refused. ``sent`` are the octets of Set_Prm.
+
+    Modules have parameters of their own, so a wrong module is a usual reason. Get_Cfg shows it where the configuration
+    has several octets.
+    """
     said = f", it adds {diagnosis.ext.hex(' ')}" if diagnosis.ext else ""
     user = sent[SET_PRM_LEN:].hex(" ") or "none"
     doubt = f"; {setup.prm_note}" if setup.prm_note else ""
-    return Fault(
-        FaultKind.PRM_FAULT,
-        f"refuses the parameters (Prm_Fault{said}): Set_Prm was {sent.hex(' ')}",
-        f"octets 5-6 are the ident, from octet 8 the user parameters ({user}): compare them with its GSD file{doubt}",
+    message = f"refuses the parameters (Prm_Fault{said}): Set_Prm was {sent.hex(' ')}"
+    remedy = (
+        f"octets 5-6 are the ident, from octet 8 the user parameters ({user}): compare them with its GSD file{doubt}"
     )
+    if len(sent) > SET_PRM_LEN and len(setup.config) > 1:
+        return CfgFault(FaultKind.PRM_FAULT, message, remedy, setup=setup, perhaps=True)
+    return Fault(FaultKind.PRM_FAULT, message, remedy)
 
 
 def cfg_fault(setup: SlaveParams) -> CfgFault:
@@ -156,20 +190,19 @@ def cfg_fault(setup: SlaveParams) -> CfgFault:
         FaultKind.CFG_FAULT,
         "refuses the configuration (Cfg_Fault)",
         "check the parameters that choose its telegram",
-        setup.config,
+        setup=setup,
         unanswered="compare config or telegram with its GSD file (it does not tell its own by Get_Cfg)",
     )
 
 
 def not_ready(setup: SlaveParams, seconds: float) -> CfgFault:
     """Accepts parameters and configuration, never gets ready."""
-    look = "look at the device: it may wait for its own start-up or for modules"
     return CfgFault(
         FaultKind.NOT_READY,
         f"accepted parameters and configuration but is not ready after {seconds:.0f} s (Station_Not_Ready)",
-        look,
-        setup.config,
-        or_else=f"; or {look}",
+        _LOOK,
+        setup=setup,
+        or_else=f"; or {_LOOK}",
     )
 
 
@@ -179,7 +212,7 @@ def not_taken(setup: SlaveParams) -> CfgFault:
         FaultKind.NOT_READY,
         "acknowledges parameters and configuration, and then wants parameters again (Prm_Req)",
         "check ident, config and user parameters with its GSD file; its watchdog may be too short for this bus",
-        setup.config,
+        setup=setup,
     )
 
 
@@ -198,7 +231,7 @@ def wrong_length(setup: SlaveParams, expected: int, got: int) -> CfgFault:
         FaultKind.WRONG_LENGTH,
         f"answers Data_Exchange with {octets_text(got)} instead of {expected}",
         "its real configuration differs from config or telegram here: compare both with its GSD file",
-        setup.config,
+        setup=setup,
     )
 
 
@@ -237,7 +270,7 @@ def cfg_silent(setup: SlaveParams) -> CfgFault:
         FaultKind.REFUSED,
         "does not acknowledge Chk_Cfg although it answers Slave_Diag",
         _DROPPED,
-        setup.config,
+        setup=setup,
     )
 
 

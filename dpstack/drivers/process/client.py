@@ -23,7 +23,8 @@ from typing import Final, TypeVar
 
 from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, ReparameteriseSlave
-from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveState, SlaveStateChanged
+from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveFaulted, SlaveState, SlaveStateChanged
+from dpstack.dp.master.fault_texts import with_modules
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
@@ -526,7 +527,7 @@ class ProcessRuntime:
                 return
             if news.bus is not None:
                 self._bus = news.bus
-            self._slaves |= news.slaves
+            self._slaves |= {address: self._with_modules(address, one) for address, one in news.slaves.items()}
             if self._silent_since:
                 if news.silence == self._silences:
                     events = [*self._end_silence(events), *events]
@@ -541,9 +542,17 @@ class ProcessRuntime:
 
     def _with_gsd_texts(self, event: Event) -> Event:
         """``event`` with the texts of its slave's GSD file, which the bus process does not have."""
-        if isinstance(event, SlaveDiagnosis | AlarmRaised) and (setup := self.setups.get(event.address)) is not None:
-            return worded(event, setup)
+        if isinstance(event, SlaveDiagnosis | SlaveFaulted | AlarmRaised):
+            setup = self.setups.get(event.address)
+            return event if setup is None else worded(event, setup)
         return event
+
+    def _with_modules(self, address: int, slave: SlaveSnapshot) -> SlaveSnapshot:
+        """``slave`` with the names of modules in its fault."""
+        setup = self.setups.get(address)
+        if slave.fault is None or setup is None or (fault := with_modules(slave.fault, setup)) is slave.fault:
+            return slave
+        return dataclasses.replace(slave, fault=fault)
 
     def _why_gone(self, code: int | None, last: News | None) -> DpError:
         self.cleared = last is not None and last.cleared
@@ -570,10 +579,12 @@ class ProcessRuntime:
         self._on_failure(error)
 
 
-def worded(event: SlaveDiagnosis | AlarmRaised, setup: SlaveParams) -> Event:
+def worded(event: SlaveDiagnosis | SlaveFaulted | AlarmRaised, setup: SlaveParams) -> Event:
     """``event`` of the slave with ``setup``, with the texts of its GSD file."""
     if setup.texts is None:
         return event
+    if isinstance(event, SlaveFaulted):
+        return dataclasses.replace(event, fault=with_modules(event.fault, setup))
     if isinstance(event, AlarmRaised):
         return dataclasses.replace(event, texts=texts_beside(event.diagnosis, event.alarm, setup.texts))
     return dataclasses.replace(event, texts=setup.block_texts(event.diagnosis))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from scripted_link import (
@@ -26,11 +29,18 @@ from scripted_link import (
     silent,
 )
 
-from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master import fault_texts
+from dpstack.dp.master.events import SlaveFaulted, SlaveState
 from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.drivers.process.client import worded
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Kind, StationType, Telegram
+from dpstack.gsd.configuration import configure
+from dpstack.gsd.parser import load_gsd
+
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
 
 def test_absent_slave_backs_off_is_told_once_and_the_other_goes_on() -> None:
@@ -182,6 +192,39 @@ def test_refusals_name_the_reason_and_are_retried_with_back_off(status: str, kin
     bus.slave.ready = DIAG_READY
     bus.run_long(11_000 * MS)
     assert bus.state(3) is SlaveState.DATA_EXCHANGE
+
+
+@pytest.mark.parametrize(
+    ("fault", "message", "remedy"),
+    [
+        (
+            fault_texts.cfg_fault,
+            "refuses the configuration (Cfg_Fault): slot 2 has 8 DO, the configuration 8 DI; Chk_Cfg was 20 10",
+            'plug 8 DI into slot 2; or, if the station is right, write modules = ["8 DO", "8 DO"]',
+        ),
+        (
+            lambda setup: fault_texts.not_ready(setup, 10),
+            "accepted parameters and configuration but is not ready after 10 s (Station_Not_Ready): slot 2 has 8 DO",
+            'write modules = ["8 DO", "8 DO"]; or look at the device: it may wait for its own start-up or for modules',
+        ),
+    ],
+)
+def test_a_difference_is_named_by_the_modules_of_the_gsd_file_in_either_process(
+    fault: Callable[[SlaveParams], fault_texts.CfgFault], message: str, remedy: str
+) -> None:
+    plugged = configure(load_gsd((EXAMPLES / "terminal.gsd").read_bytes()).device, ["8 DO", "8 DI"])
+    known = SlaveParams(address=3, name="io", ident=1, config=plugged.config, texts=plugged.texts())
+    there = dataclasses.replace(known, texts=None)  # the bus process has no GSD file
+    told = fault(known).compared(b"\x20\x20")
+    assert message in told.message
+    assert told.remedy.endswith(remedy)
+    bare = fault(there).compared(b"\x20\x20")
+    assert "change the telegram set in the device" in bare.remedy
+    assert fault_texts.with_modules(bare, known) == told
+    foreign = worded(SlaveFaulted(t_ns=1, address=3, name="io", fault=bare), known)
+    assert isinstance(foreign, SlaveFaulted)
+    assert foreign.fault == told
+    assert fault_texts.with_modules(fault(known).compared(None), known).actual == b""
 
 
 def test_fault_shown_in_one_diagnosis_only_is_kept() -> None:

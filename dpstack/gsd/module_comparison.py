@@ -5,6 +5,7 @@ Modules are told apart by the GSD file where there is one, otherwise by identifi
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from enum import Enum
 from dpstack.errors import ConfigError
 from dpstack.gsd.configuration import modules_of_config
 from dpstack.gsd.identifiers import Identifier, agree, parse_identifiers
-from dpstack.gsd.model import Device, Module
+from dpstack.gsd.model import Device, Module, folded
 
 
 class Difference(Enum):
@@ -36,6 +37,16 @@ class Part:
     at: int
 
     @property
+    def is_empty(self) -> bool:
+        """Whether it is the identifier octet of an empty slot."""
+        return not any(self.octets)
+
+    @property
+    def title(self) -> str:
+        """Its name, or that it is an empty slot; empty where the name is not known."""
+        return "no module" if self.is_empty and not self.name else self.name
+
+    @property
     def text(self) -> str:
         octets = self.octets.hex(" ").upper()
         return f"{self.name} ({octets})" if self.name else octets
@@ -45,7 +56,8 @@ class Part:
 class Comparison:
     """``slots``: the first slot that differs, and those that follow, with wanted and real module (None: none there).
 
-    ``octet``: the first octet that differs, from 1; 0 where none does.
+    ``octet``: the first octet that differs, from 1; 0 where none does. ``key``: the key ``modules`` of a configuration
+    that fits the slave; empty without a GSD file, and where the file does not name all of its modules one by one.
     """
 
     kind: Difference
@@ -53,6 +65,7 @@ class Comparison:
     octet: int = 0
     wanted: tuple[Part, ...] = ()
     real: tuple[Part, ...] = ()
+    key: str = ""
 
     @property
     def sentences(self) -> list[str]:
@@ -66,8 +79,29 @@ class Comparison:
             lines.append(f"{len(self.slots) - 4} more slots differ.")
         return lines
 
+    @property
+    def remedy(self) -> str:
+        """Both ways out: other modules in the station, or other ones in the configuration. Empty without ``key``."""
+        if not self.key:
+            return ""
+        plug = [f"{wanted.title} into slot {slot}" for slot, wanted, _ in self.slots if wanted is not None]
+        is_short = self.kind is Difference.TYPE and len(plug) == len(self.slots) <= 3
+        change = f"plug {', '.join(plug)}" if is_short else "plug the modules as they are configured"
+        return f"{change}; or, if the station is right, write {self.key}"
 
-def compare(
+    @property
+    def short(self) -> str:
+        """The first slot that differs in a few words, and how many more do; empty where none has a slot."""
+        if not self.slots:
+            return ""
+        slot, wanted, real = self.slots[0]
+        has, wants = ("no module" if one is None else one.title or one.text for one in (real, wanted))
+        rest = len(self.slots) - 1
+        more = f" ({rest} more {'slot differs' if rest == 1 else 'slots differ'})" if rest else ""
+        return f"slot {slot} has {has}, the configuration {wants}{more}"
+
+
+def compare_modules(
     wanted: bytes, real: bytes, device: Device | None = None, modules: Sequence[Module | None] = (), first_slot: int = 1
 ) -> Comparison:
     """Compare ``wanted`` (Chk_Cfg) with ``real`` (Get_Cfg). ``modules``: those that ``wanted`` was made of."""
@@ -86,7 +120,18 @@ def compare(
         for at, (one, other) in enumerate(pairs)
         if one is None or other is None or not _same(one, other)
     )
-    return Comparison(_kind(ours, theirs), slots, octet, tuple(ours), tuple(theirs))
+    return Comparison(_kind(ours, theirs), slots, octet, tuple(ours), tuple(theirs), _modules_key(theirs, device))
+
+
+def _modules_key(parts: Sequence[Part], device: Device | None) -> str:
+    """``modules = ["8 DO", ""]`` for ``parts``; empty where a name is missing, or is that of several modules."""
+    if device is None:
+        return ""
+    count = Counter(folded(module.name) for module in device.modules)
+    names = ["" if part.is_empty and not part.name else part.name for part in parts]
+    if any(count[folded(name)] != 1 for name, part in zip(names, parts, strict=True) if not part.is_empty or name):
+        return ""
+    return f"modules = {json.dumps(names, ensure_ascii=False)}"
 
 
 def _kind(ours: Sequence[Part], theirs: Sequence[Part]) -> Difference:
