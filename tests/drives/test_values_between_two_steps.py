@@ -164,7 +164,8 @@ def test_imo_a_long_response_is_read_whole() -> None:
 def test_fuji_refuses_a_speed_beyond_4000h(speed: float, reverse: str) -> None:
     bench = fuji("PPO3", "02 31 00 00", reverse=reverse)
     token = bench.order("speed", value=speed)
-    assert bench.text(token, "usage") == f"speed {speed:g} is outside -1..1: 100 % is F03 (maximum frequency)"
+    limit = "outside -1..1: 100 % is F03 (maximum frequency), 0.5 is 50 %"
+    assert bench.text(token, "usage") == f"speed {speed:g} is {limit}"
     assert bench.out()[6:] == "00 00"
     token = bench.order("frequency", value=90)
     assert "outside -1..1" in bench.text(token)

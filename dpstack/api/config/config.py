@@ -7,7 +7,9 @@ comes from the drive registry.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import difflib
 import hashlib
 import itertools
 import os
@@ -149,12 +151,22 @@ def load_config(path: str | Path) -> Config:
     return parse_config(text, str(path), file=Path(os.path.realpath(path)))
 
 
+def _toml_files(folder: Path) -> list[str]:
+    """The names of the first thousand files of ``folder`` that end in .toml; none where it cannot be read."""
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        return sorted(entry.name for entry in itertools.islice(entries, 1000) if entry.name.endswith(".toml"))
+    return []
+
+
 def read_text(path: str | Path, what: str) -> str:
     """The text of a TOML file; ``what``: the kind of file, for messages. Raises ConfigError, one line."""
     name = str(path)
     try:
         return read_file(path, MAX_OCTETS).decode("utf-8-sig")
     except FileNotFoundError:
+        near = difflib.get_close_matches(Path(path).name, _toml_files(Path(path).parent), 1)
+        if near:
+            raise ConfigError(f"{name}: there is no such file; did you mean {Path(path).with_name(near[0])}?") from None
         hint = " (see the README)" if what == "configuration file" else ""
         raise ConfigError(f"{name}: there is no such file; write one{hint} or correct the path") from None
     except IsADirectoryError:
@@ -316,7 +328,8 @@ def _rate_finding(slave: SlaveConfig, baud: int) -> str:
             f"{profile.name} finds no baud rate by itself and hears only {rates}, not {baud_text(baud)}: set it at the "
             f"drive and tell it by the option {option}, or take another rate"
         )
-    return f"{profile.name if profile else 'by its GSD file it'} does not know {baud_text(baud)}; take another rate"
+    rates = ", ".join(baud_text(rate) for rate in sorted(slave.baud_rates))
+    return f"{profile.name if profile else 'by its GSD file it'} does not know {baud_text(baud)}; it knows {rates}"
 
 
 def port_of(config: Config, baud: int, name: str | None = None) -> Port:

@@ -25,6 +25,7 @@ from dpstack.gsd.configuration import modules_of_config
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import Identifier
 from dpstack.gsd.model import Device, Module
+from dpstack.gsd.module_comparison import compare_modules
 from dpstack.profile import registry
 from dpstack.text import octets_text
 
@@ -309,7 +310,7 @@ def _findings(
     if ident is not None and ident != diagnosis.ident:
         yield f"is another device: ident 0x{diagnosis.ident:04X} instead of 0x{ident:04X} of the configuration"
     elif slave is not None and config is not None and config.octets != slave.params.config:
-        yield f"its configuration is another one: {_difference(slave.params.config, config.octets)}"
+        yield f"its configuration is another one: {_difference(slave, config.octets)}"
     told = texts if diagnosis.ext_diag else ()
     for flag in _conspicuous(diagnosis, exchanging=exchanging):
         if not (told and flag.name == "ext_diag"):  # the texts say it
@@ -325,9 +326,12 @@ def _conspicuous(diagnosis: Diagnosis, *, exchanging: bool) -> Iterator[Flag]:
             yield flag
 
 
-def _difference(wanted: bytes, real: bytes) -> str:
+def _difference(slave: SlaveConfig, real: bytes) -> str:
+    """The first slot and the first octet that differ from the configuration of ``slave``."""
+    wanted, texts = slave.params.config, slave.params.texts
+    modules, first_slot = ((), 1) if texts is None else (texts.modules, texts.first_slot)
+    slot = compare_modules(wanted, real, slave.device, modules, first_slot).short
     pairs = enumerate(zip(wanted, real, strict=False))
     at = next((number for number, (one, other) in pairs if one != other), min(len(wanted), len(real)))
-    return (
-        f"octet {at + 1} differs, {octets_text(len(real))} {real.hex(' ').upper()} instead of {wanted.hex(' ').upper()}"
-    )
+    octets = f"{octets_text(len(real))} {real.hex(' ').upper()} instead of {wanted.hex(' ').upper()}"
+    return f"{slot}{slot and '; '}octet {at + 1} differs, {octets}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import shlex
 from collections.abc import Mapping
 
 from dpstack.api.bus.events_json import Found
@@ -14,7 +15,7 @@ from dpstack.cli.commands import on_bus
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import run_to_result
-from dpstack.errors import UsageError
+from dpstack.errors import PortBusyError, UsageError
 from dpstack.units import baud_text
 
 
@@ -43,8 +44,13 @@ def execute(args: argparse.Namespace) -> int:
 
 
 async def _scan(args: argparse.Namespace) -> LiveListResult:
-    make_bus = on_bus.bus_maker(args, await on_bus.rate_of(args), read_only=True)
-    return await scan_port(make_bus, address=args.address, configs=args.config)
+    try:
+        make_bus = on_bus.bus_maker(args, await on_bus.rate_of(args), read_only=True)
+        return await scan_port(make_bus, address=args.address, configs=args.config)
+    except PortBusyError as error:
+        if "`dpstack run " not in str(error):
+            raise
+        raise PortBusyError(f"{error}; or let that run ask: dpstack ctl {shlex.quote(args.port)} scan") from None
 
 
 def _show(

@@ -70,7 +70,7 @@ class FujiCore(MappedCore[PcdMap]):
     def setpoint_word(self, fraction: float) -> int:
         """MRV. Raises ValueError beyond 4000h, the maximum frequency (manual, 7.2 and 8.2 (3))."""
         if not abs(fraction) <= 1:
-            raise ValueError(f"speed {fraction:g} is outside -1..1: 100 % is F03 (maximum frequency)")
+            raise ValueError(f"speed {fraction:g} is outside -1..1: 100 % is F03 (maximum frequency), 0.5 is 50 %")
         return self.scale.encode(abs(fraction) if self._by_bit else fraction)
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:

@@ -193,7 +193,7 @@ class LsCore(MappedCore[ParaMap]):
     def setpoint_word(self, fraction: float) -> int:
         """C000..4000 of dr-20, rpm, or 0.01 Hz without a sign."""
         if not abs(fraction) <= 1:
-            raise ValueError(f"speed {fraction:g} is outside -1..1: 100 % is dr-20 (maximum frequency)")
+            raise ValueError(f"speed {fraction:g} is outside -1..1: 100 % is dr-20 (maximum frequency), 0.5 is 50 %")
         if self._io and t.FREQUENCY not in self.outputs_map.entries:
             raise ValueError("0005 (frequency command) is not in para_control (COM-51..)")
         if self._profile == t.PROFIDRIVE:

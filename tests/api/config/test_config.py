@@ -266,6 +266,9 @@ def test_initial_outputs() -> None:
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nosuch.toml: there is no such file; "):
         load_config(tmp_path / "nosuch.toml")
+    (tmp_path / "motor.toml").write_text("")
+    with pytest.raises(ConfigError, match=r"motr.toml: there is no such file; did you mean .*motor.toml\?$"):
+        load_config(tmp_path / "motr.toml")
     with pytest.raises(ConfigError, match=r": is a directory; "):
         load_config(tmp_path)
     binary = tmp_path / "binary.toml"

@@ -30,9 +30,8 @@ def test_the_parameters_by_the_file() -> None:
     assert slave.params.texts is not None
     assert [found.text for found in slave.params.texts.unit_diag_texts(b"\x01")] == ["fuse blown"]
     assert rate_findings(found, 500_000) == []
-    assert rate_findings(found, 19_200) == [
-        "slave 8 (io): by its GSD file it does not know 19.2 kbit/s; take another rate"
-    ]
+    known = "it knows 9.6 kbit/s, 45.45 kbit/s, 500 kbit/s, 12 Mbit/s"
+    assert rate_findings(found, 19_200) == [f"slave 8 (io): by its GSD file it does not know 19.2 kbit/s; {known}"]
 
 
 def test_both_readings_and_the_note() -> None:

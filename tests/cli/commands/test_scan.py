@@ -23,6 +23,7 @@ from dpstack.api.config.config import load_config
 from dpstack.cli.commands import on_bus
 from dpstack.cli.main import main
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.errors import PortBusyError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
@@ -148,6 +149,18 @@ def test_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[0] == "3 stations at 500 kbit/s, asked by 7"
     assert lines[1].split() == ["address", "type", "ident", "state", "master", "device"]
     assert lines[2].split()[:5] == ["3", "slave", "0x0696", "wait_prm", "Demag"]
+
+
+@pytest.mark.parametrize(("holder", "says"), [("run plant.toml", True), ("sim plant.toml", False)])
+def test_a_run_that_holds_the_port_can_be_asked(
+    holder: str, says: bool, cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def held(*_: object, **__: object) -> None:
+        raise PortBusyError(f"/dev/ttyX is held by `dpstack {holder}` (pid 7): end that program or take another port")
+
+    monkeypatch.setattr("dpstack.cli.commands.scan.scan_port", held)
+    text = cli.err("scan", "--port", "/dev/ttyX", "--baud", "500000", code=1)
+    assert text.rstrip().endswith("; or let that run ask: dpstack ctl /dev/ttyX scan") is says
 
 
 def test_nobody(tmp_path: Path, start: Starter, capsys: pytest.CaptureFixture[str]) -> None:

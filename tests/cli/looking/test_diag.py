@@ -176,7 +176,8 @@ def test_findings(field_bus: Field, plant: Path, cli: Cli, diagnosis: str, text:
 def test_another_rack(field_bus: Field, plant: Path, cli: Cli) -> None:
     field_bus.station.services |= {60: bytes.fromhex("00 0C 00 06 10D5"), 59: b"\x51\x10\x99"}
     out = cli.out("diag", str(plant), "8", code=1)
-    assert "finding: its configuration is another one: octet 1 differs, 3 octets 51 10 99 instead of 10 51" in out
+    slot = "slot 1 has 2 AI, the configuration 8 DI (2 more slots differ)"
+    assert f"finding: its configuration is another one: {slot}; octet 1 differs, 3 octets 51 10 99 instead of" in out
     assert "  identifier 1  51  4 octets in" in out
     field_bus.station.services[59] = b"\x51\x10"
     assert "  slot 1  2 AI  51  4 octets in" in cli.out("diag", str(plant), "8", code=1)
