@@ -21,12 +21,13 @@ from dpstack.why.story import HEALTHY, story_lines
 
 def add_to(parser: Parser) -> None:
     parser.epilog = (
-        "example: dpstack why plant.toml valves\n"
+        "examples: dpstack why plant.toml valves\n"
+        "          dpstack why plant.toml\n"
         "It asks through the run that holds the port, otherwise as a class 2 master beside the others. It never "
         "parameterises."
     )
     parser.value("config", "CONFIG", "configuration file")
-    parser.value("slave", "NAME", "the slave, by its name or address there")
+    parser.value("slave", "NAME", "the slave, by its name or address there; left out: every slave", nargs="?")
     parser.value(
         "--address",
         "A",
@@ -38,16 +39,21 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 unless the slave is healthy."""
+    """Exit code 1 unless all slaves asked are healthy. Without NAME a healthy slave has one line."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
-    slave = on_bus.slave_of(config, args.slave)
-    story = run_to_result(_ask(config, slave, args.address), "the slave was asked")
-    if args.json:
-        output.json_line(story)
-    else:
-        for line in story_lines(story, columns()):
-            output.line(line)
-    return 0 if story["causes"][0]["cause"] == HEALTHY else 1
+    slaves = config.slaves if args.slave is None else (on_bus.slave_of(config, args.slave),)
+    healthy = True
+    for slave in slaves:
+        story = run_to_result(_ask(config, slave, args.address), "the slave was asked")
+        is_healthy = story["causes"][0]["cause"] == HEALTHY
+        healthy = healthy and is_healthy
+        if args.json:
+            output.json_line(story)
+            continue
+        lines = story_lines(story, columns())
+        for line in lines[:1] if is_healthy and args.slave is None else lines:
+            output.line(line + (", healthy" if is_healthy and args.slave is None else ""))
+    return 0 if healthy else 1
 
 
 async def _ask(config: Config, slave: SlaveConfig, address: int | None) -> Mapping[str, Any]:

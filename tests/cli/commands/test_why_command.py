@@ -94,6 +94,20 @@ def test_beside_its_own_master(tmp_path: Path, cli: Cli, monkeypatch: pytest.Mon
     assert there.is_undisturbed()
 
 
+def test_without_a_name_every_slave_is_asked(tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = field(monkeypatch)
+    path = Path(plant(tmp_path, 2))
+    gone = '\n[[slave]]\nname = "gone"\naddress = 9\nident = 0x1234\nconfig = "20 10"\n'
+    path.write_text(path.read_text() + gone, encoding="utf-8")
+    first, *rest = cli.out("why", str(path), code=1).splitlines()
+    assert first == "slave 8 (rig): data_exchange, seen by a class 2 master beside it, healthy"
+    assert rest[0] == "slave 9 (gone): offline, seen by a class 2 master beside it"
+    assert "not_there" in " ".join(rest)
+    assert there.is_undisturbed()
+    path.write_text(PLANT.replace("MASTER", "2"), encoding="utf-8")
+    assert cli.out("why", str(path)).count("\n") == 1
+
+
 def test_a_slave_of_another_master_is_locked(tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     there = field(monkeypatch)
     out = cli.out("why", plant(tmp_path, 1), "8", code=1)
