@@ -14,6 +14,7 @@ from property_kit import examples
 from dpstack.dp.master.bring_ups import BringUp, History, Loss, Step
 from dpstack.dp.master.events import Fault, FaultKind, SlaveState
 from dpstack.dp.master.scanner import Found
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import StationStats
 from dpstack.fdl.telegram import StationType
@@ -112,9 +113,8 @@ SECOND = 10**9
 
 def of_terminal(refusal: str, real: str, **more: Any) -> tuple[Likely, ...]:
     """The causes for a terminal that refuses with the diagnosis ``refusal`` and has the identifier octets ``real``."""
-    setup = SlaveParams(
-        address=8, name="io", ident=0x1234, config=PLUGGED.config, user_prm=PLUGGED.user_prm().octets()
-    )  # fmt: skip
+    octets = PLUGGED.user_prm().octets()
+    setup = SlaveParams(address=8, name="io", ident=0x1234, config=PLUGGED.config, user_prm=octets, dpv1=Dpv1())
     steps = (diag("02 05 00 FF 12 34"), PRM, CFG, diag(refusal))
     given = {"history": History((BringUp(steps),), idents=(0x1234,))} | more
     evidence = dataclasses.replace(
