@@ -2,8 +2,10 @@
 
 ::
 
+    from dpstack.logs import JsonFormatter
+
     handler = logging.StreamHandler()
-    handler.setFormatter(dpstack.logs.JsonFormatter())
+    handler.setFormatter(JsonFormatter())
     logging.basicConfig(level=logging.INFO, handlers=[handler])
 """
 

@@ -2,8 +2,8 @@
 
 ::
 
-    async with dpstack.slave.serve_slave("/dev/ttyUSB0", valves, address=5) as server:
-        await server.until(lambda: valves.exchanging)
+    async with dpstack.slave.serve_slave(valves, port="/dev/ttyUSB0", baud=500_000, address=5) as server:
+        await server.serve_forever()
 
 docs/how-to/slave.md is the guide. The events of a slave application are given to its ``on_event``.
 """
