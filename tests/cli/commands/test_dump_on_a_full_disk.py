@@ -11,6 +11,7 @@ from cli_kit import SIMULATED, Cli
 from programs import plant_of
 
 
+@pytest.mark.usefixtures("virtual_time")
 def test_all_is_read_and_there_is_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli) -> None:
     config = plant_of(tmp_path)
     there, link = tmp_path / "disk" / "h.toml", tmp_path / "link.toml"
