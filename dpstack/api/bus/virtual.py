@@ -10,6 +10,7 @@ from dpstack.api.config.config import AUTO, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.drivers.virtual import loop
+from dpstack.errors import UsageError
 from dpstack.params import BusParams
 from dpstack.sim.io_station import IoStation
 from dpstack.sim.world import World
@@ -23,6 +24,8 @@ def run_virtual(program: Coroutine[object, object, T], *, paced: bool = False) -
     """Like ``asyncio.run``, but in virtual time: exact, deterministic, and as fast as this computer can. Buses need
     ``port="virtual"``. ``paced``: not faster than real time. Raises UsageError inside a running event loop.
     """
+    if not isinstance(program, Coroutine):
+        raise UsageError(f"run_virtual({program!r}) takes a coroutine: write run_virtual(main()), with the brackets")
     return loop.run(program, paced=paced)
 
 

@@ -138,3 +138,9 @@ async def test_a_wait_in_vain_says_what_it_waited_for() -> None:
             dpstack.SlaveTimeout, match=r"slave 8 \(tank\): not in offline after 0.1 s: its state is data_ex"
         ):
             await bus.slave("tank").wait_state(dpstack.SlaveState.OFFLINE, timeout=0.1)
+
+
+def test_run_virtual_takes_a_coroutine() -> None:
+    main: Any = _outcome
+    with pytest.raises(dpstack.UsageError, match=r"takes a coroutine: write run_virtual\(main\(\)\)"):
+        dpstack.run_virtual(main)
