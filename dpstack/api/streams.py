@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import time
 import weakref
 from collections import deque
@@ -13,6 +14,7 @@ from typing import Final, Self, TypeVar
 
 from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
 from dpstack.drivers.snapshots import View
+from dpstack.text import printable
 from dpstack.trace import Event, Severity
 from dpstack.units import ns_to_s
 
@@ -128,6 +130,21 @@ class WallClock:
             if self._virtual():
                 self._offset_ns = offset_ns
         return t_ns + offset_ns
+
+
+#: of remarks about the end of a program
+ROOT: Final = logging.getLogger("dpstack")
+ROOT.addHandler(logging.NullHandler())  # a program that has not configured logging gets nothing printed
+LEVELS: Final = {
+    Severity.INFO: logging.INFO,
+    Severity.WARNING: logging.WARNING,
+    Severity.ERROR: logging.ERROR,
+}
+
+
+def logger_below(branch: str, name: str) -> str:
+    """The logger of the slave ``name`` below ``dpstack.BRANCH``: one level of the tree, so a dot becomes "_"."""
+    return f"dpstack.{branch}.{printable(name).replace('.', '_')}"
 
 
 def call_on_event(on_event: OnEvent | None, event: Event) -> None:

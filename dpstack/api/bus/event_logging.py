@@ -11,20 +11,12 @@ from collections.abc import Callable
 from typing import Final
 
 from dpstack.api.bus.events_json import event_json
+from dpstack.api.streams import LEVELS, ROOT, logger_below
 from dpstack.dp.master.events import SlaveEvent
-from dpstack.text import printable
-from dpstack.trace import Event, Severity
+from dpstack.trace import Event
 from dpstack.units import ns_to_s
 
-#: of remarks about the end of a program
-ROOT: Final = logging.getLogger("dpstack")
-ROOT.addHandler(logging.NullHandler())  # a program that has not configured logging gets nothing printed
 _BUS: Final = logging.getLogger("dpstack.bus")
-_LEVELS: Final = {
-    Severity.INFO: logging.INFO,
-    Severity.WARNING: logging.WARNING,
-    Severity.ERROR: logging.ERROR,
-}
 
 
 class EventLogging:
@@ -36,7 +28,7 @@ class EventLogging:
 
     def __call__(self, event: Event) -> None:
         logger = self._of_slave(event.name) if isinstance(event, SlaveEvent) else _BUS
-        level = _LEVELS[event.severity]
+        level = LEVELS[event.severity]
         if not logger.isEnabledFor(level):
             return
         started_ns, port = self._origin()
@@ -53,8 +45,8 @@ class EventLogging:
 
 
 def slave_logger_name(name: str) -> str:
-    """The logger of the slave ``name``: one level of the tree, so a dot becomes "_"."""
-    return f"dpstack.slave.{printable(name).replace('.', '_')}"
+    """The logger of the slave ``name`` of a bus."""
+    return logger_below("slave", name)
 
 
 def log_or_print(level: int, text: str) -> None:

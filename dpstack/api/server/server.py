@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar, Unpack
+from typing import Final, TypeVar, Unpack
 
 from dpstack.api.gsd_info import read_gsd
-from dpstack.api.streams import OnEvent, Waiters, WallClock, call_on_event
+from dpstack.api.server.virtual_bench import sim_event_json
+from dpstack.api.streams import LEVELS, OnEvent, Waiters, WallClock, call_on_event, logger_below
 from dpstack.argcheck import Sealed, octets, whole_number
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status, module_status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
+from dpstack.dp.slave.events import SlaveAppEvent
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import DataTransport, ReadReq
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, Raised
@@ -41,7 +44,7 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.ports import open_port
 from dpstack.sim.world import World
 from dpstack.trace import Event
-from dpstack.units import baud_text
+from dpstack.units import baud_text, ns_to_s
 
 T = TypeVar("T")
 
@@ -349,8 +352,14 @@ def _hint(raised: Raised) -> str:
     return "its master has not fetched it: others are before it, or the master does not heed diagnosis messages"
 
 
+#: events of a port with served slaves
+_SERVED: Final = logging.getLogger("dpstack.served")
+
+
 class SlaveServer(Sealed):
     """Serves slaves as stations behind one port (or in ``world``). A context manager (``async with``).
+
+    Its events go to ``on_event``, and to the loggers ``dpstack.served.NAME`` (docs/how-to/service.md#logs).
 
     Leaving sets all outputs to their safe values. Raises ConfigError; PortError on entering.
     """
@@ -392,6 +401,7 @@ class SlaveServer(Sealed):
             ServedSlave(device, at, fixed, params, patience, self._waiters) for at, device in slaves.items()
         )
         self._runtimes: list[Runtime] = []
+        self._begun_ns = 0
         if opened is not None:
             line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
             runtime: Runtime = AsyncioRuntime(opened, line, self._on_events, on_failure=self._failed)
@@ -428,6 +438,7 @@ class SlaveServer(Sealed):
         await self._waiters.until(self._over, None)
 
     async def __aenter__(self) -> SlaveServer:
+        self._begun_ns = self._runtimes[0].now()
         for runtime in self._runtimes:
             await runtime.open()
         return self
@@ -445,7 +456,18 @@ class SlaveServer(Sealed):
     def _on_events(self, events: list[Event]) -> None:
         self._waiters.check()
         for event in events:
-            call_on_event(self.on_event, self._clock.stamped(event))
+            stamped = self._clock.stamped(event)
+            self._log(stamped)
+            call_on_event(self.on_event, stamped)
+
+    def _log(self, event: Event) -> None:
+        """A record of ``logging``, as those of a bus (dpstack/api/bus/event_logging.py)."""
+        logger = logging.getLogger(logger_below("served", event.name)) if isinstance(event, SlaveAppEvent) else _SERVED
+        level = LEVELS[event.severity]
+        if logger.isEnabledFor(level):
+            fields = sim_event_json(event, ns_to_s(event.t_ns - self._begun_ns))
+            fields.pop("text", None)
+            logger.log(level, "%s", event.text, extra={"dpstack": {**fields, "port": self.port_name}})
 
     def _make_safe(self, why: BusError) -> None:
         for slave in self.slaves:

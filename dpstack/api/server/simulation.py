@@ -9,10 +9,9 @@ from functools import partial
 from typing import Final, Literal
 
 from dpstack.api.config.config import AUTO, ECHO, Config, port_of, rate_findings
-from dpstack.api.server.virtual_bench import Bench, Injected, ScenarioEvent, SimulatedSlave, rates_of, set_rate
+from dpstack.api.server.virtual_bench import Bench, SimulatedSlave, rates_of, set_rate, sim_event_json
 from dpstack.api.streams import OnEvent, WallClock, call_on_event
 from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
-from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.rate import settle_ns_of
@@ -224,17 +223,3 @@ def _common_rates(config: Config) -> Sequence[int]:
     if not rates:
         raise ConfigError("the slaves have no baud rate in common: simulate them on ports of their own")
     return rates
-
-
-def sim_event_json(event: Event, t: float) -> dict[str, object]:
-    """The JSON line of a simulation's ``event`` at ``t`` seconds."""
-    if isinstance(event, (Injected, ScenarioEvent)):
-        return event.as_dict(t)
-    line: dict[str, object] = {"event": "notice", "t": round(t, 6)}
-    if isinstance(event, SlaveAppEvent):
-        line |= {"address": event.address, "name": event.name}
-    if isinstance(event, PortBaudChanged):
-        return line | {"event": "baud", "state": event.state.value, "baud": event.baud}
-    if isinstance(event, SlaveAppStateChanged):
-        return line | {"event": "slave", "state": event.state.value, "master": event.master, "why": event.why.value}
-    return line | {"text": event.text}

@@ -11,7 +11,8 @@ from functools import partial
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.process_data import Field, Value
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.auto_baud import SearchingSlave
+from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingSlave
+from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.loopback_device import HeldInputs, MirrorDevice, mirror_of
@@ -83,6 +84,20 @@ class ScenarioEvent(Event):
         if self.address is not None:
             line |= {"address": self.address, "name": self.name, "do": self.do, "for": self.lasts_s}
         return {**line, "text": self.text}
+
+
+def sim_event_json(event: Event, t: float) -> dict[str, object]:
+    """The JSON line of the ``event`` of a simulation or of a served slave at ``t`` seconds."""
+    if isinstance(event, (Injected, ScenarioEvent)):
+        return event.as_dict(t)
+    line: dict[str, object] = {"event": "notice", "t": round(t, 6)}
+    if isinstance(event, SlaveAppEvent):
+        line |= {"address": event.address, "name": event.name}
+    if isinstance(event, PortBaudChanged):
+        return line | {"event": "baud", "state": event.state.value, "baud": event.baud}
+    if isinstance(event, SlaveAppStateChanged):
+        return line | {"event": "slave", "state": event.state.value, "master": event.master, "why": event.why.value}
+    return line | {"text": event.text}
 
 
 def device_of(slave: SlaveConfig, held: HeldInputs | None = None) -> Device:

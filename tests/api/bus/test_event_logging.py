@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import logging
@@ -16,6 +17,7 @@ from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.event_logging import EventLogging, log_or_print, slave_logger_name
 from dpstack.dp.master.events import SlaveRemark
 from dpstack.logs import JsonFormatter
+from dpstack.slave import DpSlave, SlaveDescription, serve_slave
 from dpstack.trace import Event, Notice, Severity
 
 ESC = "\x1b[2J"
@@ -77,6 +79,38 @@ def test_the_events_of_a_bus_are_records(lines: list[dict[str, Any]]) -> None:
     }
     assert exchange["time"].endswith("Z")
     assert 0 < exchange["t"] < 2
+
+
+def test_the_events_of_a_served_slave_are_records(lines: list[dict[str, Any]]) -> None:
+    """In a branch of their own: the master in the same program has a slave of this name, too."""
+    description = SlaveDescription.simple(0x4711, inputs=1, outputs=1, name="tank.no.1")
+    tank = DpSlave(description, lambda outputs, _: outputs)
+    world = dpstack.World()
+    events: list[Event] = []
+
+    async def program() -> None:
+        async with serve_slave(tank, world=world, address=9, on_event=events.append):
+            async with dpstack.open_bus(world=world, baud=500_000, slaves=[description.table(9)]) as bus:
+                await bus.ready()
+            await asyncio.sleep(2)
+
+    dpstack.run_virtual(program())
+    served = [line for line in lines if line["logger"].startswith("dpstack.served")]
+    assert [line["text"] for line in served] == [event.text for event in events]
+    assert {line["logger"] for line in served} == {"dpstack.served.tank_no_1"}
+    (exchange,) = [line for line in served if line.get("state") == "data_exchange"]
+    assert {key: exchange[key] for key in exchange if key not in ("time", "t")} == {
+        "level": "info",
+        "logger": "dpstack.served.tank_no_1",
+        "text": events[[event.text for event in events].index(exchange["text"])].text,
+        "event": "slave",
+        "address": 9,
+        "name": "tank.no.1",
+        "state": "data_exchange",
+        "master": 2,
+        "why": exchange["why"],
+        "port": "virtual",
+    }
 
 
 def notice(severity: Severity, text: str = "x") -> Notice:
