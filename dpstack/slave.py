@@ -25,6 +25,7 @@ from dpstack.dp.slave.events import (
 from dpstack.dpv1.pdu.im import Im0, Im1, Im2, Im3, Im4
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
+from dpstack.dpv1.slave.description_to_gsd import gsd_octets
 from dpstack.dpv1.slave.device import AlarmAcknowledged
 from dpstack.dpv1.slave.resource_manager import ConnectionClosed, ConnectionOpened
 from dpstack.dpv1.slave.user_slave import DpSlave
@@ -65,6 +66,7 @@ __all__ = [
     "WatchdogExpired",
     "channel_block",
     "device_block",
+    "gsd_octets",
     "identifier_block",
     "revision_block",
     "serve_slave",

@@ -11,11 +11,18 @@ import tempfile
 from pathlib import Path
 
 import dpstack
-from dpstack.dpv1.slave.description_to_gsd import gsd_octets
 from dpstack.events import SlaveDiagnosis
-from dpstack.gsd.model import DiagText
+from dpstack.gsd import DiagText
 from dpstack.slave import (
+    AddressChanged,
+    AlarmAcknowledged,
+    BaudStateChanged,
+    ConnectionClosed,
+    ConnectionOpened,
+    DeviceFailed,
     DpSlave,
+    PortBaudChanged,
+    RequestRefused,
     SlaveAppEvent,
     SlaveAppState,
     SlaveAppStateChanged,
@@ -23,6 +30,7 @@ from dpstack.slave import (
     UserDiag,
     WatchdogExpired,
     channel_block,
+    gsd_octets,
 )
 
 BAUD, ADDRESS = 500_000, 9
@@ -62,13 +70,26 @@ class Mixer:
 
 
 def tell(event: dpstack.Event) -> None:
+    """A case for every event of a served slave; this one has no alarms, and neither searches a rate nor class 2."""
     match event:
         case SlaveAppStateChanged(state=SlaveAppState.DATA_EXCH, master=master):
             print(f"mixer: in data exchange with master {master}")
         case WatchdogExpired():
             print("mixer: the PLC is silent, the motor is off")
+        case RequestRefused(service=service, master=master, reason=reason):
+            print(f"mixer: {service} of master {master} does not fit: {reason}")
+        case DeviceFailed(error=error, origin=origin):
+            print(f"mixer: repair the program: {error} {origin}")
+        case AddressChanged(address=address, master=master):
+            print(f"mixer: master {master} gave it the address {address}")
+        case AlarmAcknowledged(alarm=alarm):
+            print(f"mixer: the PLC has seen the {alarm.text}")
+        case BaudStateChanged(baud=baud) | PortBaudChanged(baud=baud):
+            print(f"mixer: {'looks for the rate' if baud is None else f'the bus runs at {baud} bit/s'}")
+        case ConnectionOpened(master=master) | ConnectionClosed(master=master):
+            print(f"mixer: {event.text}")
         case SlaveAppEvent():
-            pass  # the other states, refused requests: event.text has them in words
+            pass  # the other states: event.text has them in words
 
 
 def write_gsd(path: Path) -> None:

@@ -35,13 +35,14 @@ if TYPE_CHECKING:
     from dpstack.gsd.check import check
     from dpstack.gsd.configuration import Configuration, configuration_like, configure, plug
     from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
-    from dpstack.gsd.model import Device, Diagnostic, DpV1, GsdFile, Module, Parameter, Slot, Speed
+    from dpstack.gsd.model import Device, Diagnostic, DiagText, DpV1, GsdFile, Module, Parameter, Slot, Speed
     from dpstack.gsd.parser import load_gsd, parse_gsd
     from dpstack.gsd.prm import Reading, UserPrm
 
 __all__ = [
     "Configuration",
     "Device",
+    "DiagText",
     "Diagnostic",
     "DpV1",
     "GsdFile",
@@ -67,7 +68,7 @@ _PLACES: Final = """
 check check
 configuration Configuration configuration_like configure plug
 identifiers Identifier io_lengths parse_identifiers
-model Device Diagnostic DpV1 GsdFile Module Parameter Slot Speed
+model Device DiagText Diagnostic DpV1 GsdFile Module Parameter Slot Speed
 parser load_gsd parse_gsd
 prm Reading UserPrm
 """

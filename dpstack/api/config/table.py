@@ -99,7 +99,9 @@ class Table:
             if source.lines is None:  # of a program
                 todo = "give a mapping of its keys, {'name': 'fan', 'address': 4, ...} for instance"
             raise source.error(path, f"{title} must be a table", todo)
-        self._data: dict[str, object] = {str(key): value for key, value in data.items()}
+        self._data: dict[str, object] = {
+            str(key): list(value) if type(value) is tuple else value for key, value in data.items()
+        }
 
     def fail(self, key: str | None, what: str, todo: str) -> NoReturn:
         """Raises ConfigError at ``key``, or at the table."""

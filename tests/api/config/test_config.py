@@ -17,6 +17,7 @@ from dpstack.drivers.line.echo import Echo
 from dpstack.errors import ConfigError
 from dpstack.units import NS_PER_US
 
+TERMINAL = Path(__file__).resolve().parents[3] / "examples" / "terminal.gsd"
 BUS = '[bus]\nport = "/dev/ttyX"\nbaud = 500000\n'
 RAW = '[[slave]]\nname = "raw"\naddress = 9\nident = 0x1234\nconfig = "20 10"\n'
 DRIVE = '[[slave]]\nname = "hoist"\naddress = 3\ndrive = "demag-dedrive"\n'
@@ -340,3 +341,11 @@ def test_a_rate_that_is_found_by_listening() -> None:
         _ = config.baud
     assert config.with_bus(baud=19_200).baud == 19_200
     assert config.with_bus(address=7).bus.baud == "auto"
+
+
+def test_a_program_may_give_tuples_where_a_file_has_lists() -> None:
+    slave = {"address": 5, "gsd": str(TERMINAL), "modules": ("8 DO", "8 DI"), "groups": (1, 2)}
+    lists = {key: list(value) if isinstance(value, tuple) else value for key, value in slave.items()}
+    made = [dpstack.open_bus(port="virtual", baud=500_000, slaves=(one,)).slave(5).setup for one in (slave, lists)]
+    assert made[0] == made[1]
+    assert (made[0].config, made[0].groups) == (b"\x20\x10", (1, 2))
