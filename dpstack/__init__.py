@@ -26,6 +26,7 @@ of them.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from typing import TYPE_CHECKING, Final
 
 from dpstack.namespaces import loader
@@ -186,7 +187,9 @@ errors ServiceRefused SlaveError SlaveFault SlaveTimeout UnknownAttribute UsageE
 
 def _hint(name: str) -> str:
     """Where ``name`` is found instead; empty where it is unknown. (Python asks for names such as ``__path__``.)"""
-    if not name.startswith("_"):
+    if (
+        not name.startswith("_") and importlib.util.find_spec(f"dpstack.{name}") is None
+    ):  # else Python goes on to import it
         for namespace in ("slave", "events"):
             if name in importlib.import_module(f"dpstack.{namespace}").__all__:
                 return f": it is dpstack.{namespace}.{name}"

@@ -14,7 +14,7 @@ people. Its other fields are for programs.
 """
 
 from dpstack.api.bus.core import BusFailed
-from dpstack.api.server.virtual_bench import Injected, ScenarioEvent
+from dpstack.api.injected import Injected, ScenarioEvent
 from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import (

@@ -8,8 +8,9 @@ process, the virtual world) differ only in how they wait; all of them call :func
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import ClassVar, Protocol, dataclass_transform
+
+from msgspec import Struct
 
 from dpstack.trace import Event
 
@@ -21,19 +22,14 @@ _MAX_SETTLE = 1000
 
 
 @dataclass_transform(frozen_default=True)
-class Order:
-    """An order of the application to a machine. A derived class becomes a frozen dataclass of plain data by itself; an
-    instance may go to another process by the name of its class.
+class Order(Struct, frozen=True):
+    """An order of the application to a machine: plain data. A derived class is immutable by itself; an instance may go
+    to another process by the name of its class.
 
     ``ENDS``: see :attr:`ends`.
     """
 
-    __slots__ = ()
-
     ENDS: ClassVar[bool] = False
-
-    def __init_subclass__(cls) -> None:
-        dataclass(frozen=True)(cls)
 
     @property
     def ends(self) -> bool:
@@ -41,20 +37,17 @@ class Order:
         return self.ENDS
 
 
-@dataclass(frozen=True, slots=True)
-class LineDown:
+class LineDown(Struct, frozen=True):
     """Command from a driver: the port is lost. Nothing can be sent or received until :class:`LineUp`."""
 
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class LineUp:
+class LineUp(Struct, frozen=True):
     """Command from a driver: the port is open (again); the bus may have changed meanwhile."""
 
 
-@dataclass(frozen=True, slots=True)
-class RateRefused:
+class RateRefused(Struct, frozen=True):
     """Command from a driver: the port cannot do the rate that :attr:`Machine.baud` asks for.
 
     The machine then asks for another rate, or raises where it knows none.
@@ -63,8 +56,7 @@ class RateRefused:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class HeldUp:
+class HeldUp(Struct, frozen=True):
     """Command from a driver: it ran the machine ``for_ns`` too late for one of its deadlines.
 
     ``suspended``: the computer slept, and ``now`` does not contain this time. ``unsent``: it did run the machine, but

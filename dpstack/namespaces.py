@@ -10,22 +10,26 @@ from collections.abc import Callable
 def loader(package: str, places: str, hint: Callable[[str], str] = lambda _: "") -> Callable[[str], object]:
     """The ``__getattr__`` of ``package``.
 
-    ``places``: in each line a module below ``package`` and its public names; a module without names is public itself.
+    ``places``: in each line a module below ``package`` (or from ``dpstack.`` on) and its public names; a module without
+    names is public itself.
     ``hint(name)``: the end of the message about an unknown name.
     """
-    where: dict[str, str | None] = {}
-    for module, *names in map(str.split, places.strip().splitlines()):
-        where |= dict.fromkeys(names, module) if names else {module: None}
+    #: public name -> module, and its name there (None: the module itself)
+    where: dict[str, tuple[str, str | None]] = {}
+    for place, *names in map(str.split, places.strip().splitlines()):
+        module = place if place.startswith("dpstack.") else f"{package}.{place}"
+        for name in names:
+            where[name] = module, name
+        if not names:
+            where[place.rpartition(".")[2]] = module, None
 
     def load(name: str) -> object:
         if name not in where:
             raise AttributeError(f"module {package!r} has no attribute {name!r}{hint(name)}")
-        module = where[name]
-        found: object
-        if module is None:
-            found = importlib.import_module(f"{package}.{name}")
-        else:
-            found = getattr(importlib.import_module(f"{package}.{module}"), name)
+        module, there = where[name]
+        found: object = importlib.import_module(module)
+        if there is not None:
+            found = getattr(found, there)
         setattr(sys.modules[package], name, found)
         return found
 

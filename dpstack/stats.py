@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import Final
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from dpstack.units import NS_PER_US
 
 _SUB_BITS: Final = 8  # 256 buckets an octave: values are kept to 0.4 %
 
 
-@dataclass(slots=True)
-class Histogram:
+class Histogram(Struct):
     """Counts of durations in ns in logarithmic buckets (relative width 2^-8), minimum and maximum exact.
 
     ``buckets`` is internal.

@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import Enum
-from typing import ClassVar, NamedTuple, dataclass_transform
+from typing import Any, ClassVar, NamedTuple, dataclass_transform
+
+from msgspec import Struct, StructMeta
 
 from dpstack.text import printable
 from dpstack.units import NS_PER_S
@@ -24,14 +26,21 @@ class Severity(Enum):
     ERROR = "error"
 
 
+class _EventMeta(StructMeta):
+    """Makes derived classes that take keyword arguments only, as :class:`Event` does."""
+
+    def __new__(cls, name: str, bases: tuple[type, ...], namespace: dict[str, Any], **config: Any) -> _EventMeta:
+        return super().__new__(cls, name, bases, namespace, **{"kw_only": True, **config})
+
+
 @dataclass_transform(frozen_default=True, kw_only_default=True)
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
+class Event(Struct, metaclass=_EventMeta, frozen=True):
     """Something happened at ``t_ns`` (the machine's time). Layers derive their own events from this one.
 
-    A derived class needs no decorator: it becomes a frozen dataclass with keyword arguments by itself. It has a
-    ``TEMPLATE`` of its :attr:`text`, in which ``{e.name}`` stands for an attribute of the event, or ``_text()`` where
-    the words depend on the attributes. ``MUST_ARRIVE``: see :attr:`must_arrive`; ``SEVERITY``: see :attr:`severity`.
+    A derived class is immutable, with keyword arguments, by itself. It has a ``TEMPLATE`` of its :attr:`text`, in which
+    ``{e.name}`` stands for an attribute of the event, or ``_text()`` where the words depend on the attributes.
+    ``MUST_ARRIVE``: see :attr:`must_arrive`; ``SEVERITY``: see :attr:`severity`. Two events are equal where all
+    attributes but ``wall_ns`` are.
     """
 
     TEMPLATE: ClassVar[str]
@@ -40,10 +49,20 @@ class Event:
 
     t_ns: int
     #: wall clock (ns since 1970, UTC) at ``t_ns``; None until the bus hands the event to its application
-    wall_ns: int | None = field(default=None, compare=False, repr=False)
+    wall_ns: int | None = None
 
-    def __init_subclass__(cls) -> None:
-        dataclass(frozen=True, kw_only=True)(cls)
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and self._told() == other._told()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._told()))
+
+    def __repr__(self) -> str:
+        names = (name for name in self.__struct_fields__ if name != "wall_ns")
+        return f"{type(self).__name__}({', '.join(f'{name}={getattr(self, name)!r}' for name in names)})"
+
+    def _told(self) -> tuple[object, ...]:
+        return tuple(getattr(self, name) for name in self.__struct_fields__ if name != "wall_ns")
 
     @property
     def text(self) -> str:

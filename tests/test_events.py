@@ -11,6 +11,7 @@ import types
 import typing
 from collections.abc import Iterator
 
+import msgspec
 import pytest
 
 import dpstack
@@ -50,7 +51,7 @@ def made(hint: object, *, full: bool) -> object:
     assert isinstance(hint, type), hint
     if issubclass(hint, enum.Enum):
         return list(hint)[-1 if full else 0]
-    if dataclasses.is_dataclass(hint):
+    if dataclasses.is_dataclass(hint) or issubclass(hint, msgspec.Struct):
         return hint(**fields(hint, full=full))
     if hint is bytes:
         return bytes(8) if full else b""
@@ -59,8 +60,10 @@ def made(hint: object, *, full: bool) -> object:
 
 def fields(kind: type, *, full: bool) -> dict[str, object]:
     hints = typing.get_type_hints(kind)
-    needed = [one for one in dataclasses.fields(kind) if one.init]
-    return {one.name: made(hints[one.name], full=full) for one in needed}
+    if issubclass(kind, msgspec.Struct):
+        return {name: made(hints[name], full=full) for name in kind.__struct_fields__}
+    assert dataclasses.is_dataclass(kind)
+    return {one.name: made(hints[one.name], full=full) for one in dataclasses.fields(kind) if one.init}
 
 
 @pytest.mark.parametrize("full", [False, True], ids=["least", "full"])

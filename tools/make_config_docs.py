@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 import math
 import os
@@ -87,7 +86,7 @@ def _default_text(value: object) -> str:
 def rows(table: type, made: type) -> list[str]:
     """The rows of the keys of ``table``, from which a ``made`` is made."""
     hints, said = get_type_hints(table), sentences(table)
-    defaults = {field.name: field.default for field in dataclasses.fields(made)}
+    defaults = {name: one.default for name, one in inspect.signature(made).parameters.items()}
     found = ["| key | value | meaning | default |", "|---|---|---|---|"]
     for name, key in keys_of(table).items():
         meaning, _, left_out = said[name].partition(" Left out: ")

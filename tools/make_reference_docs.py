@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import importlib
 import inspect
 import re
@@ -135,9 +134,14 @@ def _event(event: type[Event]) -> Iterator[str]:
     if not hasattr(bus_events, event.__name__):
         own = event.__name__ in slave_names.__all__
         yield f"Not of a bus: {'a served slave has it, import it from `dpstack.slave`' if own else 'it is internal'}.\n"
-    fields = [field for field in dataclasses.fields(event) if field.name not in ("t_ns", "wall_ns")]
+    fields = [name for name in event.__struct_fields__ if name not in ("t_ns", "wall_ns")]
     if fields:
-        rows = (f"| `{field.name}` | `{cell(str(field.type))}` |" for field in fields)
+        hints = {
+            name: hint
+            for kind in reversed(event.__mro__)
+            for name, hint in vars(kind).get("__annotations__", {}).items()
+        }
+        rows = (f"| `{name}` | `{cell(str(hints[name]))}` |" for name in fields)
         yield "\n".join(["| field | type |", "|---|---|", *rows]) + "\n"
     if event._text is Event._text:
         yield f"Text: `{event.TEMPLATE.replace('{e.', '{')}`\n"

@@ -13,6 +13,7 @@
 - ``files``: Files: read up to a size limit, written atomically, never over somebody else's file
 - ``gsd_folder``: The GSD files of a folder: found with limits, listed by ident number, read when they are needed
 - ``gsd_info``: GSD files from disk, and their contents as plain data
+- ``injected``: Events of people and scenarios that act on simulated slaves
 - ``streams``: Event streams, waiters and ``on_event``: a slow reader never holds up the bus
 - ``user_code``: Objects in modules of the user, by ``module:name``: functions of simulated slaves, slaves of one's own
 """

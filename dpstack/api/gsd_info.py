@@ -17,8 +17,9 @@ from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.dpv1.slave.description_to_gsd import as_gsd_file, gsd_octets
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
+from dpstack.gsd.dpv1_keywords import alarm_kinds
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, Parameter, PrmBlock, alarm_kinds
+from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, Parameter, PrmBlock
 from dpstack.gsd.parser import load_gsd, parse_gsd
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.gsd.text import MAX_OCTETS

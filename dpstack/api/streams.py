@@ -9,8 +9,9 @@ import time
 import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
-from dataclasses import replace
 from typing import Final, Self, TypeVar
+
+from msgspec.structs import replace
 
 from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
 from dpstack.drivers.snapshots import View

@@ -12,8 +12,7 @@ from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS, 
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.diag_texts import DiagTexts
-from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import MAX_USER_PRM
+from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
 from dpstack.params import UNADDRESSED
 from dpstack.text import octets_text
 from dpstack.units import NS_PER_MS, NS_PER_US

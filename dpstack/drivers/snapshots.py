@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
+
+from msgspec import Struct, field
 
 from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.commands import Mode
@@ -20,8 +21,7 @@ from dpstack.phy.patience import Patience
 from dpstack.stats import Histogram
 
 
-@dataclass(frozen=True, slots=True)
-class SlaveSnapshot:
+class SlaveSnapshot(Struct, frozen=True):
     """One slave as its master handles it. ``watchdog_ns``: the one in effect, 0 when off.
 
     ``alarms``: None for a slave that is not parameterised for DP-V1.
@@ -47,8 +47,7 @@ class ImageSnapshot(NamedTuple):
     input_time: int
 
 
-@dataclass(frozen=True, slots=True)
-class BusSnapshot:
+class BusSnapshot(Struct, frozen=True):
     """Master and station. ``synced`` and ``frozen``: addresses held by SYNC and FREEZE. ``claimed``: the station made
     the token itself. ``las``: the list of active stations. ``patience``: slack for late answers.
 
@@ -67,8 +66,7 @@ class BusSnapshot:
     found_all: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Counters:
+class Counters(Struct, frozen=True, kw_only=True):
     """All counters at the time ``t_ns`` (0: the final values).
 
     ``lateness``: how late the port delivers answers. ``held_back`` and ``forced``: see

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final, Protocol
+
+from msgspec import Struct
 
 from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
@@ -34,8 +35,7 @@ _LIST_PERIOD: Final = 10 * NS_PER_S
 _DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StackSpec:
+class StackSpec(Struct, frozen=True, kw_only=True):
     """The plain data that the machines of a bus are made from.
 
     ``watched``: a read-only bus shows the state of its stations.

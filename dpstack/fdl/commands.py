@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from dpstack.fdl.interface import LinkUser
 from dpstack.machine import Order
@@ -22,7 +22,7 @@ class GoOffline(Order):
     ENDS = True
 
 
-class AttachUser(Order, ABC):
+class AttachUser(Order):
     """Add a user of the link layer; the station asks it after the present users.
 
     ``token``: :class:`DetachUser` has the same.
@@ -30,9 +30,9 @@ class AttachUser(Order, ABC):
 
     token: int
 
-    @abstractmethod
     def link_user(self, params: BusParams, patience: Patience, now: int) -> LinkUser:
-        """The user, for a station with ``params`` at a port with ``patience``."""
+        """The user, for a station with ``params`` at a port with ``patience``. Each derived class has it."""
+        raise NotImplementedError
 
 
 class DetachUser(Order):
@@ -43,8 +43,7 @@ class DetachUser(Order):
     token: int
 
 
-@dataclass(frozen=True, slots=True)
-class AtStation:
+class AtStation(Struct, frozen=True):
     """An action at a passive station other than a telegram (its switch, its keys): the station calls ``act(now)``.
 
     Afterwards the station checks deadlines, address and events. An exception of ``act`` reaches the caller.

@@ -18,8 +18,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, fields
 from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from dpstack.fdl.codec import EMPTY_LE, Flaw, claimed, decode, parse
 from dpstack.fdl.telegram import MAX_LE, Kind, Telegram
@@ -41,8 +43,7 @@ _SC_RUN: Final = re.compile(rb"\xe5+")
 _LE3_SIZE: Final = EMPTY_LE + 6
 
 
-@dataclass(slots=True)
-class DecoderStats:
+class DecoderStats(Struct):
     """Counters of a decoder. A damaged telegram counts once, under the first flaw found."""
 
     octets: int = 0
@@ -72,7 +73,7 @@ class DecoderStats:
         return {name: n for name, n in self.as_dict().items() if n and name not in ("octets", "telegrams")}
 
     def as_dict(self) -> dict[str, int]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return asdict(self)
 
 
 class Decoder:

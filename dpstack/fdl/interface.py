@@ -8,9 +8,10 @@ evaluates the answers.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple, Protocol
+
+from msgspec import Struct, field
 
 from dpstack.fdl.telegram import MAX_DATA, Req, Resp, Telegram
 from dpstack.machine import Machine
@@ -172,8 +173,7 @@ class Responder(Protocol):
         return
 
 
-@dataclass(slots=True)
-class StationStats:
+class StationStats(Struct):
     """Counters of one remote station, always on."""
 
     requests: int = 0
@@ -192,8 +192,7 @@ class StationStats:
         return self.requests + self.retries + self.answers + self.late + self.wrong
 
 
-@dataclass(slots=True)
-class LinkStats:
+class LinkStats(Struct):
     """Counters of one active station's link, always on."""
 
     sent: int = 0  # telegrams of this station, tokens included

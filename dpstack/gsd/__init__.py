@@ -8,6 +8,7 @@ Order of work: text, lexer, parser with blocks, joining with settings; the resul
 - ``configuration``: Configuration of a slave: from modules in slots to the identifier octets of Chk_Cfg, within all
   limits of the GSD
 - ``diag_texts``: Look-up of the diagnosis texts of a GSD file by the octets and error types of a received diagnosis
+- ``dpv1_keywords``: The DP-V1 keywords of a GSD file
 - ``identifiers``: Identifier octets of Chk_Cfg and Get_Cfg: parser of the I/O configuration of a slave, general and
   special format
 - ``joining``: Builds the model (Device) from the parsed blocks: gives parameters their texts and checks the
@@ -34,8 +35,9 @@ from dpstack.namespaces import loader
 if TYPE_CHECKING:
     from dpstack.gsd.check import check
     from dpstack.gsd.configuration import Configuration, configuration_like, configure, plug
+    from dpstack.gsd.dpv1_keywords import DpV1
     from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
-    from dpstack.gsd.model import Device, Diagnostic, DiagText, DpV1, GsdFile, Module, Parameter, Slot, Speed
+    from dpstack.gsd.model import Device, Diagnostic, DiagText, GsdFile, Module, Parameter, Slot, Speed
     from dpstack.gsd.parser import load_gsd, parse_gsd
     from dpstack.gsd.prm import Reading, UserPrm
 
@@ -68,7 +70,8 @@ _PLACES: Final = """
 check check
 configuration Configuration configuration_like configure plug
 identifiers Identifier io_lengths parse_identifiers
-model Device DiagText Diagnostic DpV1 GsdFile Module Parameter Slot Speed
+dpv1_keywords DpV1
+model Device DiagText Diagnostic GsdFile Module Parameter Slot Speed
 parser load_gsd parse_gsd
 prm Reading UserPrm
 """

@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 
+from dpstack.gsd.identifiers import MAX_USER_PRM
 from dpstack.gsd.lexer import Statement, first_number, lex, number, numbers, ranges, ranges_only, string
 from dpstack.gsd.model import (
-    MAX_USER_PRM,
     Diagnosis,
     DiagText,
     Findings,

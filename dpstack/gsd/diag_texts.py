@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
-from dpstack.gsd.model import Device, Diagnosis, DiagText, Module
+if TYPE_CHECKING:
+    from dpstack.gsd.model import Device, Diagnosis, DiagText, Module
 
 
 class DiagTexts:

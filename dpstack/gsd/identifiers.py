@@ -10,8 +10,9 @@ from typing import Final
 
 from dpstack.errors import ConfigError
 
-#: octets of one telegram's data, each way
+#: octets of one telegram's data, each way; and those that a Set_Prm can carry behind its seven fixed ones
 MAX_IO: Final = 244
+MAX_USER_PRM: Final = 237
 #: an identifier of the general format has one of these bits
 _GENERAL: Final = 0x30
 #: low nibble of a special one in Chk_Cfg: no manufacturer octets follow, and none are compared

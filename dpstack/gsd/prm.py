@@ -16,19 +16,9 @@ from enum import Enum
 from typing import Final
 
 from dpstack.errors import GsdError
+from dpstack.gsd.identifiers import MAX_USER_PRM
 from dpstack.gsd.joining import reach_of
-from dpstack.gsd.model import (
-    MAX_USER_PRM,
-    Device,
-    Module,
-    Parameter,
-    PrmBlock,
-    PrmKind,
-    PrmType,
-    folded,
-    in_ranges,
-    ranges_text,
-)
+from dpstack.gsd.model import Device, Module, Parameter, PrmBlock, PrmKind, PrmType, folded, in_ranges, ranges_text
 from dpstack.text import shortened
 
 

@@ -7,8 +7,9 @@ from dataclasses import fields
 from typing import Any, Final
 
 from dpstack.gsd.blocks import octets_of
+from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, DpV1
 from dpstack.gsd.lexer import Statement, first_number, number, string
-from dpstack.gsd.model import ALARM_KEYWORDS, Device, DpV1, Findings, Speed
+from dpstack.gsd.model import Device, Findings, Speed
 from dpstack.units import BAUD_RATES
 
 #: baud rate in bit/s by the spelling in ``500_supp``, ``MaxTsdr_500``

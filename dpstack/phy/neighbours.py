@@ -10,8 +10,9 @@ enough.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.params import MAX_T_SL, BusParams
 from dpstack.phy.patience import ADAPTER, Patience
@@ -31,8 +32,7 @@ def t_sl_of_answers(params: BusParams, patience: Patience) -> int:
     return _bits_up(patience.unknown_ns, params.baud) + max(params.t_id1, params.max_tsdr) + _MARGIN
 
 
-@dataclass(frozen=True, slots=True)
-class Neighbours:
+class Neighbours(Struct, frozen=True):
     """Needs of the other masters beside a master with ``params`` and ``patience``; ``lowest``: their lowest address."""
 
     params: BusParams

@@ -16,8 +16,10 @@ one master alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.params import BusParams
 from dpstack.units import BITS_PER_CHAR, NS_PER_MS, NS_PER_S
@@ -28,8 +30,7 @@ _GAP_PASS_NS: Final = 3 * NS_PER_S
 _GAP_DIVISOR: Final = 10
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Patience:
+class Patience(Struct, frozen=True, kw_only=True):
     """Slack in ns added to deadlines. The default is none: virtual time, where octets arrive exactly."""
 
     known_ns: int = 0

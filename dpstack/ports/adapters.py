@@ -6,9 +6,10 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
+
+from msgspec import Struct, field
 
 from dpstack.errors import BaudError, PortError
 from dpstack.ports.holders import PROC, holder_of_path
@@ -19,8 +20,7 @@ from dpstack.units import BAUD_RATES
 BY_ID: Final = Path("/dev/serial/by-id")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AdapterInfo:
+class AdapterInfo(Struct, frozen=True, kw_only=True):
     """One serial port of this computer. ``by_id`` is its lasting path, ``usb`` vendor:product in hex."""
 
     path: str
@@ -33,7 +33,7 @@ class AdapterInfo:
 
     def as_dict(self) -> dict[str, object]:
         """The object of ``dpstack ports --json``."""
-        return {name: getattr(self, name) for name in self.__slots__}
+        return {name: getattr(self, name) for name in self.__struct_fields__}
 
 
 def _comports() -> Iterable[Any]:
@@ -72,8 +72,7 @@ def list_adapters(
     return sorted(found, key=lambda info: info.path)
 
 
-@dataclass(slots=True, kw_only=True)
-class Abilities:
+class Abilities(Struct, kw_only=True):
     """The abilities of a port, found by opening it; nothing is sent. ``rates`` in bit/s."""
 
     parity: bool = False

@@ -7,76 +7,88 @@ import difflib
 import functools
 from collections.abc import Iterator
 from importlib import metadata
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.errors import ConfigError
-from dpstack.profile.drive_profile import DriveProfile
+
+if TYPE_CHECKING:
+    from dpstack.profile.drive_profile import DriveProfile
 
 GROUP: Final = "dpstack.drives"
 
 
+#: profiles that hide an installed drive of their name, see :func:`also`
+_given: Final[dict[str, DriveProfile]] = {}
+
+
 @functools.cache
-def _scan() -> tuple[dict[str, DriveProfile], dict[str, str], dict[str, str]]:
-    drives: dict[str, DriveProfile] = {}
-    places: dict[str, str] = {}
-    broken: dict[str, str] = {}
-    for point in sorted(metadata.entry_points(group=GROUP), key=lambda p: (p.name, p.value)):
-        try:
-            profile = point.load()
-        except Exception as error:
-            broken[point.name] = f"{point.value}: {type(error).__name__}: {error}"
-            continue
-        if not isinstance(profile, DriveProfile):
-            broken[point.name] = f"{point.value} is {type(profile).__name__}, not a DriveProfile"
-        elif profile.name != point.name:
-            broken[point.name] = f"{point.value} calls itself {profile.name}, its entry point {point.name}"
-        else:
-            drives[profile.name] = profile
-            places[profile.name] = point.value
-    return drives, broken, places
+def _points() -> dict[str, metadata.EntryPoint]:
+    """The entry points by the name of their drive; nothing is imported yet."""
+    points = metadata.entry_points(group=GROUP)
+    return {point.name: point for point in sorted(points, key=lambda point: (point.name, point.value))}
+
+
+@functools.cache
+def _loaded(name: str) -> DriveProfile | str:
+    """The drive at the entry point ``name``, or why it cannot be loaded."""
+    from dpstack.profile.drive_profile import DriveProfile  # here, as :func:`places` needs no drive
+
+    point = _points()[name]
+    try:
+        profile = point.load()
+    except Exception as error:
+        return f"{point.value}: {type(error).__name__}: {error}"
+    if not isinstance(profile, DriveProfile):
+        return f"{point.value} is {type(profile).__name__}, not a DriveProfile"
+    if profile.name != point.name:
+        return f"{point.value} calls itself {profile.name}, its entry point {point.name}"
+    return profile
 
 
 def known() -> dict[str, DriveProfile]:
     """All drives by name. A plugin that cannot be loaded is left out; see :func:`broken`."""
-    return dict(_scan()[0])
+    found = {name: _loaded(name) for name in _points()}
+    return {name: drive for name, drive in found.items() if not isinstance(drive, str)} | _given
 
 
 def broken() -> dict[str, str]:
     """Entry points that could not be loaded: name -> why."""
-    return dict(_scan()[1])
+    found = {name: _loaded(name) for name in _points()}
+    return {name: why for name, why in found.items() if isinstance(why, str)}
 
 
 def places() -> dict[str, str]:
-    """Where the drives of :func:`known` are imported from: name -> ``package.module:name``."""
-    return dict(_scan()[2])
+    """Where drives are imported from: name -> ``package.module:name``. None is imported for it."""
+    return {name: point.value for name, point in _points().items()}
 
 
 def refresh() -> None:
     """Forget what was found; the next call looks again."""
-    _scan.cache_clear()
+    _points.cache_clear()
+    _loaded.cache_clear()
 
 
 @contextlib.contextmanager
 def also(profile: DriveProfile) -> Iterator[None]:
     """Find ``profile`` by its name inside the block, before an installed drive of that name."""
-    drives = _scan()[0]
-    before = drives.get(profile.name)
-    drives[profile.name] = profile
+    before = _given.get(profile.name)
+    _given[profile.name] = profile
     try:
         yield
     finally:
-        del drives[profile.name]
+        del _given[profile.name]
         if before is not None:
-            drives[profile.name] = before
+            _given[profile.name] = before
 
 
 def find(name: str) -> DriveProfile:
     """The drive called ``name``. Raises ConfigError with the nearest names, or with the reason why it cannot load."""
-    drives, failed, _places = _scan()
-    if name in drives:
-        return drives[name]
-    if name in failed:
-        raise ConfigError(f"drive {name} cannot be loaded: {failed[name]}; repair or uninstall that package")
+    found = _given.get(name) or (_loaded(name) if name in _points() else None)
+    if isinstance(found, str):
+        raise ConfigError(f"drive {name} cannot be loaded: {found}; repair or uninstall that package")
+    if found is not None:
+        return found
+    drives = known()
     near = difflib.get_close_matches(name.lower(), drives, n=3)
     if near:
         raise ConfigError(f"no drive is called {name!r}; did you mean {' or '.join(near)}?")

@@ -10,6 +10,8 @@ from enum import Enum
 from types import UnionType
 from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
+import msgspec
+
 from tests.fuzz.frame import Cutter
 
 _DEEP: Final[list[Any]] = [[[[[[[[1]]]]]]]]
@@ -127,6 +129,9 @@ def fields_of(hint: Any) -> dict[str, Any] | None:
     """Names and hints of the fields of a dataclass or of a named tuple."""
     if not isinstance(hint, type):
         return None
+    if issubclass(hint, msgspec.Struct):
+        hints = get_type_hints(hint)
+        return {name: hints[name] for name in hint.__struct_fields__}
     if dataclasses.is_dataclass(hint):
         hints = get_type_hints(hint)
         return {field.name: hints[field.name] for field in dataclasses.fields(hint)}

@@ -6,7 +6,8 @@ import gsd_kit
 import pytest
 from gsd_kit import device, made, read, texts
 
-from dpstack.gsd.model import DiagText, DpV1, PrmConst, PrmKind, PrmRef, Ranges, Raw, Slot, Speed
+from dpstack.gsd.dpv1_keywords import DpV1
+from dpstack.gsd.model import DiagText, PrmConst, PrmKind, PrmRef, Ranges, Raw, Slot, Speed
 from dpstack.gsd.parser import load_gsd, parse_gsd
 
 

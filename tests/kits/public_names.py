@@ -53,6 +53,7 @@ def _of(called: str, thing: object) -> Iterator[str]:
 def _members(kind: type) -> set[str]:
     own = {name for base in kind.__mro__ if base.__module__.startswith("dpstack") for name in vars(base)}
     fields = {field.name for field in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else set()
+    fields |= set(getattr(kind, "__struct_fields__", ()))
     return {name for name in own - fields if not name.startswith("_")}
 
 

@@ -206,7 +206,6 @@ def sources() -> dict[str, str]:
                 "namespaces.py",  # the lazy names of all namespaces
                 "cli/parser.py",  # the modules of its commands
                 "ports/posix.py",  # fcntl, termios, grp
-                "api/bus/driver_choice.py",  # msgspec
                 "profile/registry.py",  # drives by entry point
                 "drivers/process/plugins.py",  # the same in the bus process
                 "api/user_code.py",  # functions with --allow-code, slaves named on the command line

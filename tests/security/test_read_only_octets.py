@@ -70,6 +70,7 @@ ARGS: dict[str, Callable[[Path], tuple[tuple[Any, ...], dict[str, Any]]]] = {
     "Slave.write": lambda _: ((1, 47, b"\x01"), {}),
     "Slave.write_im": lambda _: ((dpstack.Im1(),), {}),
     "Slave.changes": lambda _: (("a",), {}),
+    "Slave.follow": lambda _: (("a", int), {}),
     "Slave.inputs_as": lambda _: ((dpstack.Inputs,), {}),
     "Slave.outputs_as": lambda _: ((dpstack.Outputs,), {}),
     "Slave.send": lambda _: ((_All(octets=b"\xff"),), {}),

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import pytest
 from bus_kit import SimBus
+from msgspec.structs import replace
 from support import MS, US, Dummy, S, WorldFactory
 
 from dpstack.errors import ConfigError

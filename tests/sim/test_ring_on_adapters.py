@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import replace
-
 import pytest
 from bus_kit import SimBus
+from msgspec import structs
+from msgspec.structs import replace
 from support import MS, S, WorldFactory
 
 from dpstack.api.bus.ring_entry import OtherMasterNotices, join_limit_s, pass_ns
@@ -99,7 +98,7 @@ def test_a_newcomer_reports_once_how_long_it_waits_and_what_the_others_need() ->
     )
     assert advice.message.startswith("other masters need t_sl = 3825 ")
     assert list(beside.notices(MasterSeen(t_ns=9, address=2, present=True))) == []
-    bus = dataclasses.replace(bus, patience=measured(2 * MS))
+    bus = structs.replace(bus, patience=measured(2 * MS))
     (advice,) = beside.notices(MasterSeen(t_ns=11, address=2, present=True))
     assert "comes up to 2 ms late (measured" in advice.message
 

@@ -11,18 +11,14 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from dpstack.api.bus.core import BusCore
 from dpstack.api.bus.cycles import Cycle
-from dpstack.api.bus.live import LiveStream, checked_interval
 from dpstack.api.bus.plan_checks import new_plan_texts
-from dpstack.api.bus.recording import BusRecording
 from dpstack.api.bus.statistics import BusStats, bus_figures
 from dpstack.api.bus.sync_freeze import Group, Groups, send_control
-from dpstack.api.bus.why import gather
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import Config, load_config, make_config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.config.table import keys_of
 from dpstack.api.slave.class2 import Class2
-from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.slave import Slave, all_ready
 from dpstack.api.streams import EventStream, OnEvent
 from dpstack.argcheck import Sealed, instance, plain_function
@@ -35,10 +31,15 @@ from dpstack.drivers.snapshots import BusSnapshot
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import BusParams
-from dpstack.sim.world import World
 from dpstack.trace import Severity
 from dpstack.units import baud_text
-from dpstack.why.story import Story, tell
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.live import LiveStream
+    from dpstack.api.bus.recording import BusRecording
+    from dpstack.api.slave.drive import Drive
+    from dpstack.sim.world import World
+    from dpstack.why.story import Story
 
 SlaveTable = Mapping[str, object] | SlaveConfig
 
@@ -332,6 +333,8 @@ class Bus(Sealed):
         ``master``: the address that the master of the slave should have, on a read-only bus (default: the one that it
         names). Raises UsageError for an unknown slave.
         """
+        from dpstack.api.bus.why import gather  # here, as most programs never ask
+        from dpstack.why.story import tell
 
         def asked(addresses: Iterable[int]) -> Awaitable[tuple[Found, ...]]:
             return self.scan(configs=True, addresses=addresses)
@@ -353,7 +356,9 @@ class Bus(Sealed):
         A snapshot comes every ``interval`` seconds (0.02 or more), an event at once. A slow reader gets the latest
         snapshot and up to 1000 events; the bus never waits. It ends with the bus, or by ``close()``.
         """
-        return self._core.live.join(checked_interval(interval))
+        from dpstack.api.bus.live import checked_interval  # here, as most programs have no reader
+
+        return self._core.live_feed().join(checked_interval(interval))
 
     def cycles(self) -> AsyncIterator[Cycle]:
         """A :class:`~dpstack.api.bus.cycles.Cycle` for each round of data exchange, with or without a fixed cycle.
@@ -382,6 +387,8 @@ class Bus(Sealed):
         Raises UsageError for a file that is there already or cannot be made, for .parquet without pyarrow, on a bus
         that is not open, and on a read-only one.
         """
+        from dpstack.api.bus.recording import BusRecording  # here, as most programs record nothing
+
         self._core.check_open()
         if not isinstance(path, BusRecording):
             path = BusRecording(path, on_change=on_change, dead_band=dead_band, rotate=rotate)
@@ -492,6 +499,8 @@ def _check_arguments(config: object, slaves: object, on_event: object, world: ob
     if on_event is not None:
         plain_function("open_bus: on_event", on_event, "on_event=print", ConfigError)
     if world is not None:
+        from dpstack.sim.world import World  # here, as a bus on a wire needs none
+
         instance("open_bus: world", world, World, "world = dpstack.World()", ConfigError)
     names = (*_OWN_ARGUMENTS, *keys_of(BusConfig))
     for name in bus:

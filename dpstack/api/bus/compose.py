@@ -12,8 +12,6 @@ from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_ma
 from dpstack.api.config.bus import SAFE
 from dpstack.api.config.config import ECHO, Config, port_of, rate_findings
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.server.virtual_bench import VirtualBench
-from dpstack.api.slave.drive import DrivePlugin
 from dpstack.api.streams import Rounds
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
@@ -27,17 +25,18 @@ from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.runtime import OnEvents, OnFailure, OnRefused, Runtime
 from dpstack.drivers.snapshots import View
 from dpstack.drivers.stack import Stack, StackSpec
-from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import ConfigError
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port
-from dpstack.profile import DriveCore, DriveStatus, registry
-from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
 
 if TYPE_CHECKING:
+    from dpstack.api.server.virtual_bench import VirtualBench
+    from dpstack.api.slave.drive import DrivePlugin
     from dpstack.drivers.process.client import ProcessRuntime
+    from dpstack.profile import DriveCore, DriveStatus
+    from dpstack.sim.world import World
 
 __all__ = ["Case", "Plan"]  # for the command line
 
@@ -148,7 +147,8 @@ def compose(
     runtime: Runtime
     if driver == PROCESS:
         from dpstack.drivers.process.client import ProcessRuntime
-        from dpstack.drivers.process.messages import SetUp  # needs msgspec, as only the process driver does
+        from dpstack.drivers.process.messages import SetUp
+        from dpstack.profile import registry
 
         orders = [(slave, order) for slave in config.slaves if (order := plugin_of(slave)) is not None]
         setup = SetUp(
@@ -179,7 +179,12 @@ def compose(
                 last_clear=LastClear(station),
             )
         else:
+            from dpstack.drivers.virtual.runtime import VirtualRuntime
+
             if world is None:
+                from dpstack.api.server.virtual_bench import VirtualBench
+                from dpstack.sim.world import World
+
                 world = World(referee=False)
                 bench = VirtualBench(world, plan.params)
                 for slave in config.slaves:
@@ -213,6 +218,8 @@ def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Drive
     core = core_of(slave, simulated=simulated)
     if core is None:
         return None
+    from dpstack.api.slave.drive import DrivePlugin
+
     master.handlers[slave.address].image.plugin = core
     return DrivePlugin(core, core.status)
 
@@ -235,6 +242,8 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
     """
     if slave.profile is None or slave.raw:
         return None
+    from dpstack.profile import registry
+
     place = registry.places().get(slave.profile.name)
     if place is None:
         raise ConfigError(
@@ -254,11 +263,14 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
 
 def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
     """The drive plugin of ``slave`` in the bus process. A copy here checks ranges and converts references."""
+    from dpstack.api.slave.drive import DrivePlugin
+    from dpstack.drivers.process.messages import typed
+    from dpstack.profile import DriveStatus
+
     core = core_of(slave)
     assert core is not None
 
     def status() -> DriveStatus:
-        from dpstack.drivers.process.messages import typed
 
         status = runtime.drive_status(slave.address)
         return core.status() if status is None else typed(status, DriveStatus)

@@ -5,19 +5,18 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Iterable
-from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from dpstack.api.bus.compose import compose
 from dpstack.api.bus.cycles import Cycles
 from dpstack.api.bus.find_baud import rate_of, require_wire
-from dpstack.api.bus.live import LiveFeed
 from dpstack.api.bus.parts import BusBase
-from dpstack.api.bus.recording import BusRecording
 from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_report
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.config.config import Config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.slave.drive import Drive, DrivePlugin
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import EventStream, OnEvent
 from dpstack.dp.master.commands import AddSlave, DriveCommand, Mode, RemoveSlave
@@ -32,9 +31,14 @@ from dpstack.fdl.commands import DetachUser, GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined, StationFound
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.fdl.telegram import StationType
-from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.live import LiveFeed
+    from dpstack.api.bus.recording import BusRecording
+    from dpstack.api.slave.drive import DrivePlugin
+    from dpstack.sim.world import World
 
 
 class BusFailed(Notice):
@@ -63,7 +67,7 @@ class BusCore(BusBase):
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
         self.cycles = Cycles(self)
-        self.live = LiveFeed(self)
+        self._live: LiveFeed | None = None
         self._recordings: list[BusRecording] = []
         if not self.searching:
             self._build(config)
@@ -84,6 +88,8 @@ class BusCore(BusBase):
         setup = self.view.setups[config.address]
         slave = self._slaves[config.address] = Slave(self, config, setup, has_plugin=plugin is not None)
         if plugin is not None:
+            from dpstack.api.slave.drive import Drive  # here, as a bus without drives needs nothing of them
+
             self._drives[config.address] = Drive(self, slave, plugin)
         return slave
 
@@ -219,6 +225,16 @@ class BusCore(BusBase):
         self.unreadable = frozenset(result.unreadable)
         return tuple(_with_state_of(found, mine.get(found.address), own) for found in result.found)
 
+    def live_feed(self) -> LiveFeed:
+        """The feed of ``bus.live()``, made for the first reader."""
+        if self._live is None:
+            from dpstack.api.bus.live import LiveFeed
+
+            self._live = LiveFeed(self)
+            if self._over is not None:
+                self._live.end(str(self._over))
+        return self._live
+
     def record(self, recording: BusRecording) -> None:
         """Begin ``recording``; it ends with the bus. Raises UsageError."""
         try:
@@ -303,7 +319,8 @@ class BusCore(BusBase):
         self.cycles.end()
         self.services.end(self._over)
         self._events.end()
-        self.live.end(str(self._over))
+        if self._live is not None:
+            self._live.end(str(self._over))
         self._waiters.check()
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import sys
-from importlib import import_module
 from typing import Final
 
 from dpstack.api.config.config import Config
@@ -60,9 +59,4 @@ def _why_no_process(port: Port | None) -> tuple[str, str] | None:
         return "this program is one file without a Python beside it", take_asyncio
     if type(port).open_now is Port.open_now:
         return f"the port {port.name} is of a kind that needs asyncio", take_asyncio
-    try:
-        import_module("msgspec")
-    except ImportError as error:
-        what = f"install it beside the program (a zip archive cannot hold it), or {take_asyncio}"
-        return f"msgspec, which it needs, cannot be imported ({error})", what
     return None

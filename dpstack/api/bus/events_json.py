@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dpstack.api.server.virtual_bench import Injected, ScenarioEvent
+from dpstack.api.injected import Injected, ScenarioEvent
 from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.master.events import (
     ApplicationSilent,

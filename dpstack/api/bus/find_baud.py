@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.api.config.config import Config
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
@@ -16,17 +18,16 @@ from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.rate import settle_ns_of
 from dpstack.drivers.runtime import PortLost, Runtime
-from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import BusError, ConfigError, PortError
 from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound
 from dpstack.ports import Port, open_port
 from dpstack.ports.base import VIRTUAL
-from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s, s_to_ns
 
 if TYPE_CHECKING:
     from dpstack.capture.transmission import Transmission
+    from dpstack.sim.world import World
 
 #: time of silence (s) that ends the search
 SILENCE_S: Final = 5.0
@@ -42,8 +43,7 @@ _ADVICE: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BaudReport:
+class BaudReport(Struct, frozen=True, kw_only=True):
     """Result of a search. ``baud`` in bit/s, None when no telegram was recognised; ``seconds`` of listening.
 
     ``telegrams``: received in a row, without odd octets between them. ``confidence``: "checked" (telegrams with check
@@ -187,6 +187,8 @@ async def rate_of(config: Config, world: World | None = None) -> BaudReport:
     else:
         where = "the simulated bus"
         search = AutoBaud(world.now, limit_ns=s_to_ns(_NOISE_S), silence_ns=s_to_ns(SILENCE_S))
+        from dpstack.drivers.virtual.runtime import VirtualRuntime
+
         report = _report(await _run_search(where, partial(VirtualRuntime, world, search)))
     if report.baud is None:
         raise BusError(f"{where}: the baud rate was not found: {report.text}; {_ADVICE[report.missing == 'silence']}")

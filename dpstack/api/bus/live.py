@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import dataclasses
 import math
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from time import time
 from typing import Any, Final
+
+from msgspec import structs
 
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
@@ -474,7 +475,7 @@ class SlaveReader:
             "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
             "diagnosis": diagnosis_dict(slave).get("diagnosis"),
             "conspicuous": slave.conspicuous,
-            "alarms": None if alarms is None else dataclasses.asdict(alarms),
+            "alarms": None if alarms is None else structs.asdict(alarms),
             "watchdog_ms": slave.watchdog_ms,
             "master": None if found is None else found.master,
         }

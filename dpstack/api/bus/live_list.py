@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.config.toml import comment, table_lines
@@ -48,8 +49,7 @@ async def joined(make_bus: MakeBus, address: int | None = None, *, avoid: Collec
         await bus.close()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LiveListResult:
+class LiveListResult(Struct, frozen=True, kw_only=True):
     """The stations of a bus. ``address``: of this station; ``notes``: one line each."""
 
     baud: int

@@ -6,15 +6,13 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.compose import Parts
 from dpstack.api.bus.event_logging import EventLogging
 from dpstack.api.bus.plan_checks import refuse_misfit
 from dpstack.api.config.config import AUTO, Config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.server.virtual_bench import VirtualBench
-from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.services import Services
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Events, OnEvent, Rounds, Waiters, WallClock
@@ -29,9 +27,13 @@ from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.snapshots import BusSnapshot, View
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.params import BusParams
-from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.server.virtual_bench import VirtualBench
+    from dpstack.api.slave.drive import Drive
+    from dpstack.sim.world import World
 
 SEARCHING: Final = "searching for the baud rate"
 

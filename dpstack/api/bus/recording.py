@@ -7,7 +7,7 @@ import contextlib
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
@@ -15,7 +15,6 @@ from dpstack.api.recording.event_log import EventLog
 from dpstack.api.recording.record_file import RecordFile
 from dpstack.api.recording.rotation import Rotation
 from dpstack.api.recording.writer_thread import WriterThread
-from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
@@ -26,6 +25,9 @@ from dpstack.record.columns import Layout, RecordedSlave
 from dpstack.record.rows import Sample
 from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.slave.drive import Drive
 
 #: rounds that wait for the disk at most: 20 s of a cycle of 1 ms
 MOST_WAITING: Final = 20_000

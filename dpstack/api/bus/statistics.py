@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct, field, structs
 
 from dpstack.dp.master.fixed_cycle import CycleStats
 from dpstack.dp.master.slave_reports import AlarmCounts
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 STALE_NS: Final = NS_PER_S
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SlaveStats:
+class SlaveStats(Struct, frozen=True, kw_only=True):
     """One slave's counters since the start; ``link`` are those of the link layer.
 
     ``inputs_valid``, ``inputs_age`` (seconds, None: there never were any): see :class:`~dpstack.api.slave.slave.Slave`.
@@ -75,7 +74,7 @@ class SlaveStats:
             **({"units": dict(self.units)} if self.units else {}),
             **_link_dict(self.link),
             **({} if self.master is None else {"master": self.master}),
-            **({} if self.alarms is None else {"alarms": dataclasses.asdict(self.alarms)}),
+            **({} if self.alarms is None else {"alarms": structs.asdict(self.alarms)}),
             **self.diagnosis,
             **({"drive": dict(self.drive)} if self.drive else {}),
         }
@@ -104,8 +103,7 @@ def _link_dict(link: StationStats) -> dict[str, object]:
     return {"telegrams": link.telegrams, "late": link.late, "wrong": link.wrong, "bad": dict(link.bad)}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusStats:
+class BusStats(Struct, frozen=True, kw_only=True):
     """Counters of the whole bus. Rotation times in whole microseconds: ``min``, ``p50``, ``p99``, ``p999``, ``max``.
 
     ``rotation_us``: from the first Data_Exchange of a round to that of the next; ``token_us``: from token receipt to

@@ -8,6 +8,8 @@ import dataclasses
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Final
 
+from msgspec import structs
+
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.bring_ups import DAMAGED, NOTHING, WRONG, History, Step
@@ -100,9 +102,7 @@ def _counted_since(before: Evidence, now: Evidence) -> Evidence:
 def _difference(now: StationStats, before: StationStats) -> StationStats:
     bad = {cause: more for cause, count in now.bad.items() if (more := count - before.bad.get(cause, 0)) > 0}
     counters = {
-        one.name: getattr(now, one.name) - getattr(before, one.name)
-        for one in dataclasses.fields(StationStats)
-        if one.name != "bad"
+        name: getattr(now, name) - getattr(before, name) for name in StationStats.__struct_fields__ if name != "bad"
     }
     return StationStats(**counters, bad=bad)
 
@@ -235,10 +235,10 @@ async def _asked(bus: BusBase, slave: Slave, before: Evidence) -> Evidence:
 def _append(steps: list[Step], step: Step) -> None:
     """Put ``step`` at the end; one that is like the last counts there."""
     last = steps[-1] if steps else None
-    if last is not None and dataclasses.replace(last, t_ns=0, last_ns=0, times=1) == dataclasses.replace(
+    if last is not None and structs.replace(last, t_ns=0, last_ns=0, times=1) == structs.replace(
         step, t_ns=0, last_ns=0
     ):
-        steps[-1] = dataclasses.replace(last, times=last.times + 1, last_ns=step.t_ns)
+        steps[-1] = structs.replace(last, times=last.times + 1, last_ns=step.t_ns)
     else:
         steps.append(step)
 

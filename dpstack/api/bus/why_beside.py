@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from msgspec import structs
+
 from dpstack.api.bus.bus import Bus, core_of, open_bus
 from dpstack.api.bus.live_list import joined
 from dpstack.api.bus.virtual import World, simulate
@@ -31,7 +33,7 @@ async def why_beside(
     made: list[Bus] = []
 
     def make_bus(own: int) -> Bus:
-        settings = dataclasses.replace(
+        settings = structs.replace(
             config.bus, address=own, read_only=True, cycle_ms=None, cycle_freeze=(), cycle_sync=(), auto_clear=False
         )
         bus = open_bus(dataclasses.replace(config, bus=settings), on_event=on_event, world=world)

@@ -3,10 +3,12 @@
 - ``bus``: The [bus] table: keys of the whole bus
 - ``config``: ``Config``: configuration files, read and checked
 - ``dpv1``: The table [slave.dpv1]: DPV1_Status, alarms, class 2 connections
+- ``drive_source``: A [[slave]] table with a drive, alone or with its maker's GSD file
 - ``gsd_choice``: A [[slave]] table from the modules and parameters chosen in a GSD file
+- ``gsd_source``: A [[slave]] table with a GSD file: modules, user parameters, limits
 - ``simulate``: The table [slave.simulate]: inputs of a simulated slave from a recording or from a function
 - ``slave``: The [[slave]] table: keys, checks, changes while the bus runs
-- ``slave_source``: The base of a [[slave]] table: known drive, GSD file, both, or octets
+- ``slave_source``: The base of a [[slave]] table without drive and GSD file; keys and types of the others
 - ``table``: Typed reading of configuration tables, errors with file and line
 - ``toml``: TOML reader with limits and the line of every key
 """

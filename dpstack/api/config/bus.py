@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Final, Literal
+
+from msgspec import Struct
 
 from dpstack.api.config.table import Key, Source, Table, is_integer, keys_of
 from dpstack.params import BUS_LIMITS, MAX_STATION
@@ -77,8 +78,7 @@ def _echo(table: Table, name: str, key: Key) -> object:
     return echo
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusConfig:
+class BusConfig(Struct, frozen=True, kw_only=True):
     """The keys of [bus], as docs/reference/configuration.md has them. ``port`` and ``baud`` may be missing until they
     are needed.
 

@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from msgspec import structs
+
 from dpstack.api.config.bus import AUTO, BusConfig, read_bus
 from dpstack.api.config.slave import SlaveConfig, read_slave
 from dpstack.api.config.table import Source, Table
@@ -52,7 +54,7 @@ class Config:
         given = {key: value for key, value in changes.items() if value is not None}
         if not given:
             return self
-        bus = read_bus(Source("argument"), dataclasses.asdict(self.bus) | given)
+        bus = read_bus(Source("argument"), structs.asdict(self.bus) | given)
         return _checked(dataclasses.replace(self, bus=bus))
 
     def find(self, name: str) -> SlaveConfig | None:

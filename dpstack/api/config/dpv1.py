@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
-from typing import Annotated, Any, Final, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypedDict
+
+from msgspec import structs
 
 from dpstack.api.config.table import Gsd, Key, Table, as_given, keys_of
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1
 from dpstack.dp.pdu.layouts import MAX_RECORD, Layout
 from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
-from dpstack.gsd.model import ALARM_KEYWORDS, Device, alarm_kinds
+from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, alarm_kinds
 from dpstack.units import NS_PER_MS
+
+if TYPE_CHECKING:
+    from dpstack.gsd.model import Device
 
 
 def _alarms(table: Table, key: str, _: Key) -> tuple[str, ...]:
@@ -107,7 +111,7 @@ def _with_keys(base: Dpv1, table: Table, device: Device | None) -> Dpv1:
     timeout = given.pop("response_timeout_ms", None)
     if timeout is not None:
         given["c1_response_timeout_ns"] = timeout * NS_PER_MS
-    return dataclasses.replace(base, **given)
+    return structs.replace(base, **given)
 
 
 def _check_limits(device: Device, table: Table, given: Mapping[str, Any]) -> None:

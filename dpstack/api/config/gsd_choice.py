@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from dpstack.api.config.toml import comment, table_lines
 from dpstack.errors import GsdError
@@ -12,8 +13,7 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module
 
 
-@dataclass(slots=True)
-class Choice:
+class Choice(Struct):
     """The choices. ``modules``: in slot order, None for an empty slot; ``parameters``: the changed ones."""
 
     name: str

@@ -10,21 +10,35 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Annotated, Any, Final, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypedDict
+
+from msgspec import structs
 
 from dpstack.api.config.dpv1 import read_dpv1
 from dpstack.api.config.simulate import SimulateConfig, read_simulate
-from dpstack.api.config.slave_source import Who, basis_of, modules_of, remarks
+from dpstack.api.config.slave_source import (
+    DRIVE_KEYS,
+    GSD_KEYS,
+    Basis,
+    Who,
+    basis_of_octets,
+    leave_out,
+    modules_of,
+    remarks,
+)
 from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
-from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.errors import ConfigError, UsageError
+from dpstack.gsd.dpv1_keywords import NO_GSD, DpV1
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device, DpV1, Module
 from dpstack.params import MAX_STATION, UNADDRESSED
-from dpstack.profile import DriveProfile
 from dpstack.units import ms_text
+
+if TYPE_CHECKING:
+    from dpstack.dpv1.slave.description import SlaveDescription
+    from dpstack.gsd.model import Device, Module
+    from dpstack.profile import DriveProfile
 
 #: the largest scale and offset
 _MOST: Final = 1e9
@@ -213,10 +227,6 @@ class Changes(TypedDict, total=False):
     ]
 
 
-#: the DP-V1 keywords of a slave without a GSD file: it may have class 2 connections, and nothing else is known
-NO_GSD: Final = DpV1(c2_read_write=True)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveConfig:
     """One slave as configured and checked."""
@@ -268,7 +278,7 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
         table.title = f"[[slave]] {named}" if table.title.startswith("[[") else f"slave {named}"
     keys = keys_of(SlaveKeys) | keys_of(Changes)
     if unaddressed:
-        keys["address"] = dataclasses.replace(keys["address"], high=UNADDRESSED)
+        keys["address"] = structs.replace(keys["address"], high=UNADDRESSED)
     given = table.read(keys)
     if "address" not in given:
         table.fail(None, "no address", "add its station address, 0..125")
@@ -276,7 +286,7 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     name = given.get("name") or f"slave{address}"
     if _NUMERIC.fullmatch(name.strip()):
         table.fail("name", f"name = {name!r} looks like an address", f'write a word: name = "slave{address}"')
-    known, rest = basis_of(table, given, Who(address=address, name=name))
+    known, rest = _basis_of(table, given, Who(address=address, name=name))
     slave = SlaveConfig(params=known, known=known, **rest)
     changes = _changes(slave, table, given)
     with table.blaming():
@@ -286,6 +296,28 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs, simulate=simulate)
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, "ident" in given) if note)
     return dataclasses.replace(slave, notes=tuple(notes))
+
+
+def _basis_of(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
+    """Parameters from the drive, the GSD file, both, or octets, by the keys ``given``. Raises ConfigError, one line."""
+    if "gsd" in given:
+        leave_out(table, "config", "beside gsd", "leave config out, or gsd")
+    else:
+        for key in GSD_KEYS:
+            leave_out(table, key, "without gsd", f"name the GSD file, or leave {key} out")
+    if "drive" in given:
+        from dpstack.api.config.drive_source import basis_of_drive  # here, as a bus without drives needs no plugins
+
+        return basis_of_drive(table, given, who)
+    for key in DRIVE_KEYS:
+        leave_out(table, key, "without drive", f"add drive, or leave {key} out")
+    if "gsd" in given:
+        from dpstack.api.config.gsd_source import (
+            basis_of_gsd,  # here, as a bus without GSD files needs no reader of them
+        )
+
+        return basis_of_gsd(table, given, who)
+    return basis_of_octets(table, given, who)
 
 
 def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,6 @@ class.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import difflib
 import functools
 import math
@@ -16,12 +15,27 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Final, Literal, NoReturn, TypeAlias, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Final,
+    Literal,
+    NoReturn,
+    TypeAlias,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+from msgspec import Struct, structs
 
 from dpstack.api.config.toml import Path as KeyPath
 from dpstack.api.config.toml import quoted
 from dpstack.errors import ConfigError, PduError
-from dpstack.gsd.model import Device
+
+if TYPE_CHECKING:
+    from dpstack.gsd.model import Device
 
 #: octets as they may be given: bytes, hex digits, or numbers 0..255
 Octets: TypeAlias = bytes | str | Sequence[int]
@@ -37,8 +51,7 @@ class Gsd:
     required: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Key:
+class Key(Struct, frozen=True):
     """The values that a key allows, besides its type. ``unit``: of the limits, where the key's name has none. ``hint``:
     the remedy in the message about a value outside the limits. ``read``: the reader of a key that has a value, instead
     of the reader of its type.
@@ -60,12 +73,11 @@ def keys_of(table: type) -> dict[str, Key]:
     found = {}
     for name, hint in get_type_hints(table, include_extras=True).items():
         kind, key = get_args(hint) if get_origin(hint) is Annotated else (hint, Key())
-        found[name] = dataclasses.replace(key, kind=get_args(kind)[0] if isinstance(kind, UnionType) else kind)
+        found[name] = structs.replace(key, kind=get_args(kind)[0] if isinstance(kind, UnionType) else kind)
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class Source:
+class Source(Struct, frozen=True):
     """The source of a configuration: its name in messages, the line numbers of its keys (None: no text), and the
     ``file`` as an absolute path without links (None: no file) with the ``digest`` of what was read (SHA-256, hex).
     """

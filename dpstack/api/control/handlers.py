@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Callable, Mapping
 from functools import partial
 from time import monotonic_ns
 from typing import Any, Final
+
+from msgspec import structs
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.core import BusCore
@@ -22,9 +23,10 @@ from dpstack.api.control.record_orders import acyclic_order
 from dpstack.api.control.scenario import read_fault
 from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.tap_feed import TapFeed
+from dpstack.api.injected import Injected
 from dpstack.api.server.fault_steps import Deed, End
 from dpstack.api.server.simulation import Segment, Simulation
-from dpstack.api.server.virtual_bench import Bench, Injected, silence_text
+from dpstack.api.server.virtual_bench import Bench, silence_text
 from dpstack.api.slave.slave import Slave
 from dpstack.api.slave.station_report import KnownDevices, read_station, station_report
 from dpstack.api.streams import OnEvent, call_on_event
@@ -180,7 +182,7 @@ def run_status(bus: Bus) -> dict[str, object]:
             entry["fault"] = slave.fault.text
         entry |= diagnosis_dict(slave)
         if slave.alarm_counts is not None:
-            entry["alarms"] = dataclasses.asdict(slave.alarm_counts)
+            entry["alarms"] = structs.asdict(slave.alarm_counts)
         if slave.address in drives:
             entry["drive"] = drive_dict(core, drives[slave.address])
         if core.bench is not None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any, Final
+
+from msgspec import structs
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
@@ -150,7 +151,7 @@ async def _all_im(slave: Slave | Connection, slot: int) -> dict[str, dict[str, o
 
 
 def _plain(record: Im) -> dict[str, object]:
-    fields = dataclasses.asdict(record)
+    fields = structs.asdict(record)
     return {name: value.hex() if isinstance(value, bytes) else value for name, value in fields.items()}
 
 

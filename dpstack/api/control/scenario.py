@@ -19,9 +19,10 @@ from dpstack.api.config.table import Key, Source, Table
 from dpstack.api.control.arguments import time_ns
 from dpstack.api.control.commands import SLAVES, Spec
 from dpstack.api.control.server import Handler
+from dpstack.api.injected import ScenarioEvent
 from dpstack.api.server.fault_steps import KINDS, Deed, End, Kind
 from dpstack.api.server.simulated_inputs import SimulatedInputs
-from dpstack.api.server.virtual_bench import Bench, ScenarioEvent
+from dpstack.api.server.virtual_bench import Bench
 from dpstack.errors import ConfigError, DpError
 from dpstack.text import shortened
 from dpstack.trace import Event

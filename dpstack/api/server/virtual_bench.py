@@ -7,8 +7,10 @@ import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import TYPE_CHECKING, cast
 
 from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.injected import Injected, ScenarioEvent
 from dpstack.dp.process_data import Field, Value
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingSlave
@@ -23,7 +25,6 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
-from dpstack.profile import DriveDevice
 from dpstack.sim.io_station import IDENT, NAME, IoStation
 from dpstack.sim.slave_faults import SlaveFaults, fault_text
 from dpstack.sim.world import World
@@ -31,59 +32,8 @@ from dpstack.text import octets_text
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
-
-class Injected(Event):
-    """A command of ``dpstack ctl`` to a simulated slave or to the segment.
-
-    ``address`` and ``name``: of the slave; None for the segment. ``args``: as typed.
-    """
-
-    command: str
-    args: tuple[str, ...]
-    address: int | None = None
-    name: str | None = None
-
-    def _text(self) -> str:
-        args = self.args if self.address is None else self.args[1:]
-        who = "the segment" if self.address is None else f"slave {self.address} ({self.name})"
-        return f"{who}: {' '.join((self.command, *args))} (dpstack ctl)"
-
-    def as_dict(self, t: float) -> dict[str, object]:
-        """The JSON line of the event at ``t`` seconds."""
-        line: dict[str, object] = {"event": "injected", "t": round(t, 6)}
-        if self.address is not None:
-            line |= {"address": self.address, "name": self.name}
-        return {**line, "command": self.command, "args": list(self.args), "text": self.text}
-
-
-class ScenarioEvent(Event):
-    """A step of a scenario. ``step``: its number in the file, from 1; 0: the scenario itself, without a slave.
-
-    ``state``: "begin", "end", "failed" (``detail`` says why), "again" (the scenario begins anew), "over". ``do``: the
-    kind of the step; ``detail``: in words; ``lasts_s``: seconds until its end, None without one.
-    """
-
-    step: int
-    state: str
-    detail: str
-    do: str | None = None
-    address: int | None = None
-    name: str | None = None
-    lasts_s: float | None = None
-
-    def _text(self) -> str:
-        if not self.step:
-            return f"scenario: {self.detail}"
-        word = {"end": "over: ", "failed": "failed: "}.get(self.state, "")
-        lasts = f" for {self.lasts_s:g} s" if self.state == "begin" and self.lasts_s is not None else ""
-        return f"scenario step {self.step}, slave {self.address} ({self.name}): {word}{self.detail}{lasts}"
-
-    def as_dict(self, t: float) -> dict[str, object]:
-        """The JSON line of the event at ``t`` seconds."""
-        line: dict[str, object] = {"event": "scenario", "t": round(t, 6), "step": self.step, "state": self.state}
-        if self.address is not None:
-            line |= {"address": self.address, "name": self.name, "do": self.do, "for": self.lasts_s}
-        return {**line, "text": self.text}
+if TYPE_CHECKING:
+    from dpstack.profile import DriveDevice
 
 
 def sim_event_json(event: Event, t: float) -> dict[str, object]:
@@ -210,9 +160,14 @@ class SimulatedSlave:
             image = field.put(image, field.read(value) if isinstance(value, str) else value)
         return image
 
+    @property
+    def drive(self) -> DriveDevice | None:
+        """The device where it is a simulated drive."""
+        return None if self.config.profile is None else cast("DriveDevice", self.device)
+
     def check_settable(self) -> None:
         """Raises UsageError where the device makes its inputs itself: a drive."""
-        if isinstance(self.device, DriveDevice):
+        if self.drive is not None:
             raise UsageError(f"{self.who}: the simulated drive makes its inputs; trip, warn and load change them")
 
     def set_inputs(self, octets: bytes | None) -> str | None:
@@ -279,12 +234,13 @@ class SimulatedSlave:
         }
 
     def renew(self, params: BusParams) -> None:
-        before, self.device = self.device, device_of(self.config, self._held)
+        before, drive_before = self.device, self.drive
+        self.device = device_of(self.config, self._held)
         kept, self._address_fixed = self.app.kept_address
         self._address = self._address if kept is None else kept
-        if isinstance(before, DriveDevice) and isinstance(self.device, DriveDevice):
-            self.device.inherit(before)
-            own = self.device.own_address
+        if self.drive is not None and drive_before is not None:
+            self.drive.inherit(drive_before)
+            own = self.drive.own_address
             self._address = self._address if own is None else own
         if isinstance(before, IoStation) and isinstance(self.device, IoStation):
             self.device.inherit(before)
@@ -294,8 +250,8 @@ class SimulatedSlave:
         own = set_rate(self.config)
         if own is not None and own != params.baud:
             params = BusParams.preset(own)
-        if isinstance(self.device, DriveDevice):
-            self.device.installed(self._address, None if self._searching else params.baud)
+        if self.drive is not None:
+            self.drive.installed(self._address, None if self._searching else params.baud)
         self.app = SlaveApp(self.device, address=self._address, address_fixed=self._address_fixed)
         self.station = PassiveStation(self._address, self.app, params, patience=self._patience)
         self.faults.attach(self.station, self.app)
@@ -378,7 +334,11 @@ class Bench(ABC):
         left_ns = self._silent_ns(address) or 0
         found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
         found += [fault_text(fault) for fault in unit.faults.active]
-        return found + list(unit.device.injected if isinstance(unit.device, (DriveDevice, IoStation)) else ())
+        if unit.drive is not None:
+            found += unit.drive.injected
+        elif isinstance(unit.device, IoStation):
+            found += unit.device.injected
+        return found
 
     def status_of(self, address: int) -> dict[str, object]:
         """Keys of ``status`` for a simulated slave: ``slots`` of an I/O station, ``set_inputs`` in hex, ``injected``

@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Generator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from types import TracebackType
 
-from dpstack.api.config.slave import NO_GSD, SlaveConfig
+import msgspec
+from msgspec import Struct
+from msgspec.structs import asdict
+
+from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.records import RecordAccess, RecordWay, usual_timeout
 from dpstack.api.slave.services import ConnectionEnd, Services, time_of
@@ -29,24 +33,22 @@ from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE, Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import ConfigError, ConnectionEnded, PduError, UsageError
+from dpstack.gsd.dpv1_keywords import NO_GSD, DpV1
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
-from dpstack.gsd.model import DpV1
 from dpstack.units import ns_to_s
 
 #: Slave_Diag of the slave at an address
 ReadsDiagnosis = Callable[[int], Awaitable[Diagnosis]]
 
 
-@dataclass(frozen=True, slots=True)
-class ProcessData:
+class ProcessData(Struct, frozen=True):
     """Inputs or outputs read from a slave: ``octets``, and ``values`` by name where the configuration names them."""
 
     octets: bytes
-    values: Mapping[str, Value] = field(default_factory=dict)
+    values: Mapping[str, Value] = msgspec.field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Configuration:
+class Configuration(Struct, frozen=True):
     """The identifier octets of a slave (Get_Cfg), decoded.
 
     ``finding``: the reason why they cannot be decoded; then there are no ``identifiers`` and no lengths.
@@ -67,8 +69,7 @@ class Configuration:
             return cls(octets, finding=str(error))
 
 
-@dataclass(frozen=True, slots=True)
-class ReadDiagnosis(Diagnosis):
+class ReadDiagnosis(Diagnosis, frozen=True):
     """A diagnosis with its ``diagnosis_texts``, as in :attr:`dpstack.Slave.diagnosis_texts`.
 
     They include texts of the GSD file if this bus has such a slave at that address.
@@ -239,8 +240,7 @@ class Class2(Sealed):
         if known is not None and known.setup.ident not in (found.ident, None):
             known = None  # another device has this address
         lines = block_texts(found) if known is None else known.setup.block_texts(found)
-        plain = {one.name: getattr(found, one.name) for one in fields(found)}
-        return ReadDiagnosis(**plain, diagnosis_texts=found.texts + lines)
+        return ReadDiagnosis(**asdict(found), diagnosis_texts=found.texts + lines)
 
 
 def _initiate_address(what: str, given: bytes) -> Address:

@@ -6,9 +6,8 @@ import abc
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
-from dpstack.api.slave.record_parameters import RecordParameters
 from dpstack.api.slave.services import Services, time_of
 from dpstack.argcheck import octets, whole_number
 from dpstack.dp.pdu.layouts import MAX_RECORD
@@ -18,8 +17,10 @@ from dpstack.dpv1.pdu.im import IM_ANSWER, IM_INDEX, RECORDS, Im, Im0, build_cal
 from dpstack.dpv1.pdu.read_write import Function, ReadReq, WriteReq
 from dpstack.dpv1.timeouts import service_timeout
 from dpstack.errors import AcyclicError, PduError, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
-from dpstack.profile.record47 import Refused, Silent
 from dpstack.units import ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.slave.record_parameters import RecordParameters
 
 T = TypeVar("T")
 #: in seconds: limit for a slave that is not ready for a call, first and longest pause between two tries
@@ -123,6 +124,10 @@ class RecordAccess(abc.ABC):
 
         ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
         """
+        # here, as most programs read no parameters
+        from dpstack.api.slave.record_parameters import RecordParameters
+        from dpstack.profile.record47 import Refused, Silent
+
         user = self._way.services.token()
 
         async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused | Silent:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
+
+from msgspec import Struct, field
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
@@ -43,8 +44,7 @@ _NO_ANSWER: Final = (
 _NO_SLAVE: Final = "answers, and refuses Slave_Diag ({status}): it may be a master, or no DP slave"
 
 
-@dataclass(frozen=True, slots=True)
-class StationReading:
+class StationReading(Struct, frozen=True):
     """The octets that the station at ``address`` gave; None where it gave none, then ``errors`` has the reason by the
     name of the service.
 

@@ -8,6 +8,8 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any, Final, NamedTuple
 
+from msgspec import structs
+
 from dpstack.api.bus.bus import Bus, open_bus
 from dpstack.api.bus.events_json import AddressCollision, Event, FaultKind, SlaveFaulted
 from dpstack.api.bus.live_list import joined
@@ -193,7 +195,7 @@ class _Request(NamedTuple):
             simulate(world, [self.slave], baud=config.baud)
 
         def make_bus(address: int) -> Bus:
-            settings = dataclasses.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
+            settings = structs.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
             without_slaves = dataclasses.replace(config, bus=settings, slaves=())
             return open_bus(without_slaves, on_event=on_bus.once(on_bus.warn_of), world=world)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import shlex
 from collections.abc import Mapping
+
+from msgspec import structs
 
 from dpstack.api.bus.events_json import Found
 from dpstack.api.bus.live_list import LiveListResult, cause_dict, config_skeleton, drive_of, scan_port
@@ -36,7 +37,7 @@ def execute(args: argparse.Namespace) -> int:
     folder = None if args.gsd is None else GsdFolder(args.gsd, beside=".")
     result = run_to_result(_scan(args), "the live list was complete")
     chosen, notes = ({}, []) if folder is None else chosen_keys(folder, result.stations)
-    _show(dataclasses.replace(result, notes=(*result.notes, *notes)), args, chosen)
+    _show(structs.replace(result, notes=(*result.notes, *notes)), args, chosen)
     if result.stations:
         return 0
     output.warn(on_bus.nobody_text(result.baud))

@@ -7,6 +7,8 @@ import functools
 import sys
 from collections.abc import Callable, Iterator, Mapping
 
+import msgspec
+
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.decode.fields import Fields
@@ -63,10 +65,6 @@ def filter_argument(text: str) -> Match:
 def _json_text() -> Callable[[dict[str, object]], str]:
     """The encoder of JSON lines: msgspec takes a tenth of the time of the standard library's."""
     encoding = sys.stdout.encoding or "utf-8"
-    try:
-        import msgspec
-    except ImportError:  # not on this system
-        return functools.partial(json_text, encoding=encoding)
     encode = msgspec.json.Encoder().encode
 
     def text_of(data: dict[str, object]) -> str:

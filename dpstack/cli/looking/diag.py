@@ -7,6 +7,8 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from msgspec import structs
+
 from dpstack.api.bus.bus import Bus, open_bus
 from dpstack.api.bus.live_list import joined
 from dpstack.api.bus.virtual import World, simulate
@@ -116,7 +118,7 @@ class _Request(NamedTuple):
             simulate(world, config.slaves, baud=config.baud)
 
         def make_bus(address: int) -> Bus:
-            settings = dataclasses.replace(
+            settings = structs.replace(
                 config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=(), read_only=True
             )
             alone = dataclasses.replace(config, bus=settings, slaves=())

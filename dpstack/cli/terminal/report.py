@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
+
+from msgspec import structs
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.events_json import (
@@ -124,7 +125,7 @@ class Reporter:
                     self._line(event, text, "yellow" if found else "")
             case AlarmRaised(address=address, texts=texts):
                 known = self._diagnoses.get(address, "").split("; ")  # those of the diagnosis that it came in
-                self._line(event, dataclasses.replace(event, texts=tuple(t for t in texts if t not in known)).text)
+                self._line(event, structs.replace(event, texts=tuple(t for t in texts if t not in known)).text)
             case DriveEvent(address=address, payload=payload):
                 self._drive(address, event, payload)
             case SlaveStateChanged(address=address, state=state):

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Generator, Hashable
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple, TypeVar
+
+from msgspec import Struct
 
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Telegram
@@ -54,8 +55,7 @@ class ServiceFailure(Enum):
     DOUBLE = "double"  # it has the new address, and the old one still answers
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(Struct, frozen=True):
     """The one end of a service: ``data`` of the answer, or ``failure`` with ``text`` that says what to do.
 
     ``status``: how a refusing slave answered. ``codes``: Error_Decode, Error_Code_1 and 2 of a negative response, or
@@ -69,7 +69,7 @@ class Outcome:
     data: bytes = b""
 
 
-class ServiceEnd(Event, abc.ABC):
+class ServiceEnd(Event):
     """The one end of the service that was ordered with ``token``, whatever the service and the way to the slave."""
 
     token: int
@@ -79,14 +79,14 @@ class ServiceEnd(Event, abc.ABC):
     MUST_ARRIVE = True
 
     @property
-    @abc.abstractmethod
     def title(self) -> str:
-        """The service by the standard's name."""
+        """The service by the standard's name. Each derived class has it."""
+        raise NotImplementedError
 
     @property
-    @abc.abstractmethod
     def result(self) -> str:
-        """The text of a service without failure."""
+        """The text of a service without failure. Each derived class has it."""
+        raise NotImplementedError
 
     def _text(self) -> str:
         outcome = self.outcome

@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Hashable, Iterable
-from dataclasses import dataclass
 from typing import Any, Final
+
+from msgspec import Struct
 
 from dpstack.dp.acyclic.job import ACKS, UNORDERED, Job, Outcome, RequestEnd, ServiceFailure, Step, Steps
 from dpstack.dp.master.commands import Mode
@@ -48,8 +49,7 @@ class CancelService(Order):
     token: int
 
 
-@dataclass(slots=True)
-class _Entry:
+class _Entry(Struct):
     token: int
     job: Job
     deadline: int

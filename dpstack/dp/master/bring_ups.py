@@ -7,8 +7,10 @@ costs nothing. It is bounded: :data:`MOST_BRING_UPS` bring-ups of :data:`MOST_ST
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
 from typing import Final
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -32,8 +34,7 @@ _FAILURES: Final = {Failure.NO_ANSWER: NOTHING, Failure.GARBLED: DAMAGED, Failur
 _ASKING: Final = (SlaveState.OFFLINE, SlaveState.DIAGNOSIS, SlaveState.FAULT)
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(Struct, frozen=True):
     """One request and its answer; ``times``: so often in a row, the last time at ``last_ns``.
 
     ``answered``: SC, or the status of the answer (DL, DH, RS ...), or "nothing", "damaged" (octets, no telegram),
@@ -54,8 +55,7 @@ class Step:
         return Diagnosis.parse(self.received) if self.asked == SLAVE_DIAG and self.received else None
 
 
-@dataclass(frozen=True, slots=True)
-class BringUp:
+class BringUp(Struct, frozen=True):
     """Steps of one bring-up, and of the data exchange after it. ``left_out``: steps between the first and the last ones
     that were not kept. ``exchanging_ns``: time of the first good Data_Exchange, 0: there was none."""
 
@@ -64,8 +64,7 @@ class BringUp:
     exchanging_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Loss:
+class Loss(Struct, frozen=True):
     """The slave left data exchange at ``t_ns`` after ``stayed_ns``. ``how``: the answer that ended it, as in
     :class:`Step`, or "diagnosis".
 
@@ -81,8 +80,7 @@ class Loss:
     free: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class History:
+class History(Struct, frozen=True):
     """The bring-ups of one slave, oldest first, and its last losses. ``lost``: number of losses since the start;
     ``brought_up``: times it reached data exchange. ``idents``: the ident numbers in its diagnoses, at most four.
     """
@@ -94,8 +92,7 @@ class History:
     idents: tuple[int, ...] = ()
 
 
-@dataclass(slots=True)
-class _Open:
+class _Open(Struct):
     """A bring-up under way. ``advanced``: more than Slave_Diag was asked."""
 
     steps: list[Step] = field(default_factory=list)

@@ -12,7 +12,6 @@ from dpstack.dp.pdu.requests import SET_PRM_LEN
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import Failure
 from dpstack.gsd.identifiers import agree
-from dpstack.gsd.module_comparison import compare_modules
 from dpstack.text import octets_text
 from dpstack.units import baud_text
 
@@ -60,6 +59,8 @@ def with_modules(fault: Fault, setup: SlaveParams) -> Fault:
     if setup.texts is None or not fault.actual:
         return fault
     device, modules = setup.texts.device, setup.texts.modules
+    from dpstack.gsd.module_comparison import compare_modules  # here, as few slaves have a GSD file
+
     found = compare_modules(setup.config, fault.actual, device, modules, device.first_slot)
     if not found.key:
         return fault

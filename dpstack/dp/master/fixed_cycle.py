@@ -10,9 +10,10 @@ master goes to a lower mode, and while no slave is in data exchange, rounds run 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
+
+from msgspec import Struct, field
 
 from dpstack.dp.master.events import CyclesMissed
 from dpstack.dp.master.settings import MasterContext
@@ -52,8 +53,7 @@ def tolerance_ns(cycle_ns: int) -> int:
     return cycle_ns // 10
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CycleData:
+class CycleData(Struct, frozen=True, kw_only=True):
     """One round with data exchange, published when it is over. Times in ns.
 
     ``number`` counts fixed cycles by their due times, those that were left out included; free running the rounds.
@@ -76,8 +76,7 @@ class CycleData:
         return self.t_ns - self.due_ns
 
 
-@dataclass(slots=True)
-class CycleStats:
+class CycleStats(Struct):
     """Statistics of all fixed cycles; ``cycle_ns`` 0: free running, and only ``begun`` counts.
 
     ``late``: the delays of the cycles that began. A deadline miss is a cycle that began later than

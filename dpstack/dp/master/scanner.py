@@ -8,12 +8,12 @@ list.
 
 from __future__ import annotations
 
-import dataclasses
 from collections import deque
 from collections.abc import Collection
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final
+
+from msgspec import Struct, structs
 
 from dpstack.dp.master.verdicts import foreign_owner
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -53,8 +53,7 @@ def view_of(diagnosis: Diagnosis | None) -> SlaveView:
     return SlaveView.UNKNOWN if diagnosis.master is None else SlaveView.DATA_EXCHANGE
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class Found(Struct, frozen=True, kw_only=True):
     """One station. Of a slave also ``ident``, ``state``, ``master`` (its owner) and ``diagnosis``, as far as known.
 
     ``config``: its identifier octets, if the scanner asked for them and the slave answered.
@@ -119,8 +118,7 @@ class ScanDone(Event):
     TEMPLATE = "live list complete: {e.stations} stations besides this one"
 
 
-@dataclass(slots=True)
-class _Question:
+class _Question(Struct):
     address: int
     sap: int
     tries: int = _ATTEMPTS
@@ -245,7 +243,7 @@ class Scanner(LinkUser):
         if found is None:
             return
         if question.sap == SAP_GET_CFG:
-            self.found[question.address] = dataclasses.replace(found, config=data)
+            self.found[question.address] = structs.replace(found, config=data)
             return
         diagnosis = Diagnosis.parse(data)
         state = view_of(diagnosis)
@@ -254,7 +252,7 @@ class Scanner(LinkUser):
             # some slaves name the station that asks as their master: the scanner owns no slave
             owner = foreign_owner(diagnosis, self._own)
         ident = None if diagnosis is None else diagnosis.ident
-        self.found[question.address] = dataclasses.replace(
+        self.found[question.address] = structs.replace(
             found, state=state, ident=ident, master=owner, diagnosis=diagnosis
         )
         self._report(question.address, now)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.dp.master.commands import Mode
 from dpstack.params import BusParams
@@ -12,8 +13,7 @@ from dpstack.trace import Event
 from dpstack.units import NS_PER_S
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MasterSettings:
+class MasterSettings(Struct, frozen=True, kw_only=True):
     """``watchdog_ms`` is the default of slaves without a watchdog time of their own.
 
     ``absent_divisor``: while any slave is in data exchange, silent polls of absent slaves take at most

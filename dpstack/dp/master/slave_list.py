@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.dp.master.commands import ActivateSlave, AddSlave, DeactivateSlave, Mode, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.master.events import SlaveState, SlaveStateChanged
@@ -32,8 +33,7 @@ from dpstack.units import NS_PER_MS
 SAFE_HOLD: Final = 50 * NS_PER_MS
 
 
-@dataclass(slots=True)
-class Leaving:
+class Leaving(Struct):
     """A slave that is being removed. Its instance tags the requests of its farewell."""
 
     handler: SlaveHandler

@@ -6,8 +6,9 @@ Alarms and status messages in the diagnoses are left to an observer.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Final
+
+from msgspec import Struct
 
 from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveRemark
 from dpstack.dp.master.verdicts import deviations
@@ -20,8 +21,7 @@ _MAX_REMARKS: Final = 20
 _NO_MORE: Final = "; further deviations are not told"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AlarmCounts:
+class AlarmCounts(Struct, frozen=True, kw_only=True):
     """Counts of the alarms of one slave. ``raised``: delivered alarms; ``acknowledged``: accepted acknowledgements.
 
     ``repeated``: repeated acknowledgements; ``refused``: refused ones. ``too_many``: alarms beyond the agreed number,

@@ -8,10 +8,11 @@ fault, and the trigger that follows (docs/reference/protocol.md#answers-to-data_
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import reduce
 from operator import or_
 from typing import Final
+
+from msgspec.structs import replace
 
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import Fault, FaultKind, SlaveState

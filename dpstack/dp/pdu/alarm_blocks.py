@@ -6,9 +6,10 @@ A block is device related (its octets with the header, 4 to 63). Octets are coun
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntFlag
 from typing import Final, NamedTuple
+
+from msgspec import Struct
 
 from dpstack.dp.pdu.layouts import MAX_SLOT, OCTET, REST, Layout, bits, flags
 from dpstack.errors import PduError
@@ -156,8 +157,7 @@ class ModuleState(NamedInt):
         return ("ok", "data invalid", "wrong module", "no module")[self]
 
 
-@dataclass(frozen=True, slots=True)
-class Alarm:
+class Alarm(Struct, frozen=True):
     """An alarm: ``type`` 1..6 or 32..126, ``slot`` 0..254, ``sequence`` 0..31, ``specifier`` 0..3, ``data`` 0..59
     octets; ``add_ack``: the user has to acknowledge it in addition."""
 
@@ -191,8 +191,7 @@ class Alarm:
         return _build(self, self.sequence, self.add_ack)
 
 
-@dataclass(frozen=True, slots=True)
-class Status:
+class Status(Struct, frozen=True):
     """A status, which has no acknowledgement: ``type`` (bit 7 taken off) 1..3, 30, 31 or 32..126; the rest as of Alarm.
 
     ``reserved``: bits 7..2 of the specifier; PrmCmdAck and Red_State have a sequence number there.

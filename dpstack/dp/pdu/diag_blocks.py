@@ -10,8 +10,10 @@ slave builds its diagnosis from the same blocks.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from typing import Any, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.dp.pdu.layouts import Layout, bits, fixed, flags
 from dpstack.errors import PduError
@@ -38,15 +40,13 @@ CHANNEL_ERRORS: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
+class Block(Struct, frozen=True):
     """One block; ``octets`` are all of it, header included."""
 
     octets: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceBlock(Block):
+class DeviceBlock(Block, frozen=True):
     """Device related: ``data`` means what the device's maker says (in DP-V1 an alarm or status)."""
 
     @property
@@ -55,8 +55,7 @@ class DeviceBlock(Block):
         return self.octets[1:]
 
 
-@dataclass(frozen=True, slots=True)
-class IdentifierBlock(Block):
+class IdentifierBlock(Block, frozen=True):
     """Identifier (module) related: which modules have a diagnosis. Texts for people count slots, see FIRST_SLOT."""
 
     @property
@@ -66,8 +65,7 @@ class IdentifierBlock(Block):
         return tuple(n for n in range(bits.bit_length()) if bits >> n & 1)
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelBlock(Block):
+class ChannelBlock(Block, frozen=True):
     """Channel related. ``identifier`` (module, from 0) and ``channel`` 0..63, ``size`` 0..7 and ``error`` 0..31 as on
     the wire. Texts for people count slots, see FIRST_SLOT.
     """
@@ -108,8 +106,7 @@ _CHANNEL_LAYOUT: Final[Layout[dict[str, Any]]] = Layout(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RevisionBlock(Block):
+class RevisionBlock(Block, frozen=True):
     """Revision number of the diagnosis, one octet."""
 
     revision: int
@@ -148,8 +145,7 @@ def split_blocks(ext: bytes) -> tuple[tuple[Block, ...], str | None]:
 _MAX_BLOCK: Final = 63
 
 
-@dataclass(frozen=True, slots=True)
-class UserDiag:
+class UserDiag(Struct, frozen=True):
     """The part of a slave's diagnosis that its application sets, as a whole.
 
     ``ext``: the octets after the six fixed ones. ``fault``: Ext_Diag, there is something wrong (False: ``ext`` is a

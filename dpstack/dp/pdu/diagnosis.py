@@ -6,8 +6,9 @@ docs/reference/protocol.md#how-real-devices-deviate.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.dp.pdu.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Flag, Reaction
 from dpstack.dp.pdu.diag_blocks import Block, split_blocks
@@ -34,8 +35,7 @@ class _Bit:
         return bool(getattr(diagnosis, self._status) & self._mask)
 
 
-@dataclass(frozen=True, slots=True)
-class Diagnosis:
+class Diagnosis(Struct, frozen=True):
     """One diagnosis (the answer to Slave_Diag, DSAP 60).
 
     ``master``: address of the master that has parameterised the slave, None for none (255). ``ident``: ident number.

@@ -8,8 +8,9 @@ master sets what it uses (DPV1_Enable, Fail_Safe, WD_Base_1ms) and leaves the ot
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.pdu.prm_blocks import BlockType, PrmBlock, parse_blocks
@@ -38,8 +39,7 @@ ALARM_MODE: Final = 0x07
 ALARM_LIMITS: Final = (0, 2, 4, 8, 12, 16, 24, 32)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Dpv1:
+class Dpv1(Struct, frozen=True, kw_only=True):
     """DP-V1 of one slave: DPV1_Enable and the bits beside it; None leaves bits as the parameters have them.
 
     ``alarms``: kinds that the slave may raise, keys of :data:`ALARMS`; ``alarm_mode`` 0 one of each kind at a time,

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 import construct as cs
+from msgspec import Struct
 
 from dpstack.errors import PduError
 
@@ -82,10 +83,9 @@ class Layout(Generic[R]):
             raise PduError(f"{self.name}: {what} does not fit its octets") from None
 
 
-class Pdu:
+class Pdu(Struct, frozen=True):
     """Base class of the PDUs that :attr:`LAYOUT` describes completely."""
 
-    __slots__ = ()
     LAYOUT: ClassVar[Layout[Any]]
 
     def build(self) -> bytes:

@@ -6,9 +6,10 @@ Layouts and numbers of types: docs/reference/protocol.md#structured-parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
+
+from msgspec import Struct
 
 from dpstack.dp.pdu.layouts import DOUBLE_WORD, MAX_SLOT, OCTET, WORD, Layout
 from dpstack.errors import ConfigError, PduError
@@ -135,8 +136,7 @@ TABLES: Final[Mapping[int, Layout[Any]]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class PrmBlock:
+class PrmBlock(Struct, frozen=True):
     """A block of structured parameters: ``type`` 0..255 (:class:`BlockType`), ``slot`` 0..254, ``data``.
 
     ``specifier``: the last octet of the head, 0 but in PrmCmd (sequence number). Raises ConfigError.

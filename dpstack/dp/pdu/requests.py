@@ -6,13 +6,14 @@ docs/reference/protocol.md#global_control, docs/reference/protocol.md#set_slave_
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
+from msgspec import Struct
+
 from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, Pdu, adapted, fixed, flags
 from dpstack.errors import PduError
-from dpstack.gsd.model import MAX_USER_PRM
+from dpstack.gsd.identifiers import MAX_USER_PRM
 from dpstack.params import MAX_STATION
 
 #: The fixed octets of Set_Prm.
@@ -26,8 +27,7 @@ _KEPT_CONTROLS: Final = 64
 _NO_WATCHDOG: Final = (1, 1)
 
 
-@dataclass(frozen=True, slots=True)
-class SetPrm:
+class SetPrm(Struct, frozen=True):
     """Set_Prm (DSAP 61).
 
     ``lock``/``unlock``: 10 locks the slave to the sender, 01 and 11 release it, 00 may only change min T_SDR and the
@@ -83,8 +83,7 @@ _SET_PRM: Final = Layout(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class GlobalControl:
+class GlobalControl(Struct, frozen=True):
     """Global_Control (DSAP 58, SDN, usually to 127).
 
     All False is Operate. ``group_mask`` 0 concerns all slaves of the sender. Unfreeze and unsync win over freeze and
@@ -121,8 +120,7 @@ _build_control: Final = lru_cache(_KEPT_CONTROLS)(_GLOBAL_CONTROL.build)
 _parse_control: Final = lru_cache(_KEPT_CONTROLS)(_GLOBAL_CONTROL.parse)
 
 
-@dataclass(frozen=True, slots=True)
-class SetSlaveAdd(Pdu):
+class SetSlaveAdd(Pdu, frozen=True):
     """Set_Slave_Add (DSAP 55): the station address of a slave in Wait_Prm.
 
     ``address``: the new one, 0..125. ``ident``: the slave's own, else it does nothing. ``no_add_chg``: the slave shall

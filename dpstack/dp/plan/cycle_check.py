@@ -7,9 +7,10 @@ to spare; one that never fits costs whole cycles.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
+
+from msgspec import Struct
 
 from dpstack.dp.master.fixed_cycle import tolerance_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, longest_diagnosis
@@ -53,8 +54,7 @@ class Refusal(NamedTuple):
         return f"{self.what}; {self.todo}"
 
 
-@dataclass(frozen=True, slots=True)
-class CyclePlan:
+class CyclePlan(Struct, frozen=True):
     """The judgement of one cycle. ``load``: the part of it that the typical rotation takes; ``findings`` (besides
     ``refusals``) and ``notes``: one line each.
     """

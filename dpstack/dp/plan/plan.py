@@ -6,8 +6,9 @@ Findings of a plan (a value is out of bounds, why, and what to do) and notes (le
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.dp.plan.cycle_check import CyclePlan, Refusal, judge_cycle
 from dpstack.dp.plan.rotation_time import ALONE, Case, Figures, OtherMasters, Rotation, rate_offsets
@@ -106,8 +107,7 @@ def _up(ns: int) -> int:
 _CASES: Final = (Case.SHORTEST, Case.TYPICAL, Case.LONGEST)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SlavePlan:
+class SlavePlan(Struct, frozen=True, kw_only=True):
     """One slave: its time in the shortest rotation, its watchdog, and the text ``on_loss`` for the end of its watchdog.
 
     With ``every`` n it has its turn in the rounds whose number leaves ``offset`` when divided by n. ``set_prm`` and
@@ -123,8 +123,7 @@ class SlavePlan:
     chk_cfg: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class Plan(Struct, frozen=True, kw_only=True):
     """The plan of one bus at one rate. Rotations in bit times.
 
     ``findings``: values out of bounds, one line each with reason and remedy; empty if everything fits. ``notes``:

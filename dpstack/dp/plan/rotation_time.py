@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
+from msgspec import Struct
+
 from dpstack.dp.rate_groups import Share, fullest, offsets, round_interval_ns
 from dpstack.dp.slave_params import MAX_WATCHDOG_MS, SlaveParams
 from dpstack.dp.telegram_times import (
@@ -41,8 +43,7 @@ class Case(Enum):
     LONGEST = "max"  # that with every retry, and one acyclic service
 
 
-@dataclass(frozen=True, slots=True)
-class OtherMasters:
+class OtherMasters(Struct, frozen=True):
     """The other masters of the bus. ``alike``: number of those that need as long as this one; ``rounds``: of each
     further one its bus rotation time in bit times when it is alone on the bus.
     """
@@ -58,8 +59,7 @@ class OtherMasters:
 ALONE: Final = OtherMasters()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rotation:
+class Rotation(Struct, frozen=True, kw_only=True):
     """The fullest rotation in bit times. ``slaves``: the time of each slave in its rounds, with T_ID1 after its answer;
     ``together``: the slaves in this rotation.
 

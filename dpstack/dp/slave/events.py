@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
+
+from msgspec import Struct
 
 from dpstack.dp.error_origin import error_text, origin_of
 from dpstack.dp.slave.state_table import AppTrigger, SlaveAppState
@@ -103,8 +104,7 @@ _MAX_REPORTED: Final = 50
 _NO_MORE: Final = "; further refusals to it are counted only"
 
 
-@dataclass(slots=True)
-class SlaveAppStats:
+class SlaveAppStats(Struct):
     """Counters of one slave application, always on."""
 
     exchanges: int = 0

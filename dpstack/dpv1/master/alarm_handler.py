@@ -12,10 +12,10 @@ Slaves differ. The rules: docs/reference/decisions/alarms.md#the-same-alarm-agai
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple
+
+from msgspec import Struct, field, structs
 
 from dpstack.dp.acyclic.job import ACKS, Outcome, ServiceFailure
 from dpstack.dp.acyclic.queue import Provider
@@ -60,8 +60,7 @@ class Asked(NamedTuple):
     diagnosis: Diagnosis
 
 
-@dataclass(slots=True)
-class _Settled:
+class _Settled(Struct):
     """An acknowledged alarm that every diagnosis since has held."""
 
     octets: bytes
@@ -147,8 +146,7 @@ class Stage(Enum):
     ASKED = "asked"  # its acknowledgement is under way
 
 
-@dataclass(slots=True, eq=False)
-class OpenAlarm:
+class OpenAlarm(Struct, eq=False):
     """An alarm without an acknowledgement; ``octets``: its block in the diagnosis."""
 
     number: int
@@ -173,8 +171,7 @@ class OpenAlarm:
         return self.unanswered or self.stage is Stage.ASKED
 
 
-@dataclass(slots=True)
-class AlarmBook:
+class AlarmBook(Struct):
     """The state of a slave's alarms that outlasts its parameters, also while DP-V1 is off.
 
     ``hold``: the application acknowledges (:class:`~dpstack.dpv1.master.orders.HoldAlarms`); ``number`` of the last
@@ -187,7 +184,7 @@ class AlarmBook:
     untaken: set[int] = field(default_factory=set)
 
     def count(self, name: str) -> None:
-        self.counts = dataclasses.replace(self.counts, **{name: getattr(self.counts, name) + 1})
+        self.counts = structs.replace(self.counts, **{name: getattr(self.counts, name) + 1})
 
 
 class AlarmHandler(DiagObserver):

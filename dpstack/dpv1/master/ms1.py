@@ -11,8 +11,9 @@ Decisions where the sources leave something open: docs/reference/decisions/servi
 from __future__ import annotations
 
 import abc
-import dataclasses
 from typing import Final
+
+from msgspec import Struct, structs
 
 from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceFailure, Steps
 from dpstack.dp.acyclic.queue import Provider
@@ -197,8 +198,7 @@ class Ms1Job(Job):
         self._ms1.unfetched.pop(self._lane, None)
 
 
-@dataclasses.dataclass(slots=True)
-class Turn:
+class Turn(Struct):
     """The turn of ``user`` at record 47 of a slave, in the data exchange that began at ``since``.
 
     A slave has one request and one response at a time, whoever asks. So a Write begins a turn, and the answer to the
@@ -391,7 +391,7 @@ class Ms1(Provider):
             pending.outcome = negative_outcome(handler.setup.address, request.title, refusal)
             return None
         if isinstance(request, ReadReq):
-            request = dataclasses.replace(request, length=min(request.length, longest))
+            request = structs.replace(request, length=min(request.length, longest))
         try:
             return RecordJob(request, handler, self, _PLUGIN, pending)
         except PduError as error:

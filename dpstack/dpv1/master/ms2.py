@@ -15,8 +15,9 @@ Decisions where the sources leave something open: docs/reference/decisions/ms2.m
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Final
+
+from msgspec import structs
 
 from dpstack.dp.acyclic.class2 import answers_slave_diag, check_address, service_unanswered
 from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceFailure, Steps
@@ -200,7 +201,7 @@ class InitiateJob(ConnectionJob):
             outcome.failure is ServiceFailure.ABORTED and outcome.codes is not None and outcome.codes[1:] == _TOO_SHORT
         ):
             least = connection.send_timeout_ns // NS_PER_MS
-            outcome = dataclasses.replace(outcome, text=f"{outcome.text}; ask for {least} ms or more")
+            outcome = structs.replace(outcome, text=f"{outcome.text}; ask for {least} ms or more")
         done = InitiateDone(t_ns=now, token=token, address=self.address, outcome=outcome)
         if outcome.failure is not None:
             self.ms2.end(connection, outcome.text, NOT_WANTED if outcome.failure in _GIVEN_UP else TIMED_OUT, now)
@@ -209,7 +210,7 @@ class InitiateJob(ConnectionJob):
         assert response is not None
         assert connection.server_sap is not None
         return [
-            dataclasses.replace(
+            structs.replace(
                 done,
                 server_sap=connection.server_sap,
                 send_timeout_ns=connection.send_timeout_ns,

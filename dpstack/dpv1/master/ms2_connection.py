@@ -7,10 +7,10 @@ docs/reference/decisions/ms2.md#connections-at-the-master.
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final
+
+from msgspec import Struct, structs
 
 from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceFailure, Steps
 from dpstack.dp.acyclic.queue import Provider
@@ -49,8 +49,7 @@ class Phase(Enum):
     ENDING = "ending"  # over for its user; the slave does not know yet
 
 
-@dataclass(slots=True, eq=False)
-class MasterConnection:
+class MasterConnection(Struct, eq=False):
     """State of the connection ``ref`` to ``address``."""
 
     ref: int
@@ -319,7 +318,7 @@ class ServiceJob(ConnectionJob):
 
     def _with_aftermath(self, outcome: Outcome) -> Outcome:
         after = "" if outcome.failure is ServiceFailure.GUARDED else self.aftermath
-        return dataclasses.replace(outcome, text=f"{outcome.text}; {after}") if after else outcome
+        return structs.replace(outcome, text=f"{outcome.text}; {after}") if after else outcome
 
     def steps(self) -> Steps[Outcome]:
         """Fetch the answer that an earlier service left, send the request, then poll."""

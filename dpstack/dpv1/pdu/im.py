@@ -8,8 +8,9 @@ are VisibleStrings filled up with blanks: what a device is stands in ASCII; what
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Final, Self
+
+from msgspec.structs import force_setattr
 
 from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, Pdu, adapted, array, fixed, octets
 from dpstack.errors import PduError
@@ -27,10 +28,8 @@ IM_FI: Final = range(_FIRST, _FIRST + 200)
 _KINDS: Final = "VRPUT"
 
 
-class _ImRecord(Pdu):
+class _ImRecord(Pdu, frozen=True):
     """One record of I&M, 64 octets."""
-
-    __slots__ = ()
 
     @classmethod
     def parse(cls, octets: bytes) -> Self:
@@ -39,8 +38,7 @@ class _ImRecord(Pdu):
         return record
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Im0(_ImRecord):
+class Im0(_ImRecord, frozen=True, kw_only=True):
     """I&M0: what the device is; read-only.
 
     ``software_revision``: ``V1.2.3`` (V released, R revision, P prototype, U under test, T test device; 0..255 each);
@@ -60,30 +58,26 @@ class Im0(_ImRecord):
     supported: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Im1(_ImRecord):
+class Im1(_ImRecord, frozen=True):
     """I&M1: what the device is for in the plant (up to 32 characters), and where it is (up to 22)."""
 
     tag_function: str = ""
     tag_location: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Im2(_ImRecord):
+class Im2(_ImRecord, frozen=True):
     """I&M2: the date of installation, up to 16 characters (``2026-01-31 12:00``)."""
 
     date: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Im3(_ImRecord):
+class Im3(_ImRecord, frozen=True):
     """I&M3: a description, up to 54 characters."""
 
     descriptor: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Im4(_ImRecord):
+class Im4(_ImRecord, frozen=True):
     """I&M4: a signature of the parameter set, 54 octets; shorter ones are filled up with zeros."""
 
     signature: bytes = bytes(54)
@@ -91,7 +85,7 @@ class Im4(_ImRecord):
     def __post_init__(self) -> None:
         if len(self.signature) > 54:
             raise PduError(f"I&M4: {len(self.signature)} octets of signature, 54 are possible")
-        object.__setattr__(self, "signature", self.signature.ljust(54, b"\0"))
+        force_setattr(self, "signature", self.signature.ljust(54, b"\0"))
 
 
 Im = Im0 | Im1 | Im2 | Im3 | Im4

@@ -7,9 +7,10 @@ docs/reference/protocol.md#idle, docs/reference/protocol.md#abort. Times are in 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, Self
+
+from msgspec import Struct
 
 from dpstack.dp.pdu.layouts import MAX_RECORD, OCTET, REST, WORD, Layout, Pdu, adapted, bits, fixed, ignored
 from dpstack.dpv1.pdu.read_write import Function
@@ -31,8 +32,7 @@ _ADDRESS: Final = 2
 _NET_ADDRESS: Final = 8
 
 
-@dataclass(frozen=True, slots=True)
-class Address:
+class Address(Struct, frozen=True):
     """One end of a connection: Application Process Instance and Access Level; ``net``: 6 octets of network address and
     the MAC address, where the end is not on this bus (address type 1), else empty (type 0)."""
 
@@ -50,8 +50,7 @@ class Address:
         return bytes((self.api, self.scl)) + self.net
 
 
-@dataclass(frozen=True, slots=True)
-class ResourceManagerRes(Pdu):
+class ResourceManagerRes(Pdu, frozen=True):
     """The resource manager's answer to Initiate: go on at ``server_sap``, which has ``send_timeout_ns`` at least."""
 
     server_sap: int
@@ -83,8 +82,7 @@ ResourceManagerRes.LAYOUT = Layout(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Initiate(Pdu):
+class Initiate(Pdu, frozen=True, kw_only=True):
     """The common part of both Initiate PDUs: ``features``, ``profile_features``: two octets each; ``profile_ident``: 0
     for none; ``source``: the end that sends it."""
 
@@ -127,15 +125,13 @@ _COMMON: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class InitiateReq(Initiate):
+class InitiateReq(Initiate, frozen=True):
     """Open a connection."""
 
     send_timeout_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class InitiateRes(Initiate):
+class InitiateRes(Initiate, frozen=True):
     """The connection is open: ``max_len``: octets of data in one service, at most."""
 
     max_len: int = MAX_RECORD
@@ -217,8 +213,7 @@ _LINK: Final = {
 _SUBNETS: Final[Mapping[int, str]] = {Subnet.LOCAL: " in its own subnet", Subnet.REMOTE: " in a remote subnet"}
 
 
-@dataclass(frozen=True, slots=True)
-class Abort(Pdu):
+class Abort(Pdu, frozen=True):
     """The end of a connection, from either end, without an answer. ``instance`` gives ``reason`` 0..15 its meaning."""
 
     reason: int

@@ -6,10 +6,11 @@ Lengths are octets of data. Slots 0..254, indexes 0..255, up to 240 octets of da
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 from types import SimpleNamespace
 from typing import ClassVar, Final
+
+from msgspec import Struct
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier
 from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT, OCTET, REST, Layout, Pdu, adapted, bits, flags
@@ -56,8 +57,7 @@ RECORD: Final = Layout(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Service:
+class _Service(Struct, frozen=True):
     """A service for the record ``index`` of ``slot``."""
 
     function: ClassVar[Function]
@@ -82,8 +82,7 @@ class _Service:
         return RECORD.build(self, record=self.index, length=length)
 
 
-@dataclass(frozen=True, slots=True)
-class _WithLength(_Service):
+class _WithLength(_Service, frozen=True):
     length: int
     data: ClassVar = b""
 
@@ -92,8 +91,7 @@ class _WithLength(_Service):
         return self._octets(self.length)
 
 
-@dataclass(frozen=True, slots=True)
-class _WithData(_Service):
+class _WithData(_Service, frozen=True):
     data: bytes
 
     def build(self) -> bytes:
@@ -101,8 +99,7 @@ class _WithData(_Service):
         return self._octets(len(self.data))
 
 
-@dataclass(frozen=True, slots=True)
-class ReadReq(_WithLength):
+class ReadReq(_WithLength, frozen=True):
     """Read up to ``length`` octets of the record ``index`` of ``slot``."""
 
     function = Function.READ
@@ -114,10 +111,9 @@ class ReadReq(_WithLength):
         return ReadRes(self.slot, self.index, bytes(data[: self.length]))
 
 
-class WriteReq(_WithData):
+class WriteReq(_WithData, frozen=True):
     """Write ``data`` into the record ``index`` of ``slot``."""
 
-    __slots__ = ()
     function = Function.WRITE
 
     def response(self, data: bytes) -> WriteRes:
@@ -125,24 +121,21 @@ class WriteReq(_WithData):
         return WriteRes(self.slot, self.index, len(self.data))
 
 
-class ReadRes(_WithData):
+class ReadRes(_WithData, frozen=True):
     """The data of a record: as many octets as it has, never more than were asked for."""
 
-    __slots__ = ()
     function = Function.READ
 
 
-class WriteRes(_WithLength):
+class WriteRes(_WithLength, frozen=True):
     """``length`` octets were written."""
 
-    __slots__ = ()
     function = Function.WRITE
 
 
-class DataTransport(_WithData):
+class DataTransport(_WithData, frozen=True):
     """Data_Transport, request and positive response: ``data`` to and from ``slot`` and ``index``."""
 
-    __slots__ = ()
     function = Function.DATA_TRANSPORT
     UNIT = "service"
 
@@ -161,8 +154,7 @@ class DataTransport(_WithData):
         return cls(raw.slot, raw.record, raw.data)
 
 
-@dataclass(frozen=True, slots=True)
-class Negative(Pdu):
+class Negative(Pdu, frozen=True):
     """A negative response to ``function``. ``code_1``: class and code; ``code_2``: the device's own."""
 
     function: int
@@ -185,8 +177,7 @@ Negative.LAYOUT = Layout(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class AlarmAck(Pdu):
+class AlarmAck(Pdu, frozen=True):
     """Alarm_Ack, request and positive response: slot, type and specifier of the alarm."""
 
     slot: int

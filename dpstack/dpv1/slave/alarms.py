@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
+
+from msgspec.structs import replace
 
 from dpstack.dp.pdu.alarm_blocks import SEQUENCES, VENDOR, Alarm, Status, StatusType, kind_of
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS, check_alarm_kinds

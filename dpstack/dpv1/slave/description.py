@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from dpstack.dp.pdu.alarm_blocks import HEAD as ALARM_HEAD
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
@@ -19,15 +21,16 @@ from dpstack.dpv1.slave.alarms import AlarmSupport
 from dpstack.dpv1.slave.resource_manager import check_ms2
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
-from dpstack.gsd.identifiers import config_for, io_lengths
-from dpstack.gsd.model import MAX_USER_PRM, DiagText, Ranges
+from dpstack.gsd.identifiers import MAX_USER_PRM, config_for, io_lengths
+
+if TYPE_CHECKING:
+    from dpstack.gsd.model import DiagText
 
 #: the octet of Set_Prm that a first block begins with, from 1 on
 _FIRST_BLOCK: Final = 11
 
 
-@dataclass(frozen=True, slots=True)
-class SlaveParameter:
+class SlaveParameter(msgspec.Struct, frozen=True):
     """A user parameter by name [ExtUserPrmData]: its place begins in ``octet`` of the user parameters, from 0 (of a
     DP-V1 slave the octets 0..2 are DPV1_Status).
 
@@ -40,8 +43,8 @@ class SlaveParameter:
     octet: int
     type: str = "Unsigned8"
     default: int = 0
-    allowed: Ranges = ()
-    texts: Mapping[int, str] = field(default_factory=dict)
+    allowed: tuple[tuple[int, int], ...] = ()
+    texts: Mapping[int, str] = msgspec.field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

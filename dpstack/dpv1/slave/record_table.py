@@ -5,9 +5,10 @@ Both answer the requests of MS1 and of class 2 connections (:class:`~dpstack.dpv
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from weakref import WeakKeyDictionary
+
+from msgspec import structs
 
 from dpstack.argcheck import whole_number
 from dpstack.dp.pdu.layouts import MAX_SLOT
@@ -148,7 +149,7 @@ def _of_one_slot(records: Iterable[Im]) -> dict[int, Im]:
     bits = sum(1 << number for number in found if number)
     known = found.get(0, Im0())
     assert isinstance(known, Im0)
-    found[0] = dataclasses.replace(known, supported=known.supported | bits)
+    found[0] = structs.replace(known, supported=known.supported | bits)
     for record in found.values():
         record.build()  # raises PduError here, not when it is read
     return found

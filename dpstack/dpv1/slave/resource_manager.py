@@ -12,9 +12,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.dp.error_origin import DEVICE_CALL, failure_text
 from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
@@ -304,8 +306,7 @@ def parse_transport(octets: bytes) -> DataTransport:
 MAX_CONNECTIONS: Final = len(SERVER_SAPS)
 
 
-@dataclass(frozen=True, slots=True)
-class ServedConnection:
+class ServedConnection(Struct, frozen=True):
     """A connection as it stands: its ``master``, the server ``sap``, the send time-out in ns, services asked for."""
 
     master: int

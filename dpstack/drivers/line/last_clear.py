@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import select
 import time
 from time import monotonic_ns
 from typing import Final
+
+from msgspec import structs
 
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import MasterStopped, ModeChanged
@@ -51,7 +52,7 @@ class LastClear:
                 self._operated = mode is Mode.OPERATE
             case MasterStopped(cleared=False):
                 self.send(port)
-                return dataclasses.replace(event, cleared=self.was_sent)
+                return structs.replace(event, cleared=self.was_sent)
         return event
 
     def send(self, port: Port) -> None:

@@ -19,10 +19,11 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from time import monotonic_ns
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import EndOrder
@@ -65,8 +66,7 @@ _CHUNKS: Final = 16
 CLOSE_LIMIT_S: Final = (ANSWER_NS + 3 * _AGAIN_NS) / NS_PER_S + 2 * _END_S
 
 
-@dataclass(slots=True)
-class _Sent:
+class _Sent(Struct):
     """An order that the bus process has not answered. ``answer`` None: no caller awaits it.
 
     ``others_unanswered``: an earlier order had no answer when this one was sent. ``until``: time of the next check of

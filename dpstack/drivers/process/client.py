@@ -15,11 +15,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import dataclasses
 import os
 from collections.abc import Callable, Iterable, Mapping
 from time import monotonic_ns
 from typing import Final, TypeVar
+
+from msgspec import structs
 
 from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, ReparameteriseSlave
@@ -167,7 +168,7 @@ class ProcessRuntime:
                     await wait_through_cancellation(closing)
                 if not closing.cancelled() and closing.exception() is None:
                     with contextlib.suppress(BusError):  # the bus process cannot be understood
-                        final = dataclasses.replace(typed(closing.result(), Counters), t_ns=0)
+                        final = structs.replace(typed(closing.result(), Counters), t_ns=0)
                 else:  # it may still see that the socket is closed, and make the end by itself
                     line.disconnect()
                 line.hang_up(UsageError("the bus is closed"))
@@ -493,7 +494,7 @@ class ProcessRuntime:
             if slave.state is not SlaveState.DEACTIVATED:
                 if slave.state is not SlaveState.OFFLINE:
                     changed.append(address)
-                self._slaves[address] = dataclasses.replace(slave, state=SlaveState.OFFLINE, fault=fault)
+                self._slaves[address] = structs.replace(slave, state=SlaveState.OFFLINE, fault=fault)
         return changed
 
     def _state_events(self, addresses: Iterable[int], now: int) -> list[Event]:
@@ -552,7 +553,7 @@ class ProcessRuntime:
         setup = self.setups.get(address)
         if slave.fault is None or setup is None or (fault := with_modules(slave.fault, setup)) is slave.fault:
             return slave
-        return dataclasses.replace(slave, fault=fault)
+        return structs.replace(slave, fault=fault)
 
     def _why_gone(self, code: int | None, last: News | None) -> DpError:
         self.cleared = last is not None and last.cleared
@@ -584,10 +585,10 @@ def worded(event: SlaveDiagnosis | SlaveFaulted | AlarmRaised, setup: SlaveParam
     if setup.texts is None:
         return event
     if isinstance(event, SlaveFaulted):
-        return dataclasses.replace(event, fault=with_modules(event.fault, setup))
+        return structs.replace(event, fault=with_modules(event.fault, setup))
     if isinstance(event, AlarmRaised):
-        return dataclasses.replace(event, texts=texts_beside(event.diagnosis, event.alarm, setup.texts))
-    return dataclasses.replace(event, texts=setup.block_texts(event.diagnosis))
+        return structs.replace(event, texts=texts_beside(event.diagnosis, event.alarm, setup.texts))
+    return structs.replace(event, texts=setup.block_texts(event.diagnosis))
 
 
 def _names(slaves: Iterable[SlaveParams]) -> str:
@@ -597,7 +598,7 @@ def _names(slaves: Iterable[SlaveParams]) -> str:
 def _sendable(command: object) -> Order:
     """A drive's order as JSON can carry it."""
     if isinstance(command, DriveCommand):
-        return dataclasses.replace(command, args=checked_arguments(command.args))
+        return structs.replace(command, args=checked_arguments(command.args))
     assert isinstance(command, Order)
     return command
 

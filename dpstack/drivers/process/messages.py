@@ -1,8 +1,8 @@
 """Messages between a bus process and its application: JSON with a length in front, never pickle.
 
 The application sends a :class:`Question`, the bus process :class:`News`. Orders, events and everything inside them are
-dataclasses; msgspec writes them and reads them back by their type hints. A value that can be of several classes stands
-as a pair of the class's name and its fields.
+classes of plain values (msgspec's, some dataclasses); msgspec writes them and reads them back by their type hints. A
+value that can be of several classes stands as a pair of the class's name and its fields.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import json
 import signal
 import socket
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Final, Generic, TypeVar
 
 import msgspec
+from msgspec import Struct, field
 
 from dpstack import errors
 from dpstack.dp.master.fixed_cycle import CycleData
@@ -92,14 +92,12 @@ class CloseBus(Order):
 # --- messages of the bus process -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Hello:
+class Hello(Struct, frozen=True):
     port_name: str
     paced: bool
 
 
-@dataclass(slots=True)
-class Answer:
+class Answer(Struct):
     """The answer to the question ``number``: an error (class, text), or a value."""
 
     number: int
@@ -107,8 +105,7 @@ class Answer:
     value: object = None
 
 
-@dataclass(slots=True)
-class News:
+class News(Struct):
     """Events in order, the state after them, then an ``answer``. Parts of the state that did not change are left out.
 
     ``round_over``: a round ended, ``cycle`` is its data (sent while the application watches the rounds). ``over``: the
@@ -134,8 +131,7 @@ class News:
     tap_lost: int = 0
 
 
-@dataclass(slots=True)
-class Question:
+class Question(Struct):
     """An order with a number that its answer carries. The bus process drops it where it does not take it before
     ``until_ns`` (CLOCK_MONOTONIC)."""
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import field
+
+from msgspec import field
 
 from dpstack.dp.process_image import CyclicPlugin
 from dpstack.dpv1.master.plugin_queue import RecordQueue

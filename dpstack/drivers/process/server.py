@@ -39,7 +39,7 @@ from dpstack.drivers.runtime import stopped_by
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import Stack, image_snapshot
 from dpstack.drivers.tap import TAP_PORTION, TAP_SHORT_PAUSE_NS, Tap
-from dpstack.errors import BusError, OrderDropped, UsageError
+from dpstack.errors import BusError, ConfigError, OrderDropped, UsageError
 from dpstack.fdl.commands import GoOffline
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
@@ -78,7 +78,8 @@ class Host:
         self._stack = stack = Stack(setup.stack)
         self._master, self._station = stack.master, stack.station
         for place in setup.preload:
-            core_at(place)
+            with contextlib.suppress(ConfigError):  # a drive that no slave has; the order that attaches it says why
+                core_at(place)
         for plugin in setup.plugins:
             self._handler_image(plugin.address).plugin = load(plugin)
         self.runtime = SelectRuntime(

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import ctypes
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+
+from msgspec import Struct
 
 #: Of SCHED_FIFO: above all ordinary processes, below the 50 of Linux's threaded interrupts: those of UART and USB
 #: controller deliver the octets.
@@ -18,6 +19,7 @@ PRIORITY: Final = 45
 NICENESS: Final = -20
 #: Octets to be locked at least: the interpreter with its modules.
 MEMORY: Final = 64 << 20
+
 #: Remedy for missing rights, for people.
 SET_UP: Final = "run once what `dpstack doctor --fix` says (it needs root), then log in again"
 
@@ -30,8 +32,7 @@ _PR_SET_TIMERSLACK: Final = 29  # linux/prctl.h
 _STATUS: Final = Path("/proc/self/status")
 
 
-@dataclass(frozen=True, slots=True)
-class Rights:
+class Rights(Struct, frozen=True):
     """Limits of a process: ``priority``, ``memory`` in octets, None for none. ``privileged``: they do not apply."""
 
     privileged: bool

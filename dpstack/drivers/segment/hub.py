@@ -23,10 +23,12 @@ import os
 import random
 import select
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import monotonic_ns
 from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from dpstack.drivers.tap import Tap
 from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
@@ -43,8 +45,7 @@ from dpstack.ports.runtime_dir import open_own, own_directory, runtime_path
 from dpstack.units import BAUD_RATES, NEVER, baud_text, bits_to_ns, chars_to_ns
 
 
-@dataclass(slots=True)
-class StationStats:
+class StationStats(Struct):
     """Counters of one station.
 
     Octets: ``sent``, ``received``, ``dropped`` (its pty was full), ``overrun`` (beyond the capacity of a paced wire).

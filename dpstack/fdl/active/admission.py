@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Final
+
+from msgspec import Struct, field
 
 from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.active.las_gap import Ring
@@ -22,8 +23,7 @@ _SD1: Final = 6
 _SAPS: Final = 2
 
 
-@dataclass(slots=True, eq=False)
-class Admission:
+class Admission(Struct, eq=False):
     """The rule of :mod:`dpstack.fdl.active.cycle_window`, applied to the requests of one station."""
 
     times: Times

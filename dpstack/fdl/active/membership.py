@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.fdl.active.las_gap import Announced, Gap, News, Ring
 from dpstack.fdl.events import MasterSeen, RingJoined, RingLeft
@@ -13,8 +14,7 @@ from dpstack.trace import Event
 _NO_PASS: Final = (-1, -1)
 
 
-@dataclass(slots=True, eq=False)
-class Membership:
+class Membership(Struct, eq=False):
     params: BusParams
     ring: Ring
     gap: Gap

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Final
+
+from msgspec import Struct, field
 
 from dpstack.fdl.active.fcb import FrameCount
 from dpstack.fdl.active.las_gap import Gap
@@ -21,8 +22,7 @@ _UNREADABLE: Final = 50
 _OF_REQUESTS: Final = 100
 
 
-@dataclass(slots=True)
-class _OddAnswers:
+class _OddAnswers(Struct):
     """Odd answers of one station since its request number ``since``."""
 
     since: int
@@ -32,8 +32,7 @@ class _OddAnswers:
     reported_unreadable: bool = False
 
 
-@dataclass(slots=True, eq=False)
-class Peers:
+class Peers(Struct, eq=False):
     """The stations asked by this one.
 
     ``due``: by address, the request whose answer may still come, and the end of that time in ns. ``gap`` knows the

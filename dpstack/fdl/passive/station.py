@@ -7,8 +7,9 @@ repeats its last answer when a master repeats the request, and passes all other 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, Protocol
+
+from msgspec import Struct
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
@@ -34,8 +35,7 @@ _REFUSED: Final = frozenset((Req.MSRD, Req.LSAP_STATUS))
 _UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH))
 
 
-@dataclass(slots=True)
-class PassiveStats:
+class PassiveStats(Struct):
     """Counters of one passive station, always on."""
 
     requests: int = 0  # handed to the application

@@ -57,14 +57,6 @@ def test_auto_keeps_asyncio_where_there_is_no_wire_of_ours(port: str) -> None:
     assert driver_for(config("auto", port), open_port(port, 500_000)) == "asyncio"
 
 
-def test_a_zipapp_that_holds_compiled_packages_itself(rights: pytest.MonkeyPatch) -> None:
-    """msgspec of a zip archive: its Python part is there, its compiled one cannot be loaded."""
-    rights.setitem(sys.modules, "msgspec", None)
-    assert driver_for(config("auto"), uart()) == "asyncio"
-    with pytest.raises(ConfigError, match=r"msgspec, which it needs, cannot be imported \(.*\); install it beside the"):
-        driver_for(config("process"), uart())
-
-
 def test_a_bus_process_that_cannot_be_is_refused_with_advice(rights: pytest.MonkeyPatch) -> None:
     wanted = r'\[bus\]: driver = "process": '
     with pytest.raises(ConfigError, match=wanted + "a simulated bus lives in the program's own process; leave driver"):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 import time
 
 import pytest
 from api_kit import RAW, bus_of, in_virtual_time, operating, stack_of
+from msgspec import structs
 from process_kit import VALVES, ready_bus
 
 import dpstack
@@ -152,7 +152,7 @@ async def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixt
     assert "not valid" not in out
     assert "not sent" not in out
     assert "counters are" not in out
-    reporter.summary(dataclasses.replace(bad, age=1.5, stale=True))
+    reporter.summary(structs.replace(bad, age=1.5, stale=True))
     out = capsys.readouterr().out
     assert "00 (not valid)  00 (not sent)" in out
     assert "the counters are 1.5 s old" in out

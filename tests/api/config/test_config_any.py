@@ -47,7 +47,7 @@ VALUES = st.one_of(
     st.text(alphabet="ab8DIO@.:/x \u00e4", max_size=12).map(lambda text: f'"{text}"'),
     st.lists(st.integers(-5, 300), max_size=4).map(str),
 )
-BUS_KEYS = sorted({*BusConfig.__dataclass_fields__, "unknown"})
+BUS_KEYS = sorted({*BusConfig.__struct_fields__, "unknown"})
 SLAVE_KEYS = sorted({*keys_of(SlaveKeys), *keys_of(Changes), "unknown"})
 BASE = {
     "raw": 'address = 8\nident = 0x1234\nconfig = "20 10"\n',

@@ -14,7 +14,8 @@ from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import slave_config
 from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.control.scenario import ScenarioRun, parse_scenario
-from dpstack.api.server.virtual_bench import ScenarioEvent, VirtualBench
+from dpstack.api.injected import ScenarioEvent
+from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.dp.master.events import SlaveDiagnosis
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams

@@ -11,8 +11,8 @@ from api_kit import RAW, bench_of, bus_of, device_of, in_virtual_time
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.control.handlers import control_run, control_segment, run_status
 from dpstack.api.control.server import ControlServer
+from dpstack.api.injected import Injected
 from dpstack.api.server.simulation import Segment, sim_event_json
-from dpstack.api.server.virtual_bench import Injected
 from dpstack.cli.commands import ctl
 from dpstack.dp.master.commands import Mode
 from dpstack.errors import UsageError

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from api_kit import RAW, in_virtual_time, mirror, serving
+from msgspec import structs
 from support import WorldFactory
 
 import dpstack
@@ -65,7 +66,7 @@ async def test_alarms_in_order_acknowledged_when_read(world: WorldFactory, descr
         counts = bus.slave("rig").alarm_counts
         assert counts is not None
         assert (counts.raised, counts.acknowledged, counts.too_many, counts.repeated) == (20, 20, 0, 0)
-        assert bus.stats.slaves[9].as_dict()["alarms"] == dataclasses.asdict(counts)
+        assert bus.stats.slaves[9].as_dict()["alarms"] == structs.asdict(counts)
 
     # LHS told =  TAIL
     assert len([event for event in events if isinstance(event, AlarmRaised)]) == 20

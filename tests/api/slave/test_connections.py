@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from api_kit import RAW, bus_of, in_virtual_time
 from ms2_kit import Ms2Server, ms2_in, served
+from msgspec import structs
 
 import dpstack
 from dpstack import AcyclicError, Connection, ConnectionEnded, Im0, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
@@ -22,7 +23,8 @@ from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dpv1.master.orders import ConnectionOver
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import BusError
-from dpstack.gsd.model import Device, DpV1
+from dpstack.gsd.dpv1_keywords import DpV1
+from dpstack.gsd.model import Device
 from dpstack.profile.record47 import Address, Values
 from dpstack.sim.world import World
 from dpstack.trace import Severity
@@ -112,7 +114,7 @@ async def test_everything_over_one_connection_beside_the_slaves_own_master() -> 
     # LHS told =  TAIL
     (over,) = [event for event in events if isinstance(event, ConnectionOver)]
     assert over.severity is Severity.INFO
-    assert dataclasses.replace(over, ordered=False).severity is Severity.WARNING
+    assert structs.replace(over, ordered=False).severity is Severity.WARNING
     assert event_json(over, 1.0) == {
         "event": "connection_over",
         "t": 1.0,

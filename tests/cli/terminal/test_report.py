@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from api_kit import bench_of, bus_of, virtual
+from msgspec import structs
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -110,10 +110,10 @@ def test_many_repetitions_bring_advice_in_the_summary(
         async with bus:
             await bus.ready()
             stats = bus.stats
-        link = dataclasses.replace(stats.slaves[9].link, requests=236, retries=retries, bad={"fcs": bad})
-        slave = dataclasses.replace(stats.slaves[9], retries=retries, link=link)
+        link = structs.replace(stats.slaves[9].link, requests=236, retries=retries, bad={"fcs": bad})
+        slave = structs.replace(stats.slaves[9], retries=retries, link=link)
         capsys.readouterr()
-        reporter.summary(dataclasses.replace(stats, slaves={9: slave}))
+        reporter.summary(structs.replace(stats, slaves={9: slave}))
 
     virtual(program())
     out = capsys.readouterr().out

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.errors import DpError, PduError
-from dpstack.gsd.model import MAX_USER_PRM
+from dpstack.gsd.identifiers import MAX_USER_PRM
 
 # pyprofibus#7, data unit of 68 0F 0F 68 82 E3 5D 3D 3E B8 05 01 00 0C DA 01 40 00 00 22 16
 LOG_7 = bytes.fromhex("B8 05 01 00 0C DA 01 40 00 00")

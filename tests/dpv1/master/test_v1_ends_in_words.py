@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +9,7 @@ import pytest
 from alarm_kit import ALL, AlarmBus, block
 from ms1_kit import DL, MS, SC, Ms1Bus, answer
 from ms2_kit import Ms2Bus, connected, connections_of, sd2
+from msgspec import structs
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
@@ -91,7 +91,7 @@ def test_a_class_2_connection_that_this_station_may_not_use() -> None:
 )
 def test_orders_to_a_read_only_bus(order: Any) -> None:
     kit = Ms1Bus()
-    kit.master.context.settings = dataclasses.replace(kit.master.context.settings, read_only=True)
+    kit.master.context.settings = structs.replace(kit.master.context.settings, read_only=True)
     who = (
         "no connection is opened"
         if isinstance(order, OpenConnection)
@@ -395,9 +395,9 @@ def test_remarks_about_alarms(slave: dict[str, Any], raised: bytes, remark: str,
     kit = _kit(**slave)
     kit.alarm_slave.raises(raised)
     kit.until(lambda: kit.remarks)
-    kit.until(lambda: dataclasses.asdict(kit.counts).items() >= counted.items())
+    kit.until(lambda: structs.asdict(kit.counts).items() >= counted.items())
     assert kit.remarks == [remark]
-    assert {name: count for name, count in dataclasses.asdict(kit.counts).items() if count} == counted
+    assert {name: count for name, count in structs.asdict(kit.counts).items() if count} == counted
 
 
 @pytest.mark.parametrize("wrong", ["DE80B500", "5C030200", "5C030101", "5C040201", "5C030209", "5E010200"])

@@ -18,7 +18,8 @@ from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.dpv1.slave.description_to_gsd import as_gsd_file, gsd_octets
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
-from dpstack.gsd.model import ALARM_KEYWORDS, DiagText
+from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
+from dpstack.gsd.model import DiagText
 from dpstack.gsd.parser import load_gsd
 from dpstack.gsd.prm import UserPrm
 from dpstack.slave import DpSlave, UserDiag, channel_block, serve_slave

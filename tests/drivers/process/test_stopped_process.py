@@ -64,6 +64,7 @@ def arguments(bus: dpstack.Bus) -> dict[type, dict[str, tuple[Any, ...]]]:
             "changes": ("level",),
             "check_outputs": (bytes(2),),
             "conspicuous_text": (rig.diagnosis,),
+            "follow": ("target", int),
             "inputs_as": (Level,),
             "output_field": ("target",),
             "outputs_as": (Target,),

@@ -104,7 +104,7 @@ _PDUS: Final[tuple[Callable[[bytes], None], ...]] = (
     _response,
     _transport,
     _im_call,
-    *map(_of, (AlarmAck, ms2.ResourceManagerRes, ms2.InitiateReq, ms2.InitiateRes, ms2.Abort)),
+    *(_of(kind) for kind in (AlarmAck, ms2.ResourceManagerRes, ms2.InitiateReq, ms2.InitiateRes, ms2.Abort)),
 )
 #: the function of each PDU, None where there are several
 _FUNCTIONS: Final = (None, None, 0x51, None, 0x5C, 0x56, 0x57, 0x57, 0x58)

@@ -1,0 +1,89 @@
+"""A [[slave]] table with a drive, alone or with its maker's GSD file. Loaded where a slave has the key ``drive``."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from dpstack.api.config.slave_source import REFERENCES, Basis, Who, leave_out
+from dpstack.api.config.table import Table
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.gsd.configuration import Configuration, configuration_like
+from dpstack.profile import DriveProfile, TelegramSpec, registry
+
+
+def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
+    leave_out(table, "config", "beside drive", "leave config out: it follows from drive and telegram")
+    with table.blaming("drive"):
+        profile = registry.find(given["drive"])
+    with table.blaming("telegram"):
+        telegram = profile.telegram(given.get("telegram"))
+    by_gsd: Basis | None = None
+    if "gsd" in given:
+        from dpstack.api.config.gsd_source import read_gsd_slave  # here, as most drives need no GSD file
+
+        like = telegram.config, _lengths(telegram)
+        configuration, by_gsd = read_gsd_slave(table, given, who, lambda device: configuration_like(device, *like))
+        telegram = _telegram_for(table, profile, telegram, configuration)
+        # the GSD file has priority over the plugin
+        profile = profile.described(telegram, by_gsd[0], tuple(sorted(by_gsd[1]["baud_rates"])))
+        telegram = profile.telegram(telegram.name)
+    references = {key: given[key] for key in REFERENCES if key in given}
+    options = given.get("options", {}) | references
+    simulated = given.get("simulated", {})
+    with table.blaming(next(iter(references), "options")):
+        core = profile.core(who["name"], telegram.name, options)
+    with table.blaming("simulated"):
+        profile.device(telegram.name, {**profile.shared(options), **simulated})
+    rest = {
+        "profile": profile,
+        "telegram": telegram.name,
+        "options": options,
+        "simulated": simulated,
+        "baud_rates": frozenset(profile.rates(options)),
+    }
+    if by_gsd is not None:
+        known, rest = by_gsd[0], by_gsd[1] | rest
+    else:
+        with table.blaming():
+            known = SlaveParams(
+                **who,
+                ident=profile.ident,
+                config=telegram.config,
+                user_prm=profile.user_prm,
+                min_slave_interval_ns=profile.min_slave_interval_ns,
+                fail_safe=profile.fail_safe,
+                max_tsdr=profile.max_tsdr,
+            )
+    return dataclasses.replace(known, safe=core.safe_outputs, on_loss=profile.on_loss), rest
+
+
+def _telegram_for(table: Table, profile: DriveProfile, default: TelegramSpec, chosen: Configuration) -> TelegramSpec:
+    """The telegram of the ``chosen`` modules: the named one, else the one with their identifier octets or lengths."""
+    lengths, octets = (chosen.inputs, chosen.outputs), chosen.config.hex(" ").upper()
+    if "telegram" in table or "modules" not in table:
+        if _lengths(default) != lengths:
+            table.fail(
+                "telegram" if "telegram" in table else "gsd",
+                f"the modules {octets} have {lengths[0]} octets of inputs and {lengths[1]} of outputs, "
+                f"{default.name} has {default.input_octets} and {default.output_octets}",
+                "name the modules that it is made of",
+            )
+        return default
+    fitting = profile.telegrams_of(chosen.config) or tuple(
+        spec for spec in profile.telegrams.values() if _lengths(spec) == lengths
+    )
+    if len(fitting) == 1:
+        return fitting[0]
+    names = " or ".join(spec.name for spec in fitting)
+    raise table.error(
+        "modules",
+        f"the modules {octets} have {lengths[0]} octets of inputs and {lengths[1]} of outputs: "
+        + (f"that may be {names}" if names else f"no telegram of {profile.name}"),
+        f'add telegram = "{fitting[0].name}"' if fitting else "name the modules of a telegram, or leave drive out",
+    )
+
+
+def _lengths(telegram: TelegramSpec) -> tuple[int, int]:
+    return telegram.input_octets, telegram.output_octets
