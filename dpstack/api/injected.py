@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from dpstack.trace import Event
+
+#: source of the notices about exceptions in simulated devices
+SIMULATION: Final = "simulation"
 
 
 class Injected(Event):

@@ -4,25 +4,26 @@
     station 5 and (retry or error)
     not token and data contains "06 00"
 
-Words: ``sa``, ``da``, ``dsap``, ``ssap``, ``length`` (octets on the wire) and ``response_us`` are numbers; ``kind``,
-``service`` and ``function`` are names, ``text`` is the line in words, upper or lower case; ``octets`` and ``data``
-are hex digits. Comparisons are ``==``, ``!=``, ``<``, ``<=``, ``>``, ``>=`` and ``contains``. By themselves stand
-``token``, ``request``, ``answer``, ``retry``, ``repeated``, ``unanswered``, ``late``, ``error``, ``damaged``,
-``remark``, and ``station N``, which sends or is addressed. They are joined by ``and``, ``or``, ``not`` and
-parentheses.
+Words: ``number``, ``t`` (seconds since 1970), ``sa``, ``da``, ``dsap``, ``ssap``, ``length`` (octets on the wire) and
+``response_us`` are numbers; ``kind``, ``service`` and ``function`` are names, ``text`` is the line in words, upper or
+lower case; ``octets`` and ``data`` are hex digits. Comparisons are ``==``, ``!=``, ``<``, ``<=``, ``>``, ``>=`` and
+``contains``. By themselves stand ``token``, ``request``, ``answer``, ``retry``, ``repeated``, ``unanswered``, ``late``,
+``error``, ``damaged``, ``remark``, and ``station N``, which sends or is addressed. They are joined by ``and``, ``or``,
+``not`` and parentheses. Nobody knows that a request is ``unanswered`` before the next telegram: :func:`one_later`.
 """
 
 from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from typing import Final
 
 from dpstack.decode.telegram import Explained
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import Kind
+from dpstack.units import NS_PER_S
 
 Match = Callable[[Explained], bool]
 
@@ -31,6 +32,8 @@ _TOKEN: Final = re.compile(r"\s*(?:(\(|\)|==|!=|<=|>=|<|>)|\"([^\"]*)\"|([\w.]+)
 _DEEPEST: Final = 50
 
 _NUMBERS: Final[Mapping[str, Callable[[Explained], float | None]]] = {
+    "number": lambda one: one.number,
+    "t": lambda one: None if one.transmission.t_ns is None else one.transmission.t_ns / NS_PER_S,
     "sa": lambda one: None if one.telegram is None or one.telegram.sa < 0 else one.telegram.sa,
     "da": lambda one: None if one.telegram is None or one.telegram.da < 0 else one.telegram.da,
     "dsap": lambda one: None if one.telegram is None else one.telegram.dsap,
@@ -54,7 +57,7 @@ _FLAGS: Final[Mapping[str, Match]] = {
     "answer": lambda one: one.step.answer_to is not None,
     "retry": lambda one: one.step.retry_of is not None,
     "repeated": lambda one: one.step.repeated_poll_of is not None,
-    "unanswered": lambda one: one.step.unanswered is not None,
+    "unanswered": lambda one: one.unanswered,
     "late": lambda one: one.step.late,
     "error": lambda one: one.error is not None,
     "damaged": lambda one: one.telegram is None or bool(one.transmission.damage),
@@ -74,6 +77,17 @@ _WORDS: Final = (*_NUMBERS, *_NAMES, *_OCTETS, *_FLAGS, "station", "not")
 def parse_filter(text: str) -> Match:
     """A function that says whether a telegram passes. Raises UsageError that names the place in ``text``."""
     return _Parser(text).whole()
+
+
+def one_later(explained: Iterable[Explained]) -> Iterator[Explained]:
+    """Each telegram when the next one has been explained, so that a filter knows whether it was answered."""
+    before: Explained | None = None
+    for one in explained:
+        if before is not None:
+            yield before
+        before = one
+    if before is not None:
+        yield before
 
 
 class _Parser:

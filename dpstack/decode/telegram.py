@@ -47,6 +47,8 @@ class Explained:
     step: Step
     sender: str = ""
     receiver: str = ""
+    #: a request that nobody answered; known when the next telegram is explained
+    unanswered: bool = False
 
     @property
     def text(self) -> str:
@@ -147,6 +149,7 @@ class Explainer:
         self._name_of = self._stations.name_of
         self._named = bool(names.slaves)
         self._number = 0
+        self._asked: Explained | None = None  # the last request
 
     def add(self, sent: Transmission, number: int | None = None) -> Explained:
         """The next transmission; ``number``: where it is not that of the one before and 1. Never raises for octets."""
@@ -170,6 +173,10 @@ class Explainer:
         if request is not None and (telegram.kind is _KIND_SC or telegram.dsap is telegram.ssap is None):
             of = request
         found = Explained(number, sent, telegram, service(of), fields, error, step)
+        if step.unanswered is not None and self._asked is not None:
+            self._asked.unanswered = self._asked.number == step.unanswered
+        if telegram.is_request:
+            self._asked = found
         if self._named:
             self._name(found, telegram if telegram.sa >= 0 else request)
         return found

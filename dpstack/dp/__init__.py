@@ -5,7 +5,7 @@
 - ``pdu/``: The octets of DP-V0: requests, diagnosis, and what they mean
 - ``plan/``: The plan of a bus: rotation time, cycle, T_TR, before anything is sent
 - ``slave/``: The DP slave: its states, its services, and what an author of a device writes
-- ``error_origin``: The origin of an exception in a device's own functions
+- ``error_origin``: The origin of an exception in the functions of a device or of a drive plugin
 - ``process_data``: Named fields in the process data of a slave, declared as short texts
 - ``process_image``: The process image: the inputs and outputs of a slave, which the bus exchanges in every rotation
 - ``rate_groups``: Rate groups: in which cycles a slave of ``every`` n has its turn

@@ -1,4 +1,5 @@
-"""The origin of an exception in a device's own functions. :data:`DEVICE_CALL` marks each call of them."""
+"""The origin of an exception in the functions of a device or of a drive plugin. :data:`DEVICE_CALL` marks each call of
+a device."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ class _DeviceCall:
     def mark(self, error: BaseException) -> None:
         """The function that catches ``error`` has called the device."""
         trace = error.__traceback__
-        error.__dict__[_ORIGIN] = _innermost(trace and trace.tb_next)
+        error.__dict__[_ORIGIN] = innermost_call(trace and trace.tb_next)
 
 
 DEVICE_CALL: Final = _DeviceCall()
@@ -52,8 +53,9 @@ def origin_of(error: BaseException) -> str:
     return str(error.__dict__.get(_ORIGIN, ""))
 
 
-def _innermost(trace: TracebackType | None) -> str:
-    """The innermost call outside asyncio and dpstack; within dpstack only if there is no other."""
+def innermost_call(trace: TracebackType | None) -> str:
+    """Function, file and line of the innermost call outside asyncio and dpstack; within dpstack only if there is no
+    other."""
     found, of_whom = "", 0
     while trace is not None:
         code, package = trace.tb_frame.f_code, str(trace.tb_frame.f_globals.get("__name__")).partition(".")[0]

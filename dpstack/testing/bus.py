@@ -10,19 +10,26 @@ from typing import Any, Final, Literal, TypeVar
 from dpstack.api.bus.bus import Bus, SlaveTable, core_of, open_bus
 from dpstack.api.bus.virtual import simulate
 from dpstack.api.config.config import Config, load_config, make_config
+from dpstack.api.control.handlers import slave_handlers
+from dpstack.api.control.scenario import SimulatedPlant
+from dpstack.api.injected import SIMULATION
 from dpstack.api.listen.names import decode_names
+from dpstack.api.server.server import AsyncRecords, serve_async
 from dpstack.api.server.virtual_bench import SimulatedSlave, VirtualBench
 from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.events import DriveEvent
+from dpstack.dp.slave.events import DeviceFailed
+from dpstack.dpv1.slave.device import Device
 from dpstack.drivers.virtual.loop import VirtualLoop, refuse_running_loop
-from dpstack.errors import UsageError
+from dpstack.errors import DpError, UsageError
 from dpstack.profile import DriveDevice
+from dpstack.sim.io_station import IoStation
 from dpstack.sim.world import World
 from dpstack.testing.faults import Faults
 from dpstack.testing.wire import Watched, Wire
 from dpstack.text import printable
-from dpstack.trace import Event
+from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
 _T = TypeVar("_T")
@@ -41,14 +48,23 @@ class VirtualTime:
 
     def __init__(self) -> None:
         self._runner = asyncio.Runner(loop_factory=VirtualLoop)
+        self._is_over = False
 
     def __repr__(self) -> str:
-        return f"<VirtualTime {self.now:.6f} s>"
+        return "<VirtualTime, over>" if self._is_over else f"<VirtualTime {self.now:.6f} s>"
 
     @property
     def now(self) -> float:
         """Virtual time in seconds, from 0."""
         return self._runner.get_loop().time()
+
+    def check_open(self) -> None:
+        """Raises UsageError after the end of the test that it belongs to."""
+        if self._is_over:
+            raise UsageError(
+                "this bus ended with its test: make one in each test, or in a fixture of the default scope (function) "
+                "that returns dpstack_bus(...)"
+            )
 
     def run(self, program: Awaitable[_T], *, timeout: float | None = _LONGEST_S) -> _T:
         """Run ``program`` to its end, and return its result.
@@ -56,15 +72,24 @@ class VirtualTime:
         ``timeout``: seconds of virtual time after which TimeoutError ends it; None: never. Raises UsageError inside a
         running event loop.
         """
+        self.check_open()
+        given: object = program
+        if not isinstance(given, Awaitable):
+            name = getattr(given, "__name__", "program")
+            todo = f"call the function: run({name}(...))" if callable(given) else "give run() what an async def returns"
+            raise UsageError(f"run() takes a coroutine, not {given!r}; {todo}")
         refuse_running_loop("run()", program)
         return self._runner.run(_limited(program, timeout))
 
     def wait(self, seconds: float) -> None:
         """Let ``seconds`` of virtual time go by."""
+        self.check_open()
+        refuse_running_loop("wait()")
         self.run(asyncio.sleep(seconds), timeout=None)
 
     def close(self) -> None:
         """End all tasks, and the loop."""
+        self._is_over = True
         self._runner.close()
 
 
@@ -125,9 +150,18 @@ class SimulatedDevice:
         self._unit.set_inputs(None)
 
     @property
+    def station(self) -> IoStation:
+        """The simulated I/O station: ``set_input()``, ``pull()``, ``plug()``, ``wire_break()``. Raises UsageError for
+        another slave."""
+        device = self._unit.device
+        if not isinstance(device, IoStation):
+            raise UsageError(f"{self._unit.who} is no simulated I/O station")
+        return device
+
+    @property
     def drive(self) -> DriveDevice:
-        """The simulated drive: ``motor`` (speed, torque), ``set_load()``, ``release()``. Raises UsageError for another
-        slave."""
+        """The simulated drive: ``motor.speed`` and ``motor.torque`` in parts of the reference and of the rated torque,
+        ``motor.on``, ``set_load()``, ``release()``. Raises UsageError for another slave."""
         unit = self._unit
         device = unit.device
         if not isinstance(device, DriveDevice):
@@ -139,8 +173,7 @@ class SimulatedDevice:
 class SimulatedBus:
     """Simulated slaves, and a master in Operate, on a line in virtual time. The fixture ``dpstack_bus`` makes it.
 
-    ``faults``: faults of slaves and line; ``wire``: what went over the line; ``world``: the line itself; ``events``:
-    the last 1,000 events of the master.
+    ``wire``: what went over the line; ``world``: the line itself; ``events``: the last 1,000 events of the master.
     """
 
     def __init__(
@@ -150,6 +183,9 @@ class SimulatedBus:
         *,
         has_master: bool = True,
         safe: Mapping[str, bytes | str] | None = None,
+        scenario: str | Path | None = None,
+        devices: Mapping[str, Device] | None = None,
+        allow_code: bool = False,
     ) -> None:
         self._time = time
         self._bus: Bus | None = None
@@ -164,6 +200,10 @@ class SimulatedBus:
         else:
             self.world = World(referee=False)
             self._bench = simulate(self.world, config.slaves, baud=config.baud)
+            self._bench.on_events = self._on_device_events
+        self._records: list[AsyncRecords] = []
+        for name, device in (devices or {}).items():
+            self._replace(name, device)
         octets = {name: bytes.fromhex(one) if isinstance(one, str) else one for name, one in (safe or {}).items()}
         unknown = octets.keys() - {slave.name for slave in config.slaves}
         if unknown:
@@ -171,11 +211,33 @@ class SimulatedBus:
         watched = [Watched.of(slave, octets.get(slave.name)) for slave in config.slaves]
         self.wire = Wire(watched, lambda: self.world.baud, decode_names(config))
         self.world.log.listener = self.wire.add
-        self.faults = Faults(self._bench, self.world, config.bus.address)
+        self._faults = Faults(self._bench, self.world, config.bus.address)
+        self._plant = SimulatedPlant(
+            self._bench,
+            self._on_event,
+            slave_handlers(self._bench),
+            scenario=None if scenario is None else str(scenario),
+            allow_code=allow_code,
+        )
 
     def __repr__(self) -> str:
         who = f"{len(self.config.slaves)} slaves without a master" if self._bus is None else repr(self._bus)
         return f"<SimulatedBus {self.now:.6f} s: {who}>"
+
+    def _replace(self, name: str, device: Device) -> None:
+        """``device`` of the test instead of the simulated one of this name."""
+        slave = next((one for one in self.config.slaves if one.name == name), None)
+        if slave is None:
+            known = ", ".join(one.name for one in self.config.slaves) or "none"
+            raise UsageError(f"devices: no slave is called {name!r}; there are: {known}")
+        records = serve_async(device)
+        if records is not None:
+            self._records.append(records)
+        self._bench.add(slave, device)
+
+    def start(self) -> None:
+        """Begin the scenario, and the recordings and functions of the slaves: their times count from now on."""
+        self._plant.start(self.world.now)
 
     async def bring_up(self, *, operate: bool, ready_s: float) -> None:
         """Open the master's bus; ``operate``: to Operate, until all slaves are in data exchange, within ``ready_s``."""
@@ -183,6 +245,18 @@ class SimulatedBus:
         if operate:
             await self.master.operate()
             await self.master.ready(ready_s)
+
+    @property
+    def device_failures(self) -> list[str]:
+        """The exceptions in simulated devices, for people."""
+        notices = [one for one in self.events if isinstance(one, Notice) and one.source == SIMULATION]
+        return [one.text for one in notices]
+
+    def _on_device_events(self, events: list[Event]) -> None:
+        for event in events:
+            if isinstance(event, DeviceFailed):
+                text = event.text
+                self._on_event(Notice(t_ns=event.t_ns, source=SIMULATION, message=text, severity=Severity.ERROR))
 
     def _on_event(self, event: Event) -> None:
         self.events.append(event)
@@ -238,8 +312,16 @@ class SimulatedBus:
 
     # --- slaves -----------------------------------------------------------------------------------------------------
 
+    @property
+    def faults(self) -> Faults:
+        """Faults of slaves and line. Raises UsageError after the end of the test."""
+        self._time.check_open()
+        return self._faults
+
     def device(self, which: str | int) -> SimulatedDevice:
-        """The device side of a simulated slave by name or address. Raises UsageError, which lists the slaves."""
+        """The device side of a simulated slave by name or address. Raises UsageError, which lists the slaves; after the
+        end of the test, too."""
+        self._time.check_open()
         names = self._bench.names()
         for address, name in names.items():
             if which in (name, address):
@@ -251,8 +333,11 @@ class SimulatedBus:
 
     def close(self) -> None:
         """The ordered end of the master: safe outputs, Clear, out of the ring. May be repeated."""
+        self._plant.close()
         if self._bus is not None:
             self.run(self._bus.close())
+        for records in self._records:
+            records.end()
 
     def report(self, telegrams: int, events: int = 20) -> str:
         """The end of the events and of the decoded wire log, for people."""
@@ -260,7 +345,7 @@ class SimulatedBus:
         if self.events and events > 0:
             lines += ["the last events:"]
             lines += [f"  {ns_to_s(one.t_ns):.6f} s  {printable(one.text)}" for one in _changes(self.events)[-events:]]
-        faults = [f"{name}: {text}" for name, texts in self.faults.active.items() for text in texts]
+        faults = [f"{name}: {text}" for name, texts in self._faults.active.items() for text in texts]
         if faults:
             lines += ["faults that act: " + printable("; ".join(faults))]
         return "\n".join([*lines, f"the last of the wire ({telegrams} lines):", self.wire.text(telegrams)])
@@ -297,6 +382,9 @@ class BusFactory:
         baud: int | None = None,
         master: Literal["operate", "clear"] | None = "operate",
         safe: Mapping[str, bytes | str] | None = None,
+        scenario: str | Path | None = None,
+        devices: Mapping[str, Device] | None = None,
+        allow_code: bool = False,
         ready_s: float = 30.0,
         **bus: object,
     ) -> SimulatedBus:
@@ -306,20 +394,38 @@ class BusFactory:
         ``baud``: bit/s (default: that of the file, or 500,000). ``master``: "operate" returns in Operate with all
         slaves in data exchange; "clear" returns in Clear, while the bring-up begins; None simulates the slaves only,
         and the application opens its bus itself. ``safe``: safe outputs by name, octets or hex, where they are not
-        zeros or those of the drive. ``ready_s``: seconds of virtual time for the bring-up. ``bus``: further keys of
-        [bus].
+        zeros or those of the drive. ``scenario``: a file of steps, as for ``dpstack sim --scenario``; its times, and
+        those of recordings and functions of the key ``simulate``, count from the return of this call. ``devices``: own
+        devices by the name of the slave, such as a :class:`dpstack.slave.DpSlave`, instead of simulated ones.
+        ``allow_code``: functions of the key ``simulate`` may be loaded and called. ``ready_s``: seconds of virtual time
+        for the bring-up. ``bus``: further keys of [bus].
 
         Raises ConfigError; SlaveFault or SlaveTimeout where a slave does not come into data exchange.
         """
+        refuse_running_loop("dpstack_bus()")
         if config is None:
             made = make_config("virtual", _BAUD if baud is None else baud, 2, slaves, where="dpstack_bus", bus=bus)
         else:
             made = config if isinstance(config, Config) else load_config(config)
             made = made.with_bus(**{"driver": "auto", **bus, "port": "virtual", "baud": baud}).with_slaves(slaves)
-        one = SimulatedBus(self._time, made, has_master=master is not None, safe=safe)
+        one = SimulatedBus(
+            self._time,
+            made,
+            has_master=master is not None,
+            safe=safe,
+            scenario=scenario,
+            devices=devices,
+            allow_code=allow_code,
+        )
         self.buses.append(one)  # before its bring-up, so that the report of a failing one has its wire log
         if master is not None:
-            one.run(one.bring_up(operate=master == "operate", ready_s=ready_s))
+            try:
+                one.run(one.bring_up(operate=master == "operate", ready_s=ready_s))
+            except DpError as error:
+                for text in one.device_failures:
+                    error.add_note(text)
+                raise
+        one.start()
         return one
 
     def close(self) -> None:

@@ -16,7 +16,7 @@ from dpstack.profile.registry import also
 from dpstack.testing.bus import BusFactory, SimulatedBus
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
-_NAME: Final = "drive"
+_NAME: Final = "tested"
 _ADDRESS: Final = 7
 #: slowest rate of a check: a slow bus has few telegrams to simulate
 _LEAST_BAUD: Final = 93_750

@@ -1,17 +1,17 @@
 """Faults of simulated slaves by name, and of the line.
 
-They are those of scenarios and of ``dpstack ctl PORT fault`` (:data:`dpstack.api.server.fault_steps.KINDS`), with the
-same names, keys and checks.
+They are the steps of scenarios, with the same names, keys and checks.
 """
 
 from __future__ import annotations
 
-import difflib
 from types import TracebackType
 from typing import Final, Literal
 
 from dpstack.api.config.table import Source, Table
-from dpstack.api.server.fault_steps import KINDS, End
+from dpstack.api.control.handlers import slave_handlers
+from dpstack.api.control.scenario import NORMAL, kind_of
+from dpstack.api.server.fault_steps import End
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.errors import ConfigError, UsageError
 from dpstack.sim.transmission import Transmission
@@ -68,6 +68,7 @@ class Faults:
 
     def __init__(self, bench: VirtualBench, world: World, master: int) -> None:
         self._bench = bench
+        self._handlers = slave_handlers(bench)
         self._world = world
         self._master = master
         self._begun: list[Fault] = []
@@ -139,14 +140,15 @@ class Faults:
         return self.begin(slave, "trip", code=code)
 
     def begin(self, slave: str | int, do: str, for_s: float | None = None, **keys: object) -> Fault:
-        """The fault ``do`` with the keys of a scenario's step (docs/how-to/simulate.md#scenarios); None: left out."""
+        """The step ``do`` of a scenario with its keys (docs/how-to/simulate.md#scenarios), None: left out. Commands
+        too: ``begin("io", "wire_break", args=["3", "0", "on"])``."""
         address, name = self._find(slave)
-        kind = KINDS.get(do)
-        if kind is None:
-            near = difflib.get_close_matches(do, KINDS, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(KINDS)}"
-            raise ConfigError(f"no fault is called {do!r}; {hint}")
         table = Table(Source("faults"), (), {key: value for key, value in keys.items() if value is not None}, do)
+        do = do.replace("-", "_")
+        if do == NORMAL:
+            self.clear(name)
+            return Fault(do, name, None)
+        kind = kind_of(table, do, self._handlers)
         deed = kind.read(table, table.read(kind.keys), self._bench, address)
         if for_s is not None and not kind.lasting:
             raise ConfigError(f"{do} has no end of its own; leave for_s out")

@@ -257,7 +257,8 @@ class Wire:
         watched = outputs.slave
         raise AssertionError(
             f"{_who(watched)} may still act on outputs that are not safe: {octets.hex(' ')} at {ns_to_s(t_ns):.6f} s; "
-            f"safe are {watched.safe.hex(' ')}, or Clear, answered by the slave"
+            f"safe are {watched.safe.hex(' ')}, or Clear, answered by the slave (of a silent slave the wire does not "
+            f"tell whether its watchdog has expired: look at the device's outputs and exchanging)"
         )
 
     def assert_exchanged(self, slave: str | int, outputs: bytes | str | None = None, since: float = 0.0) -> None:

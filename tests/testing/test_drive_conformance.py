@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import re
 import sys
 from pathlib import Path
 from typing import ClassVar
 
 import pytest
 
-from dpstack.errors import DriveError, UsageError
+from dpstack.errors import DpError, DriveError, UsageError
 from dpstack.profile import DriveCore, DriveProfile, Options, TelegramSpec, find
 from dpstack.testing import BusFactory, DriveConformance
 
@@ -88,3 +89,44 @@ def test_a_plugin_that_turns_the_wrong_way_fails(dpstack_bus: BusFactory) -> Non
     with pytest.raises((AssertionError, DriveError)) as told:
         Wrong().test_set_points_in_each_direction(dpstack_bus, "PPO3")
     assert "set point" in str(told.value)
+
+
+def test_a_simulated_drive_that_fails_is_named_with_the_place(dpstack_bus: BusFactory) -> None:
+    acme = importlib.import_module("acme_drive").DRIVE
+    device = importlib.import_module("acme_drive.simulator").AcmeDevice
+
+    class Short(device):  # type: ignore[misc,valid-type]
+        def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
+            return (*super().scan(words, now)[:3],)
+
+    class Wrong(Quick):
+        profile = dataclasses.replace(acme, device_factory=Short)
+
+    with pytest.raises(DpError, match="Stat_Diag") as told:
+        Wrong().test_it_starts_and_stops(dpstack_bus, "STD")
+    (note,) = told.value.__notes__
+    assert re.fullmatch(
+        r"simulation: slave 7 \(tested\): the device failed during Chk_Cfg \(ValueError: Short\.scan\(\) returned "
+        r"\(0, 0, 0\); STD has 4 words, 0\.\.65535 \(.*\) in refresh\(\), device\.py line \d+\); correct and restart "
+        r"it",
+        note,
+    )
+    assert note in dpstack_bus.buses[0].report(0)
+
+
+def test_a_plugin_that_fails_is_named_with_the_place(dpstack_bus: BusFactory) -> None:
+    acme = importlib.import_module("acme_drive").DRIVE
+    plugin = importlib.import_module("acme_drive.plugin").AcmeCore
+
+    class Failing(plugin):  # type: ignore[misc,valid-type]
+        def obstacle(self) -> str | None:
+            raise ZeroDivisionError("of the plugin's")
+
+    class Wrong(Quick):
+        profile = dataclasses.replace(acme, core_factory=Failing)
+
+    with pytest.raises(DriveError) as told:
+        Wrong().test_it_starts_and_stops(dpstack_bus, "STD")
+    place = r"ZeroDivisionError: of the plugin's, in obstacle\(\), test_drive_conformance\.py line \d+"
+    assert re.fullmatch(f"drive tested: its plugin failed: {place}", str(told.value))
+    assert re.search(rf"drive 7 \(tested\): its plugin failed: {place}", dpstack_bus.buses[0].report(0))

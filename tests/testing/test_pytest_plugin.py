@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import dpstack
-from dpstack.testing import BusFactory
+from dpstack.testing import BusFactory, VirtualTime
 
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = """
@@ -131,6 +131,32 @@ def test_a_program_without_end_ends(dpstack_bus: BusFactory) -> None:
         bus.run(asyncio.Event().wait(), timeout=2)
     with pytest.raises(TimeoutError, match=r"^$"):
         bus.run(own())
+
+
+def test_wrong_calls_say_what_to_do(dpstack_bus: BusFactory) -> None:
+    bus = dpstack_bus(slaves=[RAW], baud=19_200)
+
+    async def program() -> None:
+        bus.wait(1)
+
+    with pytest.raises(dpstack.UsageError, match=r"call the function: run\(program\(\.\.\.\)\)"):
+        bus.run(program)  # type: ignore[arg-type]
+    with pytest.raises(dpstack.UsageError, match=r"`await asyncio.sleep\(1\)` for wait\(1\)"):
+        bus.run(program())
+    for wrong in (bus.slave("raw").ready, bus.master.operate):  # would wait for ever: that loop stands still
+        with pytest.raises(dpstack.UsageError, match=r"write bus.run\(program\(\)\) instead of asyncio.run"):
+            asyncio.run(wrong())
+
+
+def test_a_bus_ends_with_its_test() -> None:
+    time = VirtualTime()
+    bus = BusFactory(time)(slaves=[RAW], baud=19_200)
+    bus.close()
+    assert bus.device("raw").outputs == b""  # its test may go on
+    time.close()
+    for wrong in (lambda: bus.wait(1), lambda: bus.faults.silence("raw"), lambda: bus.device("raw")):
+        with pytest.raises(dpstack.UsageError, match="this bus ended with its test: make one in each test"):
+            wrong()
 
 
 RAW = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10", "inputs": {"level": "u8@0"}}

@@ -17,11 +17,13 @@ from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_repor
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.config.config import Config
 from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.injected import SIMULATION
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import EventStream, OnEvent
 from dpstack.dp.master.commands import AddSlave, DriveCommand, Mode, RemoveSlave
 from dpstack.dp.master.events import DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveState, SlaveStateChanged
 from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, view_of
+from dpstack.dp.slave.events import DeviceFailed
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.futures import wait_through_cancellation
@@ -107,8 +109,10 @@ class BusCore(BusBase):
         if self._ending is not None:
             raise UsageError("the bus was closed while it was searching for its baud rate")
         self.started_ns = self.runtime.now()
+        if self.bench is not None:
+            self.bench.on_events = self._on_device_events
         await self.runtime.open()
-        self._open = True
+        self._open, self._loop = True, asyncio.get_running_loop()
         try:
             await self._ordered_end.watch()
             if rate_text is not None:
@@ -165,6 +169,12 @@ class BusCore(BusBase):
                 await self._ordered_end.unwatch()
                 for recording in self._recordings:
                     await recording.stop()
+
+    def _on_device_events(self, events: list[Event]) -> None:
+        """Report exceptions in simulated devices: on the wire they are a slave without valid inputs only."""
+        for event in events:
+            if isinstance(event, DeviceFailed):
+                self.notice(SIMULATION, event.text, Severity.ERROR)
 
     # --- orders, waiting ----------------------------------------------------------------------------------------------
 

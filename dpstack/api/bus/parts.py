@@ -63,6 +63,7 @@ class BusBase:
         self._events = Events(on_event, self._wall_clock, log)
         self._waiters = Waiters()
         self._open = False
+        self._loop: asyncio.AbstractEventLoop | None = None  # in which it was opened
         self._ending: asyncio.Task[None] | None = None
         self._left = False
         #: the failure or the end after which the bus does nothing
@@ -215,6 +216,7 @@ class BusBase:
     async def order(self, command: object) -> None:
         """As :meth:`command`; returns when the machine has carried it out, and raises the machine's exception."""
         self.check_open()
+        self._check_loop()
         with self._reason_of_the_end():
             await self.runtime.order(command)
 
@@ -228,6 +230,14 @@ class BusBase:
             raise UsageError(
                 "the bus is not open: use it inside `async with open_bus(...)` (dpstack.blocking: `with`), "
                 "or call open() first"
+            )
+
+    def _check_loop(self) -> None:
+        """Raises UsageError in another event loop than that of the bus: it would wait in vain."""
+        if self._loop is not None and self._loop is not asyncio.get_running_loop():
+            raise UsageError(
+                "this bus lives in another event loop than the caller: await it in the loop that opened it; in a test "
+                "with dpstack_bus write bus.run(program()) instead of asyncio.run(program()) or of async def test_...()"
             )
 
     @contextlib.contextmanager
@@ -251,6 +261,7 @@ class BusBase:
         seconds("timeout", timeout)
         if self._over is None or isinstance(self._over, UsageError):  # the reason of a failure says more
             self.check_open()
+        self._check_loop()
 
         def condition_or_end() -> bool:
             if self._over is not None:

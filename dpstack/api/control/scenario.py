@@ -31,7 +31,7 @@ from dpstack.units import ns_to_s, s_to_ns
 #: a year in seconds
 _LONGEST_S: Final = 365 * 86_400
 #: ends everything that earlier steps did to a slave
-_NORMAL: Final = "normal"
+NORMAL: Final = "normal"
 _STEP_KEYS: Final[Mapping[str, Key]] = {
     "at": Key(0, _LONGEST_S, kind=float),
     "slave": Key(read=lambda table, name, _: table.raw(name), kind=str),
@@ -109,7 +109,7 @@ def _step(table: Table, number: int, bench: Bench, handlers: Mapping[str, Handle
     if "do" not in table:
         table.fail(None, "no do", f'say what happens, for instance do = "late_answers"; known: {", ".join(_words())}')
     do = table.text("do").strip().lower().replace("-", "_")
-    kind = _kind(table, do, handlers)
+    kind = kind_of(table, do, handlers)
     given = table.read({**_STEP_KEYS, **kind.keys})
     for key in ("at", "slave"):
         if key not in given:
@@ -119,7 +119,7 @@ def _step(table: Table, number: int, bench: Bench, handlers: Mapping[str, Handle
     if "for" in given and not kind.lasting:
         table.fail("for", f"{do} has no end of its own", "leave for out")
     address = _address(table, given["slave"], bench)
-    deed = None if do == _NORMAL else kind.read(table, given, bench, address)
+    deed = None if do == NORMAL else kind.read(table, given, bench, address)
     for_ns = None if "for" not in given else s_to_ns(given["for"])
     return Step(number, s_to_ns(given["at"]), for_ns, address, do, deed)
 
@@ -138,7 +138,7 @@ def read_fault(args: Sequence[str], bench: Bench, address: int) -> tuple[Deed, i
         data[key] = ns_to_s(time_ns(value)) if key == "for" else _value(value)
     table = Table(Source("fault"), (), data, shortened(do, 40))
     do = do.strip().lower().replace("-", "_")
-    kind = _kind(table, do, {})
+    kind = kind_of(table, do, {})
     given = table.read({"do": _STEP_KEYS["do"], "for": _STEP_KEYS["for"], **kind.keys})
     if "for" in given and not kind.lasting:
         table.fail("for", f"{do} has no end of its own", "leave for out")
@@ -158,17 +158,18 @@ def _value(text: str) -> object:
 
 def _words() -> list[str]:
     commands = [spec.name.replace("-", "_") for spec in SLAVES]
-    return [*KINDS, _NORMAL, *(word for word in commands if word not in KINDS and word not in _NOT_IN_STEPS)]
+    return [*KINDS, NORMAL, *(word for word in commands if word not in KINDS and word not in _NOT_IN_STEPS)]
 
 
 #: commands with a step of their own, or of another form
 _NOT_IN_STEPS: Final = ("fault", "input", "normal")
 
 
-def _kind(table: Table, do: str, handlers: Mapping[str, Handler]) -> Kind:
+def kind_of(table: Table, do: str, handlers: Mapping[str, Handler]) -> Kind:
+    """The kind of step ``do``: a fault, "normal", or a command of ``handlers``, all with underscores."""
     if do in KINDS:
         return KINDS[do]
-    if do == _NORMAL and handlers:
+    if do == NORMAL and handlers:
         return Kind({}, _nothing, lasting=False)
     spec = next((spec for spec in SLAVES if spec.name.replace("-", "_") == do and do not in _NOT_IN_STEPS), None)
     if spec is None or spec.name not in handlers:
@@ -229,6 +230,8 @@ class ScenarioRun:
         self._bench = bench
         self._publish = publish
         self._round = 0
+        #: the number of steps that could not be carried out
+        self.failed = 0
         self._open: dict[int, End] = {}  # by the number of the step
 
     def start(self, origin_ns: int) -> None:
@@ -258,10 +261,15 @@ class ScenarioRun:
         self._wait(origin_ns, moments[1:])
 
     def _over(self) -> None:
-        left = len(self._open)
-        rest = "" if not left else ", what one of them began stays" if left == 1 else f", what {left} began stays"
+        left = sorted(self._open)
+        numbers = ", ".join(map(str, left[:-1])) + (f" and {left[-1]}" if left[1:] else "".join(map(str, left)))
+        rest = "" if not left else f"; step {numbers} still acts" if len(left) == 1 else f"; steps {numbers} still act"
         count = len(self._scenario.steps)
-        self._tell("over", f"all {count} steps are done{rest}" if count > 1 else f"its step is done{rest}")
+        if count == 1:
+            what = "its step has failed" if self.failed else "its step is over"
+        else:
+            what = f"all {count} steps are over" + (f", {self.failed} of them failed" if self.failed else "")
+        self._tell("over", what + rest)
 
     def _again(self, origin_ns: int) -> None:
         for step in self._scenario.steps:
@@ -281,6 +289,7 @@ class ScenarioRun:
         try:
             end = deed.begin()
         except (DpError, ValueError) as error:
+            self.failed += 1
             self._tell("failed", f"{deed.text}: {error}", step)
             return
         if end is not None:
@@ -339,6 +348,11 @@ class SimulatedPlant:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def failed_steps(self) -> int:
+        """The number of steps of the scenario that could not be carried out so far."""
+        return 0 if self._run is None else self._run.failed
 
     def close(self) -> None:
         """End the threads of the functions."""

@@ -133,6 +133,16 @@ def slave_from_gsd(
     return DpSlave(description, on_cycle, **options)
 
 
+def serve_async(device: Device) -> AsyncRecords | None:
+    """Let the async functions of ``device`` serve its records; None where it has none."""
+    if not (isinstance(device, DpSlave) and (device.on_read or device.on_write or device.on_transport)):
+        return None
+    records = AsyncRecords(device)
+    device.serve_records(records)
+    device.transport = records.ask
+    return records
+
+
 class ServedSlave(Sealed):
     """A served slave. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
 
@@ -142,11 +152,7 @@ class ServedSlave(Sealed):
         self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience, waiters: Waiters
     ) -> None:
         self.device = device
-        self._records: AsyncRecords | None = None
-        if isinstance(device, DpSlave) and (device.on_read or device.on_write or device.on_transport):
-            self._records = AsyncRecords(device)
-            device.serve_records(self._records)
-            device.transport = self._records.ask
+        self._records = serve_async(device)
         self._app = SlaveApp(device, address=address, address_fixed=fixed)
         self.station = PassiveStation(address, self._app, params, patience=patience)
         #: the runtime of the station, set by the server

@@ -70,7 +70,7 @@ class SimulatedInputs:
         if functions and not allow_code:
             unit, given = functions[0]
             what = f"function = {given.function!r} runs a program"
-            raise given.error("function", what, "give --allow-code if you trust it")
+            raise given.error("function", what, "give --allow-code (in a test allow_code=True) if you trust it")
         self._recordings = [
             _Playback(path, repeat, units, bench, publish) for (path, repeat), units in recordings.items()
         ]

@@ -97,11 +97,17 @@ class SimulatedSlave:
 
     It keeps an address of Set_Slave_Add. A drive keeps its EEPROM and reads its address from there; an I/O station
     keeps its modules. ``searching``: it detects the baud rate, among those of the device. A device that cannot detect
-    it stays at its set rate.
+    it stays at its set rate. ``own``: the device of a test, instead of a simulated one.
     """
 
     def __init__(
-        self, config: SlaveConfig, params: BusParams, patience: Patience = EXACT, *, searching: bool = False
+        self,
+        config: SlaveConfig,
+        params: BusParams,
+        patience: Patience = EXACT,
+        *,
+        searching: bool = False,
+        own: Device | None = None,
     ) -> None:
         self.config = config
         self.powered = True
@@ -111,7 +117,8 @@ class SimulatedSlave:
         self._searching = searching
         self._held = HeldInputs(config.params.input_len)
         self.faults = SlaveFaults()
-        self.device: Device = device_of(config, self._held)
+        self._own = own
+        self.device = self._new_device()
         self._create_station(params)
 
     @property
@@ -122,6 +129,8 @@ class SimulatedSlave:
     def kind(self) -> str:
         """The kind of the simulated device for people: its drive, the I/O station, or a mirror."""
         profile, description = self.config.profile, self.config.description
+        if self._own is not None:
+            return f"own, {self._own.name}"
         if profile is not None:
             return profile.name
         if isinstance(self.device, IoStation):
@@ -163,10 +172,16 @@ class SimulatedSlave:
     @property
     def drive(self) -> DriveDevice | None:
         """The device where it is a simulated drive."""
+        if self._own is not None:
+            from dpstack.profile import DriveDevice  # here, as few tests have a device of their own
+
+            return self._own if isinstance(self._own, DriveDevice) else None
         return None if self.config.profile is None else cast("DriveDevice", self.device)
 
     def check_settable(self) -> None:
-        """Raises UsageError where the device makes its inputs itself: a drive."""
+        """Raises UsageError where the device makes its inputs itself: a drive, or the device of a test."""
+        if self._own is not None:
+            raise UsageError(f"{self.who}: its own function makes its inputs; change what the function returns")
         if self.drive is not None:
             raise UsageError(f"{self.who}: the simulated drive makes its inputs; trip, warn and load change them")
 
@@ -233,16 +248,19 @@ class SimulatedSlave:
             "too_late": self.station.stats.dropped,
         }
 
+    def _new_device(self) -> Device:
+        return device_of(self.config, self._held) if self._own is None else self._own
+
     def renew(self, params: BusParams) -> None:
         before, drive_before = self.device, self.drive
-        self.device = device_of(self.config, self._held)
+        self.device = self._new_device()
         kept, self._address_fixed = self.app.kept_address
         self._address = self._address if kept is None else kept
-        if self.drive is not None and drive_before is not None:
+        if self._own is None and self.drive is not None and drive_before is not None:
             self.drive.inherit(drive_before)
             own = self.drive.own_address
             self._address = self._address if own is None else own
-        if isinstance(before, IoStation) and isinstance(self.device, IoStation):
+        if self._own is None and isinstance(before, IoStation) and isinstance(self.device, IoStation):
             self.device.inherit(before)
         self._create_station(params)
 
@@ -363,6 +381,8 @@ class VirtualBench(Bench):
         self._searching = params is None
         self._units: dict[int, SimulatedSlave] = {}
         self._silent: dict[int, int] = {}  # ends of the silences in ns
+        #: gets the events of the slaves: what only the device side knows, such as an exception in a simulated drive
+        self.on_events: Callable[[list[Event]], None] | None = None
 
     def __repr__(self) -> str:
         return f"<VirtualBench {', '.join(unit.config.name for unit in self._units.values()) or 'without slaves'}>"
@@ -392,15 +412,22 @@ class VirtualBench(Bench):
         octets = unit.app.outputs if unit.powered else b""
         return fields.values(octets.ljust(fields.length, b"\x00"))
 
-    def add(self, config: SlaveConfig) -> None:
-        """Add a slave; it replaces one with the same address."""
+    def add(self, config: SlaveConfig, own: Device | None = None) -> None:
+        """Add a slave; it replaces one with the same address. ``own``: the device of a test."""
         before = self._units.get(config.address)
         if before is not None and before.powered:
             self._unplug(config.address)
         self._silent.pop(config.address, None)
-        unit = self._units[config.address] = SimulatedSlave(config, self._params, searching=self._searching)
+        unit = self._units[config.address] = SimulatedSlave(config, self._params, searching=self._searching, own=own)
         unit.faults.connect(partial(self._send_at, unit))
-        self._world.add(unit.on_bus, name=config.name)
+        self._connect(unit)
+
+    def _connect(self, unit: SimulatedSlave) -> None:
+        self._world.add(unit.on_bus, name=unit.config.name, on_events=self._on_events)
+
+    def _on_events(self, events: list[Event]) -> None:
+        if self.on_events is not None:
+            self.on_events(events)
 
     @property
     def units(self) -> Mapping[int, SimulatedSlave]:
@@ -442,7 +469,7 @@ class VirtualBench(Bench):
         unit = self._units[address]
         if on:
             unit.renew(self._params)
-            self._world.add(unit.on_bus, name=unit.config.name)
+            self._connect(unit)
         else:
             self._unplug(address)
             self._silent.pop(address, None)
@@ -461,5 +488,4 @@ class VirtualBench(Bench):
         """End the silence with the end ``until``, unless another one has replaced it."""
         if until is not None and self._silent.get(address) == until:
             del self._silent[address]
-            unit = self._units[address]
-            self._world.add(unit.on_bus, name=unit.config.name)
+            self._connect(self._units[address])

@@ -314,7 +314,8 @@ class Drive(Sealed, Readable):
                 self._notices.remove(before)
             self._notices.append(DriveNotice(t_ns, text))
         elif kind == "failed":
-            self._refuse(DriveError(self.name, f"drive {self.name}: its plugin failed: {payload.get('text')}"))
+            where = f", in {payload['where']}" if "where" in payload else ""
+            self._refuse(DriveError(self.name, f"drive {self.name}: its plugin failed: {payload.get('text')}{where}"))
 
     def on_refused(self, token: int, error: DpError) -> None:
         """The bus process refused a set point."""

@@ -172,7 +172,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         missing = [clear_text(held), *missing]
     for text in missing:
         output.warn(text)
-    return 1 if missing or reporter.stalled or bus.end_failed else 0
+    return 1 if missing or reporter.stalled or bus.end_failed or plant.failed_steps else 0
 
 
 def _simulated_plant(bus: Bus, args: argparse.Namespace) -> SimulatedPlant:

@@ -112,7 +112,7 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
                 output.warn(f"{args.port}: the baud rate was not found: {simulation.never_found}; or give the rate")
                 return 0 if stop.received else 1
             print_summary(simulation, args.json)
-    return 0
+    return 1 if plant.failed_steps else 0
 
 
 def _event_writer(simulation: Simulation, json: bool, log: EventLog | None) -> Callable[[Event], None]:

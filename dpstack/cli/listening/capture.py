@@ -138,6 +138,8 @@ class _Capture:
             self._window = Window(s_to_ns(args.before), s_to_ns(args.after))
         self._explainer = Explainer(names) if self._file is None or self._filter is not None else None
         self._gaps = Gaps()
+        #: the last transmission, which the filter has not judged yet, with the reason of a trigger
+        self._unjudged: tuple[Transmission, Explained, str] | None = None
         self._kept = 0
         self._too_slow = 0  # transmissions since the last flush that the disk was too slow for
         self._port_damage: dict[str, int] = {}
@@ -154,6 +156,8 @@ class _Capture:
                 failure = error
             if stop.hurried:
                 return INTERRUPTED
+            if self._unjudged is not None:
+                self._judge(*self._unjudged)
             self._look_at_port()
             failure = await self._close() or failure
             self._summary(whole=failure is None)
@@ -235,8 +239,19 @@ class _Capture:
     def _on_transmission(self, one: Transmission) -> None:
         reason = self._triggers.add(one)
         explained = None if self._explainer is None else self._explainer.add(one)
-        if self._filter is not None and explained is not None and not self._filter(explained):
+        if self._filter is None or explained is None:
+            self._take(one, explained, reason)
             return
+        before, self._unjudged = self._unjudged, (one, explained, reason)
+        if before is not None:
+            self._judge(*before)
+
+    def _judge(self, one: Transmission, explained: Explained, reason: str) -> None:
+        """Take what passes the filter. It knows whether a request was answered when the next telegram has come."""
+        if self._filter is None or self._filter(explained):
+            self._take(one, explained, reason)
+
+    def _take(self, one: Transmission, explained: Explained | None, reason: str) -> None:
         heard = _Heard(one, explained, self._gaps.take())
         if self._window is None:
             self._keep(heard, "")

@@ -13,6 +13,7 @@ from dpstack.cli.listening.source_file import STDIN, is_growing, transmissions_o
 from dpstack.cli.listening.telegram_lines import add_names, filter_argument, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
+from dpstack.decode.filter import one_later
 from dpstack.decode.names import Names
 from dpstack.decode.source import from_hex
 from dpstack.decode.telegram import Explained, Explainer
@@ -36,7 +37,8 @@ def execute(args: argparse.Namespace) -> int:
     bad = 0
     at_once = len(args.source) == 1 and is_growing(args.source[0])  # somebody may be watching
     buses = _Buses(names_of(args))
-    for one in map(buses.explain, _transmissions(args.source, buses.choose)):
+    explained = map(buses.explain, _transmissions(args.source, buses.choose))
+    for one in explained if args.filter is None else one_later(explained):
         bad += one.error is not None
         if args.filter is None or args.filter(one):
             show(one, json=args.json, flush=at_once)

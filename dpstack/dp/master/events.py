@@ -290,7 +290,8 @@ class DriveEvent(SlaveEvent):
                 parts = [state, *(f"fault {one}" for one in faults)]
             said = ", ".join((*parts, *(f"warning {one}" for one in _texts(payload.get("warnings")))))
         elif kind == "failed":
-            said = f"its plugin failed: {said}"
+            where = payload.get("where")
+            said = f"its plugin failed: {said}" + ("" if where is None else f", in {where}")
         elif kind == "result" and payload.get("ok"):
             value = payload.get("value")
             said = "order done" if value is None or isinstance(value, (dict, list)) else f"order done: {value}"

@@ -9,6 +9,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from dpstack.dp.error_origin import innermost_call
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import DriveEvent, Fault
 from dpstack.dp.master.slave_reports import SlaveReports
@@ -104,4 +105,7 @@ class PluginHost:
         self._image.outputs = self._safe
         self._reports.set_fault(self.fault, now)
         failed = {"type": "failed", "text": f"{type(error).__name__}: {error}"}
+        where = innermost_call(error.__traceback__)
+        if where:
+            failed["where"] = where
         self._reports.event(DriveEvent, now, payload=failed)

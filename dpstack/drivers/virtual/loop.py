@@ -271,19 +271,21 @@ def _never() -> bool:
     return False
 
 
-def refuse_running_loop(called: str, program: Awaitable[object]) -> None:
+def refuse_running_loop(called: str, program: Awaitable[object] | None = None) -> None:
     """Raises UsageError where an event loop runs in this thread already: ``called`` needs its own. Closes ``program``,
-    which nobody will await."""
+    which nobody will await; None: ``called`` takes none."""
     try:
-        asyncio.get_running_loop()
+        running = asyncio.get_running_loop()
     except RuntimeError:
         return
     if isinstance(program, Coroutine):
         program.close()
-    raise UsageError(
-        f"{called} needs an event loop of its own, and one runs here already: call it from a plain function "
-        "(def test_...(), not async def test_...()), or await the coroutine in the loop that runs"
-    )
+    if isinstance(running, VirtualLoop):
+        todo = "this coroutine runs in virtual time already: await instead, `await asyncio.sleep(1)` for wait(1)"
+    else:
+        plain = "call it from a plain function (def test_...() or a plain fixture, not async def)"
+        todo = f"{plain}, and run coroutines by run()" if program is None else f"{plain}, or await the coroutine here"
+    raise UsageError(f"{called} needs an event loop of its own, and one runs here already: {todo}")
 
 
 def run(main: Coroutine[Any, Any, _T], *, paced: bool = False, debug: bool | None = None) -> _T:

@@ -336,7 +336,14 @@ class DriveDevice(Device):
         """An internal scan over octets, with words to and from :meth:`scan`; ``process`` None: invalid."""
         telegram = self.telegram
         words = None if process is None else _layout(telegram.outputs).unpack(process)
-        return _layout(telegram.inputs).pack(*self.scan(words, now))
+        found = self.scan(words, now)
+        try:
+            return _layout(telegram.inputs).pack(*found)
+        except struct.error as error:
+            text = f"{type(self).__name__}.scan() returned {found!r}"
+            raise ValueError(
+                f"{text}; {telegram.name} has {telegram.inputs // 2} words of 0..65535 ({error})"
+            ) from None
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
         """An internal scan: process data from the master (None: invalid) -> process data to it."""

@@ -236,7 +236,8 @@ async def test_code_needs_a_word_for_it(tmp_path: Path) -> None:
         with pytest.raises(ConfigError) as told:
             SimulatedInputs(bench_of(bus), core_of(bus).publish, allow_code=False)
     assert str(told.value).endswith(
-        "plant.toml:12: [[slave]] tank: simulate: function = 'evil:f' runs a program; give --allow-code if you trust it"
+        "plant.toml:12: [[slave]] tank: simulate: function = 'evil:f' runs a program; "
+        "give --allow-code (in a test allow_code=True) if you trust it"
     )
 
 

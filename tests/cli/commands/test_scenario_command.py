@@ -99,7 +99,7 @@ async def test_a_scenario_behind_a_pty() -> None:
         ]
     states = [(line["step"], line["state"], line["text"]) for line in lines if line["event"] == "scenario"]
     assert [state[:2] for state in states] == [(1, "begin"), (2, "begin"), (3, "begin"), (0, "over")]
-    assert states[-1][2] == "scenario: all 3 steps are done, what 3 began stays"
+    assert states[-1][2] == "scenario: all 3 steps are over; steps 1, 2 and 3 still act"
 
 
 def test_each_step_is_in_the_log(cli: Cli, tmp_path: Path) -> None:
