@@ -100,7 +100,9 @@ class _Changes:
         function = None if telegram.is_request else telegram.fc  # a request turns its frame count bit
         remarks = _NUMBER.sub("", "; ".join(step.remarks))
         retry = step.retry_of is not None
-        said = (_content(one, telegram), function, one.error, entry.note, is_unanswered, retry, remarks)
+        said: object = (_content(one, telegram), function, one.error, entry.note, is_unanswered, retry, remarks)
+        if one.service == _GAP_POLL and not step.remarks:
+            said = is_unanswered
         before = self._last.get(place)
         self._last[place] = said
         if before is None and is_unanswered and one.service == _GAP_POLL:

@@ -33,6 +33,7 @@ def test_a_scenario_begins_when_the_bus_is_there(dpstack_bus: BusFactory, tmp_pa
     bus.wait(0.6)
     assert bus.master.slave("tank").state is dpstack.SlaveState.OFFLINE
     bus.run(bus.slave("tank").ready())
+    bus.wait(0.2)
     bus.wire.assert_brought_up("tank", since=began + 1.5)
     told = [event.text for event in bus.events]
     assert "scenario step 2, slave 8 (tank): silence for 0.5 s" in told
@@ -113,12 +114,14 @@ def test_a_device_of_the_test(dpstack_bus: BusFactory) -> None:
     assert bus.slave("press").inputs == b"\x01\x55"
     assert bus.run(bus.slave("press").read(3, 7)) == b"\x03\x07"
     with bus.faults.silence_master():
-        bus.wait(2)
+        bus.wait(bus.slave("press").watchdog_ms / 1000 + 0.2)
         assert closed[-1] is False  # its watchdog has made it safe
     with bus.faults.power_off("press"):
         bus.wait(0.5)
-    bus.run(bus.slave("press").ready(10))
-    bus.wire.assert_brought_up("press", since=2)
+    began = bus.now
+    bus.run(bus.slave("press").ready(30))
+    bus.wait(0.2)
+    bus.wire.assert_brought_up("press", since=began)
     with pytest.raises(dpstack.UsageError, match="its own function makes its inputs"):
         bus.device("press").inputs = bytes(2)
     with pytest.raises(dpstack.UsageError, match=r"devices: no slave is called 'pres'; there are: press, tank"):

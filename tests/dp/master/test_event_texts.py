@@ -42,10 +42,16 @@ def drive(**payload: object) -> DriveEvent:
 @pytest.mark.parametrize(
     ("event", "text"),
     [
-        (drive(type="result"), "drive 3 (pump): result"),
-        (drive(type="result", text="ready"), "drive 3 (pump): ready"),
-        (drive(type="result", text=None), "drive 3 (pump): result"),
+        (drive(type="result", ok=True), "drive 3 (pump): order done"),
+        (drive(type="result", ok=True, value="running"), "drive 3 (pump): order done: running"),
+        (drive(type="result", ok=True, value={"speed": 1}), "drive 3 (pump): order done"),
+        (drive(type="result", ok=False, text="no"), "drive 3 (pump): order failed: no"),
+        (drive(type="result", ok=False, text=None), "drive 3 (pump): order failed"),
         (drive(type="failed", text="ValueError: no"), "drive 3 (pump): its plugin failed: ValueError: no"),
+        (
+            drive(type="failed", text="ValueError: no", where="f(), a.py line 1"),
+            "drive 3 (pump): its plugin failed: ValueError: no, in f(), a.py line 1",
+        ),
         (drive(type="failed"), "drive 3 (pump): its plugin failed: failed"),
         (drive(type="status", state="running", text="x"), "drive 3 (pump): running"),
         (drive(type="status"), "drive 3 (pump): None"),
