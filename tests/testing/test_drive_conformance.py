@@ -107,7 +107,7 @@ def test_a_simulated_drive_that_fails_is_named_with_the_place(dpstack_bus: BusFa
     (note,) = told.value.__notes__
     assert re.fullmatch(
         r"simulation: slave 7 \(tested\): the device failed during Chk_Cfg \(ValueError: Short\.scan\(\) returned "
-        r"\(8, 0, 0\); STD has 4 words, 0\.\.65535 \(.*\) in refresh\(\), device\.py line \d+\); correct and restart "
+        r"\(8, 0, 0\); STD has 4 words of 0\.\.65535 \(.*\) in refresh\(\), device\.py line \d+\); correct and restart "
         r"it",
         note,
     )
