@@ -20,10 +20,9 @@ from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.slave.events import DeviceFailed
-from dpstack.dpv1.slave.device import Device
 from dpstack.drivers.virtual.loop import VirtualLoop, refuse_running_loop
 from dpstack.errors import DpError, UsageError
-from dpstack.profile import DriveDevice
+from dpstack.profile import Device, DriveDevice
 from dpstack.sim.io_station import IoStation
 from dpstack.sim.world import World
 from dpstack.testing.faults import Faults
