@@ -52,6 +52,11 @@ async def main():
         await bus.ready()
 dpstack.run_virtual(main())
 """
+_FIRST_BUS: Final = """\
+import os, pty, dpstack
+slave = {{"name": "valves", "address": 9, "ident": 0x1234, "config": "20 10"}}
+dpstack.open_bus(port=os.ttyname(pty.openpty()[1]), baud={baud}, driver="asyncio", slaves=[slave])
+"""
 
 
 class Adapter(NamedTuple):
@@ -179,6 +184,14 @@ def _program() -> Figures:
     return {"a program until 32 simulated slaves are in data exchange: CPU time": {"loops": (clock() - begin) / 1000}}
 
 
+def _first_bus() -> Figures:
+    """A program that makes its first bus with ``open_bus``: one slave behind a serial port."""
+    clock = _loop_clock(_children_ns)
+    begin = clock()
+    _output([sys.executable, "-c", _FIRST_BUS.format(baud=_BAUD)])
+    return {"the first open_bus of a program: CPU time": {"loops": (clock() - begin) / 1000}}
+
+
 def _modules() -> Figures:
     return {"dpstack --version: modules of ours": {"count": modules()}}
 
@@ -213,6 +226,7 @@ ADAPTERS: Final[dict[str, tuple[tuple[Adapter, ...], ...]]] = {
     "startup": (
         *((Adapter(_needs(words), partial(_command, words)),) for words in COMMANDS),
         (Adapter(_MAIN, _modules),),
+        (Adapter(_API, _first_bus),),
         (Adapter(_API, _program),),
     ),
 }

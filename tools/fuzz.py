@@ -30,7 +30,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.child:
         return _child(options.targets[0], json.loads(options.child.read_text()))
     try:
-        chosen = {name: load(name) for name in options.targets or names()}
+        chosen = {name: _shortened(load(name), options.longest) for name in options.targets or names()}
     except LookupError as error:
         print(error, file=sys.stderr)
         return 2
@@ -76,6 +76,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if failed else 0
 
 
+def _shortened(target: Target, longest: int | None) -> Target:
+    return target if longest is None else replace(target, max_len=min(longest, target.max_len))
+
+
 def _short(path: Path) -> Path:
     return path.relative_to(ROOT) if path.is_relative_to(ROOT) else path
 
@@ -88,6 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--minutes", type=float, help="shared among the targets")
     parser.add_argument("--executions", type=int, help="of each target; default: its own number, without --minutes")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--longest", type=int, metavar="OCTETS", help="no longer inputs: more of them in the same time")
     parser.add_argument("--work", type=Path, help="folder that keeps inputs with new coverage, to begin with next time")
     parser.add_argument("--replay", type=Path, nargs="+", metavar="FILE", help="run the target once for each FILE")
     parser.add_argument(
@@ -135,7 +140,8 @@ def _run(
     most = _MOST if seconds is None else max(1, int(seconds))
     job = work.parent / f".{work.name}.json"
     limits = {"executions": executions, "seconds": most, "seed": seed}
-    job.write_text(json.dumps({**limits, "work": str(work), "covers": target.covers, "compares": target.compares}))
+    of_target = {"covers": target.covers, "compares": target.compares, "longest": target.max_len}
+    job.write_text(json.dumps({**limits, "work": str(work), **of_target}))
     command = [sys.executable, "-m", "tools.fuzz", name, "--child", str(job)]
     environment = dict(os.environ, PYTHONHASHSEED="0")
     report = Report(0, 0.0)
@@ -184,7 +190,7 @@ def _child(name: str, job: dict[str, Any]) -> int:
     finds = Finds(name, FINDS)
     if has_atheris():
         _with_atheris(name, finds, job)
-    target = load(name)
+    target = _shortened(load(name), job["longest"])
     seeds = [path.read_bytes() for path in corpus(name)]
     limits = {key: job[key] for key in ("executions", "seconds", "seed")}
     print("report " + json.dumps(asdict(by_hand(target, finds, seeds, **limits))), flush=True)
@@ -216,7 +222,7 @@ def _with_atheris(name: str, finds: Finds, job: dict[str, Any]) -> None:
             return spec
 
     sys.meta_path.insert(0, Finder())
-    target = load(name)
+    target = _shortened(load(name), job["longest"])
 
     def mutate(octets: bytes, most: int, seed: int) -> bytes:
         return target.mended(bytes(atheris.Mutate(octets, min(most, target.max_len))), random.Random(seed))[:most]
