@@ -125,6 +125,14 @@ def test_lengths_of_addresses_in_initiate(kind: int, length: int, well: bool) ->
             assert found.build() == request
 
 
+@pytest.mark.parametrize("place", ["api", "scl"])
+def test_numbers_of_an_address_in_initiate_are_octets(place: str) -> None:
+    for value in (-1, 256, 1 << 53):
+        with pytest.raises(PduError, match=f"{place} = {value} .*octets: give 0..255"):
+            InitiateReq(1, source=Address(**{place: value})).build()
+    assert Address(**{place: 255}).build().count(255) == 1
+
+
 def test_calls_of_im() -> None:
     assert (255, 64, 68, range(65000, 65200)) == (IM_INDEX, IM_LEN, IM_ANSWER, IM_FI)
     for number, octets in ((0, "0800FDE8"), (4, "0800FDEC"), (199, "0800FEAF")):

@@ -18,10 +18,11 @@ from msgspec import Struct, structs
 from dpstack.dp.master.verdicts import foreign_owner
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.services import positive
+from dpstack.errors import UsageError
 from dpstack.fdl.commands import AttachUser
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, LinkUser, Request
-from dpstack.fdl.livelist import LiveList, live_allowance, long_look
+from dpstack.fdl.livelist import ALL_ADDRESSES, LiveList, live_allowance, long_look
 from dpstack.fdl.telegram import SAP_GET_CFG, SAP_SLAVE_DIAG, SSAP_MS0, Req, StationType, Telegram
 from dpstack.params import BusParams
 from dpstack.phy.patience import Patience
@@ -283,7 +284,8 @@ class Scanner(LinkUser):
 
 
 class SurveyOrder(AttachUser):
-    """Ask ``addresses`` once; :class:`ScanDone` has the result. ``skip``: addresses whose slaves get no Slave_Diag.
+    """Ask ``addresses`` (0..126) once; :class:`ScanDone` has the result. ``skip``: addresses whose slaves get no
+    Slave_Diag.
 
     ``configs``: ask for identifier octets too. ``quick``: no limit for the share of the bus time that polls of silent
     addresses take.
@@ -295,6 +297,10 @@ class SurveyOrder(AttachUser):
     quick: bool
 
     def link_user(self, params: BusParams, patience: Patience, now: int) -> Scanner:
+        """Raises UsageError for an address that no station can have."""
+        for address in self.addresses:
+            if address not in ALL_ADDRESSES:
+                raise UsageError(f"no station has the address {address}: the live list asks 0..126")
         allowance = None if self.quick else live_allowance(params, patience, now)
         look = long_look(params, patience) if self.quick else None
         live = LiveList(params.address, addresses=self.addresses, allowance=allowance, long_look=look)

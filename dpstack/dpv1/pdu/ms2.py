@@ -46,8 +46,11 @@ class Address(Struct, frozen=True):
         return int(bool(self.net))
 
     def build(self) -> bytes:
-        """The octets, without type and length."""
-        return bytes((self.api, self.scl)) + self.net
+        """The octets, without type and length. Raises PduError where a value is no octet."""
+        try:
+            return bytes((self.api, self.scl)) + self.net
+        except ValueError:
+            raise PduError(f"Initiate: api = {self.api} and scl = {self.scl} are octets: give 0..255") from None
 
 
 class ResourceManagerRes(Pdu, frozen=True):

@@ -89,6 +89,16 @@ async def test_an_address_given_and_in_use_is_refused() -> None:
 
 
 @in_virtual_time
+async def test_an_address_that_no_station_can_have_is_refused_and_the_bus_goes_on() -> None:
+    async with operating(RAW) as bus:
+        for address in (127, 200, -1, 9_999_999_999_999):
+            with pytest.raises(dpstack.UsageError, match=f"no station has the address {address}: the live list asks 0"):
+                await bus.scan(addresses=[9, address])
+        await bus.rotated(5)
+        assert brief(await bus.scan(addresses=[9, 126])) == [(9, "slave", 0x1234, "data_exchange", 2)]
+
+
+@in_virtual_time
 async def test_the_live_list_of_a_running_bus() -> None:
     async with operating(HOIST, RAW) as bus:
         assert bus.world is not None
