@@ -33,7 +33,7 @@ check: $(VENV)/.check
 	$(PY) -m mypy
 	$(PY) -m mypy.stubtest dpstack.blocking --mypy-config-file pyproject.toml
 	$(PY) -m pytest tests/test_docs.py tests/test_imports.py
-	$(PY) -m pytest -p tools.book_blocks README.md docs
+	$(PY) -m pytest -p tools.book_blocks -n 2 --dist loadfile README.md docs
 	$(BUILD_DOCS)
 
 # Only pages that changed are read again; rm -r build/docs builds the whole book

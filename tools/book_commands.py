@@ -147,7 +147,7 @@ class Stage:
                 one.end()
         if "--web" in words or words[0] == "web":
             self.start([*words, "--listen", "127.0.0.1:0"])
-        elif words[0] in _ENDLESS and not _LIMITS & set(words):
+        elif words[0] in _ENDLESS and not _LIMITS & set(words) and not _reads_a_file(words):
             self.start(words)
         else:
             if self._programs and "--seconds" in words:  # in real time
@@ -188,6 +188,10 @@ class Stage:
             if self._before[1] is not None:
                 os.environ["XDG_RUNTIME_DIR"] = self._before[1]
             self._temporary.cleanup()
+
+
+def _reads_a_file(words: list[str]) -> bool:
+    return any(word.endswith(".pcapng") for word in words if words[words.index(word) - 1] != "--write")
 
 
 def _exit_code(words: list[str]) -> object:
