@@ -131,8 +131,8 @@ class Run:
         #: FC of the next request by master
         self.counts: dict[int, int] = {}
         self.asked: bytes = b""
-        #: the last request, and its answer
-        self.last = (b"", b"")
+        #: the last answer to a request, which the slave keeps for repetitions
+        self.kept = b""
         self.server_sap = 48
         #: raw octets came: they may be telegrams of any master
         self.dirty = False
@@ -155,7 +155,7 @@ class Run:
         request = pieces[-1] if len(pieces) == 1 else b""
         answer = self.answers[-1][1] if self.answers else b""
         self.judge(request, at)
-        self.last = (request, answer)
+        self.kept = answer or self.kept
         return answer
 
     def ask(self, sa: int, dsap: int | None, data: bytes, ssap: int | None = 62, fc: int | None = None) -> bytes:
@@ -192,7 +192,9 @@ class Run:
             if answer != b"\xe5":
                 asked, said = Asked(request), Asked(answer)
                 assert (said.da, said.sa) == (asked.sa, asked.da), (request, answer)
-                if not (self.repeats(asked) and answer == self.last[1]):
+                # FCV, and the frame count bit as before: a repetition, whatever it asks. Octets that were no request
+                # of this master may have moved the bit, so that only the answer says it
+                if not (asked.fc & 0x10 and answer == self.kept):
                     assert answer[0] == 0x10 or (said.dsap, said.ssap) == (asked.ssap, asked.dsap), (
                         request.hex(),
                         answer.hex(),
@@ -207,13 +209,6 @@ class Run:
         if isinstance(self.device, OwnSlave) and self.device.seen:
             assert self.device.seen[-1] == (app.outputs or bytes(2))
             self.device.seen.clear()
-
-    def repeats(self, asked: Asked) -> bool:
-        """Whether a slave takes it for a repetition, whatever it asks: FCV, the same master and the same FCB."""
-        if not all(self.last):
-            return False
-        before = Asked(self.last[0])
-        return asked.sa == before.sa and bool(asked.fc & 0x10) and not (asked.fc ^ before.fc) & 0x20
 
     def forget(self) -> None:
         """Octets are about to come that may be a telegram of any master."""
