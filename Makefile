@@ -27,14 +27,15 @@ demo: $(VENV)/.core
 test: $(VENV)/.test
 	$(PY) -m pytest -m "not soak and not strangers" -n 2 --dist loadfile
 
+# The book is built beside the types; its programs on ptys keep to one process, because they need a processor in time
 check: $(VENV)/.check
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
-	$(PY) -m mypy
-	$(PY) -m mypy.stubtest dpstack.blocking --mypy-config-file pyproject.toml
-	$(PY) -m pytest tests/test_docs.py tests/test_imports.py
-	$(PY) -m pytest -p tools.book_blocks -n 2 --dist loadfile README.md docs
-	$(BUILD_DOCS)
+	$(BUILD_DOCS) & build=$$!; $(PY) -m mypy \
+		&& $(PY) -m mypy.stubtest dpstack.blocking --mypy-config-file pyproject.toml \
+		&& $(PY) -m pytest tests/test_docs.py tests/test_imports.py; \
+		judged=$$?; wait $$build && exit $$judged
+	$(PY) -m pytest -p tools.book_blocks -n 2 --dist loadgroup README.md docs
 
 # Only pages that changed are read again; rm -r build/docs builds the whole book
 docs: $(VENV)/.check
