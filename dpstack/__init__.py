@@ -36,20 +36,23 @@ if TYPE_CHECKING:
     from dpstack.api.bus.bus import Bus, open_bus
     from dpstack.api.bus.cycles import Cycle
     from dpstack.api.bus.find_baud import BaudReport, find_baud
+    from dpstack.api.bus.statistics import BusStats, SlaveStats
     from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
     from dpstack.api.commissioning.commissioning import Commissioning
     from dpstack.api.config.config import Config, load_config
-    from dpstack.api.lists.parameter_list import ParameterPlace
+    from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue
     from dpstack.api.server.virtual_bench import VirtualBench
     from dpstack.api.slave.alarms import SlaveAlarm
-    from dpstack.api.slave.class2 import Connection
-    from dpstack.api.slave.drive import Drive
+    from dpstack.api.slave.class2 import Connection, ProcessData, ReadDiagnosis
+    from dpstack.api.slave.drive import Drive, DriveNotice
     from dpstack.api.slave.slave import Slave
     from dpstack.api.slave.typed import Bool, Inputs, Int, Octets, Outputs, Scaled, at
     from dpstack.dp.master.commands import Mode
     from dpstack.dp.master.events import SlaveState
     from dpstack.dp.pdu.alarm_blocks import AlarmType, Specifier, StatusType
+    from dpstack.dp.plan.plan import Plan
     from dpstack.dpv1.pdu.im import Im0, Im1, Im2, Im3, Im4
+    from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
     from dpstack.errors import (
         AcyclicError,
         AlarmError,
@@ -75,8 +78,10 @@ if TYPE_CHECKING:
         UnknownAttribute,
         UsageError,
     )
+    from dpstack.params import BusParams
     from dpstack.profile import DriveStatus
     from dpstack.trace import Event
+    from dpstack.why.story import Story
 
 __version__ = "0.1.0"
 
@@ -89,6 +94,9 @@ __all__ = [
     "Bool",
     "Bus",
     "BusError",
+    "BusParams",
+    "BusSnapshot",
+    "BusStats",
     "Commissioning",
     "Config",
     "ConfigError",
@@ -99,6 +107,7 @@ __all__ = [
     "Drive",
     "DriveError",
     "DriveFault",
+    "DriveNotice",
     "DriveStatus",
     "DriveTimeout",
     "Event",
@@ -118,8 +127,12 @@ __all__ = [
     "ParamError",
     "ParameterError",
     "ParameterPlace",
+    "ParameterValue",
+    "Plan",
     "PortBusyError",
     "PortError",
+    "ProcessData",
+    "ReadDiagnosis",
     "RecordRefused",
     "Scaled",
     "ServiceRefused",
@@ -127,10 +140,13 @@ __all__ = [
     "SlaveAlarm",
     "SlaveError",
     "SlaveFault",
+    "SlaveSnapshot",
     "SlaveState",
+    "SlaveStats",
     "SlaveTimeout",
     "Specifier",
     "StatusType",
+    "Story",
     "UnknownAttribute",
     "UsageError",
     "VirtualBench",
@@ -166,11 +182,11 @@ api.bus.find_baud BaudReport find_baud
 api.bus.virtual run_virtual simulate World IoStation
 api.commissioning.commissioning Commissioning
 api.config.config Config load_config
-api.lists.parameter_list ParameterPlace
+api.lists.parameter_list ParameterPlace ParameterValue
 api.server.virtual_bench VirtualBench
 api.slave.alarms SlaveAlarm
-api.slave.class2 Connection
-api.slave.drive Drive
+api.slave.class2 Connection ProcessData ReadDiagnosis
+api.slave.drive Drive DriveNotice
 api.slave.slave Slave
 api.slave.typed Bool Inputs Int Octets Outputs Scaled at
 dp.master.commands Mode
@@ -182,6 +198,11 @@ trace Event
 errors AcyclicError AlarmError BaudError BusError ConfigError ConnectionEnded DpError DriveError DriveFault
 errors DriveTimeout NoInputs OrderDropped ParamError ParameterError PortBusyError PortError RecordRefused
 errors ServiceRefused SlaveError SlaveFault SlaveTimeout UnknownAttribute UsageError
+api.bus.statistics BusStats SlaveStats
+drivers.snapshots BusSnapshot SlaveSnapshot
+dp.plan.plan Plan
+why.story Story
+params BusParams
 """
 
 
