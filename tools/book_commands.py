@@ -36,6 +36,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import dpstack
 from dpstack.api.config.config import load_config
+from dpstack.api.control.socket_path import Sockets
 from dpstack.cli.main import main
 
 if TYPE_CHECKING:
@@ -122,6 +123,8 @@ class Stage:
             program.wait_until(lambda: (folder / "0").exists() and self._sockets() - before)
         elif words[0] in ("run", "sim"):
             program.wait_until(lambda: self._sockets() - before)
+            with Sockets(make=True) as sockets, sockets.locked():  # it holds the lock until it has all its names
+                pass
             if words[0] == "run":
                 slaves = len(load_config(words[1]).slaves)
                 program.wait_until(lambda: program.output.count(": data_exchange") >= slaves)
