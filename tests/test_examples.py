@@ -147,6 +147,6 @@ def test_the_cells_of_the_notebook_run_one_after_the_other(
 
 
 def test_the_notebook_is_kept_without_outputs() -> None:
-    """What it shows is made by a run; old outputs would say what an earlier version did."""
+    """A run makes the outputs; kept ones would be those of an earlier version."""
     for cell in cells_of(NOTEBOOK):
         assert (cell["outputs"], cell["execution_count"], cell["metadata"]) == ([], None, {})

@@ -236,7 +236,7 @@ async def why(plant: Plant) -> str:
 
 
 def printed(*words: str) -> str:
-    """What a command prints."""
+    """The output of a command."""
     with contextlib.redirect_stdout(io.StringIO()) as out:
         main(words)
     return out.getvalue()

@@ -71,7 +71,7 @@ class Shell:
         self._prompt()
 
     def _prompt(self) -> str:
-        """What is shown until the next prompt."""
+        """The text until the next prompt."""
         end = time.monotonic() + _HANG_S
         mark = f"\nIn [{self.number + 1}]: "
         while mark not in "\n" + self._shown:
@@ -98,7 +98,7 @@ class Shell:
         return self._prompt()
 
     def close(self) -> str:
-        """Ctrl-D and yes. What the shell shows to its end."""
+        """Ctrl-D and yes. Returns the text of the shell to its end."""
         os.write(self._fd, b"\x04y\n")
         assert self._process.wait(_HANG_S) == 0
         os.close(self._fd)
