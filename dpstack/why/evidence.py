@@ -29,9 +29,9 @@ class Neighbour:
     found_ident: int | None = None
 
     @property
-    def answers(self) -> bool:
-        """Whether it answers, also where it refuses."""
-        return self.link.answers > 0 or self.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED)
+    def there(self) -> bool:
+        """Whether it answered when it was asked last, also where it refused."""
+        return self.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -273,7 +273,14 @@ class Facts:
 
     @cached_property
     def answering(self) -> tuple[Neighbour, ...]:
-        return tuple(one for one in self.neighbours if one.answers)
+        """Slaves that answer now. A class 2 look does not know their states: there, those that answered in it."""
+        looked = self.evidence.source == CLASS2
+        return tuple(one for one in self.neighbours if one.there or (looked and one.link.answers))
+
+    @cached_property
+    def compared(self) -> tuple[Neighbour, ...]:
+        """Slaves whose counters can be compared with those of this one: they answer, or have answered."""
+        return tuple(one for one in self.neighbours if one.there or one.link.answers)
 
     @cached_property
     def others_found(self) -> tuple[Found, ...]:

@@ -199,6 +199,9 @@ def _out_of_ring(f: Facts, *, jammed: bool) -> Findings:
     yield Finding(Cause.NO_TOKEN, 0.5 if jammed or unreadable else 0.86, said, against)
 
 
+#: where all slaves fell silent at once
+_SHARED: Final = "look at all that the slaves share: the cable and the plug at the master, its adapter, their supply"
+
 #: T_TO in slot times of the highest address is 6 + 2 x 126; after so many a silent line is claimed for sure
 _CLAIMS: Final = 2 * (6 + 2 * 126)
 
@@ -229,6 +232,9 @@ def _absent(f: Facts) -> Findings:
         against.append("No other station answers either: a common cause is likelier.")
         confidence = 0.6
     todo = ""
+    if f.present and f.neighbours and not f.anybody:
+        said.append(f"All {len(f.neighbours) + 1} slaves of the configuration are silent at once.")
+        todo = _SHARED
     if f.evidence.found is None and f.evidence.unknown:
         places = _some(map(str, sorted(f.evidence.unknown)))
         said.append(f"Address {places} answers, and no slave is configured there: has the device that address?")
@@ -269,6 +275,9 @@ def _nobody(f: Facts) -> Findings:
     against = []
     if others:
         against.append(f"Masters {', '.join(map(str, others))} are understood at this rate.")
+        confidence = 0.35
+    if f.compared:
+        against.append(f"{_some(one.name for one in f.compared)} answered at this rate before.")
         confidence = 0.35
     yield Finding(Cause.RATE_MISMATCH, confidence, said, against)
 
@@ -395,7 +404,7 @@ def _noise(f: Facts) -> Findings:
         against.append(f"Late answers of {names} run into other telegrams.")
         most = min(most, 0.5)
     bad = f.disturbed_neighbours
-    clean = [one for one in f.answering if one not in bad]
+    clean = [one for one in f.compared if one not in bad]
     tokens = f.evidence.ring.token_retries
     if tokens >= 3:
         said.append(f"The token had to be sent again {tokens} times.")
@@ -419,7 +428,7 @@ def _noise(f: Facts) -> Findings:
 def _noise_of_others(f: Facts) -> Findings:
     """Most others are disturbed, and requests to this slave failed, too."""
     bad = f.disturbed_neighbours
-    if failures(f.link) and bad and 2 * len(bad) >= len(f.answering) and not (f.late_neighbours or is_late(f.link)):
+    if failures(f.link) and bad and 2 * len(bad) >= len(f.compared) and not (f.late_neighbours or is_late(f.link)):
         said = [f"Answers of {_some(one.name for one in bad)} are damaged."]
         missing = f"{failures(f.link)} of {attempts(f.link)} requests to this slave had no good answer."
         yield Finding(Cause.NOISE_ON_SEGMENT, 0.5, [*said, missing], ["Its own answers are not damaged."])

@@ -201,6 +201,26 @@ def test_nobody_answers_is_one_group_and_an_ident_elsewhere_is_the_address() -> 
     assert first(history=history, neighbours=(gone,), found=())[0] == "rate_mismatch"
 
 
+def test_slaves_that_fell_silent_together_are_not_said_to_answer() -> None:
+    """Their counters have answers of the past, and their state says that nobody answers now."""
+    counters = StationStats(requests=940, answers=900, timeouts=40)
+    places = ((3, "hoist"), (5, "valves"))
+    others = tuple(Neighbour(n, name, SlaveState.OFFLINE, 0x0696, counters) for n, name in places)
+    silent = History((BringUp((Step(1, "Slave_Diag", b"", "nothing", times=40),)),))
+    story = tell(dataclasses.replace(EMPTY, history=silent, link=counters, neighbours=others))
+    assert story.first.cause == "not_there"
+    assert "All 3 slaves of the configuration are silent at once." in story.first.speaks_for
+    assert story.first.next.startswith("look at all that the slaves share: the cable")
+    assert not any("Others answer" in said for one in story.causes for said in one.speaks_for)
+    never = tell(dataclasses.replace(EMPTY, history=silent, neighbours=others))
+    rate = next(one for one in never.causes if one.cause == "rate_mismatch")
+    assert rate.confidence < never.first.confidence
+    assert "hoist, valves answered at this rate before." in rate.against
+    one_back = (dataclasses.replace(others[0], state=SlaveState.DATA_EXCHANGE), others[1])
+    story = tell(dataclasses.replace(EMPTY, history=silent, link=counters, neighbours=one_back))
+    assert "Others answer at this rate: hoist." in story.first.speaks_for
+
+
 def test_hostile_texts_are_printable_and_60_columns_are_kept() -> None:
     name = "v\x1b[31m\u202e<script>" + "x" * 200
     setup = dataclasses.replace(SETUP, name=name)
