@@ -31,6 +31,7 @@ BENCHMARKS = {
     "rotation": ("bench.rotation", "bus rotation time on a paced bus beside the time on the wire; CPU time there"),
     "scale": ("bench.scale", "what one exchange costs the master, from 1 to 100 slaves"),
     "startup": ("bench.startup", "time until 32 slaves are in data exchange"),
+    "steps": ("bench.steps", "where a turn-around goes, step by step, for both drivers and a bare loop"),
     "tap": ("bench.tap", "what a client of the tap adds to the CPU time of an exchange, and whether it keeps up"),
     "usb": ("bench.usb", "the rotation behind a USB adapter's habits: wire, adapter and stack apart"),
     "virtual": ("bench.virtual", "the CPU time of an exchange and of a second of the simulated bus"),

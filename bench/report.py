@@ -52,9 +52,37 @@ class Figure:
         return (quantile(self.rounds, high) - quantile(self.rounds, low)) / middle
 
 
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A part of a report's figures as a table for people: figures are named "TITLE, ROW: COLUMN"."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[str, ...]
+
+    def name(self, row: str, column: str) -> str:
+        return f"{self.title}, {row}: {column}"
+
+    def lines(self, figures: Mapping[str, Figure]) -> list[str]:
+        cells = [
+            [f"{figures[name].value:.2f}" if (name := self.name(row, column)) in figures else "-" for row in self.rows]
+            for column in self.columns
+        ]
+        of_columns = zip(self.columns, cells, strict=True)
+        widths = [max(map(len, (column, *below))) for column, below in of_columns]
+        first = max(map(len, (self.title, *self.rows)))
+        head = [f"{column:>{width}}" for column, width in zip(self.columns, widths, strict=True)]
+        lines = ["  ".join([f"{self.title:<{first}}", *head])]
+        for row, values in zip(self.rows, zip(*cells, strict=True), strict=True):
+            right = [f"{value:>{width}}" for value, width in zip(values, widths, strict=True)]
+            lines.append("  ".join([f"{row:<{first}}", *right]))
+        return lines
+
+
 @dataclass
 class Report:
-    """All figures of one benchmark. ``about`` is the machine as it was at the start."""
+    """All figures of one benchmark. ``about`` is the machine as it was at the start. ``tables``: figures in them stand
+    there, not on lines of their own."""
 
     name: str
     figures: list[Figure] = field(default_factory=list)
@@ -64,6 +92,7 @@ class Report:
     load_at_end: float | None = None
     #: other programs had the processors for a good part of the time: goals are not judged
     busy: bool = False
+    tables: list[Table] = field(default_factory=list)
 
     def add(
         self,
@@ -150,12 +179,17 @@ class Report:
             f"  {about.get('system')}, governor {about.get('governor')}, load {about.get('load')} at the start, "
             f"{self.load_at_end} at the end, real-time priority {realtime.get('priority') or 'not permitted'}",
         ]
-        width = max((len(f.name) for f in self.figures), default=0)
-        for f in self.figures:
+        tabled = {table.name(row, column) for table in self.tables for row in table.rows for column in table.columns}
+        listed = [f for f in self.figures if f.name not in tabled]
+        width = max((len(f.name) for f in listed), default=0)
+        for f in listed:
             spread = "" if f.spread is None or f.exact else f"  +-{f.spread / 2:.0%}"
             bound = "" if f.goal is None else f"   goal {'at least' if f.more else 'at most'} {f.goal:g}: "
             verdict = "" if f.goal is None else "not judged" if not self._judged(f) else "met" if f.met else "MISSED"
             lines.append(f"  {f.name:<{width}}  {f.value:>10.2f} {f.unit}{spread}{_raw(f)}{bound}{verdict}")
+        by_name = {f.name: f for f in self.figures}
+        for table in self.tables:
+            lines += ["", *(f"  {line}" for line in table.lines(by_name))]
         return "\n".join(lines + [f"  {note}" for note in self.notes])
 
 

@@ -49,10 +49,23 @@ class NotAvailableError(Exception):
     """A master or driver that cannot be measured here; the text names it and the reason."""
 
 
+class Noted(NamedTuple):
+    """A turn-around as bench/probe notes it by steps: when (CLOCK_MONOTONIC, ns) and for how long, in ns."""
+
+    read_from: int  # of the answer's last octets
+    read_until: int
+    write_from: int  # of the next request
+    write_until: int
+    pumped: int
+    waited: int  # the idle time of the rules, as far as the work before it left something of it
+    late: int  # from its end to the next pump
+
+
 @dataclass(frozen=True, slots=True)
 class Taken:
     """Result of one measurement of ``seconds``. ``cpu``: CPU time of the master in ns, ``python_loop``: the Python loop
-    beside it in ns. ``turns``: turn-arounds in ns, ``token_turns``: those with the token between."""
+    beside it in ns. ``turns``: turn-arounds in ns, ``token_turns``: those with the token between; ``steps``: instead of
+    both, turn-arounds by steps."""
 
     seconds: float
     exchanges: int
@@ -63,6 +76,7 @@ class Taken:
     turns: list[int]
     token_turns: list[int]
     python_loop: float = 0.0
+    steps: Sequence[Noted] = ()
 
     @property
     def cpu_per_exchange(self) -> tuple[float, float]:
@@ -167,8 +181,11 @@ class Process:
 class Bench:
     """One master on one wire, both running, all slaves in data exchange. ``facts`` is what the master told then."""
 
-    def __init__(self, wire: Process, master: Process, slaves: int, facts: dict[str, object], folder: Path) -> None:
+    def __init__(
+        self, kind: str, wire: Process, master: Process, slaves: int, facts: dict[str, object], folder: Path
+    ) -> None:
         self.facts = facts
+        self._kind = kind
         self._least = _LEAST_ROUNDS * slaves
         self.began = master.began
         self._wire = wire
@@ -195,7 +212,18 @@ class Bench:
         turns, token_turns = self._turns(since, until)
         records = [Record(*record) for record in data["records"]]
         took = until - since
-        return Taken(took / 1e9, data["exchanges"], cpu, waited / took, records, data["held"], turns, token_turns, loop)
+        return Taken(
+            took / 1e9,
+            data["exchanges"],
+            cpu,
+            waited / took,
+            records,
+            data["held"],
+            turns,
+            token_turns,
+            loop,
+            self._steps(since, until),
+        )
 
     def cpu_slice(self, seconds: float) -> tuple[int, int]:
         """CPU time of the master in ns, and the exchanges meanwhile; short, and without calibration."""
@@ -266,6 +294,20 @@ class Bench:
                         (token_turns if value & 1 else turns).append(value >> 1)
         return turns, token_turns
 
+    def _steps(self, since: int, until: int) -> list[Noted]:
+        """Raises RuntimeError when the probe did not find the ``pump`` of a dpstack master."""
+        rows: list[Noted] = []
+        for path in self._folder.glob("*.steps"):
+            numbers = memoryview(path.read_bytes()).cast("Q")
+            if not numbers[1] and self._kind in DRIVERS:
+                raise RuntimeError(f"{self._kind}: the probe finds no pump in the master")
+            size = len(Noted._fields)
+            for place in range(2, min(len(numbers) - size + 1, 2 + size * numbers[0]), size):
+                row = Noted(*numbers[place : place + size])
+                if since <= row.read_from and row.write_until < until:
+                    rows.append(row)
+        return sorted(rows)
+
 
 @contextlib.contextmanager
 def wire_with(
@@ -300,6 +342,7 @@ def bench(
     paced: bool = True,
     adapter: Adapter | None = None,
     probe: bool = False,
+    steps: bool = False,
     app: str = "idle",
     gap: int | None = None,
     cycle_ms: float | None = None,
@@ -311,7 +354,8 @@ def bench(
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
 
-    ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted;
+    ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted,
+    ``steps``: by steps;
     ``ident``: what the slaves are, of which the masters believe IDENT. ``records``: the master reads records of so many
     octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has. ``recording``:
     its slaves have named values, and :meth:`Bench.record` makes it keep them.
@@ -337,14 +381,14 @@ def bench(
             words += ["--cycle-ms", str(cycle_ms)]
         if kind == "bare" and paced:
             words += ["--t-id1", str(params.t_id1)]
-        master = Process(words, where.master, _probed(port, folder) if probe else None)
+        master = Process(words, where.master, _probed(port, folder, steps) if probe or steps else None)
         told: list[dict[str, object]] = []
         stack.callback(lambda: told.extend(master.end()))
         facts = json.loads(master.line() or "{}")
         if "ready" not in facts:
             raise MasterFailedError(f"{kind}, {slaves} slaves: {facts.get('error', 'the master ended without a word')}")
         stolen = stolen_ns()
-        running = Bench(wire, master, slaves, facts, folder)
+        running = Bench(kind, wire, master, slaves, facts, folder)
         yield running
         told += master.end()
         if told:
@@ -352,13 +396,13 @@ def bench(
             raise MasterFailedError(f"{kind}, {slaves} slaves: {why}")
 
 
-def _probed(port: str, folder: Path) -> dict[str, str]:
+def _probed(port: str, folder: Path, steps: bool) -> dict[str, str]:
     return {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(filter(None, (str(_PROBE), os.environ.get("PYTHONPATH")))),
         "BENCH_LINE": port,
         "BENCH_PROBE": str(folder),
-    }
+    } | ({"BENCH_STEPS": "1"} if steps else {})
 
 
 @cache

@@ -197,6 +197,7 @@ def test_rotation_runs() -> None:
         "3 Mbit/s, asyncio: rotation p50",
         "3 Mbit/s, asyncio: efficiency p50",
         "3 Mbit/s, asyncio: efficiency p50 without the pty's share",
+        "3 Mbit/s, asyncio: efficiency to the bare loop's",
         "3 Mbit/s, asyncio: CPU time per exchange",
     }
     (ruled,) = [f.value for f in report.figures if f.name.endswith("by the rules")]
