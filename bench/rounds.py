@@ -74,6 +74,7 @@ PLANS: Final[Mapping[str, Plan]] = {
     "rotation": Plan("--rounds 1 --bauds 500000 1500000 --kinds bare asyncio process"),
     "scale": Plan("--rounds 7 --exchanges 2000 --seconds 0", cpu=True),
     "startup": Plan("--rounds 1"),
+    "steps": Plan("--rounds 1"),
     "tap": Plan("--rounds 1"),
     "usb": Plan("--rounds 1 --bauds 500000 --seconds 1"),
     "virtual": Plan("--rounds 5", cpu=True),
