@@ -1,4 +1,5 @@
-"""``python -m bench [NAME] [--json]``, ``python -m bench compare NAME [FILE] [FILE] [--commit OLD]``."""
+"""``python -m bench [NAME] [--json]``, ``python -m bench compare NAME [FILE] [FILE] [--commit OLD]``,
+``python -m bench goals [--commit OLD]``."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
+from bench import goals
 from bench.compare import compare, load_reference, load_report, reference_of, save
 from bench.plot import PlotError, plot
 from bench.report import Report
@@ -44,6 +46,7 @@ python -m bench compare rotation               runs it and compares it with the 
 python -m bench compare rotation now.json      compares a file with the stored reference
 python -m bench compare rotation a.json b.json compares two files, the older first
 python -m bench compare virtual --commit OLD   measures a commit and the tree as it stands in turn
+python -m bench goals --commit OLD             the goals of speed in one table, both measured in turn
 """
 
 
@@ -61,7 +64,7 @@ def main(argv: list[str] | None = None) -> int:
         allow_abbrev=False,  # what is not known here is the benchmark's
         add_help=len(words) < 2 or words[0].startswith("-"),  # behind a name: the benchmark's own
     )
-    parser.add_argument("name", nargs="?", help="which one, or compare; without it they are listed")
+    parser.add_argument("name", nargs="?", help="which one, compare or goals; without it they are listed")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of lines")
     parser.add_argument("--save", nargs="?", type=Path, const=Path(), metavar="FILE", help="store as the reference")
     parser.add_argument("--compare", nargs="?", type=Path, const=Path(), metavar="FILE", help="with the reference")
@@ -74,6 +77,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if args.name == "compare":
             return _compare(rest, as_json=args.json)
+        if args.name == "goals":
+            return goals.main(rest, as_json=args.json)
         report = run(args.name, rest)
         print(report.as_json() if args.json else report.as_text())
         if args.save is not None:

@@ -13,7 +13,7 @@ import select
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -22,6 +22,7 @@ from bench.calibration import Speeds, speeds
 from bench.commits import Side, clean, commit_side, packages, tree_side
 from bench.machine import load
 from bench.paired import (
+    SIDES,
     PairedComparison,
     Reading,
     Round,
@@ -91,26 +92,45 @@ def compare_with_commit(name: str, commit: str, rounds: int | None = None) -> Pa
     count = plan.rounds if rounds is None else rounds
     if count < min(plan.rounds, _LEAST_ROUNDS):
         raise ValueError(f"--rounds {count}: a verdict needs {_LEAST_ROUNDS} at least")
+    with both_sides(commit) as (sides, notes):
+        taken = rounds_of(Commands(name, plan), sides, count, notes)
+    pairs = pairs_of(taken)
+    titles = (sides[0].title, sides[1].title)
+    return PairedComparison(name, titles, taken, [*pairs, *together(taken, pairs)], notes)
+
+
+@contextlib.contextmanager
+def both_sides(commit: str) -> Iterator[tuple[tuple[Side, Side], list[str]]]:
+    """The environments of a commit and of the tree, and notes on what may spoil a comparison.
+
+    Raises ValueError for an unknown commit, RuntimeError when an environment cannot be made.
+    """
     average = load()
     notes = [] if average is None or average < _BUSY else [f"other programs were running: load average {average}"]
-    _tell(f"making the environments of {commit} and of the tree, where they are not there yet")
+    tell(f"making the environments of {commit} and of the tree, where they are not there yet")
     with commit_side(commit) as old, tree_side() as new:
         if differing := sorted(packages(old) ^ packages(new)):
             notes.append(f"packages that are not the same on both sides: {', '.join(differing)}")
-        measured = Measured(Commands(name, plan), (old, new), notes)
-        taken = []
-        for both in take_rounds(count, measured.round, notes):
-            taken.append(both)
-            _tell(f"{name}: {len(taken)} of {count} rounds")
-    pairs = pairs_of(taken)
-    return PairedComparison(name, (old.title, new.title), taken, [*pairs, *together(taken, pairs)], notes)
+        yield (old, new), notes
+
+
+def rounds_of(
+    commands: Commands, sides: tuple[Side, Side], count: int, notes: list[str], *, new_alone: bool = False
+) -> list[Round]:
+    """``count`` rounds of both sides; ``new_alone``: see :class:`Measured`. Raises RuntimeError."""
+    measured = Measured(commands, sides, notes, new_alone=new_alone)
+    taken = []
+    for both in take_rounds(count, measured.round, notes):
+        taken.append(both)
+        tell(f"{commands.name}: {len(taken)} of {count} rounds")
+    return taken
 
 
 class Commands:
     """Commands of one benchmark: each side's own bench, and the probe. Several sides take turns."""
 
     def __init__(self, name: str, plan: Plan) -> None:
-        self._name = name
+        self.name = name
         self._plan = plan
         #: whether sides can take turns within a run of their own bench
         self.in_turn = plan.cpu
@@ -118,7 +138,7 @@ class Commands:
     def own(self, *sides: Side) -> list[dict[str, Reading]]:
         """Of the sides' own benches. Raises LacksError, RuntimeError when one fails."""
         way = ["-P", str(_LOOP_CLOCK)] if self._plan.cpu else ["-m", "bench"]
-        return list(map(self._own, sides, run_in_turn(sides, [*way, self._name, "--json", *self._plan.words.split()])))
+        return list(map(self._own, sides, run_in_turn(sides, [*way, self.name, "--json", *self._plan.words.split()])))
 
     def _own(self, side: Side, ended: Ended) -> dict[str, Reading]:
         if ended.code == _WRONG_USE or "No module named" in ended.complaint:
@@ -133,7 +153,7 @@ class Commands:
     def probe(self, *sides: Side) -> list[dict[str, Reading]]:
         """Of the probe in the sides' environments. Raises RuntimeError when it fails."""
         found = []
-        for side, ended in zip(sides, run_in_turn(sides, ["-P", str(_PROBE), self._name]), strict=True):
+        for side, ended in zip(sides, run_in_turn(sides, ["-P", str(_PROBE), self.name]), strict=True):
             if ended.code:
                 raise RuntimeError(f"{side.title}, probe: {ended.complaint}")
             found.append(readings_of_probe(json.loads(ended.output)))
@@ -144,7 +164,8 @@ class Measured:
     """Rounds of two sides. Which figures come from the own benches and which from the probe, a run that is not judged
     decides: the own ones where both have them, so that both sides of a figure are measured in the same way.
 
-    Raises RuntimeError when the two have no figure in common.
+    ``new_alone``: the new side is measured by its own bench, too, where the old side lacks that. Raises RuntimeError
+    when the two have no figure in common, and the new one is not measured alone.
     """
 
     def __init__(
@@ -153,6 +174,8 @@ class Measured:
         sides: tuple[Side, Side],
         notes: list[str],
         calibrate: Callable[[], Speeds] = speeds,
+        *,
+        new_alone: bool = False,
     ) -> None:
         self._commands = commands
         self._sides = sides
@@ -160,9 +183,10 @@ class Measured:
         owns = [self._own(side, notes) for side in sides]
         probes = commands.probe(*sides)
         own, probed = (both[0].keys() & both[1].keys() for both in (owns, probes))
-        self._uses_own = bool(own)
+        #: numbers of the sides whose own bench is used
+        self._own_of = set(SIDES) if own else {1} if new_alone and owns[1] else set()
         self._of_probe = probed - own
-        if not own and not probed:
+        if not self._own_of and not probed:
             raise RuntimeError(f"{sides[0].title} and {sides[1].title} have no figure in common; {'; '.join(notes)}")
         for side, readings in zip(sides, owns, strict=True):
             if alone := readings.keys() - own - probed:
@@ -184,10 +208,12 @@ class Measured:
         return runs[0], runs[1]
 
     def _readings(self, numbers: tuple[int, ...]) -> dict[int, dict[str, Reading]]:
-        if not self._uses_own:
-            return {number: {} for number in numbers}
+        found: dict[int, dict[str, Reading]] = {number: {} for number in numbers}
+        wanted = [number for number in numbers if number in self._own_of]
+        if not wanted:
+            return found
         try:
-            return dict(zip(numbers, self._commands.own(*map(self._sides.__getitem__, numbers)), strict=True))
+            return found | dict(zip(wanted, self._commands.own(*map(self._sides.__getitem__, wanted)), strict=True))
         except LacksError as error:
             raise RuntimeError(f"a benchmark that ran before does not run: {error}") from None
 
@@ -278,5 +304,6 @@ def run_in_turn(sides: Sequence[Side], words: Sequence[str]) -> list[Ended]:
         return [program.ended() for program in programs]
 
 
-def _tell(text: str) -> None:
+def tell(text: str) -> None:
+    """Progress, for the one who waits."""
     print(f"bench: {text}", file=sys.stderr)

@@ -343,6 +343,15 @@ def test_a_commit_without_the_benchmark_is_probed_alone() -> None:
     assert notes[0] == "the own bench of 0123456789ab cannot do this: no benchmark 'virtual'"
 
 
+def test_a_side_without_the_benchmark_is_left_out_where_the_new_one_may_stand_alone() -> None:
+    commands = MadeUp([LacksError("no benchmark"), {"b": 2}], [{}, {}])
+    measured = Measured(commands, (OLD, NEW), [], lambda: STILL, new_alone=True)
+    commands.called.clear()
+    old, new = measured.round((0, 1))
+    assert (old.readings, new.readings["b"].value) == ({}, 2)
+    assert commands.called == ["own new"]
+
+
 def test_sides_without_a_common_figure_are_reported_with_the_reason() -> None:
     with pytest.raises(
         RuntimeError, match="have no figure in common; the own bench of 0123456789ab cannot do this: why"

@@ -290,7 +290,7 @@ def test_commands_exist(page: Path) -> None:
                 folder = words[2].partition("[")[0]  # before the extras
                 assert (ROOT / folder / "pyproject.toml").exists()
             elif words[:3] == ["python", "-m", "bench"]:
-                assert words[3] in {*BENCHMARKS, "compare"}
+                assert words[3] in {*BENCHMARKS, "compare", "goals"}
             elif words[0] == "make":
                 assert all(f"\n{word}:" in makefile for word in words[1:]), line
             else:

@@ -1,0 +1,272 @@
+"""``python -m bench goals --commit OLD``: the goals of speed in one table, an old commit and the tree in turn.
+
+A goal bounds either the ratio of a figure to that of the old commit, in pairs, or a figure that is a ratio itself
+(to another program, or to a bare loop, in the same round). The benchmarks that hold the figures run as in
+``compare NAME --commit OLD``, in short runs of the options given here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Final, NamedTuple
+
+from bench.calibration import PYTHON
+from bench.paired import Pair, Readings, Round, interval, pairs_of
+from bench.report import duration_text
+from bench.rounds import Commands, Plan, both_sides, rounds_of, tell
+
+#: the commit that the goals were set against
+TODAY: Final = "364aac1"
+_ROUNDS: Final = 8
+#: with fewer rounds the table gives the least and the greatest ratio
+_ENOUGH: Final = 8
+
+
+class Goal(NamedTuple):
+    """A bound of a figure. ``to_today``: of its ratio to the old commit's, else of the figure itself. ``quotient``: two
+    figures of a run whose ratio stands for the figure where a benchmark lacks that. ``only_above``: a figure of the
+    same rounds, and the median from which on the goal is judged."""
+
+    text: str
+    figure: str
+    limit: float
+    to_today: bool = False
+    more: bool = False
+    quotient: tuple[str, str] | None = None
+    only_above: tuple[str, float] | None = None
+
+
+class Suite(NamedTuple):
+    """Goals whose figures come from one run of a benchmark with these options; ``cpu``: as in :class:`Plan`."""
+
+    benchmark: str
+    words: str
+    goals: Sequence[Goal]
+    cpu: bool = False
+
+    @property
+    def command(self) -> str:
+        """One run of it."""
+        return f"python -m bench {self.benchmark} {self.words}".rstrip()
+
+
+def _efficiency(rate: str, limit: float) -> Goal:
+    own, bare = (f"{rate}, {kind}: efficiency p50" for kind in ("process", "bare"))
+    figure = f"{rate}, process: efficiency to the bare loop's"
+    text = f"efficiency at {rate} to a bare loop's, process"
+    return Goal(text, figure, limit, more=True, quotient=(own, bare), only_above=(bare, 0.5))
+
+
+#: name -> what is run, in the order of the table
+SUITES: Final[Mapping[str, Suite]] = {
+    "alone": Suite(
+        "scale",
+        "--rounds 3 --exchanges 1500 --seconds 0 --slaves 10",
+        [Goal("CPU per exchange, master alone", "no medium, 10 slaves: CPU time per exchange", 0.60, to_today=True)],
+        cpu=True,
+    ),
+    "paced": Suite(
+        "rotation",
+        "--rounds 1 --bauds 500000 --kinds pyprofibus asyncio process",
+        [
+            Goal(
+                f"CPU per exchange at 500 kbit/s to pyprofibus's, {kind}",
+                f"500 kbit/s, {kind}: CPU time per exchange to pyprofibus's",
+                0.25,
+            )
+            for kind in ("asyncio", "process")
+        ],
+    ),
+    "rates": Suite(
+        "rotation",
+        "--rounds 1 --seconds 0.5 --bauds 1500000 3000000 12000000 --kinds bare process",
+        [_efficiency("1.5 Mbit/s", 0.95), _efficiency("3 Mbit/s", 0.90), _efficiency("12 Mbit/s", 0.80)],
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A goal and its figures: texts of the old and the new side, the ratio with its spread (None: not measured)."""
+
+    goal: Goal
+    old: str
+    new: str
+    ratio: float | None
+    low: float | None
+    high: float | None
+    ratios: Sequence[float]
+    verdict: str
+    command: str
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Words of the table."""
+        bound = f"{self.goal.text}: {'at least' if self.goal.more else 'at most'} {self.goal.limit:g}"
+        bound += " of today's" if self.goal.to_today else ""
+        spread = f"{self.low:.2f} to {self.high:.2f}" if self.low is not None else "-"
+        ratio = f"{self.ratio:.2f}" if self.ratio is not None else "-"
+        return bound, self.old, self.new, ratio, spread, self.verdict, self.command
+
+
+_HEAD: Final = ("goal", "today", "now", "ratio", "spread", "", "command")
+
+
+@dataclass(frozen=True, slots=True)
+class GoalTable:
+    """All rows. ``titles``: the old side and the new one."""
+
+    titles: tuple[str, str]
+    rounds: int
+    rows: Sequence[Row]
+    notes: Sequence[str]
+
+    def as_text(self) -> str:
+        lines = [self._head(), *_aligned([_HEAD[:-1], *(row.cells[:-1] for row in self.rows)])]
+        commands = dict.fromkeys(row.command for row in self.rows)
+        return "\n".join([*lines, *(f"  {note}" for note in (*commands, *self.notes))])
+
+    def as_markdown(self) -> str:
+        """The table for a page."""
+        lines = [_HEAD, ("---",) * len(_HEAD), *((*row.cells[:-1], f"`{row.command}`") for row in self.rows)]
+        table = [f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |" for cells in lines]
+        return "\n".join([self._head(), "", *table, "", *(f"- {note}" for note in self.notes)])
+
+    def as_json(self) -> str:
+        rows = [
+            {
+                "goal": row.goal.text,
+                "figure": row.goal.figure,
+                "limit": row.goal.limit,
+                "more": row.goal.more,
+                "to_today": row.goal.to_today,
+                "today": row.old,
+                "now": row.new,
+                "ratio": row.ratio,
+                "low": row.low,
+                "high": row.high,
+                "ratios": list(row.ratios),
+                "verdict": row.verdict,
+                "command": row.command,
+            }
+            for row in self.rows
+        ]
+        return json.dumps(
+            {"today": self.titles[0], "now": self.titles[1], "rounds": self.rounds, "rows": rows, "notes": self.notes}
+        )
+
+    def _head(self) -> str:
+        spread = "99 % interval of the median" if self.rounds >= _ENOUGH else "least and greatest"
+        return f"today: {self.titles[0]}, now: {self.titles[1]}, {self.rounds} rounds in turn; spread: {spread}"
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def rows_of(suite: Suite, rounds: Sequence[Round]) -> list[Row]:
+    """The rows of a suite from its rounds, each the old side's run and the new one's."""
+    pairs = {pair.name: pair for pair in pairs_of(rounds)} if rounds else {}
+    return [
+        _to_today(goal, suite, rounds, pairs) if goal.to_today else _itself(goal, suite, rounds) for goal in suite.goals
+    ]
+
+
+def _to_today(goal: Goal, suite: Suite, rounds: Sequence[Round], pairs: Mapping[str, Pair]) -> Row:
+    pair = pairs.get(goal.figure)
+    if pair is None:
+        new = [run.readings[goal.figure].value for _, run in rounds if goal.figure in run.readings]
+        verdict = "no figure of today" if new else "not measured"
+        return Row(goal, "-", f"{median(new):.3g}" if new else "-", None, None, None, (), verdict, suite.command)
+    low, high = _spread(pair.ratios)
+    old, new_text = (_text(value, pair.unit) for value in (pair.old, pair.new))
+    verdict = _verdict(goal, pair.ratio, rounds)
+    return Row(goal, old, new_text, pair.ratio, low, high, pair.ratios, verdict, suite.command)
+
+
+def _itself(goal: Goal, suite: Suite, rounds: Sequence[Round]) -> Row:
+    old, new = ([v for both in rounds if (v := _value(goal, both[side].readings)) is not None] for side in (0, 1))
+    before = f"{median(old):.3g}" if old else "-"
+    if not new:
+        return Row(goal, before, "-", None, None, None, (), "not measured", suite.command)
+    low, high = _spread(new)
+    verdict = _verdict(goal, median(new), rounds)
+    return Row(goal, before, f"{median(new):.3g}", median(new), low, high, new, verdict, suite.command)
+
+
+def _value(goal: Goal, readings: Readings) -> float | None:
+    """The figure in a run; None where neither it nor its quotient is there."""
+    if goal.figure in readings:
+        return readings[goal.figure].value
+    if goal.quotient is None or not all(name in readings for name in goal.quotient):
+        return None
+    over, under = (readings[name].value for name in goal.quotient)
+    return over / under if under else None
+
+
+def _verdict(goal: Goal, ratio: float, rounds: Sequence[Round]) -> str:
+    if goal.only_above is not None:
+        name, least = goal.only_above
+        values = [run.readings[name].value for _, run in rounds if name in run.readings]
+        if not values or median(values) < least:
+            return f"no verdict: {name} {median(values) if values else 0:.2f}"
+    return "met" if (ratio >= goal.limit if goal.more else ratio <= goal.limit) else "MISSED"
+
+
+def _spread(ratios: Sequence[float]) -> tuple[float, float]:
+    return interval(ratios) if len(ratios) >= _ENOUGH else (min(ratios), max(ratios))
+
+
+def _text(value: float, unit: str) -> str:
+    number = f"{value:.3f}" if value < 1000 else f"{value:.0f}"
+    return (
+        duration_text(value) if unit == "us" else f"{number} loops" if unit == PYTHON else f"{number} {unit}".rstrip()
+    )
+
+
+def measure(names: Sequence[str], commit: str, rounds: int) -> GoalTable:
+    """The table. Raises ValueError for an unknown commit, RuntimeError when an environment cannot be made.
+
+    A benchmark that fails is a note, and its goals are rows without figures.
+    """
+    rows: list[Row] = []
+    with both_sides(commit) as (sides, notes):
+        for name in names:
+            suite = SUITES[name]
+            tell(f"{name}: {suite.command}")
+            try:
+                commands = Commands(suite.benchmark, Plan(suite.words, rounds, suite.cpu))
+                taken = rounds_of(commands, sides, rounds, notes, new_alone=True)
+            except RuntimeError as error:
+                notes.append(f"{name}: {error}")
+                taken = []
+            rows += rows_of(suite, taken)
+        return GoalTable((sides[0].title, sides[1].title), rounds, rows, list(dict.fromkeys(notes)))
+
+
+def main(argv: list[str], *, as_json: bool) -> int:
+    """The command; 1: a goal is missed or could not be measured."""
+    parser = argparse.ArgumentParser(prog="python -m bench goals", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--commit", default=TODAY, metavar="OLD", help="the old commit (default: %(default)s)")
+    parser.add_argument("--only", nargs="+", choices=SUITES, default=list(SUITES), help="these goals only")
+    parser.add_argument("--rounds", type=int, default=_ROUNDS, help="of each (default: %(default)s)")
+    parser.add_argument("--markdown", action="store_true", help="a table for a page")
+    parser.add_argument("--list", action="store_true", help="what would be run, and the goals")
+    args = parser.parse_args(argv)
+    if args.rounds < 1:
+        raise ValueError("--rounds: 1 at least")
+    if args.list:
+        for name in args.only:
+            print(f"{name:<8} {SUITES[name].command}")
+            for goal in SUITES[name].goals:
+                print(f"{'':<8} {Row(goal, '', '', None, None, None, (), '', '').cells[0]}")
+        return 0
+    table = measure(args.only, args.commit, args.rounds)
+    print(table.as_json() if as_json else table.as_markdown() if args.markdown else table.as_text())
+    return int(any(row.ratio is None or row.verdict == "MISSED" for row in table.rows))

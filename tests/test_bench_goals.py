@@ -1,0 +1,133 @@
+"""The table of the goals: made-up rounds of an old and a new side, ratios worked out by hand, goals that are there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from bench import __main__ as cli
+from bench import goals
+from bench.calibration import PYTHON, Speeds
+from bench.commits import Side
+from bench.goals import SUITES, Goal, GoalTable, Suite, rows_of
+from bench.paired import Reading, Round, Run
+
+STILL = Speeds(500.0, 800.0)
+SIDES = (Side("old", Path("old"), Path("old/python")), Side("new", Path("new"), Path("new/python")))
+
+
+def rounds_with(old: Sequence[dict[str, float]], new: Sequence[dict[str, float]], unit: str = "") -> list[Round]:
+    """Rounds of figures of this unit."""
+    readings = [[{n: Reading(v, unit) for n, v in values.items()} for values in side] for side in (old, new)]
+    return [(Run(before, STILL), Run(after, STILL)) for before, after in zip(*readings, strict=True)]
+
+
+def suite(*of: Goal) -> Suite:
+    return Suite("gsd", "--files 60", of)
+
+
+def test_a_goal_to_today_is_judged_by_the_ratio_of_pairs() -> None:
+    rounds = rounds_with([{"cpu": 10.0}, {"cpu": 20.0}, {"cpu": 11.0}], [{"cpu": 5.0}, {"cpu": 12.0}, {"cpu": 6.05}])
+    for limit, verdict in ((0.6, "met"), (0.5, "MISSED")):
+        (row,) = rows_of(suite(Goal("CPU", "cpu", limit, to_today=True)), rounds)
+        assert (row.old, row.new, row.verdict) == ("11.000", "6.050", verdict)
+        assert (row.low, row.ratio, row.high) == pytest.approx((0.5, 0.55, 0.6))
+
+
+def test_a_figure_that_is_a_ratio_is_judged_itself_and_that_of_today_stands_beside_it() -> None:
+    rounds = rounds_with([{"to": 0.4}] * 3, [{"to": 0.2}, {"to": 0.3}, {"to": 0.24}])
+    (row,) = rows_of(suite(Goal("CPU to another's", "to", 0.25)), rounds)
+    assert row.cells == (
+        "CPU to another's: at most 0.25",
+        "0.4",
+        "0.24",
+        "0.24",
+        "0.20 to 0.30",
+        "met",
+        "python -m bench gsd --files 60",
+    )
+
+
+def test_where_an_old_bench_lacks_the_ratio_it_is_the_quotient_of_two_figures_of_its_run() -> None:
+    goal = Goal("efficiency", "to bare", 0.9, more=True, quotient=("own", "bare"), only_above=("bare", 0.5))
+    old = {"own": 0.6, "bare": 0.8}
+    (row,) = rows_of(suite(goal), rounds_with([old] * 2, [old | {"to bare": 0.95}] * 2))
+    assert (row.old, row.new, row.verdict) == ("0.75", "0.95", "met")
+    (row,) = rows_of(suite(goal), rounds_with([old] * 2, [{"own": 0.2, "bare": 0.4, "to bare": 0.5}] * 2))
+    assert (row.ratio, row.verdict) == (0.5, "no verdict: bare 0.40")
+
+
+def test_figures_that_one_side_or_nobody_has_are_told_and_not_judged() -> None:
+    new_only = rounds_with([{}] * 2, [{"to": 0.2, "cpu": 3.0}] * 2)
+    (row,) = rows_of(suite(Goal("CPU to another's", "to", 0.25)), new_only)
+    assert (row.old, row.new, row.verdict) == ("-", "0.2", "met")
+    (row,) = rows_of(suite(Goal("CPU", "cpu", 0.6, to_today=True)), new_only)
+    assert (row.old, row.new, row.ratio, row.verdict) == ("-", "3", None, "no figure of today")
+    rows = rows_of(suite(Goal("CPU", "cpu", 0.6, to_today=True), Goal("ratio", "to", 1.0)), [])
+    assert [row.verdict for row in rows] == ["not measured"] * 2
+
+
+def test_the_spread_of_eight_rounds_is_the_interval_of_the_median() -> None:
+    values = [{"to": float(n)} for n in range(20)]
+    (row,) = rows_of(suite(Goal("ratio", "to", 100.0)), rounds_with(values, values))
+    assert (row.low, row.high) == (3.0, 16.0)
+
+
+def test_the_table_is_text_markdown_and_json() -> None:
+    rows = rows_of(
+        suite(Goal("CPU", "cpu", 0.6, to_today=True), Goal("ratio", "to", 1.0)),
+        rounds_with([{"cpu": 10.0}], [{"cpu": 5.0}], PYTHON),
+    )
+    table = GoalTable(("old", "new"), 1, rows, ["a note"])
+    assert table.as_text().splitlines() == [
+        "today: old, now: new, 1 rounds in turn; spread: least and greatest",
+        "  goal                         today         now          ratio  spread",
+        "  CPU: at most 0.6 of today's  10.000 loops  5.000 loops  0.50   0.50 to 0.50  met",
+        "  ratio: at most 1             -             -            -      -             not measured",
+        "  python -m bench gsd --files 60",
+        "  a note",
+    ]
+    cells = "CPU: at most 0.6 of today's | 10.000 loops | 5.000 loops | 0.50 | 0.50 to 0.50 | met"
+    assert f"| {cells} | `python -m bench gsd --files 60` |" in table.as_markdown().splitlines()
+    first, second = json.loads(table.as_json())["rows"]
+    assert (first["ratio"], first["ratios"], first["verdict"]) == (0.5, [0.5], "met")
+    assert second["ratio"] is None
+
+
+def test_a_benchmark_that_fails_is_a_note_and_its_goals_are_not_measured(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Sides:
+        def __enter__(self) -> tuple[tuple[Side, Side], list[str]]:
+            return SIDES, []
+
+        def __exit__(self, *_exc: object) -> None:
+            pass
+
+    def fails(*_args: object, **_words: object) -> list[Round]:
+        raise RuntimeError("the wire did not start")
+
+    monkeypatch.setattr(goals, "both_sides", lambda commit: Sides())
+    monkeypatch.setattr(goals, "rounds_of", fails)
+    assert cli.main(["goals", "--only", "paced", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["notes"] == ["paced: the wire did not start"]
+    assert {row["verdict"] for row in told["rows"]} == {"not measured"}
+
+
+def test_every_goal_is_a_figure_of_a_benchmark_that_exists(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["goals", "--list"]) == 0
+    listed = capsys.readouterr().out
+    for name, each in SUITES.items():
+        assert each.benchmark in cli.BENCHMARKS
+        assert f"{name:<8} {each.command}" in listed
+        assert all(goal.text in listed for goal in each.goals)
+        assert each.goals
+
+
+def test_wrong_use_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["goals", "--rounds", "0"]) == 2
+    assert capsys.readouterr().err == "bench: --rounds: 1 at least\n"
