@@ -3,8 +3,10 @@
 With a fixed cycle the grid begins with the first request of the first round with data exchange. A round begins with the
 first token held at or after its grid time; until then the token goes round. After a delay the grid stays: a round that
 is late by up to half a cycle begins late, and the master leaves out a round that is later. So two rounds never begin
-less than half a cycle apart (but for a token and the idle time between the decision and the first bit). While the
-master goes to a lower mode, and while no slave is in data exchange, rounds run free.
+less than half a cycle apart (but for a token and the idle time between the decision and the first bit). The master also
+leaves out a late round that fits into a cycle but would make the next one late too: where rounds take nearly the whole
+cycle, no delay could be made good. While the master goes to a lower mode, and while no slave is in data exchange,
+rounds run free.
 """
 
 from __future__ import annotations
@@ -80,8 +82,7 @@ class CycleStats(Struct):
     """Statistics of all fixed cycles; ``cycle_ns`` 0: free running, and only ``begun`` counts.
 
     ``late``: the delays of the cycles that began. A deadline miss is a cycle that began later than
-    :func:`tolerance_ns` (``begun_late``), or that the master left out because it was late by more than half a cycle
-    (``left_out``).
+    :func:`tolerance_ns` (``begun_late``), or that the master left out because it was late (``left_out``).
     """
 
     cycle_ns: int
@@ -128,6 +129,10 @@ class Cadence:
         self._begun_at = 0
         self._interval = 0  # the shortest time to the next round, free running
         self._over_at = 0
+        #: durations in ns of the last round and of the one before it, with the idle time after its last answer
+        self._took = self._took_before = 0
+        self._idle = context.params.ns(context.params.t_id1)
+        self._tolerance = tolerance_ns(context.settings.cycle_ns)
         self._context = context
         #: the cause for the round under way, should it turn out to be late
         self._cause: Cause = (MissReason.LATE, "")
@@ -148,12 +153,14 @@ class Cadence:
             return now >= self._begun_at + max(interval, self._interval)
         late = now - self._next
         cycle_ns = self.book.cycle_ns
-        if late > cycle_ns // 2:
+        if late > self._tolerance:
             left_out = -((cycle_ns // 2 - late) // cycle_ns)
-            self._miss(self._find_cause(), left_out, late, self.number + 1, now, left_out=True)
-            self.number += left_out
-            self._next += left_out * cycle_ns
-            self.window.next_at = self._next
+            left_out += self._delays_the_next(late - left_out * cycle_ns + self._idle)
+            if left_out:
+                self._miss(self._find_cause(), left_out, late, self.number + 1, now, left_out=True)
+                self.number += left_out
+                self._next += left_out * cycle_ns
+                self.window.next_at = self._next
         return now >= self._next
 
     def begin(self, now: int, *, fixed: bool, interval: int) -> None:
@@ -183,7 +190,7 @@ class Cadence:
         late = at - self.due_at
         book.begun += 1
         book.late.add(late)
-        if late > tolerance_ns(book.cycle_ns):
+        if late > self._tolerance:
             self._miss(self._cause, 1, late, self.number, at, left_out=False)
         elif self._unreported:
             self._report(at)
@@ -191,6 +198,9 @@ class Cadence:
     def over(self, now: int) -> None:
         """The cyclic part of the round is over."""
         self._over_at = now
+        if self._next != NEVER:
+            # a round without any request has no first bit
+            self._took_before, self._took = self._took, now + self._idle - max(self.started_at, self._begun_at)
 
     def pause(self, until: int) -> None:
         """Let the token go round until the round goes on at ``until``."""
@@ -219,6 +229,15 @@ class Cadence:
                 f"than {ms_text(turn_ns)}, the time between its turns; give it every = "
                 f"{-(-interval_ns // self.book.cycle_ns)}, or take a longer cycle"
             )
+
+    def _delays_the_next(self, late_ns: int) -> bool:
+        """Whether a round whose first bit is ``late_ns`` after its due time is a deadline miss, fits into a cycle, and
+        makes the next one a deadline miss too.
+
+        The shorter of the last two rounds is the measure, because a repetition lengthens only one of them.
+        """
+        cycle_ns, takes = self.book.cycle_ns, min(self._took, self._took_before)
+        return late_ns > self._tolerance and takes <= cycle_ns and late_ns + takes > cycle_ns + self._tolerance
 
     def _find_cause(self) -> Cause:
         """Why the cycle that is due could not begin."""

@@ -1,7 +1,8 @@
 """Check of a fixed cycle against the plan: refusals, misses and their frequency, the baud rate that it needs.
 
 A cycle is possible if the shortest rotation fits into it. Diagnoses, services and GAP polls wait for a cycle with time
-to spare; one that never fits costs whole cycles.
+to spare. One that never fits is sent after eight rounds and costs whole cycles
+(:mod:`dpstack.fdl.active.cycle_window`), so that the part of the cycles that all of them cost has a bound.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dpstack.dp.master.fixed_cycle import tolerance_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, longest_diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import gap_poll_bits, global_control_bits, request_octets, vain_bits
+from dpstack.fdl.events import HELD_BACK_CYCLES
 from dpstack.units import NS_PER_MS, NS_PER_US, baud_text, ms_text
 
 
@@ -130,9 +132,27 @@ def token_wait_ns(figures: Figures) -> int:
     return figures.params.ns(normal.others + normal.token) if figures.others.count else 0
 
 
+def cycles_for_a_request(figures: Figures) -> int:
+    """The cycles that one request between two cycles costs at most when nothing is repeated, 0 if it always fits.
+
+    Sent at most once in HELD_BACK_CYCLES rounds: so many of HELD_BACK_CYCLES more cycles are left out or begin late.
+    """
+    cycle = figures.cycle_ns
+    spare = max(0, cycle - figures.data_ns(Case.TYPICAL))
+    longest = max(takes for _, takes in _beside(figures))
+    return max(0, -(-(longest - spare) // cycle))
+
+
 def _notes(figures: Figures, verdict: Verdict) -> Iterable[str]:
     if verdict is Verdict.UNDISTURBED:
         yield _missed(figures, verdict)
+    if verdict in (Verdict.POSSIBLE, Verdict.TYPICAL) and (costs := cycles_for_a_request(figures)):
+        turn = HELD_BACK_CYCLES + costs
+        yield (
+            f"cycle_ms = {figures.cycle_ns / NS_PER_MS:g}: a request that fits between no two cycles goes out after "
+            f"every {HELD_BACK_CYCLES}th round at most; such requests cost at most {costs} of {turn} cycles "
+            f"({costs / turn:.0%}), and requests that fit into the time of a cycle that is left out go out in it"
+        )
     wait = token_wait_ns(figures)
     if wait and verdict is not Verdict.IMPOSSIBLE:
         cycle, others = figures.cycle_ns, figures.others.count
@@ -221,18 +241,23 @@ def _costs(figures: Figures) -> list[str]:
     slow, usual = figures.data_ns(Case.NORMAL), figures.data_ns(Case.TYPICAL)
     spare = cycle - (usual if slow > cycle else slow)
     vain = max((vain_bits(params, request_octets(s)) for s in figures.setups), default=0)
-    pieces = (
-        ("repeated request", params.ns(vain) + figures.host_slack_ns),
-        ("diagnosis", params.ns(longest_diagnosis(params, figures.setups))),
-        ("acyclic service", params.ns(figures.acyclic_bits)),
-        ("GAP poll", params.ns(gap_poll_bits(params))),
-    )
+    pieces = (("repeated request", params.ns(vain) + figures.host_slack_ns), *_beside(figures))
     costs = [f"rounds in which all slaves need their max T_SDR ({ms_text(slow)})"] if slow > cycle else []
     for name, takes in pieces:
         if takes > spare:
             cycles = -(-(takes - spare) // cycle)
             costs.append(f"each {name} that takes long (up to {ms_text(takes)}: {cycles} cycle{'s' * (cycles > 1)})")
     return costs
+
+
+def _beside(figures: Figures) -> tuple[tuple[str, int], ...]:
+    """Name and longest time in ns of the requests between two cycles."""
+    params = figures.params
+    return (
+        ("diagnosis", params.ns(longest_diagnosis(params, figures.setups))),
+        ("acyclic service", params.ns(figures.acyclic_bits)),
+        ("GAP poll", params.ns(gap_poll_bits(params))),
+    )
 
 
 def _turn(cycle: int, setup: SlaveParams) -> str:

@@ -18,17 +18,24 @@ from dpstack.units import NEVER
 S = 1_000_000_000
 
 
-def cadence_of(cycle_ns: int) -> tuple[Cadence, MasterContext]:
+def cadence_of(cycle_ns: int, idle_ns: int = 0) -> tuple[Cadence, MasterContext]:
+    """A grid of so few ns that the idle time of the bus would cover it; ``idle_ns`` stands for that."""
     context = MasterContext(BusParams.preset(500_000), MasterSettings(cycle_ns=cycle_ns))
-    return Cadence(context), context
+    cadence = Cadence(context)
+    cadence._idle = idle_ns
+    return cadence, context
 
 
 @dataclass
 class Model:
-    """The grid as a list of times: a round that is late by up to half a cycle begins, a later one is left out."""
+    """The grid as a list of times: a round that is late by up to half a cycle begins, a later one is left out.
+
+    So is a late one that fits into a cycle but would leave the next one late by more than a tenth.
+    """
 
     cycle: int
     next: int | None = None
+    takes: list[int] = field(default_factory=lambda: [0, 0])
     number: int = 0
     begun: int = 0
     begun_late: int = 0
@@ -38,11 +45,16 @@ class Model:
     def due(self, now: int) -> bool:
         if self.next is None:
             return True
-        while now - self.next > self.cycle // 2:
+        while now - self.next > self.cycle // 2 or self.would_delay_the_next(now):
             self.next += self.cycle
             self.left_out += 1
             self.number += 1
         return now >= self.next
+
+    def would_delay_the_next(self, now: int) -> bool:
+        assert self.next is not None
+        tenth, takes = self.cycle // 10, min(self.takes[-2:])
+        return takes <= self.cycle and now > self.next + tenth and now + takes > self.next + self.cycle + tenth
 
     def begin(self, first_bit: int) -> None:
         self.number += 1
@@ -56,13 +68,15 @@ class Model:
 @examples(50)
 @given(
     st.sampled_from([10, 11, 100, 1_001]),
-    st.lists(st.tuples(st.integers(0, 2_500), st.integers(0, 300)), min_size=1, max_size=40),
+    st.lists(st.tuples(st.integers(0, 2_500), st.integers(0, 300), st.integers(0, 1_200)), min_size=1, max_size=40),
 )
-def test_rounds_begin_on_the_grid_of_the_model(cycle: int, steps: list[tuple[int, int]]) -> None:
-    """Each step: the token after some time (in thousandths of a cycle), and the first bit some time after it."""
+def test_rounds_begin_on_the_grid_of_the_model(cycle: int, steps: list[tuple[int, int, int]]) -> None:
+    """Each step: the token after some time (in thousandths of a cycle), the first bit some time after it, and the last
+    answer after that.
+    """
     cadence, context = cadence_of(cycle)
     model, now = Model(cycle), 5_000
-    for wait, first_bit in steps:
+    for wait, first_bit, takes in steps:
         now += wait * cycle // 1_000
         due = cadence.due(now)
         assert due is model.due(now)
@@ -72,6 +86,9 @@ def test_rounds_begin_on_the_grid_of_the_model(cycle: int, steps: list[tuple[int
             now += first_bit * cycle // 1_000
             cadence.started(now)
             model.begin(now)
+            began, now = now, now + takes * cycle // 1_000
+            cadence.over(now)
+            model.takes.append(now - began)
         assert cadence.fixed is (model.next is not None)
         assert cadence.window.next_at == model.next
     book = cadence.book
@@ -93,6 +110,43 @@ def test_half_a_cycle_late_begins_and_more_is_left_out(late: int, left_out: int,
     assert cadence.due(1_100 + late) is due
     assert (cadence.book.left_out, cadence.number) == (left_out, 1 + left_out)
     assert cadence.window.next_at == 1_100 + 100 * left_out
+
+
+@pytest.mark.parametrize(
+    ("late", "before", "last", "due"),
+    [
+        (20, 90, 90, True),  # the next one is late by 10 at most: no miss
+        (21, 90, 90, False),
+        (10, 100, 100, True),  # no miss itself
+        (11, 100, 100, False),
+        (30, 100, 80, True),  # the shorter of the last two rounds counts
+        (30, 80, 120, True),
+        (31, 80, 120, False),
+        (30, 101, 101, True),  # no grid can hold these
+    ],
+)
+def test_a_late_round_that_makes_the_next_one_late_too_is_left_out(
+    late: int, before: int, last: int, due: bool
+) -> None:
+    cadence, _ = cadence_of(100)
+    for began, takes in ((1_000, before), (1_100, last)):
+        cadence.begin(began, fixed=True, interval=0)
+        cadence.started(began)
+        cadence.over(began + takes)
+    assert cadence.due(1_200 + late) is due
+    assert (cadence.book.left_out, cadence.number) == (not due, 2 + (not due))
+    assert cadence.window.next_at == 1_200 + 100 * (not due)
+
+
+@pytest.mark.parametrize(("late", "due"), [(13, True), (14, False)])
+def test_the_idle_time_before_a_late_round_and_after_it_counts(late: int, due: bool) -> None:
+    """Decided 13 late, first bit 16 late, over after 91 and 3 of idle time: the next one is late by 10, no miss."""
+    cadence, _ = cadence_of(100, idle_ns=3)
+    for began in (1_000, 1_100):
+        cadence.begin(began, fixed=True, interval=0)
+        cadence.started(began)
+        cadence.over(began + 91)
+    assert cadence.due(1_200 + late) is due
 
 
 @pytest.mark.parametrize(("late", "missed"), [(10, 0), (11, 1)])

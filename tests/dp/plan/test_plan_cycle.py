@@ -246,3 +246,21 @@ def test_the_latest_begin_of_a_cycle_beside_others() -> None:
     (told,) = [note for note in tight.notes if "token" in note]
     assert told.endswith("2 other masters have their rounds; more than a tenth of it counts as missed, by token")
     assert not [n for n in plan(20).notes if "token" in n]
+
+
+def test_the_share_of_cycles_for_requests_that_fit_between_no_two() -> None:
+    # 1.6 ms leave 0.277 ms beside the data: once in eight rounds a service of 2.10 ms costs two cycles
+    assert plan(1.6).notes == (
+        "cycle_ms = 1.6: a request that fits between no two cycles goes out after every 8th round at most; such "
+        "requests cost at most 2 of 10 cycles (20%), and requests that fit into the time of a cycle that is left out "
+        "go out in it",
+    )
+    # with 104 octets each way the cycle is longer than any service
+    (note,) = plan(
+        9,
+        [
+            SlaveParams(address=n, name=f"s{n}", ident=IDENT, config=identifiers(104, 104), max_diag_len=6)
+            for n in range(3, 8)
+        ],
+    ).notes
+    assert "cost at most 1 of 9 cycles (11%)" in note
