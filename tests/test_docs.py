@@ -21,8 +21,8 @@ import dpstack
 import dpstack.profile
 from bench.__main__ import BENCHMARKS
 from dpstack.api.config.config import load_config, parse_config
-from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.control.scenario import parse_scenario
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.listen.plant_files import load_thresholds
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.cli.main import _COMMANDS, build_parser, main

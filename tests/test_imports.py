@@ -290,6 +290,7 @@ ROOM = 22
 SMALL_LINES, SMALL_MODULES = 80, 15
 #: who imports by a name in a string: the lazy public names, the commands, optional packages, a drive's plugin
 BY_STRING = {
+    "api.streams",
     "api.user_code",
     "__init__",
     "namespaces",

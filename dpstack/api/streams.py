@@ -1,10 +1,12 @@
-"""Event streams, waiters and ``on_event`` of the application: a slow reader never holds up the bus."""
+"""Event streams, waiters and ``on_event`` of the application: no slow reader, and no import, holds up the bus."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 import logging
+import sys
 import time
 import weakref
 from collections import deque
@@ -332,3 +334,9 @@ class Rounds:
     def _on_round(self) -> None:
         for watcher in tuple(self._watchers):
             watcher()
+
+
+async def load_beside(*modules: str) -> None:
+    """Import ``modules`` in a thread: in that of the loop an import, which may take 20 ms, would hold up a bus."""
+    if not all(module in sys.modules for module in modules):
+        await asyncio.to_thread(lambda: [importlib.import_module(module) for module in modules])

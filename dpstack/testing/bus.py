@@ -10,8 +10,8 @@ from typing import Any, Final, Literal, TypeVar
 from dpstack.api.bus.bus import Bus, SlaveTable, core_of, open_bus
 from dpstack.api.bus.virtual import simulate
 from dpstack.api.config.config import Config, load_config, make_config
-from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.control.scenario import SimulatedPlant
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.injected import SIMULATION
 from dpstack.api.listen.names import decode_names
 from dpstack.api.server.server import AsyncRecords, serve_async

@@ -9,8 +9,8 @@ from types import TracebackType
 from typing import Final, Literal
 
 from dpstack.api.config.table import Source, Table
-from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.control.scenario import NORMAL, kind_of
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.server.fault_steps import End
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.errors import ConfigError, UsageError

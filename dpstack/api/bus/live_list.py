@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator, Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
@@ -15,8 +15,9 @@ from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.telegram import MAX_DATA, StationType
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION
-from dpstack.profile import DriveProfile, registry
-from dpstack.why.story import glance
+
+if TYPE_CHECKING:
+    from dpstack.profile import DriveProfile
 
 _FIRST_MASTER: Final = 2
 #: occupied addresses after which the user has to name a free one
@@ -71,6 +72,8 @@ class LiveListResult(Struct, frozen=True, kw_only=True):
 
 def cause_dict(found: Found) -> dict[str, object]:
     """``cause``: the likely cause why a slave is not in data exchange, as far as a scan knows; empty for others."""
+    from dpstack.why.story import glance  # here, as the scan of a run shows no causes
+
     cause = glance(found)
     return {"cause": cause} if cause else {}
 
@@ -113,6 +116,8 @@ def answer_notes(stations: Iterable[Found], unreadable: Iterable[int]) -> Iterat
 
 def drive_of(found: Found) -> DriveProfile | None:
     """The known drive with the ident number of ``found``, if there is one."""
+    from dpstack.profile import registry  # here, as most scans of a program do not ask for drives
+
     return next((p for p in registry.known().values() if p.ident == found.ident), None)
 
 

@@ -9,9 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
-from dpstack.api.recording.event_log import EventLog
 from dpstack.api.recording.record_file import RecordFile
 from dpstack.api.recording.rotation import Rotation
 from dpstack.api.recording.writer_thread import WriterThread
@@ -23,8 +21,8 @@ from dpstack.drivers.snapshots import View
 from dpstack.errors import UsageError
 from dpstack.record.columns import Layout, RecordedSlave
 from dpstack.record.rows import Sample
-from dpstack.trace import Event, Severity
-from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
+from dpstack.trace import Severity
+from dpstack.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
     from dpstack.api.slave.drive import Drive
@@ -256,69 +254,6 @@ class BusRecording:
         self.troubles.append(text)
         if self._bus is not None and self._stopping is None:
             self._bus.notice("record", text, Severity.WARNING)
-
-
-class RunFiles:
-    """The files of ``dpstack run``: a recording, and a log of events. Leaving closes the log.
-
-    Making it makes the files. Raises UsageError as :class:`BusRecording` and :class:`EventLog` do.
-    """
-
-    def __init__(
-        self, record: str | None, log: str | None, *, on_change: bool = False, rotate: str | None = None
-    ) -> None:
-        if record is None and (on_change or rotate is not None):
-            option = "--on-change" if on_change else "--rotate"
-            raise UsageError(f"{option} is about a recording: add --record FILE, or leave it out")
-        self.recording = None if record is None else BusRecording(record, on_change=on_change, rotate=rotate)
-        self._bus: BusBase | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._log = None if log is None else EventLog(log, self._tell)
-        self._log_troubles: list[str] = []
-
-    def __enter__(self) -> RunFiles:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bus = None
-        if self.recording is not None:
-            self.recording.discard()
-        if self._log is not None:
-            self._log.close()
-
-    @property
-    def troubles(self) -> list[str]:
-        """Lines about troubles with all files."""
-        return [*([] if self.recording is None else self.recording.troubles), *self._log_troubles]
-
-    def event(self, bus: BusBase, event: Event) -> None:
-        """Write ``event`` into the log."""
-        if self._log is None:
-            return
-        if self._loop is None:
-            self._bus, self._loop = bus, asyncio.get_running_loop()
-        line = event_json(event, ns_to_s(event.t_ns - bus.started_ns))
-        if line is not None:
-            self._log.put({**line, "severity": event.severity.value, "text": event.text})
-
-    def _tell(self, text: str) -> None:
-        """From the thread of the log."""
-        self._log_troubles.append(text)
-        if self._loop is not None:
-            with contextlib.suppress(RuntimeError):  # the loop has ended
-                self._loop.call_soon_threadsafe(self._notice, text)
-
-    def _notice(self, text: str) -> None:
-        if self._bus is not None:
-            self._bus.notice("log", text, Severity.WARNING)
-
-    def summary(self) -> str:
-        """One line on the recording; empty without one."""
-        found = self.recording
-        if found is None:
-            return ""
-        files = str(found.paths[-1]) if len(found.paths) == 1 else f"{len(found.paths)} files of {found.path}"
-        return f"recording: {files}, {found.rows} rows" + (f", {found.lost} rounds lost" if found.lost else "")
 
 
 class _Source:

@@ -11,12 +11,13 @@ the requests of one connection one after the other.
 - ``commands``: Tables of the commands that running programs accept; ``Order``: a parsed command
 - ``drive_orders``: Orders to a drive (``speed``, ``stop``, ``read`` ...): words, parser, execution, answers in JSON
 - ``errors``: Errors over the control socket: an error in the program raises the same error in its client
-- ``handlers``: The control servers of run, sim and segment, and the handlers of their commands
+- ``handlers``: The control server of a run, and the handlers of its commands
 - ``live_items``: The command ``live`` of a running master: its live stream for a client of the control socket
 - ``record_orders``: Orders to the records of a slave (``read``, ``write`` ...): words, parser, execution, answers
 - ``remote``: Orders to the ``run`` that holds the port: to a drive, or to the records of a slave
 - ``scenario``: Scenarios: a TOML file of steps in time that happen to simulated slaves
 - ``server``: The server's end of the control socket of a run, sim or segment
+- ``simulation_handlers``: The control servers of sim and segment, and the commands to simulated slaves
 - ``socket_path``: Control sockets as files: names, directory, owner of the peer process
 - ``stream``: The lines of a long command from a running program, without blocking the event loop
 - ``tap_feed``: The octets on the line of a running program, for the clients of its control socket

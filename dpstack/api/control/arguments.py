@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final, TypeVar
 
 from dpstack.api.config.table import parse_hex
@@ -13,6 +13,8 @@ from dpstack.errors import UsageError
 from dpstack.text import decimal, shortened
 from dpstack.units import NS_PER_S
 
+#: as a port: a pty that the program makes itself
+PTY: Final = "pty"
 _N = TypeVar("_N", bound=float)
 _TIME: Final = re.compile(r"([0-9]{1,12}(?:\.[0-9]{0,12})?|\.[0-9]{1,12})(ms|s|min|)")
 _UNIT_NS: Final = {"ms": NS_PER_S // 1000, "s": NS_PER_S, "min": 60 * NS_PER_S, "": NS_PER_S}
@@ -103,3 +105,12 @@ def octet(text: str) -> int:
     if len(found) != 1:
         raise UsageError(f"{text!r} is not one octet; write for instance 03")
     return found[0]
+
+
+def address_of(text: str, names: Mapping[int, str]) -> int:
+    """The address of a slave by its address or name. Raises UsageError with the known ones."""
+    for address, name in names.items():
+        if text in (name, str(address)):
+            return address
+    known = ", ".join(f"{address} ({name})" for address, name in sorted(names.items())) or "none"
+    raise UsageError(f"no slave {text!r} here; there are: {known}")

@@ -39,7 +39,7 @@ from dpstack.text import json_text
 from dpstack.units import NEVER, ms_text
 
 _T = TypeVar("_T")
-#: Carries out a command: from its arguments to a JSON value, an awaitable of it, or a :data:`LongCommand`.
+#: Carries out a command: from its arguments to a JSON value or a :data:`LongCommand`, or to an awaitable of them.
 Handler = Callable[[list[str]], object]
 #: Sends the client of a long command an item before the result.
 Send = Callable[[object], Awaitable[None]]
@@ -371,10 +371,10 @@ class ControlServer:
         try:
             spec, args = self._parse_request(line)
             result = self._handlers[spec.name](args)
-            if callable(result):
-                result = result(Sender(lambda item: self._send(writer, {"item": item}), writer))
             if inspect.isawaitable(result):
                 result = await result
+            if callable(result):
+                result = await result(Sender(lambda item: self._send(writer, {"item": item}), writer))
             answer: dict[str, object] = {"ok": True, "result": result}
         except _ClientGoneError:
             raise

@@ -18,7 +18,8 @@ from dpstack.api.bus.bus import Bus, core_of, open_bus
 from dpstack.api.bus.compose import Case
 from dpstack.api.bus.virtual import run_virtual
 from dpstack.api.config.config import Config, make_config
-from dpstack.api.control.handlers import control_run, slave_handlers
+from dpstack.api.control.handlers import control_run
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.slave.drive import Drive
 from dpstack.cli import options
 from dpstack.cli.commands.demo_stories import OTHERS, STORIES

@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import contextlib
 from functools import partial
+from typing import TYPE_CHECKING
 
 from dpstack.api.bus.bus import Bus, core_of, open_bus
-from dpstack.api.bus.events_json import Event
-from dpstack.api.bus.recording import RunFiles
+from dpstack.api.bus.events_json import Event, Severity, event_json
 from dpstack.api.bus.statistics import clear_since
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control import arguments
-from dpstack.api.control.handlers import PTY, address_of, control_run, run_feed, slave_handlers
-from dpstack.api.control.scenario import SimulatedPlant
+from dpstack.api.control.arguments import PTY, address_of
+from dpstack.api.control.handlers import control_run, run_feed
 from dpstack.api.control.server import ControlServer
-from dpstack.api.listen.report_file import RunReport
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import causes, output
-from dpstack.cli.terminal.live_screen import live_screen
 from dpstack.cli.terminal.nonblocking_stdout import reader_watched, run_unhurried
 from dpstack.cli.terminal.report import Reporter, clear_text, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.cli.terminal.suspension import Suspension
 from dpstack.errors import UsageError
 from dpstack.service.notify import BusState, ServiceReport
+from dpstack.units import ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.core import BusCore
+    from dpstack.api.bus.recording import BusRecording
+    from dpstack.api.control.scenario import SimulatedPlant
+    from dpstack.api.listen.report_file import RunReport
+    from dpstack.api.recording.event_log import EventLog
 
 
 def add_to(parser: Parser) -> None:
@@ -105,7 +112,7 @@ def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
 
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
-    report = None if args.report is None else RunReport(args.report, config)
+    report = _report(config, args)
     files = RunFiles(args.record, args.log, on_change=args.on_change, rotate=args.rotate)
     with files, report or contextlib.nullcontext(), StopSignal() as stop, contextlib.ExitStack() as stack:
         stack.enter_context(reader_watched())
@@ -137,11 +144,12 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                 output.warn(f"ended before the {'baud rate was found' if bus.searching else 'token ring was joined'}")
                 return 1
             reporter.start()
-            async with live_screen(bus, stop, reporter, suspension, wanted=not (args.json or args.plain)):
+            async with _screen(bus, stop, reporter, suspension, args):
                 try:
                     if files.recording is not None:
                         bus.record(files.recording)
-                    plant.start(core_of(bus).started_ns)
+                    if plant is not None:
+                        plant.start(core_of(bus).started_ns)
                     if not (args.clear or config.bus.read_only):
                         await bus.operate()
                     # a busy computer orders Operate late: all N rotations are in the mode of the run
@@ -151,7 +159,8 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                     stories = await lines.stories()
                 finally:
                     service.end()
-                    plant.close()
+                    if plant is not None:
+                        plant.close()
                     if report is not None:
                         report.end()
                     await bus.close()
@@ -172,13 +181,39 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         missing = [clear_text(held), *missing]
     for text in missing:
         output.warn(text)
-    return 1 if missing or reporter.stalled or bus.end_failed or plant.failed_steps else 0
+    failed = plant is not None and plant.failed_steps
+    return 1 if missing or reporter.stalled or bus.end_failed or failed else 0
 
 
-def _simulated_plant(bus: Bus, args: argparse.Namespace) -> SimulatedPlant:
-    """Scenario and inputs of the simulated slaves of ``bus``. Raises ConfigError."""
+def _report(config: Config, args: argparse.Namespace) -> RunReport | None:
+    """The report that ``args`` ask for."""
+    if args.report is None:
+        return None
+    from dpstack.api.listen.report_file import RunReport  # here, as most runs write none
+
+    return RunReport(args.report, config)
+
+
+def _screen(
+    bus: Bus, stop: StopSignal, reporter: Reporter, suspension: Suspension, args: argparse.Namespace
+) -> contextlib.AbstractAsyncContextManager[None]:
+    """The live screen of the run, where ``args`` want it and standard output is a terminal."""
+    if args.json or args.plain or not output.redraws():
+        return contextlib.nullcontext()
+    from dpstack.cli.terminal.live_screen import live_screen  # here, as it needs a terminal
+
+    return live_screen(bus, stop, reporter, suspension)
+
+
+def _simulated_plant(bus: Bus, args: argparse.Namespace) -> SimulatedPlant | None:
+    """Scenario and inputs of the simulated slaves of ``bus``; None on a real bus. Raises ConfigError."""
     bench = None if bus.searching else core_of(bus).bench
-    handlers = {} if bench is None else slave_handlers(bench)
+    if bench is None:
+        return None
+    from dpstack.api.control.scenario import SimulatedPlant  # these here, as a run on a real bus simulates nothing
+    from dpstack.api.control.simulation_handlers import slave_handlers
+
+    handlers = slave_handlers(bench)
     return SimulatedPlant(bench, core_of(bus).publish, handlers, scenario=args.scenario, allow_code=args.allow_code)
 
 
@@ -222,3 +257,74 @@ async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None
         await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - core_of(bus).seconds_in_ring))
     except TimeoutError:
         return
+
+
+class RunFiles:
+    """The files of ``dpstack run``: a recording, and a log of events. Leaving closes the log.
+
+    Making it makes the files. Raises UsageError as :class:`BusRecording` and :class:`EventLog` do.
+    """
+
+    def __init__(
+        self, record: str | None, log: str | None, *, on_change: bool = False, rotate: str | None = None
+    ) -> None:
+        if record is None and (on_change or rotate is not None):
+            option = "--on-change" if on_change else "--rotate"
+            raise UsageError(f"{option} is about a recording: add --record FILE, or leave it out")
+        self.recording: BusRecording | None = None
+        self._log: EventLog | None = None
+        self._bus: BusCore | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        if record is not None:
+            from dpstack.api.bus.recording import BusRecording  # these here, as a run without files needs none of them
+
+            self.recording = BusRecording(record, on_change=on_change, rotate=rotate)
+        if log is not None:
+            from dpstack.api.recording.event_log import EventLog
+
+            self._log = EventLog(log, self._tell)
+        self._log_troubles: list[str] = []
+
+    def __enter__(self) -> RunFiles:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bus = None
+        if self.recording is not None:
+            self.recording.discard()
+        if self._log is not None:
+            self._log.close()
+
+    @property
+    def troubles(self) -> list[str]:
+        """Lines about troubles with all files."""
+        return [*([] if self.recording is None else self.recording.troubles), *self._log_troubles]
+
+    def event(self, bus: BusCore, event: Event) -> None:
+        """Write ``event`` into the log."""
+        if self._log is None:
+            return
+        if self._loop is None:
+            self._bus, self._loop = bus, asyncio.get_running_loop()
+        line = event_json(event, ns_to_s(event.t_ns - bus.started_ns))
+        if line is not None:
+            self._log.put({**line, "severity": event.severity.value, "text": event.text})
+
+    def _tell(self, text: str) -> None:
+        """From the thread of the log."""
+        self._log_troubles.append(text)
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                self._loop.call_soon_threadsafe(self._notice, text)
+
+    def _notice(self, text: str) -> None:
+        if self._bus is not None:
+            self._bus.notice("log", text, Severity.WARNING)
+
+    def summary(self) -> str:
+        """One line on the recording; empty without one."""
+        found = self.recording
+        if found is None:
+            return ""
+        files = str(found.paths[-1]) if len(found.paths) == 1 else f"{len(found.paths)} files of {found.path}"
+        return f"recording: {files}, {found.rows} rows" + (f", {found.lost} rounds lost" if found.lost else "")

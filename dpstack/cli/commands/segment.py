@@ -7,7 +7,7 @@ import asyncio
 from time import monotonic_ns
 from typing import Any
 
-from dpstack.api.control.handlers import control_segment
+from dpstack.api.control.simulation_handlers import control_segment
 from dpstack.api.server.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable

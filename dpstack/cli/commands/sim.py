@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from dpstack.api.config.config import AUTO, Config, load_config, make_config, slave_config
-from dpstack.api.control.handlers import control_sim, slave_handlers
 from dpstack.api.control.scenario import SimulatedPlant
+from dpstack.api.control.simulation_handlers import control_sim, slave_handlers
 from dpstack.api.recording.event_log import EventLog
 from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options

@@ -10,18 +10,24 @@ import contextlib
 import shlex
 import shutil
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.events_json import Event, SlaveFaulted
+from dpstack.api.streams import load_beside
 from dpstack.cli.terminal import output
 from dpstack.errors import DpError
-from dpstack.why.story import HEALTHY, Story, story_lines
+from dpstack.why.causes import Cause
+
+if TYPE_CHECKING:
+    from dpstack.why.story import Story
 
 #: notices for one slave at most: a slave that is brought up again and again would fill the log
 _MOST_LINES: Final = 3
 #: time limit in s for the last bring-ups of all slaves: a bus process that does not answer must not delay the end
 _LIMIT_S: Final = 0.5
+#: where the stories are made; a run without faults never loads them
+_WHY: Final = ("dpstack.api.bus.why", "dpstack.why.story")
 #: columns of lines that go into a pipe or a file
 WIDTH: Final = 100
 
@@ -50,10 +56,11 @@ class CauseLines:
             task.add_done_callback(self._tasks.discard)
 
     async def _tell(self, event: SlaveFaulted) -> None:
+        await load_beside(*_WHY)
         with contextlib.suppress(DpError):  # it was removed, or the bus has ended
             story = await self._bus.why(event.address, ask=False)
             told = self._told.setdefault(event.address, set())
-            if story.first.cause == HEALTHY or story.first.cause in told:
+            if story.first.cause == Cause.HEALTHY.value or story.first.cause in told:
                 return
             told.add(story.first.cause)
             file = self._bus.config.file
@@ -69,6 +76,8 @@ class CauseLines:
             task.cancel()
         found: dict[int, Story] = {}
         missing = [slave for slave in self._bus.slaves if not (slave.ready_now or slave.deactivated)]
+        if missing:
+            await load_beside(*_WHY)
         with contextlib.suppress(TimeoutError, DpError):
             async with asyncio.timeout(_LIMIT_S):
                 for slave in missing:
@@ -78,6 +87,10 @@ class CauseLines:
 
 def show(stories: Mapping[int, Story]) -> None:
     """Write the causes of each story."""
+    if not stories:
+        return
+    from dpstack.why.story import story_lines  # here, as it is needed only where a slave is missing
+
     for story in stories.values():
         for line in story_lines(story.as_dict(), columns(), steps=False):
             output.line(line)

@@ -209,11 +209,9 @@ class _HeldLines(io.TextIOBase):
 
 
 @contextlib.asynccontextmanager
-async def live_screen(
-    bus: Bus, stop: StopSignal, reporter: Reporter, suspension: Suspension, *, wanted: bool
-) -> AsyncIterator[None]:
-    """Within, the screen is up, where it is ``wanted`` and the terminal can show it."""
-    terminal = terminal_for_screen() if wanted else None
+async def live_screen(bus: Bus, stop: StopSignal, reporter: Reporter, suspension: Suspension) -> AsyncIterator[None]:
+    """Within, the screen is up, where the terminal can show it."""
+    terminal = terminal_for_screen()
     if terminal is None:
         yield
         return

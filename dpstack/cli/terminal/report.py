@@ -23,7 +23,6 @@ from dpstack.api.bus.events_json import (
 )
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import BusStats, SlaveStats
-from dpstack.api.server.simulation import sim_event_json
 from dpstack.api.streams import Flapping
 from dpstack.cli.terminal import output
 from dpstack.units import baud_text, ms_text, ns_to_s
@@ -47,6 +46,8 @@ _RETRIED: Final = frozenset(
 
 def event_printer(started_ns: int, *, json: bool) -> Callable[[Event], None]:
     """A function that prints the events of simulated slaves or of a segment, with the time since ``started_ns``."""
+
+    from dpstack.api.server.virtual_bench import sim_event_json  # here, as a run has other events
 
     def show(event: Event) -> None:
         t = ns_to_s(event.t_ns - started_ns)

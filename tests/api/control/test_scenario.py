@@ -12,8 +12,8 @@ import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import slave_config
-from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.control.scenario import ScenarioRun, parse_scenario
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.injected import ScenarioEvent
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.dp.master.events import SlaveDiagnosis

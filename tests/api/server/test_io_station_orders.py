@@ -12,7 +12,8 @@ import dpstack
 from dpstack import Im0
 from dpstack.api.config.config import slave_config
 from dpstack.api.control.commands import KINDS, find
-from dpstack.api.control.handlers import run_status, slave_handlers
+from dpstack.api.control.handlers import run_status
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.server.virtual_bench import SimulatedSlave
 from dpstack.cli.commands import ctl
 from dpstack.errors import UsageError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dpstack
 from dpstack.api.config.config import make_config
-from dpstack.api.control.handlers import slave_handlers
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.server.simulation import Simulation, sim_event_json
 
 

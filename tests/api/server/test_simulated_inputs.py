@@ -9,7 +9,8 @@ from api_kit import FAN, in_virtual_time, operating
 from simulated_kit import Asked
 
 from dpstack.api.config.config import slave_config
-from dpstack.api.control.handlers import control_run, slave_handlers
+from dpstack.api.control.handlers import control_run
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.errors import UsageError
 from dpstack.params import BusParams

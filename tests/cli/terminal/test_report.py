@@ -14,7 +14,8 @@ from msgspec import structs
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import slave_config
-from dpstack.api.control.handlers import run_status, slave_handlers
+from dpstack.api.control.handlers import run_status
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.cli.commands import ctl
 from dpstack.cli.terminal.report import Reporter
 from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveStateChanged

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cache
 
 from dpstack.api.config.config import slave_config
-from dpstack.api.control.handlers import slave_handlers
 from dpstack.api.control.scenario import Scenario, parse_scenario
 from dpstack.api.control.server import Handler
+from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
