@@ -30,6 +30,10 @@ BENCHMARKS = {
     "loop": ("bench.loop", "how late an application's event loop is beside its bus, also one whose process is stopped"),
     "parameters": ("bench.parameters", "reading a device's own list of 1000 parameters over record 47"),
     "record": ("bench.record", "what a recording adds to the CPU time of an exchange"),
+    "ring": (
+        "bench.ring",
+        "two masters in a token ring at the highest rate that two bare loops hold (needs a C compiler)",
+    ),
     "rotation": ("bench.rotation", "bus rotation time on a paced bus beside the time on the wire; CPU time there"),
     "scale": ("bench.scale", "what one exchange costs the master, from 1 to 100 slaves"),
     "startup": ("bench.startup", "time until 32 slaves are in data exchange"),

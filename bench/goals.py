@@ -15,7 +15,7 @@ from statistics import median
 from typing import Final, NamedTuple
 
 from bench.calibration import PYTHON
-from bench.paired import Pair, Readings, Round, interval, pairs_of
+from bench.paired import SIDES, Pair, Readings, Round, interval, pairs_of
 from bench.report import duration_text
 from bench.rounds import Commands, Plan, both_sides, rounds_of, tell
 
@@ -27,13 +27,15 @@ _ENOUGH: Final = 8
 
 
 class Goal(NamedTuple):
-    """A bound of a figure. ``to_today``: of its ratio to the old commit's, else of the figure itself. ``quotient``: two
-    figures of a run whose ratio stands for the figure where a benchmark lacks that. ``only_above``: a figure of the
-    same rounds, and the median from which on the goal is judged."""
+    """A bound of a figure; None: the figure is only shown. ``to_today``: a bound of its ratio to the old commit's.
+
+    ``quotient``: two figures of a run whose ratio stands for the figure where a benchmark lacks that. ``only_above``: a
+    figure of the same rounds, and the median from which on the goal is judged.
+    """
 
     text: str
     figure: str
-    limit: float
+    limit: float | None
     to_today: bool = False
     more: bool = False
     quotient: tuple[str, str] | None = None
@@ -41,12 +43,14 @@ class Goal(NamedTuple):
 
 
 class Suite(NamedTuple):
-    """Goals whose figures come from one run of a benchmark with these options; ``cpu``: as in :class:`Plan`."""
+    """Goals whose figures come from one run of a benchmark with these options; ``cpu``: as in :class:`Plan`.
+    ``repeats``: a run has rounds of its own, and one is enough."""
 
     benchmark: str
     words: str
     goals: Sequence[Goal]
     cpu: bool = False
+    repeats: bool = False
 
     @property
     def command(self) -> str:
@@ -86,6 +90,23 @@ SUITES: Final[Mapping[str, Suite]] = {
         "--rounds 1 --seconds 0.5 --bauds 1500000 3000000 12000000 --kinds bare process",
         [_efficiency("1.5 Mbit/s", 0.95), _efficiency("3 Mbit/s", 0.90), _efficiency("12 Mbit/s", 0.80)],
     ),
+    "ring": Suite(
+        "ring",
+        "--rounds 4 --seconds 1 --bauds 3000000 6000000 12000000",
+        [
+            goal
+            for kind in ("asyncio", "process")
+            for goal in (
+                Goal(f"ring of two masters, {kind}: tokens lost", f"two masters, {kind}: tokens lost", 0.0),
+                Goal(
+                    f"ring of two masters, {kind}: efficiency to two bare loops'",
+                    f"two masters, {kind}: efficiency to two bare loops'",
+                    None,
+                ),
+            )
+        ],
+        repeats=True,
+    ),
 }
 
 
@@ -106,8 +127,10 @@ class Row:
     @property
     def cells(self) -> tuple[str, ...]:
         """Words of the table."""
-        bound = f"{self.goal.text}: {'at least' if self.goal.more else 'at most'} {self.goal.limit:g}"
-        bound += " of today's" if self.goal.to_today else ""
+        bound = self.goal.text
+        if self.goal.limit is not None:
+            bound += f": {'at least' if self.goal.more else 'at most'} {self.goal.limit:g}"
+            bound += " of today's" if self.goal.to_today else ""
         spread = f"{self.low:.2f} to {self.high:.2f}" if self.low is not None else "-"
         ratio = f"{self.ratio:.2f}" if self.ratio is not None else "-"
         return bound, self.old, self.new, ratio, spread, self.verdict, self.command
@@ -191,7 +214,7 @@ def _to_today(goal: Goal, suite: Suite, rounds: Sequence[Round], pairs: Mapping[
 
 
 def _itself(goal: Goal, suite: Suite, rounds: Sequence[Round]) -> Row:
-    old, new = ([v for both in rounds if (v := _value(goal, both[side].readings)) is not None] for side in (0, 1))
+    old, new = ([v for both in rounds for v in _values(goal, both[side].readings, suite)] for side in SIDES)
     before = f"{median(old):.3g}" if old else "-"
     if not new:
         return Row(goal, before, "-", None, None, None, (), "not measured", suite.command)
@@ -200,17 +223,20 @@ def _itself(goal: Goal, suite: Suite, rounds: Sequence[Round]) -> Row:
     return Row(goal, before, f"{median(new):.3g}", median(new), low, high, new, verdict, suite.command)
 
 
-def _value(goal: Goal, readings: Readings) -> float | None:
-    """The figure in a run; None where neither it nor its quotient is there."""
+def _values(goal: Goal, readings: Readings, suite: Suite) -> Sequence[float]:
+    """The figure in a run, its rounds where the run has such; none where neither it nor its quotient is there."""
     if goal.figure in readings:
-        return readings[goal.figure].value
+        reading = readings[goal.figure]
+        return reading.repeats if suite.repeats and reading.repeats else (reading.value,)
     if goal.quotient is None or not all(name in readings for name in goal.quotient):
-        return None
+        return ()
     over, under = (readings[name].value for name in goal.quotient)
-    return over / under if under else None
+    return (over / under,) if under else ()
 
 
 def _verdict(goal: Goal, ratio: float, rounds: Sequence[Round]) -> str:
+    if goal.limit is None:
+        return ""
     if goal.only_above is not None:
         name, least = goal.only_above
         values = [run.readings[name].value for _, run in rounds if name in run.readings]
@@ -242,7 +268,7 @@ def measure(names: Sequence[str], commit: str, rounds: int) -> GoalTable:
             tell(f"{name}: {suite.command}")
             try:
                 commands = Commands(suite.benchmark, Plan(suite.words, rounds, suite.cpu))
-                taken = rounds_of(commands, sides, rounds, notes, new_alone=True)
+                taken = rounds_of(commands, sides, 1 if suite.repeats else rounds, notes, new_alone=True)
             except RuntimeError as error:
                 notes.append(f"{name}: {error}")
                 taken = []

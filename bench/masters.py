@@ -2,6 +2,7 @@
 
 ``asyncio`` and ``process`` are dpstack as a user has it, ``bare`` a loop that writes a request and reads an answer and
 knows no protocol, ``pyprofibus`` the other Python stack. All exchange 12 octets each way with slaves from address 3 on.
+``bare-ring`` is the bare loop as one of two masters: it waits for its token, and passes it on to ``--other``.
 One JSON line says when all are in data exchange; the end of standard input ends it in order.
 """
 
@@ -16,9 +17,11 @@ import os
 import select
 import signal
 import sys
+import termios
 import threading
 import time
 import tty
+from collections.abc import Sequence
 from time import monotonic_ns
 from typing import Any, Final
 
@@ -28,12 +31,15 @@ CONFIG: Final = bytes((0xF3, 0x71))
 OCTETS: Final = 12
 DRIVERS: Final = ("asyncio", "process")
 KINDS: Final = (*DRIVERS, "bare", "pyprofibus")
+RING_KIND: Final = "bare-ring"
 #: what else the program does that the master serves
 APPLICATIONS: Final = ("idle", "block", "burn")
 _OWN: Final = 2
 #: with a master that has not brought all its slaves up
 _PATIENCE_NS: Final = 60_000_000_000
 _BLOCK_S: Final = 0.05
+#: so long a bare loop waits for an answer or the token, as dpstack does at a pty (phy.patience.HOST)
+_RING_PATIENCE_S: Final = 0.05
 _BLOCK_EVERY_S: Final = 0.5
 #: the application does something so often; it is held up when that is so much later; so many such times are told
 _TURN_NS: Final = 50_000_000
@@ -72,8 +78,10 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         table |= {"dpv1": True, "user_prm": "00 00 00"}
     if args.recordings:
         table |= {"inputs": _named("in"), "outputs": _named("out")}
-    tables = [{"name": f"s{n}", "address": FIRST + n} | table for n in range(args.slaves)]
+    tables = [{"name": f"s{n}", "address": args.first + n} | table for n in range(args.slaves)]
     keys: dict[str, Any] = {"driver": args.kind}
+    if args.hsa is not None:
+        keys["hsa"] = args.hsa
     if args.gap is not None:
         keys["gap"] = args.gap
     if args.cycle_ms:
@@ -82,7 +90,7 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
     bus = open_bus(
         port=args.port,
         baud=args.baud,
-        address=_OWN,
+        address=args.address,
         slaves=tables,
         on_event=lambda event: events.append((type(event).__name__, event.t_ns, event.text)),
         **keys,
@@ -176,10 +184,10 @@ def _burn(ended: Ended) -> None:
 # --- octets only ---
 
 
-def sd2(to: int, fc: int, data: bytes, saps: bytes = b"") -> bytes:
-    """An SD2 telegram of station 2; ``saps``: DSAP, SSAP."""
+def sd2(to: int, fc: int, data: bytes, saps: bytes = b"", own: int = _OWN) -> bytes:
+    """An SD2 telegram of the station ``own``; ``saps``: DSAP, SSAP."""
     mark = 0x80 if saps else 0
-    body = bytes((to | mark, _OWN | mark, fc)) + saps + data
+    body = bytes((to | mark, own | mark, fc)) + saps + data
     return bytes((0x68, len(body), len(body), 0x68)) + body + bytes((sum(body) & 0xFF, 0x16))
 
 
@@ -192,11 +200,7 @@ def bare_master(args: argparse.Namespace, ended: Ended) -> None:
     token = bytes((0xDC, _OWN, _OWN))
     token_ns = round(33 * bit) + idle if idle else 0
     addresses = [FIRST + n for n in range(args.slaves)]
-    prm = bytes((0x80, 1, 1, 11)) + IDENT.to_bytes(2, "big") + bytes(1)
-    for address in addresses:
-        bare_exchange(fd, sd2(address, 0x6D, prm, bytes((61, 62))), 1)
-        bare_exchange(fd, sd2(address, 0x5D, CONFIG, bytes((62, 62))), 1)
-        bare_exchange(fd, sd2(address, 0x7D, bytes(OCTETS)), 9 + OCTETS)
+    bare_bring_up(fd, addresses, _OWN)
     rounds = [[sd2(address, fc, bytes(OCTETS)) for address in addresses] for fc in (0x5D, 0x7D)]
     told(ready=monotonic_ns())
     write, read, clock = os.write, os.read, monotonic_ns
@@ -216,6 +220,59 @@ def bare_master(args: argparse.Namespace, ended: Ended) -> None:
             until = clock() + token_ns
             while clock() < until:
                 pass
+        turn ^= 1
+
+
+def bare_bring_up(fd: int, addresses: Sequence[int], own: int) -> None:
+    """Raises RuntimeError when a slave refuses."""
+    prm = bytes((0x80, 1, 1, 11)) + IDENT.to_bytes(2, "big") + bytes(1)
+    for address in addresses:
+        bare_exchange(fd, sd2(address, 0x6D, prm, bytes((61, 62)), own), 1)
+        bare_exchange(fd, sd2(address, 0x5D, CONFIG, bytes((62, 62)), own), 1)
+        bare_exchange(fd, sd2(address, 0x7D, bytes(OCTETS), own=own), 9 + OCTETS)
+
+
+def bare_ring_master(args: argparse.Namespace, ended: Ended) -> None:
+    """Wait for the token from the other one, exchange data with every slave, wait T_ID1 before each telegram, pass the
+    token on; nothing else. The one with the lower address begins. Raises RuntimeError when a slave does not come up."""
+    fd = os.open(args.port, os.O_RDWR | os.O_NOCTTY)
+    tty.setraw(fd)
+    termios.tcflush(fd, termios.TCIOFLUSH)
+    own, other = args.address, args.other
+    mine, theirs = bytes((0xDC, own, other)), bytes((0xDC, other, own))
+    idle = round(args.t_id1 * 1e9 / args.baud)
+    addresses = [args.first + n for n in range(args.slaves)]
+    write, read, clock, ready = os.write, os.read, monotonic_ns, select.select
+
+    def wait_for(octets: int, end: bytes, patience: float) -> bool:
+        """So many octets, or more that end so; then the idle time."""
+        got = b""
+        while len(got) < octets or not got.endswith(end):
+            if not ready((fd,), (), (), patience)[0]:
+                return False
+            got = (got + read(fd, 500))[-500:]
+        until = clock() + idle
+        while clock() < until:
+            pass
+        return True
+
+    told(listens=True)
+    if own > other and not wait_for(3, mine, _PATIENCE_NS / 1e9):
+        raise RuntimeError("no token came")
+    bare_bring_up(fd, addresses, own)
+    rounds = [[sd2(address, fc, bytes(OCTETS), own=own) for address in addresses] for fc in (0x5D, 0x7D)]
+    told(ready=monotonic_ns())
+    turn = 0
+    patience = 10.0  # the other one brings its slaves up at its first token
+    while not ended.is_set():
+        write(fd, theirs)
+        while not wait_for(3, mine, patience) and not ended.is_set():
+            write(fd, theirs)  # lost: once more
+        patience = _RING_PATIENCE_S
+        for request in rounds[turn]:
+            write(fd, request)
+            if not wait_for(9 + OCTETS, b"\x16", patience):
+                break  # lost: the next one
         turn ^= 1
 
 
@@ -281,10 +338,14 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("kind", choices=(*KINDS, RING_KIND))
     parser.add_argument("port")
     parser.add_argument("--baud", type=int, required=True)
     parser.add_argument("--slaves", type=int, default=1)
+    parser.add_argument("--address", type=int, default=_OWN)
+    parser.add_argument("--first", type=int, default=FIRST, help="address of the first slave")
+    parser.add_argument("--hsa", type=int)
+    parser.add_argument("--other", type=int, default=0, help="the other master of two bare loops")
     parser.add_argument("--gap", type=int)
     parser.add_argument("--cycle-ms", type=float)
     parser.add_argument("--records", type=int, default=0, help="octets of the records read without end, 0: none")
@@ -299,6 +360,8 @@ def main() -> int:
         match args.kind:
             case "bare":
                 bare_master(args, ended)
+            case "bare-ring":
+                bare_ring_master(args, ended)
             case "pyprofibus":
                 pyprofibus_master(args, ended)
             case _:

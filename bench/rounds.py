@@ -72,6 +72,7 @@ PLANS: Final[Mapping[str, Plan]] = {
     "record": Plan("--rounds 1"),
     "loop": Plan("--rounds 1"),
     "parameters": Plan("", 1),
+    "ring": Plan("--rounds 1 --seconds 1"),
     "rotation": Plan("--rounds 1 --bauds 500000 1500000 --kinds bare asyncio process"),
     "scale": Plan("--rounds 7 --exchanges 2000 --seconds 0", cpu=True),
     "startup": Plan("--rounds 1"),
