@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple
 
+from msgspec.structs import replace
+
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
@@ -124,7 +126,7 @@ class AnswersAtOnce(SlaveApp):
         """SC would mean that it is to be polled."""
         reply = super().serve(request, now)
         if request.dsap == SAP_MS1 and request.data and reply is not None and reply.short:
-            return super().serve(request._replace(data=b""), now)
+            return super().serve(replace(request, data=b""), now)
         return reply
 
 

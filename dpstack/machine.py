@@ -114,9 +114,10 @@ def pump(machine: Pumped, chunk: bytes, now: int, transmit: Transmit) -> int:
     """
     if chunk:
         machine.receive(chunk, now)
-    settle = _MAX_SETTLE
     deadline = machine.wake_at()
-    while deadline <= now:
+    if deadline > now:
+        return deadline
+    for _ in range(_MAX_SETTLE):
         machine.wake(now)
         tx = machine.take_tx(now)
         if tx is not None:
@@ -130,7 +131,6 @@ def pump(machine: Pumped, chunk: bytes, now: int, transmit: Transmit) -> int:
             machine.sent(end)
             return machine.wake_at()
         deadline = machine.wake_at()
-        settle -= 1
-        if not settle:
-            raise RuntimeError(f"{machine!r} does not settle: it wants to be called at {deadline} again and again")
-    return deadline
+        if deadline > now:
+            return deadline
+    raise RuntimeError(f"{machine!r} does not settle: it wants to be called at {deadline} again and again")

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from msgspec.structs import replace
+
 from dpstack.capture.cutter import Cutter
 from dpstack.capture.transmission import Transmission
 from dpstack.errors import UsageError
@@ -172,9 +174,9 @@ class Listener:
 def _octets(telegram: Telegram) -> bytes:
     """The octets of ``telegram``, also of the two kinds that this project accepts and never sends."""
     if telegram.kind is Kind.SD3:
-        body = encode(telegram._replace(kind=Kind.SD2))[4:]
+        body = encode(replace(telegram, kind=Kind.SD2))[4:]
         return bytes((Kind.SD3,)) + body  # without LE; the FCS is the same
     if telegram.empty_le3:
-        body = bytes(telegram[1:4])
+        body = bytes((telegram.da, telegram.sa, telegram.fc))
         return bytes((Kind.SD2, EMPTY_LE, EMPTY_LE, Kind.SD2)) + body + bytes((fcs(body), ED))
     return encode(telegram)

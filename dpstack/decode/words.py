@@ -71,8 +71,19 @@ def describe(telegram: Telegram) -> str:
 
 def describe_with(telegram: Telegram, fields: Fields, error: str | None, sender: str = "", receiver: str = "") -> str:
     """The same with the ``fields`` of the telegram, or the ``error`` in its data unit; names of stations."""
-    kind, da, sa, fc, dsap, ssap, data, dseg, sseg = telegram
-    front, back = _frame(kind, da, sa, fc, dsap, ssap, len(data), dseg, sseg, sender, receiver)
+    front, back = _frame(
+        telegram.kind,
+        telegram.da,
+        telegram.sa,
+        telegram.fc,
+        telegram.dsap,
+        telegram.ssap,
+        len(telegram.data),
+        telegram.dseg,
+        telegram.sseg,
+        sender,
+        receiver,
+    )
     words = f"cannot be read ({error})" if error is not None else contents_of(telegram, fields) if fields else ""
     if not words:
         return front + back

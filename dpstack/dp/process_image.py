@@ -76,10 +76,6 @@ class SlaveImage:
         #: the outputs as they were when the round began, copied for all slaves at the same moment
         self.latched = outputs
 
-    def latch(self) -> None:
-        """Copy the outputs for the round that begins."""
-        self.latched = self._outputs
-
     @property
     def outputs(self) -> bytes:
         """The outputs of the next round in Operate."""

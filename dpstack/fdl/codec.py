@@ -34,13 +34,15 @@ _SC: Final = int(Kind.SC)
 # names of the module, because the look-up of an enum's member takes ten times as long
 _KIND_SD1: Final = Kind.SD1
 _KIND_SD2: Final = Kind.SD2
+_KIND_SD3: Final = Kind.SD3
 _KIND_SD4: Final = Kind.SD4
 
 #: FCS and ED by FCS; :func:`_head` caches the octets before the data
 _TAILS: Final = tuple(bytes((check, ED)) for check in range(256))
+#: octets of the longest telegram
+_LONGEST: Final = MAX_LE + 6
 #: number of cached heads: 126 stations with both FCB and both directions have 504
 _KEPT_HEADS: Final = 1_024
-_NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 
 
 class Flaw(Enum):
@@ -123,20 +125,21 @@ def encode_token(da: int, sa: int) -> bytes:
 def request_octets(da: int, sa: int, fc: int, data: bytes, dsap: int | None, ssap: int | None) -> bytes:
     """The shortest telegram for a request or a response: SD1 without data and SAPs, else SD2."""
     if data or dsap is not None or ssap is not None:
-        return encode_sd2(da, sa, fc, data, dsap, ssap)
+        head, check = _head(da, sa, fc, len(data), dsap, ssap)
+        return head + data + _TAILS[(check + sum(data)) & 0xFF]
     return encode_sd1(da, sa, fc)
 
 
 def encode(telegram: Telegram) -> bytes:
     """Any telegram in octets. Raises ValueError on impossible values, SD3, and SD2 without a data unit."""
-    kind, da, sa, fc, dsap, ssap, data, dseg, sseg = telegram
-    match kind:
+    da, sa, fc, data = telegram.da, telegram.sa, telegram.fc, telegram.data
+    match telegram.kind:
         case Kind.SD1:
-            if data or not dsap is ssap is dseg is sseg is None:
+            if data or not telegram.dsap is telegram.ssap is telegram.dseg is telegram.sseg is None:
                 raise ValueError("an SD1 telegram carries no data unit: use SD2")
             return encode_sd1(da, sa, fc)
         case Kind.SD2:
-            head, check = _head(da, sa, fc, len(data), dsap, ssap, dseg, sseg)
+            head, check = _head(da, sa, fc, len(data), telegram.dsap, telegram.ssap, telegram.dseg, telegram.sseg)
             return head + data + _TAILS[(check + sum(data)) & 0xFF]
         case Kind.SD4:
             return encode_token(da, sa)
@@ -184,26 +187,27 @@ def parse(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | Non
 
     Needs ``at < end <= len(octets)``. A telegram's length is :func:`claimed`. Never raises.
     """
+    if isinstance(octets, bytearray):
+        return parse(bytes(octets[at : at + _LONGEST]), 0, min(end - at, _LONGEST))
     start = octets[at]
     if start == _SD2:
         if end - at < 9:
             return _short_sd2(octets, at, end)
-        le = octets[at + 1]
-        if not EMPTY_LE <= le <= MAX_LE:
-            return Flaw.LE_RANGE
-        if octets[at + 2] != le:
-            return Flaw.LE_MISMATCH
-        if octets[at + 3] != _SD2:
-            return Flaw.BAD_SECOND_SD
-        stop = at + le + 4  # FCS
+        head = _read_head(octets[at : at + 7])
+        if isinstance(head, Flaw):
+            return head
+        le, check, da, sa, fc, plain = head
+        stop = at + 4 + le  # FCS
         if stop + 2 > end:
             return None
         if octets[stop + 1] != ED:
             return Flaw.BAD_ED
-        body = octets[at + 4 : stop]
-        if sum(body) & 0xFF != octets[stop]:
+        data = octets[at + 7 : stop]
+        if (check + sum(data)) & 0xFF != octets[stop]:
             return Flaw.BAD_FCS
-        return _content(_KIND_SD2, body)
+        if plain:
+            return Telegram(_KIND_SD2, da, sa, fc, None, None, data)
+        return _content(_KIND_SD2, da, sa, fc, data)
     if start == _SC:
         return SHORT_ACK
     if start == _SD1:
@@ -215,30 +219,33 @@ def parse(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | Non
     return Flaw.BAD_START
 
 
-def _content(kind: Kind, body: bytes | bytearray) -> Telegram | Flaw:
-    """DA, SA, FC and data unit of a frame whose FCS is right."""
-    da, sa, fc = body[:3]
+#: LE; the sum of DA, SA and FC; these three; whether they are sound and no extension octets follow
+_Head = tuple[int, int, int, int, int, bool]
+
+
+@lru_cache(_KEPT_HEADS)
+def _read_head(head: bytes) -> _Head | Flaw:
+    """The first seven octets of an SD2 frame; cached, because in data exchange only the data change."""
+    _, le, again, second, da, sa, fc = head
+    if not EMPTY_LE <= le <= MAX_LE:
+        return Flaw.LE_RANGE
+    if again != le:
+        return Flaw.LE_MISMATCH
+    if second != _SD2:
+        return Flaw.BAD_SECOND_SD
+    return le, da + sa + fc, da, sa, fc, isinstance(_content(_KIND_SD2, da, sa, fc, b""), Telegram)
+
+
+def _content(kind: Kind, da: int, sa: int, fc: int, body: bytes) -> Telegram | Flaw:
+    """The telegram of a frame whose FCS is right. ``body``: its data unit with the address extension octets."""
     if fc > 0x7F and fc & 0xCF != 0xC0:
         return Flaw.BAD_FC
-    if da < 0x80 and sa < 0x80:
-        # no extension octets, as in data exchange
-        if sa == BROADCAST:
-            return Flaw.BAD_ADDRESS
-        return _NEW(Telegram, (kind, da, sa, fc, None, None, bytes(body[3:]), None, None))
-    if da & sa & 0x80 and len(body) > 4 and body[3] <= _VALUE and body[4] <= _VALUE:
-        # both SAPs, one octet each, as in DP services
-        if sa == 0xFF:
-            return Flaw.BAD_ADDRESS
-        return _NEW(Telegram, (kind, da & 0x7F, sa & 0x7F, fc, body[3], body[4], bytes(body[5:]), None, None))
-    return _extended(kind, body)
-
-
-def _extended(kind: Kind, body: bytes | bytearray) -> Telegram | Flaw:
-    """The general case of address extension octets."""
-    da, sa, fc = body[:3]
     if sa & 0x7F == BROADCAST:
         return Flaw.BAD_ADDRESS
-    at = 3
+    if da & sa & _EXTENDED and len(body) > 1 and body[0] <= _VALUE and body[1] <= _VALUE:
+        # both SAPs, one octet each, as in DP services
+        return Telegram(kind, da & 0x7F, sa & 0x7F, fc, body[0], body[1], body[2:])
+    at = 0
     found: list[int | None] = []
     for address in (da, sa):
         sap = segment = None
@@ -259,10 +266,10 @@ def _extended(kind: Kind, body: bytes | bytearray) -> Telegram | Flaw:
                 sap = octet & _VALUE
         found += (sap, segment)
     dsap, dseg, ssap, sseg = found
-    return Telegram(kind, da & 0x7F, sa & 0x7F, fc, dsap, ssap, bytes(body[at:]), dseg, sseg)
+    return Telegram(kind, da & 0x7F, sa & 0x7F, fc, dsap, ssap, body[at:], dseg, sseg)
 
 
-def _short_sd2(octets: bytes | bytearray, at: int, end: int) -> Flaw | None:
+def _short_sd2(octets: bytes, at: int, end: int) -> Flaw | None:
     """The flaw in the first octets of an SD2 frame that is shorter than the shortest, or None."""
     have = end - at
     if have < 3:
@@ -276,7 +283,7 @@ def _short_sd2(octets: bytes | bytearray, at: int, end: int) -> Flaw | None:
     return None
 
 
-def _parse_sd1(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
+def _parse_sd1(octets: bytes, at: int, end: int) -> Telegram | Flaw | None:
     have = end - at
     # without a data unit there is no room for extension octets
     if (have > 1 and octets[at + 1] > BROADCAST) or (have > 2 and octets[at + 2] > UNADDRESSED):
@@ -292,20 +299,20 @@ def _parse_sd1(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw 
         return Flaw.BAD_FCS
     if fc > 0x7F and fc & 0xCF != 0xC0:
         return Flaw.BAD_FC
-    return _NEW(Telegram, (_KIND_SD1, da, sa, fc, None, None, b"", None, None))
+    return Telegram(_KIND_SD1, da, sa, fc)
 
 
-def _parse_token(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
+def _parse_token(octets: bytes, at: int, end: int) -> Telegram | Flaw | None:
     # only the addresses protect a token: both 0..126, no extension bit
     have = end - at
     if (have > 1 and octets[at + 1] > UNADDRESSED) or (have > 2 and octets[at + 2] > UNADDRESSED):
         return Flaw.BAD_ADDRESS
     if have < 3:
         return None
-    return _NEW(Telegram, (_KIND_SD4, octets[at + 1], octets[at + 2], -1, None, None, b"", None, None))
+    return Telegram(_KIND_SD4, octets[at + 1], octets[at + 2])
 
 
-def _parse_sd3(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
+def _parse_sd3(octets: bytes, at: int, end: int) -> Telegram | Flaw | None:
     if end - at < 14:
         return None
     if octets[at + 13] != ED:
@@ -313,4 +320,4 @@ def _parse_sd3(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw 
     body = octets[at + 1 : at + 12]
     if sum(body) & 0xFF != octets[at + 12]:
         return Flaw.BAD_FCS
-    return _content(Kind.SD3, body)
+    return _content(_KIND_SD3, body[0], body[1], body[2], body[3:])

@@ -92,11 +92,12 @@ class Decoder:
         self._doubt = 0  # number of octets, pending or future, inside a rejected frame
         self._tail = b""  # the last two skipped octets: LE and LEr, if a second SD follows
         self._last = 0  # time of the last octets, valid only while octets are pending or in doubt
+        self._between = True  # the last telegram is over: nothing is pending or in doubt
 
     def feed(self, chunk: bytes, now: int) -> list[Telegram]:
         """The telegrams that end within ``chunk``, in order; ``now`` in ns. Never raises."""
-        if not self.pending and not self._doubt and not self._tail:
-            # the fast path: one read, one telegram
+        if self._between:
+            # most often one read is one telegram
             telegram = decode(chunk)
             if telegram is not None:
                 size = len(chunk)
@@ -126,9 +127,7 @@ class Decoder:
         while at < len(held):
             at = self._scan(at + 1, found)
             self.stats.skipped += 1
-        held.clear()
-        self._doubt = 0
-        self._tail = b""
+        self.reset()
         return found
 
     def reset(self) -> None:
@@ -136,6 +135,7 @@ class Decoder:
         self.pending.clear()
         self._doubt = 0
         self._tail = b""
+        self._between = True
 
     def _feed_slowly(self, chunk: bytes, now: int) -> list[Telegram]:
         held = self.pending
@@ -149,6 +149,7 @@ class Decoder:
         at = self._scan(0, found)
         del held[:at]
         self._doubt = max(0, self._doubt - at)
+        self._between = not (held or self._doubt or self._tail)
         return found
 
     def _scan(self, at: int, found: list[Telegram]) -> int:

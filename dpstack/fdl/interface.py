@@ -22,7 +22,7 @@ from dpstack.units import NEVER, NS_PER_S
 LONG_NS: Final = NS_PER_S
 
 
-class Request(NamedTuple):
+class Request(Struct, frozen=True):
     """A request of a link user. ``data`` is the data unit without SAP octets (0..244 octets).
 
     ``function`` contains the priority (SRD_HIGH, SRD_LOW ...). ``patient``: wait with the slack of a known station

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
 
 from dpstack.text import NamedInt
 
@@ -83,7 +85,7 @@ class StationType(NamedInt):
         return self.name.lower().replace("_", " ")
 
 
-class Telegram(NamedTuple):
+class Telegram(Struct, frozen=True):
     """A decoded telegram.
 
     ``fc`` is -1 for SD4 and SC; ``da`` and ``sa`` are 0..127 without the extension bit and -1 for SC. ``dsap`` and

@@ -323,7 +323,7 @@ class Counters:
     def _add_request(self, telegram: Telegram, fc: int, start: int, end: int) -> None:
         if self._asked is not None:
             self._give_up()
-        _, da, sa, _, dsap, _, _, _, _ = telegram
+        da, sa, dsap = telegram.da, telegram.sa, telegram.dsap
         master = self.masters.get(sa)
         if master is None:
             master = self._new_master(sa)
@@ -440,7 +440,7 @@ class Counters:
     def _add_token(self, telegram: Telegram, start: int, end: int) -> None:
         if self._asked is not None:
             self._give_up()
-        _, da, sa, _, _, _, _, _, _ = telegram
+        da, sa = telegram.da, telegram.sa
         last, self._token = self._token, telegram
         repeated = False
         if last is not None:
@@ -711,14 +711,14 @@ _DIAGNOSIS: Final = 6
 def _fits(answer: Telegram, request: Telegram) -> bool:
     """Whether an answer with addresses is one to ``request``: those of the request exchanged, and so the SAPs. SD1 has
     no SAPs: a refusal. The answer to MSRD goes to everybody."""
-    _, da, sa, _, dsap, ssap, data, _, _ = answer
-    if sa != request.da:
+    if answer.sa != request.da:
         return False
     function = request.fc & FC_FUNCTION
+    da, dsap, ssap = answer.da, answer.dsap, answer.ssap
     if da != request.sa and not (da == BROADCAST and function == Req.MSRD):
         return False
     if dsap is None and ssap is None:
-        return not data or (request.dsap is None and function != Req.FDL_STATUS)
+        return not answer.data or (request.dsap is None and function != Req.FDL_STATUS)
     return dsap == request.ssap and ssap == request.dsap
 
 

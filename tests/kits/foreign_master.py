@@ -48,7 +48,7 @@ class ForeignMaster:
 
     # --- the machine ---
     def telegram(self, telegram: Telegram, now: int) -> None:
-        kind, da, sa, fc = telegram[:4]
+        kind, da, sa, fc = telegram.kind, telegram.da, telegram.sa, telegram.fc
         if da != self.address:
             return
         if kind == 0x10 and fc == 0x49 and self.ready:

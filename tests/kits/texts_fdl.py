@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 
+from msgspec.structs import replace
 from texts_snapshot import Case, Group, attempt, interface
 
 from dpstack.errors import ConfigError, UsageError
@@ -107,7 +108,7 @@ def _refusals() -> Iterator[Case]:
         yield attempt(encode_token, da, sa)
     base = Telegram(Kind.SD1, 3, 2, 0x49)
     for change in ({"data": b"x"}, {"dsap": 0}, {"ssap": 0}, {"dseg": 0}, {"sseg": 0}, {}, {"kind": Kind.SD3}):
-        yield attempt(encode, base._replace(**change))
+        yield attempt(encode, replace(base, **change))
     for dseg, sseg in product((None, -1, 0, 63, 64), repeat=2):
         yield attempt(encode, Telegram(Kind.SD2, 3, 2, 0x4D, 5, None, b"x", dseg, sseg))
     yield attempt(encode, token(3, 2))

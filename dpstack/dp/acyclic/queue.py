@@ -19,6 +19,7 @@ from collections.abc import Callable, Hashable, Iterable
 from typing import Any, Final
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.dp.acyclic.job import ACKS, UNORDERED, Job, Outcome, RequestEnd, ServiceFailure, Step, Steps
 from dpstack.dp.master.commands import Mode
@@ -225,7 +226,7 @@ class Acyclic:
             self._put_before_its_lane(entry)
         self._asked = entry
         request = entry.step.request
-        return request if request.patient else request._replace(patient=request.da in self._known)
+        return request if request.patient else replace(request, patient=request.da in self._known)
 
     def _put_before_its_lane(self, entry: _Entry) -> None:
         """A job that has begun stands before the jobs of its lane that it has overtaken."""

@@ -14,6 +14,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from msgspec.structs import replace
+
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData
@@ -90,11 +92,13 @@ class Round:
             if not (fixed or self._may_take_all(now)):
                 return None
             self._begin(now)
-        if not self._cursor and (request := self._before_data(now)) is not None:
+        cursor = self._cursor
+        if not cursor and (request := self._before_data(now)) is not None:
             return request
-        request = self._data(now)
-        if request is not None or self._cursor < len(self._due):
-            return request
+        if cursor < len(self._due):
+            request = self._data(now)
+            if request is not None or self._cursor < len(self._due):
+                return request
         if self._sync:
             self._sync = False
             return self._controls.cyclic(self._controls.sync)
@@ -122,7 +126,8 @@ class Round:
         self._due = exchanging if all_slaves else turns.due(self._cadence.number)
         context.on_begin()
         for handler in self._due:
-            handler.image.latch()
+            image = handler.image
+            image.latched = image.outputs
         self.open = True
         self._at_once = False
         self._cursor = 0
@@ -158,7 +163,7 @@ class Round:
 
     def _data(self, now: int) -> Request | None:
         """The next Data_Exchange; None when there is no more, or not yet."""
-        due = self._due
+        due, context = self._due, self._context
         if self._paused:
             self._paused = False
             self._cadence.resume()
@@ -176,18 +181,18 @@ class Round:
                 self._cursor += 1
                 if self._turns.rates.has_slower_slaves:
                     self._turns.rates.had_turn(handler.setup.address, self._cadence.number)
-                return handler.data_request(self._outputs(handler, now))
+                if not (self._operating and context.mode is _OPERATE):
+                    # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/reference/protocol.md#clear)
+                    outputs = b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
+                elif context.target is not _OPERATE:
+                    outputs = handler.plugin_host.safe_outputs()
+                elif handler.image.plugin is None:
+                    outputs = handler.image.latched
+                else:
+                    outputs = handler.plugin_host.outputs(now)
+                return handler.data_request(outputs)
             self._cursor += 1
         return None
-
-    def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
-        context = self._context
-        if self._operating and context.mode is _OPERATE:
-            return (
-                handler.plugin_host.outputs(now) if context.target is _OPERATE else handler.plugin_host.safe_outputs()
-            )
-        # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/reference/protocol.md#clear)
-        return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
     def _service(self, now: int, *, room: bool = True) -> Request | None:
         while self._services:
@@ -211,7 +216,7 @@ class Round:
             last = request.tag.reports.diagnosis
             if longest is None:
                 longest = _DIAGNOSIS if last is None else max(_DIAGNOSIS, 6 + len(last.ext))
-            request = request._replace(answer=_ANSWERS.get(request.dsap or 0, longest))
+            request = replace(request, answer=_ANSWERS.get(request.dsap or 0, longest))
         return request
 
     def _end(self, now: int) -> None:

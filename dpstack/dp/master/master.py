@@ -129,7 +129,10 @@ class Master:
 
     def take_events(self) -> list[Event]:
         """Return and clear the events since the last call."""
-        events, self.context.events = self.context.events, []
+        context = self.context
+        if not context.events:
+            return []
+        events, context.events = context.events, []
         return events
 
     def _writable(self, what: str) -> None:
@@ -275,15 +278,18 @@ class Master:
     def started(self, request: Request, at: int) -> None:
         """Count the rotation from first bit to first bit of the first Data_Exchange of two rounds."""
         self._token.sent_at = at
+        cycle = self._round
         handler = request.tag
         if isinstance(handler, SlaveHandler):
             handler.asked_at = at
             if self._watch.down:
                 self._watch.down.pop(handler, None)
-        self._round.started(request, at)
+            if request.dsap is None and not cycle.first_data and not handler.setup.min_slave_interval_ns:
+                return  # a Data_Exchange in the middle of a round: nothing follows from its time
+        cycle.started(request, at)
         if request.dsap is None:
-            if self._round.first_data:
-                self._round.first_data = False
+            if cycle.first_data:
+                cycle.first_data = False
                 if self._round_at:
                     self.rotation.add(at - self._round_at)
                 self._round_at = at
@@ -292,13 +298,13 @@ class Master:
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """Hand the end of a request to the handler of its slave."""
-        handler = request.tag
         if outcome is _HELD_BACK:
             self._round.held_back(request)
             return
         if outcome is _ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
             self.controls.abandoned(request)
-        if not isinstance(handler, SlaveHandler) or self.handlers.get(handler.setup.address) is not handler:
+        handler = self.handlers.get(request.da)
+        if handler is None or handler is not request.tag:
             return  # the request of no slave, or of one that was removed meanwhile
         if request.dsap is None:
             handler.data_result(outcome, now)

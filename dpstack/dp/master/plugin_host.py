@@ -32,15 +32,10 @@ class PluginHost:
         self._reports = reports
 
     def outputs(self, now: int) -> bytes:
-        """The outputs of the next Data_Exchange in Operate.
-
-        With a plugin its outputs, after its failure the safe values; without a plugin the application's outputs.
-        """
+        """The outputs of the next Data_Exchange in Operate: the plugin's, after its failure the safe values."""
         image = self._image
         plugin = image.plugin
-        if plugin is None:
-            return image.latched
-        if self.fault is None:
+        if plugin is not None and self.fault is None:
             try:
                 image.outputs = plugin.cyclic(image.inputs if image.valid else b"", now)
                 self._drain(plugin, now)

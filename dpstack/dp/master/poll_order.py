@@ -29,6 +29,8 @@ class RateTurns:
         self._setups: Sequence[SlaveParams] = ()
         #: address -> (every, offset), only of slaves with ``every`` > 1
         self._groups: dict[int, tuple[int, int]] = {}
+        #: whether any slave does not exchange data in every cycle
+        self.has_slower_slaves = False
         #: address -> number of the cycle in which the slave has its next turn
         self._next_turn: dict[int, int] = {}
 
@@ -42,11 +44,7 @@ class RateTurns:
         groups = {s.address: (s.every, chosen[s.address]) for s in setups if s.every > 1}
         self._next_turn = {a: at for a, at in self._next_turn.items() if groups.get(a) == self._groups[a]}
         self._groups = groups
-
-    @property
-    def has_slower_slaves(self) -> bool:
-        """Whether any slave does not exchange data in every cycle."""
-        return bool(self._groups)
+        self.has_slower_slaves = bool(groups)
 
     def due(self, address: int, number: int) -> bool:
         """Whether the slave at ``address`` has a turn in cycle ``number``, or missed a turn before it."""

@@ -43,7 +43,6 @@ _MAX_BUSY: Final = 5
 _ABSENT_AFTER: Final = 3
 _DH: Final = int(Resp.DH)
 _SRD_HIGH: Final = Req.SRD_HIGH
-_NEW: Final = tuple.__new__  # NamedTuple's own constructor costs four times as much
 #: asked in every exchange: an enum's member costs ten times a name of the module
 _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
 #: states of a slave that is absent, in fault or out of service
@@ -142,8 +141,9 @@ class SlaveHandler:
         request = self._data
         if request.data != outputs:
             da, still = request.da, request.still
-            fields = (da, _SRD_HIGH, outputs, None, None, True, True, False, self, 0, MAX_DATA, True, still)
-            request = self._data = _NEW(Request, fields)
+            request = self._data = Request(
+                da, _SRD_HIGH, outputs, None, None, True, True, False, self, 0, MAX_DATA, True, still
+            )
         return request
 
     def data_result(self, outcome: Telegram | Failure, now: int) -> None:

@@ -16,11 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
+from msgspec.structs import replace
+
 from dpstack.fdl.active.admission import Admission
 from dpstack.fdl.active.fcb import FrameCount
 from dpstack.fdl.active.parts import Awaiting
-from dpstack.fdl.active.services import SERVICES, answers
-from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
+from dpstack.fdl.active.services import SERVICES, Service, answers
+from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, NONE, USE_TOKEN
 from dpstack.fdl.codec import request_octets
 from dpstack.fdl.interface import Failure, LinkUser, Request, StationStats
 from dpstack.fdl.telegram import SHORT_ACK, Req, Telegram
@@ -42,6 +44,7 @@ class Exchange(Awaiting):
     made_at: int = 0
     _asked: StationStats = field(default_factory=StationStats)  # counters of the station asked last
     _asked_da: int = BROADCAST
+    _service: Service = SERVICES[NO_REQUEST.function]  # of the current request
     _frame: bytes = b""
     _candidate: Telegram = NONE  # an answer that is kept back, because it may be late
     _tries_left: int = 0
@@ -50,42 +53,45 @@ class Exchange(Awaiting):
 
     def start(self, user: LinkUser, request: Request, now: int) -> None:
         """Encode a new request and queue it."""
-        da, function, data, dsap, ssap, patient, retry, restart, _, _, _, _, _ = request
-        fc, counted, answered = SERVICES[function]
-        tries = self.times.max_retry if answered and retry else 0
-        if counted:
+        da = request.da
+        service = SERVICES[request.function]
+        fc = service.fc
+        tries = self.times.max_retry if service.answered and request.retry else 0
+        if service.counted:
             fcb = self.fcb
-            if restart:
+            if request.restart:
                 fcb.restart(da)
             fc |= fcb.bits[da]
             if not fcb.operational[da]:
                 tries = 0  # a first request is not repeated (docs/reference/protocol.md#frame-count-bit)
-        elif answered and not patient and self.peers.knows(da):
-            request = request._replace(patient=True)  # for every user: the silence of a known station is news
+        elif service.answered and not request.patient and self.peers.knows(da):
+            request = replace(request, patient=True)  # for every user: the silence of a known station is news
         self.user = user
         self.request = request
+        self._service = service
         self.made_at = now
         self._asked_da = da
         self._tries_left = tries
         self._repeats = 0
         self._wrong = False
-        self._frame = request_octets(da, self.line.ts, fc, data, dsap, ssap)
-        self.line.queue(self._frame)
+        line = self.line
+        self._frame = frame = request_octets(da, line.ts, fc, request.data, request.dsap, request.ssap)
+        line.queue(frame)
         self.machine.enter(USE_TOKEN)
 
     def sent(self, _: Telegram, at: int) -> None:
         """An attempt is sent; its last bit is on the line at ``at``."""
         request = self.request
         if not self._repeats:
-            line, user, stats = self.line, self.user, self.stats
-            asked = self._asked = stats.stations.get(request.da) or stats.station(request.da)
+            taken_at, user, stats = self.line.taken_at, self.user, self.stats
+            self._asked = asked = stats.stations.get(request.da) or stats.station(request.da)
             asked.requests += 1
             self.garbled = False  # octets before the request are no part of its answer
             if user is not None:
-                user.started(request, line.taken_at)
-            if not SERVICES[request.function].answered:
-                line.expect_no_answer()
-                self._finish(SHORT_ACK, line.taken_at)
+                user.started(request, taken_at)
+            if not self._service.answered:
+                self.line.expect_no_answer()
+                self._finish(SHORT_ACK, taken_at)
                 return
         times = self.times
         if request.patient or self.peers.is_slow(request.da):
@@ -120,7 +126,7 @@ class Exchange(Awaiting):
         request, peers = self.request, self.peers
         da = request.da
         self._asked.answers += 1
-        if SERVICES[request.function].counted and self.fcb.answered(da):
+        if self._service.counted and self.fcb.answered(da):
             peers.knows_only_fcv(da, now)
         if not telegram.data and telegram.empty_le3:
             peers.empty_le3(da, now)
@@ -135,9 +141,7 @@ class Exchange(Awaiting):
         self.user, self.request, self._candidate = None, NO_REQUEST, NONE
         if user is not None:
             user.result(request, outcome, now)
-        machine = self.machine
-        machine.enter(CHECK_ACCESS_TIME)
-        machine.row[CHECK](NONE, now)
+        self.machine.check(now)
 
     def timeout(self, _: Telegram, now: int) -> None:
         """The slot time is over."""
@@ -173,7 +177,7 @@ class Exchange(Awaiting):
         elif not (asked.answers or asked.timeouts or self.garbled):
             # an unknown address: no fault, and a late FDL status is as true as one in time
             del self.stats.stations[request.da]
-        if SERVICES[request.function].counted:
+        if self._service.counted:
             self.fcb.given_up(request.da)
         if outdated:
             failure = Failure.ABANDONED
@@ -211,7 +215,7 @@ class Exchange(Awaiting):
     def abandon(self, now: int) -> None:
         """Drop the queued telegram and the current request; its user gets ABANDONED."""
         user, request = self.user, self.request
-        if request is not NO_REQUEST and (self._repeats or self.line.tx is None) and SERVICES[request.function].counted:
+        if request is not NO_REQUEST and (self._repeats or self.line.tx is None) and self._service.counted:
             # it was sent, and the station may have it or not: the FCB of a new request is unknown
             self.peers.expect_late(request, now, self.times.slot_known_ns)
             self.fcb.given_up(request.da)

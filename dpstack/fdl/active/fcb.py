@@ -33,10 +33,11 @@ class FrameCount:
 
     def answered(self, address: int) -> bool:
         """``address`` answered. True when this is its first answer, and it came only to a probe with FCV = 1."""
+        if self.operational[address]:
+            self.bits[address] ^= FC_FCB
+            return False
         bits = self.bits[address]
         self.bits[address] = (bits ^ FC_FCB) | FC_FCV
-        if self.operational[address]:
-            return False
         self.operational[address] = True
         if bits & FC_FCV and address not in self.fcv_only:
             self.fcv_only.add(address)

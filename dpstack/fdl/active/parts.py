@@ -101,15 +101,6 @@ class ActiveLine(Line):
         """Do not send the queued telegram."""
         self.tx = None
 
-    def taken(self, now: int) -> None:
-        """The driver takes the queued telegram at ``now``."""
-        self.tx = None
-        self.taken_at = now
-
-    def sending_ends(self, at: int) -> None:
-        self.idle_since = at
-        self.after_ns = self.t_id1_ns
-
     def expect_no_answer(self) -> None:
         """The last telegram has no answer: T_ID2 follows."""
         self.after_ns = self.t_id2_ns

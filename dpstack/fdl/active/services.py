@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
 
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import COUNTED, UNANSWERED, Kind, Req, Resp, Telegram
 
 
-class Service(NamedTuple):
+class Service(Struct, frozen=True):
     """``counted``: it carries FCB and FCV, and SC can answer it."""
 
     fc: int
@@ -32,11 +34,9 @@ _WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(
 
 def answers(request: Request, telegram: Telegram) -> bool:
     """Whether ``telegram``, sent to this station or SC, can answer ``request``."""
-    if telegram.kind == _SC:
-        return SERVICES[request.function].counted
     if telegram.sa != request.da:
-        return False
-    if request.function == _FDL_STATUS:
+        return telegram.kind is _SC and SERVICES[request.function].counted
+    if request.function is _FDL_STATUS:
         return not telegram.data and telegram.dsap is telegram.ssap is None
     if telegram.ssap == request.dsap and telegram.dsap == request.ssap:
         return True

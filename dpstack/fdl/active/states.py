@@ -244,6 +244,13 @@ class StateMachine:
         self.enter(USE_TOKEN)
         self.row[HOLD](NONE, now)
 
+    def check(self, now: int) -> None:
+        """Choose the next telegram of this token hold."""
+        self.state = CHECK_ACCESS_TIME
+        self.row = row = self.rows[CHECK_ACCESS_TIME]
+        self.deadline = NEVER
+        row[CHECK](NONE, now)
+
     def telegram(self, telegram: Telegram, now: int) -> None:
         """Classify ``telegram`` for this station and run the handler of that input."""
         ts, fc = self.ts, telegram.fc
@@ -257,7 +264,7 @@ class StateMachine:
             else:
                 status = fc & (FC_FUNCTION | 0x80) == Req.FDL_STATUS
                 what = STATUS_REQUEST if status else REQUEST_TO_ME
-        elif telegram.kind == _SC:
+        elif telegram.kind is _SC:
             what = RESPONSE
         elif telegram.da > MAX_STATION or telegram.sa > MAX_STATION:
             what = ACTIVITY  # no master can have such an address: a damaged token

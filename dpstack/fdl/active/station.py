@@ -6,8 +6,10 @@ It receives octets or whole telegrams, classifies them, and runs the handler tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
+
+from msgspec.structs import replace
 
 from dpstack.errors import UsageError
 from dpstack.fdl.active.admission import Admission
@@ -145,8 +147,7 @@ class ActiveStation:
     # --- receiving ----------------------------------------------------------------------------------------------
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets from the line (machine contract)."""
-        machine = self._machine
-        if machine.state is OFFLINE:
+        if self._machine.state is OFFLINE:
             return
         exact, pending, decoder = self._times.exact, self._pending, self._decoder
         first_at = -1 if pending else now
@@ -156,10 +157,10 @@ class ActiveStation:
         self._line.octets_ended(now, first_at, decoder.stall_at() if pending else 0, exact)
         if len(found) > _FLOOD:
             found = self._without_flood(found)
-        for telegram in found:
-            self._process(telegram, now)
-        if not found:
-            machine.row[ACTIVITY](NONE, now)
+        if found:
+            self._process(found, now)
+        else:
+            self._machine.row[ACTIVITY](NONE, now)
 
     def _without_flood(self, found: list[Telegram]) -> list[Telegram]:
         """``found`` with at most two SC in a row; the others count as stray.
@@ -185,15 +186,17 @@ class ActiveStation:
         """A whole telegram (see BusStation)."""
         if self._machine.state is not OFFLINE:
             self._line.telegram_ended(now)
-            self._process(telegram, now)
+            self._process((telegram,), now)
 
-    def _process(self, telegram: Telegram, now: int) -> None:
-        self.stats.heard += 1
-        if self.wire is not None:
-            octets = _octets(telegram)
-            sender = str(telegram.sa) if telegram.sa >= 0 else None
-            self.wire(WireEntry(now - chars_to_ns(len(octets), self.baud), now, octets, sender))
-        self._machine.telegram(telegram, now)
+    def _process(self, found: Iterable[Telegram], now: int) -> None:
+        machine, stats = self._machine, self.stats
+        for telegram in found:
+            stats.heard += 1
+            if self.wire is not None:
+                octets = _octets(telegram)
+                sender = str(telegram.sa) if telegram.sa >= 0 else None
+                self.wire(WireEntry(now - chars_to_ns(len(octets), self.baud), now, octets, sender))
+            machine.telegram(telegram, now)
 
     # --- time and sending ---------------------------------------------------------------------------------------
     def wake_at(self) -> int:
@@ -213,8 +216,7 @@ class ActiveStation:
         if self._pending and now >= self._decoder.stall_at():
             found = self._decoder.stalled(now)
             self._line.end_arrival()
-            for telegram in found:
-                self._process(telegram, now)
+            self._process(found, now)
         line, machine, users = self._line, self._machine, self._users
         if line.tx is None and machine.deadline <= now and line.busy_until <= now:
             machine.timeout(now)
@@ -227,11 +229,11 @@ class ActiveStation:
         octets = line.tx
         if octets is None or now < line.idle_since + line.gate_ns or now < line.busy_until:
             return None
-        exchange = self._exchange
-        if now - exchange.made_at > _LATE_NS and exchange.is_outdated(now):
-            exchange.drop_outdated(now)
+        if now - self._exchange.made_at > _LATE_NS and self._exchange.is_outdated(now):
+            self._exchange.drop_outdated(now)
             return None
-        line.taken(now)
+        line.tx = None
+        line.taken_at = now
         self._sending = octets
         return octets
 
@@ -242,7 +244,8 @@ class ActiveStation:
         if self.wire is not None:
             self.wire(WireEntry(line.taken_at, at, self._sending, str(self.address)))
         at += self._times.patience.sending_ns  # an answer ends this time, silence does not
-        line.sending_ends(at)
+        line.idle_since = at
+        line.after_ns = line.t_id1_ns
         self._machine.row[SENT](NONE, at)
 
     @property
@@ -265,13 +268,14 @@ class ActiveStation:
     # --- events and commands ------------------------------------------------------------------------------------
     def take_events(self) -> list[Event]:
         """The station's events, then its users'."""
-        events: list[Event] = []
-        if self._events:
-            events += self._events
-            self._events.clear()
+        events = self._events
         for user in self._users.all:
             events += user.take_events()
-        return events
+        if not events:
+            return []
+        taken = events.copy()
+        events.clear()
+        return taken
 
     def command(self, command: object, now: int) -> None:
         """GoOnline, GoOffline, AttachUser, DetachUser, LineDown, LineUp; all else goes to the users, or UsageError."""
@@ -326,7 +330,7 @@ class ActiveStation:
 def _octets(telegram: Telegram) -> bytes:
     """The octets of a received telegram. The codec encodes no SD3 and no LE = 3: SD2 and SD1 with another head."""
     if telegram.kind is Kind.SD3:
-        return b"\xa2" + encode(telegram._replace(kind=Kind.SD2))[4:]
+        return b"\xa2" + encode(replace(telegram, kind=Kind.SD2))[4:]
     if telegram.empty_le3:
-        return b"\x68\x03\x03\x68" + encode(telegram._replace(kind=Kind.SD1))[1:]
+        return b"\x68\x03\x03\x68" + encode(replace(telegram, kind=Kind.SD1))[1:]
     return encode(telegram)

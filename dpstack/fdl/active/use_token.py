@@ -13,7 +13,7 @@ from dpstack.fdl.active.las_gap import Gap
 from dpstack.fdl.active.listen_idle_claim import Waiting
 from dpstack.fdl.active.parts import Awaiting, Parts
 from dpstack.fdl.active.pass_token import TokenPass
-from dpstack.fdl.active.states import AWAIT_STATUS_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
+from dpstack.fdl.active.states import AWAIT_STATUS_RESPONSE, NONE, USE_TOKEN
 from dpstack.fdl.codec import encode_sd1
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, LinkUser, Request
@@ -157,11 +157,7 @@ class TokenHold(Parts):
         for user in self.users.all:
             user.token_received(now)
         self.users.update_due()
-        self._go_on(now)
-
-    def _go_on(self, now: int) -> None:
-        self.machine.enter(CHECK_ACCESS_TIME)
-        self.machine.row[CHECK](NONE, now)
+        self.machine.check(now)
 
     def check(self, _: Telegram, now: int) -> None:
         """Choose the next telegram: high priority once even after T_TH, others within T_TH, then GAP, then token."""
@@ -208,7 +204,7 @@ class TokenHold(Parts):
         """A user got an order: if the station keeps the token for a cycle, choose the next telegram anew."""
         machine = self.machine
         if machine.state is USE_TOKEN and self.line.tx is None and machine.deadline != NEVER:
-            self._go_on(now)
+            machine.check(now)
 
     def sent(self, _: Telegram, at: int) -> None:
         """A request or a GAP poll is on the line; its last bit at ``at``."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
+from msgspec.structs import replace
 from ring_bus import ListUser, RingBus, Sent
 
 from dpstack.fdl.active.services import answers
@@ -91,7 +92,7 @@ def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
 
 @pytest.mark.parametrize("mode", ["whole", "octets", "chunk"])
 def test_a_late_answer_is_not_taken_for_that_of_another_station(mode: str) -> None:
-    bus, user, station = bus_with(Slave((330, DX_ANSWER)), DX, DX._replace(da=4), mode=mode)
+    bus, user, station = bus_with(Slave((330, DX_ANSWER)), DX, replace(DX, da=4), mode=mode)
     bus.run_ms(20)
     assert user.outcomes == [Failure.NO_ANSWER, Failure.NO_ANSWER]
     assert station.stats.late == 1
@@ -102,7 +103,7 @@ def test_a_late_answer_is_not_taken_for_that_of_another_station(mode: str) -> No
     ("requests", "delays", "got"),
     [
         # request 2 is answered 3 ms late: it arrives after request 3 was sent and before the answer to that one
-        ([DX._replace(retry=False)] * 8, {2: 1340, 3: 200}, [0, 1, None, 3, 4, 5, 6, 7]),
+        ([replace(DX, retry=False)] * 8, {2: 1340, 3: 200}, [0, 1, None, 3, 4, 5, 6, 7]),
         # 2 is late; its repetition (3) is answered while 4, the next request, waits; the answer to 4 follows
         ([DX] * 6, {2: 1350, 3: 350, 4: 250}, [0, 1, 2, 4, 5, 6]),
     ],
@@ -142,7 +143,7 @@ def test_a_station_that_answered_late_gets_more_slack() -> None:
         if answer_at == NEVER and asked == len(user.results):
             asked += 1
             answers_now = asked <= 3
-            user.high = [DIAG._replace(restart=True)]
+            user.high = [replace(DIAG, restart=True)]
         now = max(now, min(due, answer_at))
         chunk = b""
         if answer_at <= now:
@@ -260,7 +261,7 @@ def test_two_answers_to_every_request_are_those_of_two_stations(answer: bytes) -
 
 
 def test_answers_that_are_late_are_no_second_stations() -> None:
-    bus, slave = asked_often(DX_ANSWER, DX, DX._replace(da=4), delay=330)  # T_SL is 200; nobody has address 4
+    bus, slave = asked_often(DX_ANSWER, DX, replace(DX, da=4), delay=330)  # T_SL is 200; nobody has address 4
     bus.run_ms(100)
     assert len(slave.heard) > 50
     assert bus.stations[0].stats.late > 20

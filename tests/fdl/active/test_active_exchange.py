@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
+from msgspec.structs import replace
 from ring_bus import ListUser, ring_of
 
 from dpstack.fdl.active.states import State
@@ -70,7 +71,7 @@ def test_an_answer_may_begin_until_t_sl_is_over(mode: str) -> None:
         ([DX_ANSWER, None, None, DX_ANSWER], [DX] * 4, "6D 5D 5D 6D 5D", [True, False, True, True], 1),
         (
             [DX_ANSWER, None],
-            [DX, DX._replace(retry=False), DX, DX._replace(restart=True)],
+            [DX, replace(DX, retry=False), DX, replace(DX, restart=True)],
             "6D 5D 6D 6D",
             [True, False, True, True],
             0,

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import pytest
 from exchange_kit import DX, DX_ANSWER, Slave, bus_with
+from msgspec.structs import replace
 from ring_bus import ListUser, RingBus, ring_of
 
 from dpstack.fdl.active.cycle_window import CycleWindow
@@ -115,7 +116,7 @@ def test_whether_the_station_is_alone_is_read_with_each_token() -> None:
 # --- the guard -------------------------------------------------------------------------------------------------------
 def test_the_guard_refuses_and_tells_each_reason_once() -> None:
     bus = RingBus()
-    user = ListUser(high=[DX, SDN, DX, DX._replace(da=4)])
+    user = ListUser(high=[DX, SDN, DX, replace(DX, da=4)])
     params = BusParams.preset(500_000, address=2, gap=0)
 
     def guard(request: Request) -> str | None:
@@ -174,7 +175,7 @@ def test_an_order_is_sent_at_once_in_a_hold_that_waits_for_its_cycle() -> None:
     window.begin(bus.now + 300 * BIT)
     bus.until(station, State.USE_TOKEN)
     seen = len(bus.log)
-    user.high = [SDN._replace(cyclic=True)]
+    user.high = [replace(SDN, cyclic=True)]
     bus.command(station, "mine")
     bus.run_bits(80)
     assert bus.log[seen].octets[0] == 0x68
@@ -191,7 +192,7 @@ def test_a_request_that_runs_into_the_cycle_is_held_back() -> None:
     bus.run_bits(90)
     assert user.outcomes == [Failure.HELD_BACK]
     assert window.held_back == 1
-    user.high = [DX._replace(cyclic=True)]
+    user.high = [replace(DX, cyclic=True)]
     bus.run_ms(5)
     assert user.starts[0][0].cyclic
 
@@ -583,7 +584,7 @@ def test_a_request_older_than_a_millisecond_is_asked_whether_it_is_still_good(la
         calls.append(now)
         return True
 
-    bus, _, station = bus_with(Slave(), DX._replace(still=still))
+    bus, _, station = bus_with(Slave(), replace(DX, still=still))
     bus.until(station, State.USE_TOKEN)
     made_at = station._exchange.made_at
     station.take_tx(made_at + late_ns)

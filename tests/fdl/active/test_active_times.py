@@ -96,7 +96,7 @@ def test_an_edge_and_the_telegram_behind_it() -> None:
     assert state_of(line) == (190, 150, 0, T_ID1)
     line.telegram_ended(250)  # without an edge: its begin is not known
     assert state_of(line) == (250, 250, 0, T_ID1)
-    line.sending_ends(400)  # known in advance
+    line.idle_since = 400  # the end of its own transmission, known in advance
     line.edge(390, 60)
     assert state_of(line) == (400, 390, 450, T_ID1)
     line.telegram_ended(395)
@@ -155,13 +155,9 @@ def test_gates() -> None:
     assert (line.tx, line.gate_ns) == (b"\xdc\x09\x04", T_ID2)
     line.reply(b"\x10")
     assert (line.tx, line.gate_ns) == (b"\x10", 11 * BIT)
-    line.taken(77)
-    assert (line.tx, line.taken_at) == (None, 77)
     line.queue(b"\x10")
     line.drop()
     assert line.tx is None
-    line.sending_ends(500)
-    assert (line.idle_since, line.after_ns) == (500, T_ID1)
 
 
 # --- users -----------------------------------------------------------------------------------------------------------
