@@ -79,8 +79,10 @@ class Plant:
         params = BusParams.preset(baud, address=FIRST_MASTER, hsa=HSA, gap=1)
         shares = [setups[n::masters] for n in range(masters)]
         figures = Figures(params, shares[0], others=OtherMasters(alike=masters - 1))
-        # the GAP is polled in nearly every rotation, so that a master that was dropped is let in again soon
-        self.params = params = params.replace(t_tr=figures.t_tr_needed)
+        # the GAP is polled in nearly every rotation, so that a master that was dropped is let in again soon: T_TR has
+        # room for the rounds, and none for acyclic services, which nobody orders here
+        normal = figures.rotations[Case.NORMAL]
+        self.params = params = params.replace(t_tr=normal.work + normal.hold)
         self.rotation_ns = figures.ns(Case.TYPICAL)
         self.longest_ns = figures.ns(Case.LONGEST)
         self.watchdog_ns = figures.watchdog_ms() * MS

@@ -48,12 +48,13 @@ def _t_tr(figures: Figures) -> Iterable[str]:
     needed, given = figures.t_tr_needed, figures.params.t_tr
     if given >= needed:
         return
-    at, normal, others = baud_text(figures.params.baud), figures.rotations[Case.NORMAL], figures.others.count
+    at, others = baud_text(figures.params.baud), figures.others.count
     beside = f" with {others} other master{'s' * (others > 1)}" if others else ""
     effect = "the others come in between, and its rotation can double" if others else "which costs a token each"
     yield (
-        f"t_tr = {given} is too small: the longest normal round takes {normal.work} bit times at {at}{beside}, and "
-        f"T_TH = T_TR - T_RR must leave time for a whole hold after it, else a round takes several holds ({effect}); "
+        f"t_tr = {given} is too small: the longest normal round and one acyclic service of each master take "
+        f"{figures.normal_with_services} bit times at {at}{beside}, and T_TH = T_TR - T_RR must leave time for a whole "
+        f"hold after them, else a round takes several holds ({effect}); "
         f"leave t_tr out, or set it to {needed} or more{' on all masters' if others else ''}"
     )
 

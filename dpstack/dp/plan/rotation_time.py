@@ -191,14 +191,21 @@ class Figures:
         return (self.params.max_retry + 1) * (self.params.ns(self.params.t_sl) + slack) if slack else 0
 
     @property
-    def t_tr_needed(self) -> int:
-        """T_TR in bit times with which every master can end its longest normal round in each hold.
+    def normal_with_services(self) -> int:
+        """The longest normal rotation in bit times with one acyclic service in the hold of every master."""
+        return self.rotations[Case.NORMAL].work + (1 + self.others.count) * self.acyclic_bits
 
-        T_TH is T_TR - T_RR: after a full token rotation there must be time left for the longest hold of all.
+    @property
+    def t_tr_needed(self) -> int:
+        """T_TR in bit times with which every master can end its longest normal round and one acyclic service in each
+        hold.
+
+        T_TH is T_TR - T_RR: after a full token rotation there must be time left for the longest hold of all. The
+        service of another master is as long as the longest of this one.
         """
         normal = self.rotations[Case.NORMAL]
         longest = max(normal.hold, *(bits - normal.token for bits in self.others.rounds), 0)
-        return min(normal.work + longest, MAX_T_TR)
+        return min(self.normal_with_services + longest + self.acyclic_bits, MAX_T_TR)
 
     @property
     def t_tr_preset(self) -> int:

@@ -99,7 +99,7 @@ def test_a_t_tr_that_is_too_small_for_all_masters() -> None:
     needed = plan_bus(config("other_masters = [4.0]\n")).figures.t_tr_needed
     assert plan_bus(config(f"other_masters = [4.0]\nt_tr = {needed}\n")).findings == ()
     (finding,) = plan_bus(config(f"other_masters = [4.0]\nt_tr = {needed - 1}\n")).findings
-    assert finding.startswith(f"t_tr = {needed - 1} is too small: the longest normal round takes ")
+    assert finding.startswith(f"t_tr = {needed - 1} is too small: the longest normal round and one acyclic service ")
     assert "with 1 other master, and T_TH = T_TR - T_RR" in finding
     assert finding.endswith(f"leave t_tr out, or set it to {needed} or more on all masters")
 

@@ -83,8 +83,9 @@ def test_other_masters_for_people(cli: Cli, tmp_path: Path) -> None:
     path.write_text(text.replace("baud = 1500000\n", "baud = 1500000\nother_masters = 1\n"), encoding="utf-8")
     out = cli.out("plan", str(path))
     # the longest normal round, by hand: data at max T_SDR 150, a diagnosis of 244 octets, Global_Control and T_ID2, a
-    # silent GAP poll; both masters' with their tokens, and one more
+    # silent GAP poll, a Write of 240 octets; both masters' with their tokens, and one more
     hold = 5 * (143 + 150 + 143 + 37) + (121 + 150 + 255 * 11 + 37) + (143 + 150) + 366
+    hold += 255 * 11 + 150 + 15 * 11 + 37
     needed = 2 * (hold + 70) + hold
     assert f"1 other master: a T_TR of {needed} or more on all of them, then each sees this rotation" in out
 

@@ -159,14 +159,17 @@ def _others(params: BusParams, plants: Sequence[list[SlaveParams]], own: int, ca
 def hold(world: World, counts: Sequence[int], t_tr: int | None, t_sdr: int) -> None:
     """Within the longest rotation of the plan, and every slave's service has its turn: one request for each hold.
 
-    Where T_TR has room for a service in every hold too, no round goes over two holds, and nothing is repeated here: all
-    normal rounds and their services. Where not, the other masters may come in between once more.
+    With the T_TR that the plan needs there is room for a service in every hold, so no round goes over two holds, and
+    nothing is repeated here: all normal rounds and their services. With less the other masters may come in between once
+    more.
     """
     began = world.now
     masters, planned = ring(world, counts, t_tr, t_sdr)
     normal = [rotation(each.params, each.slaves, Case.NORMAL) for each in masters]
     loaded = [(r.bits + p.acyclic_bits, r.hold + p.acyclic_bits) for r, p in zip(normal, planned, strict=True)]
     everybody, longest_hold = sum(bits for bits, _ in loaded), max(hold for _, hold in loaded)
+    if t_tr is None:
+        assert masters[0].params.t_tr == everybody + longest_hold
     for each, plan in zip(masters, planned, strict=True):
         longest = plan.ns(Case.LONGEST)
         if each.params.t_tr >= everybody + longest_hold:
@@ -175,8 +178,8 @@ def hold(world: World, counts: Sequence[int], t_tr: int | None, t_sdr: int) -> N
             bound = longest + each.params.ns(plan.rotations[Case.LONGEST].others)
         assert 0 < each.master.rotation.max_ns <= bound
         assert all(done.outcome.failure is None for done in each.done)
-        # all slaves in turn, a service in one of two rounds at the least: where T_TR is no more than needed, what small
-        # masters spend beside their few slaves is taken from the hold of a large one
+        # all slaves in turn, a service in one of two rounds at the least: where T_TR is too small, what small masters
+        # spend beside their few slaves is taken from the hold of a large one
         assert each.longest_wait(max(began, world.now - S), world.now) <= 2 * (len(each.slaves) + 1) * longest
         assert each.exchanging
 
@@ -189,9 +192,19 @@ def test_beside_other_masters_with_traffic_of_their_own(
     hold(world(), counts, t_tr, 11)
 
 
+COUNTS: Final = [1, 8, 1, 1]
+
+
+def normal_rounds() -> int:
+    """All normal rounds of COUNTS and once more the longest, without room for services."""
+    params = BusParams.preset(BAUD, gap=10, hsa=2 + len(COUNTS))
+    rounds = [rotation(params, setups(20, count), Case.NORMAL) for count in COUNTS]
+    return sum(each.bits for each in rounds) + max(each.hold for each in rounds)
+
+
 def test_a_round_over_two_holds_is_longer_than_the_longest_in_one(world: WorldFactory) -> None:
     """A large master between small ones, T_TR without room for their services: they come in between once more."""
-    masters, planned = ring(world(), [1, 8, 1, 1], None, 100)
+    masters, planned = ring(world(), COUNTS, normal_rounds(), 100)
     large, plan = masters[1], planned[1]
     others = large.params.ns(plan.rotations[Case.LONGEST].others)
     assert plan.ns(Case.LONGEST) < large.master.rotation.max_ns <= plan.ns(Case.LONGEST) + others
@@ -199,8 +212,8 @@ def test_a_round_over_two_holds_is_longer_than_the_longest_in_one(world: WorldFa
 
 @pytest.mark.soak
 @examples(4)
-@example([1, 8, 1, 1], None, 100)
-@example([1, 8, 1, 1], 31_966, 100)  # room for a service of each, and one more
+@example(COUNTS, None, 100)
+@example(COUNTS, normal_rounds(), 100)
 @given(
     st.lists(st.integers(1, 8), min_size=2, max_size=4), st.sampled_from((None, 50_000, 100_000)), st.integers(11, 100)
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dpstack.dp.plan.plan import make_plan
-from dpstack.dp.plan.rotation_time import Case, Figures, rotation
+from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_US
@@ -125,8 +125,19 @@ def test_t_tr_is_the_tables_unless_the_round_needs_more() -> None:
     many = [slave(n, "FF FF FF FF") for n in range(3, 100)]
     normal = rotation(params(), many, Case.NORMAL).bits
     assert normal > 100_000
+    acyclic = 255 * 11 + 100 + 15 * 11 + 37  # a Write of 240 octets, its answer has four
     # after a whole token rotation there must be time left for a whole hold: all but the token (33) and T_ID1 (37)
-    assert Figures(params(), many).t_tr_preset == normal + normal - 70
+    assert Figures(params(), many).t_tr_preset == (normal + acyclic) + (normal + acyclic - 70)
+
+
+def test_t_tr_counts_an_acyclic_service_of_every_master() -> None:
+    acyclic = 255 * 11 + 100 + 15 * 11 + 37
+    normal = rotation(params(), [slave()], Case.NORMAL).bits
+    hold = normal - 70
+    assert Figures(params(), [slave()]).t_tr_needed == normal + acyclic + hold + acyclic
+    assert Figures(params(), [slave()], OtherMasters(alike=2)).t_tr_needed == 3 * (normal + acyclic) + hold + acyclic
+    listed = Figures(params(), [slave()], OtherMasters(rounds=(10_000, 500)))
+    assert listed.t_tr_needed == normal + 10_500 + 3 * acyclic + (10_000 - 70) + acyclic
 
 
 def test_finding_watchdog_shorter_than_the_longest_rotation() -> None:
