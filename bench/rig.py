@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from statistics import median
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 from bench.calibration import calibrate_python
 from bench.losses import stolen_ns, story
@@ -145,6 +145,10 @@ class Process:
     @property
     def pid(self) -> int:
         return self._process.pid
+
+    def waited(self) -> int:
+        """Time in ns that it and its children have waited in run queues so far."""
+        return sum(map(_waited_of, _family(self.pid)))
 
     def order(self, text: str) -> None:
         assert self._process.stdin is not None
@@ -280,7 +284,7 @@ class Bench:
         return sum(of(pid) for pid in _family(self._master.pid))
 
     def _waited(self) -> int:
-        return self._sum(_waited_of) + _waited_of(self._wire.pid)
+        return self._master.waited() + self._wire.waited()
 
     def _turns(self, since: int, until: int) -> tuple[list[int], list[int]]:
         turns: list[int] = []
@@ -468,7 +472,14 @@ def _waited_of(pid: int) -> int:
     return waited
 
 
-def note_disturbance(report: Report, taken: Iterable[Taken], where: str = "") -> None:
+class Waited(Protocol):
+    """A measurement that knows the share of the time in which another program had its processors."""
+
+    @property
+    def waited(self) -> float: ...
+
+
+def note_disturbance(report: Report, taken: Iterable[Waited], where: str = "") -> None:
     """Say in ``report`` when other programs had the processors; for a good part of the time: goals are not judged."""
     shares = [t.waited for t in taken]
     share = median(shares) if shares else 0.0

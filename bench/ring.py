@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS, RING_KIND
-from bench.report import Report, quantile
-from bench.rig import MasterFailedError, Process, Processors, available, pinned
+from bench.report import Report, Table, quantile
+from bench.rig import MasterFailedError, Process, Processors, available, note_disturbance, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
@@ -40,6 +40,8 @@ _COMPILERS: Final = ("cc", "gcc", "clang")
 #: share of tokens that are answered within T_SL where two bare loops hold the ring
 _IN_TIME: Final = 0.5
 _SETTLE_S: Final = 0.5
+_LOOPS: Final = "two bare loops"
+_COLUMNS: Final = ("rotations", "efficiency", "lost", "repeats", "collisions", "after T_SL", "p50", "p99")
 
 
 class Ring(NamedTuple):
@@ -55,6 +57,7 @@ class Ring(NamedTuple):
     repeats: int
     collisions: int
     exchanges: int
+    waited: float = 0.0  # share of the time in which one of them could have run, and another program had its processor
 
     @property
     def efficiency(self) -> float:
@@ -71,7 +74,7 @@ class Ring(NamedTuple):
         return bool(self.rotations) and not self.lost and self.late <= (1 - _IN_TIME) * self.tokens
 
 
-def ring_of(counted: dict[str, Any]) -> Ring:
+def ring_of(counted: dict[str, Any], waited: float = 0.0) -> Ring:
     """What the segment has counted."""
     return Ring(
         counted["took_ns"],
@@ -84,6 +87,7 @@ def ring_of(counted: dict[str, Any]) -> Ring:
         counted["repeats"],
         counted["collisions"],
         counted["exchanges"],
+        waited,
     )
 
 
@@ -101,10 +105,12 @@ def run(argv: list[str]) -> Report:
         program = compiled(Path(folder))
         report.notes.append(f"both masters share a processor: {where.text}")
         kinds = available(args.kinds, report.notes)
+        bauds = sorted(args.bauds)
+        report.tables.append(Table(_LOOPS, _COLUMNS, tuple(map(baud_text, bauds))))
         held = 0
-        for baud in sorted(args.bauds):
+        for baud in bauds:
             one = measure(program, RING_KIND, baud, args.slaves, args.seconds, where)
-            _add(report, f"{baud_text(baud)}, two bare loops", [one], baud)
+            _add(report, report.tables[0], baud_text(baud), [one])
             held = baud if one.holds else held
         report.add("highest rate that two bare loops hold", held / 1e6, "Mbit/s", more=True)
         if not held:
@@ -118,33 +124,47 @@ def run(argv: list[str]) -> Report:
     return report
 
 
-def _add(report: Report, title: str, taken: Sequence[Ring], baud: int) -> None:
-    report.measured(f"{title}: rotations a second", [each.per_second for each in taken], "1/s", more=True)
-    report.measured(f"{title}: efficiency", [each.efficiency for each in taken], "ratio", more=True)
-    report.measured(f"{title}: tokens lost", [float(each.lost) for each in taken], "")
-    report.measured(f"{title}: requests repeated", [float(each.repeats) for each in taken], "")
-    report.measured(f"{title}: collisions", [float(each.collisions) for each in taken], "")
-    params = BusParams.preset(baud)
-    slot = f"answered after T_SL ({params.ns(params.t_sl) / 1000:.0f} us)"
-    report.measured(f"{title}: share of tokens {slot}", [each.late / max(each.tokens, 1) for each in taken], "")
-    for q in (0.5, 0.99):
-        answers = [quantile(each.answers, q) / 1000 for each in taken if each.answers]
-        report.measured(f"{title}: token answered after p{q * 100:.0f}", answers, "us")
+def _add(report: Report, table: Table, row: str, taken: Sequence[Ring]) -> None:
+    columns: dict[str, tuple[Sequence[float], str]] = {
+        "rotations": ([each.per_second for each in taken], "1/s"),
+        "efficiency": ([each.efficiency for each in taken], "ratio"),
+        "lost": ([float(each.lost) for each in taken], ""),
+        "repeats": ([float(each.repeats) for each in taken], ""),
+        "collisions": ([float(each.collisions) for each in taken], ""),
+        "after T_SL": ([each.late / max(each.tokens, 1) for each in taken], "ratio"),
+        "p50": ([quantile(each.answers, 0.5) / 1000 for each in taken if each.answers], "us"),
+        "p99": ([quantile(each.answers, 0.99) / 1000 for each in taken if each.answers], "us"),
+    }
+    for column, (values, unit) in columns.items():
+        report.measured(table.name(row, column), values, unit, more=column in ("rotations", "efficiency"))
 
 
 def compared(report: Report, runs: dict[str, list[Ring]], baud: int) -> None:
-    """At the rate that two bare loops hold: the drivers beside them, round by round."""
-    at = f"ring at {baud_text(baud)}"
+    """Add the drivers at the rate that two bare loops hold, beside these, round by round."""
     bare = runs[RING_KIND]
-    for kind, taken in runs.items():
-        ours = kind in DRIVERS
-        title = f"{at}, {f'two masters, {kind}' if ours else 'two bare loops'}"
-        _add(report, title, taken, baud)
-        if ours:
+    rows = tuple(_LOOPS if kind == RING_KIND else kind for kind in runs)
+    table = Table(f"ring at {baud_text(baud)}", _COLUMNS, rows)
+    report.tables.append(table)
+    held = not any(each.lost for each in bare)
+    if not held:
+        report.notes.append(
+            f"no verdict: two bare loops lost {sum(each.lost for each in bare)} tokens in the same rounds"
+        )
+    whole = [float(not each.lost) for each in bare]
+    report.add("two bare loops: share of rounds without a lost token", sum(whole) / len(whole), "", more=True)
+    for row, (kind, taken) in zip(rows, runs.items(), strict=True):
+        _add(report, table, row, taken)
+        if kind in DRIVERS:  # whatever the rate is, for comparisons of runs
+            lost = float(sum(each.lost for each in taken))
+            report.add(f"two masters, {kind}: tokens lost", lost, "", 0.0 if held else None)
             ratios = [each.efficiency / its.efficiency for each, its in zip(taken, bare, strict=True)]
-            # whatever the rate is, for comparisons of runs
-            report.add(f"two masters, {kind}: tokens lost", float(sum(each.lost for each in taken)), "", 0.0)
             report.measured(f"two masters, {kind}: efficiency to two bare loops'", ratios, "ratio", more=True)
+    note_disturbance(report, (each for taken in runs.values() for each in taken))
+    report.notes.append(
+        "rotations a second; lost: tokens; repeats: of requests; after T_SL: share of the tokens that nobody had "
+        f"answered then ({BusParams.preset(baud).ns(BusParams.preset(baud).t_sl) / 1000:.0f} us at {baud_text(baud)}); "
+        "p50, p99: us from a token's end to the next telegram"
+    )
 
 
 # --- the segment ---
@@ -224,8 +244,11 @@ def measure(program: Path, kind: str, baud: int, slaves: int, seconds: float, wh
                 raise MasterFailedError(f"{kind}, two masters at {baud_text(baud)}: {why}")
         time.sleep(min(_SETTLE_S, seconds))
         wire.order("begin")
+        waited = sum(process.waited() for process in (wire, *masters))
         time.sleep(seconds)
-        taken = ring_of(counted(wire))
+        data = counted(wire)
+        waited = sum(process.waited() for process in (wire, *masters)) - waited
+        taken = ring_of(data, waited / data["took_ns"])
         told = [fact for master in masters for fact in master.end()]
         if told:
             raise MasterFailedError(f"{kind}, two masters at {baud_text(baud)}: {told[0].get('error', told[0])}")

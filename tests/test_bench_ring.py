@@ -61,8 +61,27 @@ def test_masters_are_judged_by_two_bare_loops_of_the_same_round() -> None:
     lost = figures["two masters, process: tokens lost"]
     assert (lost.value, lost.met) == (3, False)
     assert figures["ring at 12 Mbit/s, two bare loops: efficiency"].value == pytest.approx(0.4)
-    late = figures["ring at 12 Mbit/s, two masters, process: share of tokens answered after T_SL (83 us)"]
-    assert late.value == pytest.approx(0.05)
+    assert figures["ring at 12 Mbit/s, process: after T_SL"].value == pytest.approx(0.05)
+    assert any("83 us at 12 Mbit/s" in note for note in report.notes)
+    assert [line.split()[:3] for line in report.as_text().splitlines() if line.startswith("  process")] == [
+        ["process", "10000.00", "0.30"]
+    ]
+
+
+def test_where_two_bare_loops_lose_tokens_nobody_is_judged() -> None:
+    report = Report("ring")
+    bare = [ring_of(counts()), ring_of(counts(claims=2))]
+    compared(report, {RING_KIND: bare, "process": [ring_of(counts(claims=1))] * 2}, 12_000_000)
+    (lost,) = (figure for figure in report.figures if figure.name == "two masters, process: tokens lost")
+    assert (lost.value, lost.met) == (2, None)
+    assert report.notes[0] == "no verdict: two bare loops lost 2 tokens in the same rounds"
+
+
+def test_on_a_busy_computer_nobody_is_judged() -> None:
+    report = Report("ring")
+    taken = [ring_of(counts(), waited=0.3)]
+    compared(report, {RING_KIND: taken, "process": taken}, 12_000_000)
+    assert report.busy
 
 
 def test_the_highest_rate_is_that_of_two_bare_loops_and_masters_run_there(monkeypatch: pytest.MonkeyPatch) -> None:
