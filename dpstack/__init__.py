@@ -26,7 +26,6 @@ of them.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from typing import TYPE_CHECKING, Final
 
 from dpstack.namespaces import loader
@@ -208,9 +207,9 @@ params BusParams
 
 def _hint(name: str) -> str:
     """Where ``name`` is found instead; empty where it is unknown. (Python asks for names such as ``__path__``.)"""
-    if (
-        not name.startswith("_") and importlib.util.find_spec(f"dpstack.{name}") is None
-    ):  # else Python goes on to import it
+    from importlib.util import find_spec  # here, as it is for names that there are not
+
+    if not name.startswith("_") and find_spec(f"dpstack.{name}") is None:  # else Python goes on to import it
         for namespace in ("slave", "events"):
             if name in importlib.import_module(f"dpstack.{namespace}").__all__:
                 return f": it is dpstack.{namespace}.{name}"

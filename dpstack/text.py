@@ -8,7 +8,6 @@ All text leaves the program through :func:`printable` or :func:`json_text`. The 
 from __future__ import annotations
 
 import json
-import traceback
 import unicodedata
 from enum import IntEnum
 from typing import Final
@@ -47,6 +46,8 @@ def printable(text: str) -> str:
 
 def traceback_text(error: BaseException) -> str:
     """The traceback of ``error`` in lines of :func:`printable` text."""
+    import traceback  # here, as most programs have none to show
+
     return "\n".join(map(printable, "".join(traceback.format_exception(error)).split("\n"))).removesuffix("\n")
 
 

@@ -49,20 +49,36 @@ _COMMANDS = {
 _LISTENING = ("baud", "capture", "decode", "monitor", "wireshark")
 #: and in the room ``looking``
 _LOOKING = ("diag", "plot", "web", "why")
+_VERSION = "--version"
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback
 _DEBUG = "DPSTACK_DEBUG"
 
 
-def build_parser() -> Parser:
+class _Version(argparse.Action):
+    """Prints the version; argparse's own action would load what it needs to wrap lines."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(f"dpstack {__version__}")
+        parser.exit()
+
+
+def build_parser(words: Sequence[str] = ()) -> Parser:
+    """The parser of the program. Where the first of ``words`` is a command, the parsers of the others are left out."""
     parser = Parser(
         prog="dpstack",
         description="PROFIBUS-DP: a soft master, simulated slaves, and what belongs to them.",
         epilog="example: dpstack demo",
     )
-    parser.add_argument("--version", action="version", version=f"dpstack {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for name, text in _COMMANDS.items():
+    parser.add_argument(_VERSION, action=_Version, nargs=0, help="show program's version number and exit")
+    # with a prog, as argparse would ask the terminal for its width to make one
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND", required=True, parser_class=Parser, prog=parser.prog
+    )
+    first = words[0] if words else ""
+    named = [first] if first in _COMMANDS else [] if first == _VERSION else _COMMANDS
+    for name in named:
+        text = _COMMANDS[name]
         room = "listening" if name in _LISTENING else "looking" if name in _LOOKING else "commands"
         commands.add_parser(name, help=text, description=text).module = f"dpstack.cli.{room}.{name}"
     return parser
@@ -72,8 +88,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command. Returns the exit code."""
     output.fill()
     try:
-        args = build_parser().parse_args(argv)
-        return _execute(args)
+        words = sys.argv[1:] if argv is None else argv
+        return _execute(build_parser(words).parse_args(words))
     except KeyboardInterrupt:
         return _INTERRUPTED
 

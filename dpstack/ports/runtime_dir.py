@@ -1,7 +1,8 @@
 """The user's runtime directory for sockets and links of running programs, closed to other users.
 
 Another user who can replace a directory on the way there could pose as a program of ours. So :func:`open_own` opens
-each directory of the path from ``/`` on and checks its owner and mode.
+each directory of the path from ``/`` on and checks its owner and mode. Paths are texts: ``dpstack ctl`` loads no
+pathlib.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ import contextlib
 import errno
 import os
 import stat
-import tempfile
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.errors import PortError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 #: Windows has none of them, and no control socket
 _SAFELY: Final[int] = sum(getattr(os, flag, 0) for flag in ("O_DIRECTORY", "O_NOFOLLOW", "O_CLOEXEC"))
@@ -28,12 +30,14 @@ _MOST_LINKS: Final = 40
 _TODO: Final = "set XDG_RUNTIME_DIR to a directory that belongs to you, with mode 0700"
 
 
-def runtime_path(name: str) -> Path:
+def runtime_path(name: str) -> str:
     """``name`` in the user's runtime directory, else in the temporary directory with the user's id. Creates nothing."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and os.path.isdir(runtime):
-        return Path(os.path.abspath(runtime)) / name
-    return Path(tempfile.gettempdir()) / f"{name}-{os.geteuid()}"
+        return os.path.join(os.path.abspath(runtime), name)
+    import tempfile  # here, as it is needed without a runtime directory only
+
+    return os.path.join(tempfile.gettempdir(), f"{name}-{os.geteuid()}")
 
 
 def own_directory(path: Path) -> bool:
@@ -52,8 +56,9 @@ def own_directory(path: Path) -> bool:
     return True
 
 
-def open_own(path: Path, *, make: bool = False) -> int:
-    """Open the directory ``path`` below the runtime directory, if no other user can have created or can replace it.
+def open_own(path: str, *, make: bool = False) -> int:
+    """Open the directory ``path`` (absolute) below the runtime directory, if no other user can have created or can
+    replace it.
 
     Every directory from ``/`` on, and every symbolic link on the way, belongs to root or to this user; nobody else may
     write to one of these directories unless it is sticky. ``path`` itself is no link and is writable by this user only.
@@ -62,7 +67,7 @@ def open_own(path: Path, *, make: bool = False) -> int:
     Returns a file descriptor. Raises PortError that names the directory, its owner and what to do; OSError where a
     directory is missing or cannot be opened.
     """
-    left = list(reversed(path.parts[1:]))
+    left = list(reversed(_parts(path)))
     links = 0
     place, fd = "/", os.open("/", _PASS)
     try:
@@ -77,9 +82,9 @@ def open_own(path: Path, *, make: bool = False) -> int:
                 if exc.errno not in _LINK_ERRORS or links > _MOST_LINKS:
                     raise
                 target = _link_target(name, fd, os.path.join(place, name), last=last)
-                left += reversed(target.parts[1:] if target.is_absolute() else target.parts)
-                below = os.open("/" if target.is_absolute() else ".", _PASS, dir_fd=fd)
-                place = "/" if target.is_absolute() else place
+                left += reversed(_parts(target))
+                below = os.open("/" if os.path.isabs(target) else ".", _PASS, dir_fd=fd)
+                place = "/" if os.path.isabs(target) else place
             else:
                 place = os.path.normpath(os.path.join(place, name))
             os.close(fd)
@@ -89,6 +94,11 @@ def open_own(path: Path, *, make: bool = False) -> int:
         os.close(fd)
         raise
     return fd
+
+
+def _parts(path: str) -> list[str]:
+    """The names in ``path``, without ``.``."""
+    return [name for name in path.split("/") if name not in ("", ".")]
 
 
 def user_name(uid: int) -> str:
@@ -112,7 +122,7 @@ def _open(name: str, fd: int, flags: int, *, make: bool) -> int:
     return os.open(name, flags, dir_fd=fd)
 
 
-def _link_target(name: str, fd: int, place: str, *, last: bool) -> Path:
+def _link_target(name: str, fd: int, place: str, *, last: bool) -> str:
     """Where the symbolic link ``name`` leads. Raises PortError where it is none, or one that is not to be followed."""
     info = os.stat(name, dir_fd=fd, follow_symlinks=False)
     if last or not stat.S_ISLNK(info.st_mode):
@@ -120,7 +130,7 @@ def _link_target(name: str, fd: int, place: str, *, last: bool) -> Path:
         raise PortError(f"{place} is {kind}, and no directory of yours: remove it, or {_TODO}")
     if info.st_uid not in (0, os.geteuid()):
         raise PortError(f"{place} is a symbolic link of {user_name(info.st_uid)}, who may change it: {_TODO}")
-    return Path(os.readlink(name, dir_fd=fd))
+    return os.readlink(name, dir_fd=fd)
 
 
 def _check_owner(info: os.stat_result, place: str, *, last: bool = False) -> None:

@@ -12,7 +12,12 @@ from dpstack.api.control.socket_path import directory, socket_name
 
 def socket_of(name: str) -> Path:
     """The control socket of the program on the port ``name``."""
-    return directory() / socket_name(name)
+    return control_directory() / socket_name(name)
+
+
+def control_directory() -> Path:
+    """The directory of all control sockets."""
+    return Path(directory())
 
 
 class OctetClient:

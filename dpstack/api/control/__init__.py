@@ -6,6 +6,7 @@ program that reads it later (it was stopped, or busy) drops it. The answer is ``
 ``kind`` and ``drive``). Before the answer a long command sends any number of ``{"item": ...}``. The program answers
 the requests of one connection one after the other.
 
+- ``answers``: The fields of answers, by which a client checks them
 - ``arguments``: Parsers of command arguments: times, numbers, switches, octets
 - ``client``: The client's end of the control socket: finds a running program by its port and sends commands
 - ``commands``: Tables of the commands that running programs accept; ``Order``: a parsed command

@@ -7,9 +7,8 @@ import json
 import os
 import socket
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from pathlib import Path
 from time import monotonic_ns
-from typing import Any, Final, NotRequired, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from dpstack.api.control.errors import failure
 from dpstack.api.control.socket_path import Sockets, directory, names_of, os_errors, own_name, socket_name
@@ -17,6 +16,9 @@ from dpstack.errors import DpError, PortError, UsageError
 from dpstack.ports import posix
 from dpstack.ports.base import VIRTUAL
 from dpstack.units import s_to_ns
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 T = TypeVar("T")
 #: time-out of an answer
@@ -26,32 +28,6 @@ _CHUNK: Final = 65_536
 LONGEST_ANSWER: Final = 16_000_000
 #: nested brackets in an answer; those of dpstack have at most eight
 _MOST_LEVELS: Final = 32
-
-
-class Command(TypedDict):
-    """A command in :class:`Help`."""
-
-    command: str
-    args: str
-    text: str
-
-
-class Help(TypedDict):
-    """``help``: what the program is."""
-
-    kind: str
-    port: str
-    pid: int
-    commands: list[Command]
-    name: NotRequired[str]
-    config: NotRequired[str | None]
-
-
-class Item(TypedDict, total=False):
-    """An item before the result of a long command: its progress, a part of a long list."""
-
-    progress: tuple[str, int, int]
-    parameters: list[Any]
 
 
 def checked(value: object, kind: type[T], port: str, command: str) -> T:
@@ -112,6 +88,8 @@ class ControlClient:
             if "item" not in answer:
                 result = answer.get("result")
                 continue
+            from dpstack.api.control.answers import Item  # here and below, as most answers are not checked
+
             item = checked(answer["item"], Item, self.port, command)
             found.extend(item.get("parameters", ()))
             if progress is not None and "progress" in item:
@@ -123,7 +101,11 @@ class ControlClient:
         return result
 
     def help(self) -> Any:
-        """The description of the program, with the fields of :class:`Help`. Raises like :meth:`call`."""
+        """The description of the program, checked for the fields of :class:`~dpstack.api.control.answers.Help`. Raises
+        like :meth:`call`.
+        """
+        from dpstack.api.control.answers import Help
+
         found = self.call("help", kind=Help)
         self.pid = found["pid"]
         return found
@@ -274,7 +256,7 @@ def _help_of(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
             continue
         with (
             contextlib.suppress(OSError, DpError),
-            ControlClient(str(sockets.path / name), _open(sockets, name, 1.0)) as client,
+            ControlClient(os.path.join(sockets.path, name), _open(sockets, name, 1.0)) as client,
         ):
             found.append(client.help())
     return found

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from dpstack.errors import UsageError
@@ -25,8 +23,7 @@ class Order(NamedTuple):
     values: Mapping[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class Spec:
+class Spec(NamedTuple):
     """A command. ``usage`` names its arguments: ``NAME``, ``[NAME]`` is optional, ``NAME...`` one or more."""
 
     name: str
@@ -118,6 +115,8 @@ def find_word(word: str, known: Sequence[Spec], who: str = "a drive") -> Spec:
     names = [spec.name for spec in known]
     if word in names:
         return known[names.index(word)]
+    import difflib  # here and below, as most commands are right
+
     near = difflib.get_close_matches(word.lower().replace("-", "_"), names, n=1)
     hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(names)}"
     raise UsageError(f"{who} does not know {word!r}; {hint}")
@@ -131,6 +130,8 @@ def find(kind: str, specs: Iterable[Spec], name: str) -> Spec:
     who = [other for other, theirs in KINDS.items() if any(spec.name == name for spec in theirs)]
     if who:
         raise UsageError(f"{name} is a command of `dpstack {who[0]}`, this is a {kind}; it knows: {', '.join(known)}")
+    import difflib
+
     near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]}?" if near else f"it knows: {', '.join(known)}"
     raise UsageError(f"unknown command {name!r}; {hint}")

@@ -6,7 +6,6 @@ constructor, which are attributes of the error under the same names.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from typing import Final
 
@@ -54,6 +53,8 @@ def failure(answer: Mapping[str, object]) -> DpError:
 
 def _parameters(kind: type[DpError]) -> tuple[str, ...]:
     """The parameters of its constructor; none where it inherits that of Exception."""
+    import inspect  # here, as most commands do not fail
+
     return tuple(inspect.signature(kind).parameters) if inspect.isfunction(kind.__init__) else ()
 
 

@@ -7,9 +7,7 @@ belong to this user or to root, who can read and change everything anyway.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
-import hashlib
 import os
 import re
 import socket
@@ -17,7 +15,6 @@ import stat
 import struct
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from time import sleep
 from typing import Any, Final
 
@@ -43,7 +40,7 @@ _UCRED: Final = struct.Struct("iII")
 _PEERCRED: Final[int | None] = getattr(socket, "SO_PEERCRED", None) if sys.platform == "linux" else None
 
 
-def directory() -> Path:
+def directory() -> str:
     """The directory of all control sockets of this user; it need not exist."""
     return runtime_path("dpstack")
 
@@ -79,13 +76,19 @@ def virtual_name(number: int) -> str:
 def socket_name(name: str) -> str:
     """The file name of the socket ``name``: readable for runs on "virtual"; others are hashed, as a port is a path."""
     found = _VIRTUAL_NAME.fullmatch(name)
-    return (f"{VIRTUAL}-{found[1]}" if found else hashlib.sha256(os.fsencode(name)).hexdigest()[:16]) + SUFFIX
+    if found:
+        return f"{VIRTUAL}-{found[1]}{SUFFIX}"
+    import hashlib  # here, as runs on "virtual" need none
+
+    return hashlib.sha256(os.fsencode(name)).hexdigest()[:16] + SUFFIX
 
 
 def peer_uid(connection: socket.socket) -> int | None:
     """The user of the process at the other end of a Unix socket; None where the system does not tell it."""
     if _PEERCRED is not None:
         return int(_UCRED.unpack(connection.getsockopt(socket.SOL_SOCKET, _PEERCRED, _UCRED.size))[1])
+    import ctypes  # here, as Linux tells it without
+
     getpeereid = getattr(_libc(), "getpeereid", None)
     if getpeereid is None:
         return None
@@ -96,6 +99,8 @@ def peer_uid(connection: socket.socket) -> int | None:
 
 
 def _libc() -> Any:
+    import ctypes
+
     return ctypes.CDLL(None)
 
 
@@ -167,7 +172,7 @@ class Sockets:
         or the process behind it belongs to another user.
         """
         info = os.stat(name, dir_fd=self._fd)
-        where = self.path / name
+        where = os.path.join(self.path, name)
         if not stat.S_ISSOCK(info.st_mode) or not is_trusted(info.st_uid):
             raise PortError(
                 f"{where} is no socket of yours, it belongs to {user_name(info.st_uid)}: remove it, and find out who "
@@ -241,7 +246,7 @@ class Sockets:
         with contextlib.suppress(OSError):
             if os.path.samestat(os.stat(by_descriptor), os.fstat(self._fd)):
                 return f"{by_descriptor}/{name}"
-        path = str(self.path / name)
+        path = os.path.join(self.path, name)
         length = len(os.fsencode(path))
         if length > _LONGEST_PATH:
             raise PortError(

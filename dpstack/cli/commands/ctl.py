@@ -6,12 +6,16 @@ import argparse
 from collections.abc import Mapping
 from typing import Any, Final
 
-from dpstack.api.control.client import Help, connect
-from dpstack.api.control.commands import LIVE, TAP
+from dpstack.api.control.client import connect
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import UsageError
 
+#: commands that are streams of items without end, and the command for people instead
+_ENDLESS: Final = {
+    "tap": "to see the telegrams: dpstack capture --port {port}",
+    "live": "to see the plant: dpstack web CONFIG",
+}
 #: longest line (characters) in which an entry is shown whole
 _LINE: Final = 130
 
@@ -29,14 +33,11 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    if args.order == TAP.name:
-        raise UsageError(
-            f"tap goes on without end and is for programs; to see the telegrams: dpstack capture --port {args.port}"
-        )
-    if args.order == LIVE.name:
-        raise UsageError("live goes on without end and is for programs; to see the plant: dpstack web CONFIG")
+    if args.order in _ENDLESS:
+        instead = _ENDLESS[args.order].format(port=args.port)
+        raise UsageError(f"{args.order} goes on without end and is for programs; {instead}")
     with connect(args.port) as client:
-        result = client.call(args.order, *args.args, kind=Help if args.order == "help" else None)
+        result = client.help() if args.order == "help" and not args.args else client.call(args.order, *args.args)
     if args.json:
         output.json_line({"result": result})
     elif args.order == "help":

@@ -13,10 +13,8 @@ import contextlib
 import errno
 import io
 import os
-import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Final
 
@@ -36,12 +34,12 @@ _PLAIN: Final = {
 _DEGRADE: Final = "dpstack-degrade"
 
 
-@dataclass(slots=True)
 class Lost:
     """Why nothing can be written any more; ``on_lost`` is called at that moment."""
 
-    error: OSError | None = None
-    on_lost: Callable[[], None] | None = None
+    def __init__(self) -> None:
+        self.error: OSError | None = None
+        self.on_lost: Callable[[], None] | None = None
 
 
 lost: Final = Lost()
@@ -80,6 +78,8 @@ def lose(error: OSError) -> None:
 
 def hangup_is_ignored() -> bool:
     """Whether the program goes on without its terminal: under nohup, and on systems without SIGHUP."""
+    import signal  # here, as only a lost terminal asks for it
+
     number = getattr(signal, "SIGHUP", None)
     return number is None or signal.getsignal(number) is signal.SIG_IGN
 

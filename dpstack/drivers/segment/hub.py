@@ -381,7 +381,7 @@ class Segment:
                 self._lock_fd = os.open(self.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
             else:
                 missing = not os.path.exists(self.directory)
-                self._lock_fd = open_own(self.directory, make=True)
+                self._lock_fd = open_own(str(self.directory), make=True)
                 self._made_directory = missing
         except PortError as error:
             raise PortError(f"{error}: give another one with --dir") from None
@@ -444,4 +444,4 @@ def _remove_link(link: Path, target: str) -> None:
 
 def default_directory() -> Path:
     """``dpstack-segment`` in the user's runtime directory, else one in the temporary directory with the user's id."""
-    return runtime_path("dpstack-segment")
+    return Path(runtime_path("dpstack-segment"))

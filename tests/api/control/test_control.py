@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from control_kit import octet_client, socket_of
+from control_kit import control_directory, octet_client, socket_of
 
 from dpstack.api.control.client import ControlClient, connect, running
 from dpstack.api.control.commands import COMMON, KINDS, SLAVES, Spec, find
 from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send
-from dpstack.api.control.socket_path import directory, names_of, socket_name
+from dpstack.api.control.socket_path import names_of, socket_name
 from dpstack.errors import BusError, PortBusyError, PortError, SlaveTimeout, UsageError
 
 ECHO = Spec("echo", "WORD...", "says it again", "hello")
@@ -69,7 +69,7 @@ def server(port: str = "COM3") -> ControlServer:
 @contextlib.contextmanager
 def listening() -> Iterator[socket.socket]:
     """A program that is no server of dpstack's, at the socket of COM3."""
-    directory().mkdir(exist_ok=True)
+    control_directory().mkdir(exist_ok=True)
     with socket.socket(socket.AF_UNIX) as found:
         found.bind(str(socket_of("COM3")))
         found.listen(1)
@@ -272,8 +272,8 @@ async def test_the_socket_is_the_users_alone_and_goes_with_the_program() -> None
     async with server():
         path = socket_of("COM3")
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
-        assert stat.S_IMODE(directory().stat().st_mode) == 0o700
-    assert list(directory().iterdir()) == []
+        assert stat.S_IMODE(control_directory().stat().st_mode) == 0o700
+    assert list(control_directory().iterdir()) == []
 
 
 async def test_a_second_program_is_refused_a_stale_socket_is_not() -> None:
@@ -376,8 +376,8 @@ async def test_nobody_there_names_those_who_are() -> None:
         connect("/dev/ttyUSB9")
     async with server("socket://plant:7000"):
         with socket.socket(socket.AF_UNIX) as left:
-            left.bind(str(directory() / "0123456789abcdef.sock"))
-        (directory() / "fedcba9876543210.sock").symlink_to("nowhere")
+            left.bind(str(control_directory() / "0123456789abcdef.sock"))
+        (control_directory() / "fedcba9876543210.sock").symlink_to("nowhere")
 
         def ask() -> str:
             with pytest.raises(PortError) as caught:
@@ -385,7 +385,7 @@ async def test_nobody_there_names_those_who_are() -> None:
             return str(caught.value)
 
         assert await asyncio.to_thread(ask) == "nobody answers for COM3; there is: sim on socket://plant:7000"
-        assert list(directory().iterdir()) == [socket_of("socket://plant:7000")]
+        assert list(control_directory().iterdir()) == [socket_of("socket://plant:7000")]
 
 
 @pytest.mark.parametrize(

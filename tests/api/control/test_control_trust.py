@@ -184,7 +184,7 @@ def test_links_that_lead_in_a_circle_end(runtime: Path) -> None:
     (runtime / "a").symlink_to("b")
     (runtime / "b").symlink_to("a")
     with pytest.raises(OSError, match=r"Too many levels|Not a directory"):
-        open_own(runtime / "a" / "dpstack", make=True)
+        open_own(str(runtime / "a" / "dpstack"), make=True)
 
 
 async def test_the_directory_is_the_one_that_was_checked(runtime: Path) -> None:

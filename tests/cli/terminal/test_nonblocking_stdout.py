@@ -113,7 +113,9 @@ def test_a_reader_that_goes_away_is_told_once() -> None:
 async def test_a_reader_that_goes_away_is_noticed_without_a_write(monkeypatch: pytest.MonkeyPatch) -> None:
     reading, writing = os.pipe()
     gone = asyncio.Event()
-    monkeypatch.setattr(output, "lost", output.Lost(on_lost=gone.set))
+    lost = output.Lost()
+    lost.on_lost = gone.set
+    monkeypatch.setattr(output, "lost", lost)
     with os.fdopen(writing, "w") as out:
         monkeypatch.setattr(sys, "stdout", out)
         with reader_watched():

@@ -9,7 +9,8 @@ from __future__ import annotations
 import socket
 from typing import Any, Final, cast
 
-from dpstack.api.control.client import LONGEST_ANSWER, Command, ControlClient, Help
+from dpstack.api.control.answers import Command, Help
+from dpstack.api.control.client import LONGEST_ANSWER, ControlClient
 from dpstack.errors import DpError
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
