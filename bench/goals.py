@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final, NamedTuple
 
@@ -25,6 +25,10 @@ TODAY: Final = "364aac1"
 _ROUNDS: Final = 8
 #: with fewer rounds the table gives the least and the greatest ratio
 _ENOUGH: Final = 8
+_MET: Final = "met"
+_MISSED: Final = "MISSED"
+#: other programs had the processors
+_NOT_JUDGED: Final = "not judged"
 
 
 class Goal(NamedTuple):
@@ -228,12 +232,18 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
         yield "  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
-def rows_of(suite: Suite, rounds: Sequence[Round]) -> list[Row]:
-    """The rows of a suite from its rounds, each the old side's run and the new one's."""
+def rows_of(suite: Suite, rounds: Sequence[Round], *, judged: bool = True) -> list[Row]:
+    """The rows of a suite from its rounds, each the old side's run and the new one's.
+
+    ``judged``: False where other programs had the processors, so that there is no verdict.
+    """
     pairs = {pair.name: pair for pair in pairs_of(rounds)} if rounds else {}
-    return [
+    rows = [
         _to_today(goal, suite, rounds, pairs) if goal.to_today else _itself(goal, suite, rounds) for goal in suite.goals
     ]
+    if judged:
+        return rows
+    return [replace(row, verdict=_NOT_JUDGED) if row.verdict in (_MET, _MISSED) else row for row in rows]
 
 
 def _to_today(goal: Goal, suite: Suite, rounds: Sequence[Round], pairs: Mapping[str, Pair]) -> Row:
@@ -277,7 +287,7 @@ def _verdict(goal: Goal, ratio: float, rounds: Sequence[Round]) -> str:
         values = [run.readings[name].value for _, run in rounds if name in run.readings]
         if not values or median(values) < least:
             return f"no verdict: {name} {median(values) if values else 0:.2f}"
-    return "met" if (ratio >= goal.limit if goal.more else ratio <= goal.limit) else "MISSED"
+    return _MET if (ratio >= goal.limit if goal.more else ratio <= goal.limit) else _MISSED
 
 
 def _spread(ratios: Sequence[float]) -> tuple[float, float]:
@@ -301,13 +311,19 @@ def measure(names: Sequence[str], commit: str, rounds: int) -> GoalTable:
         for name in names:
             suite = SUITES[name]
             tell(f"{name}: {suite.command}")
+            commands = Commands(suite.benchmark, Plan(suite.words, rounds, suite.cpu))
+            of_suite: list[str] = []
+            taken: list[Round] = []
             try:
-                commands = Commands(suite.benchmark, Plan(suite.words, rounds, suite.cpu))
-                taken = rounds_of(commands, sides, 1 if suite.repeats else rounds, notes, new_alone=True)
+                taken = rounds_of(commands, sides, 1 if suite.repeats else rounds, of_suite, new_alone=True)
             except RuntimeError as error:
-                notes.append(f"{name}: {error}")
-                taken = []
-            rows += rows_of(suite, taken)
+                of_suite.append(str(error))
+            busy = 2 * commands.busy_runs > commands.runs
+            if busy:
+                of_suite.append(f"other programs had the processors in {commands.busy_runs} of {commands.runs} runs")
+            rows += rows_of(suite, taken, judged=not busy)
+            # figures that only one side has are no loss: the goals name those that count
+            notes += [f"{name}: {note}" for note in of_suite if not note.startswith("only ")]
         return GoalTable((sides[0].title, sides[1].title), rounds, rows, list(dict.fromkeys(notes)))
 
 
@@ -330,4 +346,4 @@ def main(argv: list[str], *, as_json: bool) -> int:
         return 0
     table = measure(args.only, args.commit, args.rounds)
     print(table.as_json() if as_json else table.as_markdown() if args.markdown else table.as_text())
-    return int(any(row.ratio is None or row.verdict == "MISSED" for row in table.rows))
+    return int(any(row.ratio is None or row.verdict == _MISSED for row in table.rows))

@@ -135,6 +135,8 @@ class Commands:
         self._plan = plan
         #: whether sides can take turns within a run of their own bench
         self.in_turn = plan.cpu
+        #: runs of own benches, and those of them in which other programs had the processors for a good part of the time
+        self.runs = self.busy_runs = 0
 
     def own(self, *sides: Side) -> list[dict[str, Reading]]:
         """Of the sides' own benches. Raises LacksError, RuntimeError when one fails."""
@@ -147,9 +149,12 @@ class Commands:
         if ended.code:
             raise RuntimeError(f"{side.title}: {ended.complaint}")
         try:
-            return readings_of(report_of(json.loads(ended.output.splitlines()[-1])), on_loop_clock=self._plan.cpu)
+            report = report_of(json.loads(ended.output.splitlines()[-1]))
         except (ValueError, IndexError):
             raise LacksError("it prints no JSON that can be read") from None
+        self.runs += 1
+        self.busy_runs += report.busy
+        return readings_of(report, on_loop_clock=self._plan.cpu)
 
     def probe(self, *sides: Side) -> list[dict[str, Reading]]:
         """Of the probe in the sides' environments. Raises RuntimeError when it fails."""

@@ -60,6 +60,25 @@ def test_where_an_old_bench_lacks_the_ratio_it_is_the_quotient_of_two_figures_of
     assert (row.ratio, row.verdict) == (0.5, "no verdict: bare 0.40")
 
 
+def test_where_other_programs_had_the_processors_no_goal_is_judged() -> None:
+    goals_of = (Goal("ratio", "to", 1.0), Goal("shown", "to", None), Goal("CPU", "cpu", 1.0, to_today=True))
+    rounds = rounds_with([{"cpu": 1.0}], [{"cpu": 2.0, "to": 2.0}])
+    assert [row.verdict for row in rows_of(suite(*goals_of), rounds)] == ["MISSED", "", "MISSED"]
+    rows = rows_of(suite(*goals_of), rounds, judged=False)
+    assert [row.verdict for row in rows] == ["not judged", "", "not judged"]
+    assert rows[1].cells[0] == "shown"
+
+
+def test_a_run_with_rounds_of_its_own_gives_them_all() -> None:
+    reading = Reading(0.5, "", repeats=(0.4, 0.5, 0.9))
+    rounds = [(Run({}, STILL), Run({"to": reading}, STILL))]
+    goal = Goal("ratio", "to", 1.0)
+    (row,) = rows_of(Suite("gsd", "", [goal], repeats=True), rounds)
+    assert (row.low, row.ratio, row.high) == (0.4, 0.5, 0.9)
+    (row,) = rows_of(Suite("gsd", "", [goal]), rounds)
+    assert (row.low, row.ratio, row.high) == (0.5, 0.5, 0.5)
+
+
 def test_figures_that_one_side_or_nobody_has_are_told_and_not_judged() -> None:
     new_only = rounds_with([{}] * 2, [{"to": 0.2, "cpu": 3.0}] * 2)
     (row,) = rows_of(suite(Goal("CPU to another's", "to", 0.25)), new_only)
@@ -107,14 +126,17 @@ def test_a_benchmark_that_fails_is_a_note_and_its_goals_are_not_measured(
         def __exit__(self, *_exc: object) -> None:
             pass
 
-    def fails(*_args: object, **_words: object) -> list[Round]:
+    def fails(*words: object, **_words: object) -> list[Round]:
+        notes = words[-1]
+        assert isinstance(notes, list)
+        notes += ["only the tree as it stands has: another figure", "round 1 was taken again: slaves were lost"]
         raise RuntimeError("the wire did not start")
 
     monkeypatch.setattr(goals, "both_sides", lambda commit: Sides())
     monkeypatch.setattr(goals, "rounds_of", fails)
     assert cli.main(["goals", "--only", "paced", "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
-    assert told["notes"] == ["paced: the wire did not start"]
+    assert told["notes"] == ["paced: round 1 was taken again: slaves were lost", "paced: the wire did not start"]
     assert {row["verdict"] for row in told["rows"]} == {"not measured"}
 
 
