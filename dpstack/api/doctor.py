@@ -10,6 +10,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Final
 
+from dpstack.drivers.realtime import processors
 from dpstack.drivers.realtime.rights import SET_UP, Rights, is_privileged, limit
 from dpstack.errors import PortBusyError, PortError
 from dpstack.params import MAX_T_SL, BusParams
@@ -24,6 +25,10 @@ __all__ = ["AdapterInfo", "Check", "Computer", "Level", "examine", "list_adapter
 
 #: usual rates of buses with several masters
 _USUAL_RATES: Final = (187_500, 500_000)
+_AWAKE: Final = (
+    'as root, in /etc/udev/rules.d/99-dpstack-awake.rules: KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"; '
+    "then udevadm trigger"
+)
 
 
 class Level(Enum):
@@ -58,6 +63,7 @@ class Computer:
     access: Callable[[str, int], bool] = os.access
     sysfs: Path = SYSFS
     proc: Path = PROC
+    cpu_dma_latency: Path = processors.CPU_DMA_LATENCY
 
 
 def examine(port: str | None = None, computer: Computer | None = None) -> list[Check]:
@@ -71,6 +77,7 @@ def _examine(port: str | None, here: Computer) -> Iterator[Check]:
         yield Check("system", Level.NOTE, text, "for hard times use Linux")
         return
     yield from _real_time(here)
+    yield from _processors(here)
     if port is not None:
         yield from _port(port, here)
         yield from _neighbours(port)
@@ -100,6 +107,43 @@ def _real_time(here: Computer) -> Iterator[Check]:
         yield Check(topic, Level.OK, "memory may be locked")
 
 
+def _processors(here: Computer) -> Iterator[Check]:
+    """Isolated processors for the bus process, and sleep states, which make a wake-up late."""
+    topic = "processors"
+    free = processors.isolated(here.sysfs)
+    if free:
+        text = f"isolated from other programs: {processors.text_of(free)}"
+        yield Check(topic, Level.OK, text, f"[bus] cpu = {min(free)} puts the bus process there")
+    else:
+        text = "none is isolated: other programs can delay the bus process where they have a higher priority"
+        yield Check(topic, Level.OK, f"{text}; isolcpus=1 nohz_full=1 on the command line of the kernel isolates one")
+    wake_up_us = processors.slowest_wake_up_us(here.sysfs)
+    if wake_up_us is None:
+        yield Check(topic, Level.OK, "no sleep states are known: as in most virtual machines, the host decides")
+    elif here.access(str(here.cpu_dma_latency), os.W_OK):
+        text = f"may be kept from sleep states (up to {wake_up_us} us to wake up) while a fixed cycle runs"
+        yield Check(topic, Level.OK, text)
+    else:
+        text = f"may not be kept from sleep states: each wake-up may take up to {wake_up_us} us"
+        yield Check(topic, Level.NOTE, f"{text} ({here.cpu_dma_latency})", _AWAKE)
+
+
+def _interrupts(path: str, here: Computer) -> Iterator[Check]:
+    """The processors that the interrupts of the port's USB controller go to."""
+    found = processors.interrupts_of(path, here.sysfs, here.proc)
+    if found is None:
+        return
+    numbers = ", ".join(map(str, found.numbers))
+    where = processors.text_of(found.processors)
+    text = f"interrupts of its USB controller {found.controller} ({numbers}) go to processors {where}"
+    free = processors.isolated(here.sysfs)
+    if not free or found.processors <= free:
+        yield Check(path, Level.OK, text)
+        return
+    todo = "; ".join(f"echo {min(free)} > /proc/irq/{number}/smp_affinity_list" for number in found.numbers)
+    yield Check(path, Level.NOTE, f"{text}, where other programs run", f"beside the bus process, as root: {todo}")
+
+
 def _port(path: str, here: Computer) -> Iterator[Check]:
     from dpstack.ports.tty import existing_ports, how_to_be_permitted, is_pty_path
 
@@ -115,6 +159,7 @@ def _port(path: str, here: Computer) -> Iterator[Check]:
     yield Check(path, Level.OK, "may be opened")
     if not is_pty:
         yield from _latency(path, adapter, here)
+        yield from _interrupts(path, here)
     holder = holder_of_path(path, here.proc)
     if holder is not None:
         todo = f"end it to have the rest checked, or ask it: dpstack ctl {path} status"

@@ -160,6 +160,7 @@ def compose(
             stack=spec,
             plugins=tuple(order for _, order in orders),
             preload=tuple(registry.places().values()),  # drives that may be added while the bus runs
+            cpus=config.bus.cpus,
         )
         view = runtime = remote = ProcessRuntime(setup, on_events, on_failure, on_refused)
         plugins = {slave.address: remote_plugin(remote, slave) for slave, _ in orders}

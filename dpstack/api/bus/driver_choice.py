@@ -15,12 +15,13 @@ from dpstack.units import BAUD_RATES
 ASYNCIO: Final = "asyncio"
 PROCESS: Final = "process"
 VIRTUAL: Final = "virtual"
+_IN_PROGRAM: Final = 'with driver = "asyncio" the bus runs in the process of the program'
 
 
 def driver_for(config: Config, port: Port | None) -> str:
     """ASYNCIO or PROCESS for ``port``; VIRTUAL without a port (simulated bus).
 
-    Raises ConfigError where "process" is configured and impossible.
+    Raises ConfigError where "process" or the processor of a bus process is configured and impossible.
     """
     wanted = config.bus.driver
     if wanted == PROCESS:
@@ -31,6 +32,14 @@ def driver_for(config: Config, port: Port | None) -> str:
         return PROCESS
     if port is None:
         return VIRTUAL
+    if config.bus.cpus:
+        refusal = _why_no_process(port) if wanted == "auto" else (_IN_PROGRAM, 'take driver = "process"')
+        if refusal is None:
+            return PROCESS
+        why, todo = refusal
+        raise config.source.error(
+            ("bus", "cpu"), f"[bus]: cpu is for a bus process: {why}", f"leave cpu out, or {todo}"
+        )
     return PROCESS if wanted == "auto" and _process_pays(port) else ASYNCIO
 
 

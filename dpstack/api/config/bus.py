@@ -18,6 +18,8 @@ SAFE: Final = "safe"
 _LEAST_APPLICATION_MS: Final = 10
 #: the longest cycle; the plan refuses a cycle that is too short
 _MAX_CYCLE_MS: Final = 60_000
+#: Linux numbers no more processors
+_MAX_CPU: Final = 8191
 
 
 def _like(parameter: str, unit: str = "", hint: str = "") -> Key:
@@ -62,6 +64,17 @@ def _other_masters(table: Table, name: str, key: Key) -> object:
     return tuple(float(member) for member in value)
 
 
+def _cpu(table: Table, name: str, key: Key) -> object:
+    value = table.raw(name)
+    if not isinstance(value, (list, tuple)):
+        return table.integer(name, key.low, key.high, "0 is the first processor")
+    if not value or not all(is_integer(number) and key.low <= number <= key.high for number in value):
+        table.fail(
+            name, f"{name} = {value!r}", "give the number of a processor, 0 for the first one, or a list of them"
+        )
+    return tuple(sorted(set(value)))
+
+
 def _application_watchdog(table: Table, name: str, key: Key) -> object:
     limit = table.integer(name, key.low, key.high, "0 switches it off")
     if 0 < limit < _LEAST_APPLICATION_MS:
@@ -99,6 +112,9 @@ class BusConfig(Struct, frozen=True, kw_only=True):
         or a list with the bus rotation time of each in ms
     driver: `"process"`: the bus in a process of its own; `"asyncio"`: in the event loop of the application; `"auto"`:
         the better one for this computer and port, see [drivers.md](drivers.md)
+    cpu: the processor of the bus process, or a list of them, as `/proc/cpuinfo` numbers them. An isolated one has no
+        other work (see [real-time.md](real-time.md#processors)). With `driver = "auto"` the key asks for a bus process.
+        Left out: all that the program may run on
     t_sl: slot time. Left out: that of the [table](bus-parameters.md), or more if the slaves need more
     t_tr: target rotation time. Left out: that of the [table](bus-parameters.md), or more if the masters need more
     max_retry: retries of an unanswered request. Left out: by rate
@@ -133,6 +149,7 @@ class BusConfig(Struct, frozen=True, kw_only=True):
     cycle_sync: Annotated[tuple[int, ...], Key(1, 8)] = ()
     other_masters: Annotated[int | tuple[float, ...], Key(0, MAX_STATION, read=_other_masters)] = 0
     driver: Literal["auto", "asyncio", "process"] = "auto"
+    cpu: Annotated[int | tuple[int, ...] | None, Key(0, _MAX_CPU, read=_cpu)] = None
     t_sl: Annotated[int | None, _like("t_sl", "bit times")] = None
     t_tr: Annotated[int | None, _like("t_tr", "bit times")] = None
     max_retry: Annotated[int | None, _like("max_retry")] = None
@@ -148,6 +165,11 @@ class BusConfig(Struct, frozen=True, kw_only=True):
     rs485: bool = True
     event_char: bool = False
     host_slack_ms: Annotated[float | None, Key(0, 10_000)] = None
+
+    @property
+    def cpus(self) -> tuple[int, ...]:
+        """The processors of the bus process, empty for all that the program may run on."""
+        return (self.cpu,) if isinstance(self.cpu, int) else self.cpu or ()
 
     @property
     def cycle_ns(self) -> int:

@@ -33,6 +33,7 @@ from dpstack.drivers.process.messages import (
 from dpstack.drivers.process.server import Host
 from dpstack.drivers.process.shared_image import SharedImage
 from dpstack.drivers.realtime.gc_control import Collector
+from dpstack.drivers.realtime.processors import run_on
 from dpstack.drivers.realtime.rights import become_real_time
 from dpstack.errors import BusError
 from dpstack.ports.tty import is_pty_path
@@ -67,6 +68,8 @@ def main(arguments: list[str]) -> int:
         setup = _set_up(sock)
         if setup is None:
             return 1
+        if setup.cpus:
+            run_on(setup.cpus)
         host = Host(loop, sock, image, setup)
         host.open(become_real_time(pty=is_pty_path(setup.port)))
     except Exception as error:

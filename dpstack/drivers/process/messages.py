@@ -60,7 +60,7 @@ class SetUp(Order):
 
     ``preload``: places of plugins that may be attached later (importing takes time that
     a running bus does not have). ``echo``, ``tune``: as :class:`dpstack.drivers.line.asyncio_runtime.AsyncioRuntime`
-    has them.
+    has them. ``cpus``: the processors of the bus process, empty for all that it may run on.
     """
 
     port: str
@@ -71,6 +71,7 @@ class SetUp(Order):
     stack: StackSpec
     plugins: tuple[AttachPlugin, ...] = ()
     preload: tuple[str, ...] = ()
+    cpus: tuple[int, ...] = ()
 
 
 class TakeOutputs(Order):

@@ -35,6 +35,7 @@ from dpstack.drivers.process.messages import (
 )
 from dpstack.drivers.process.plugins import AttachPlugin, core_at, load
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
+from dpstack.drivers.realtime.processors import AwakeProcessors
 from dpstack.drivers.runtime import stopped_by
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import Stack, image_snapshot
@@ -43,7 +44,7 @@ from dpstack.errors import BusError, ConfigError, OrderDropped, UsageError
 from dpstack.fdl.commands import GoOffline
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NS_PER_MS, ms_text
+from dpstack.units import NEVER, NS_PER_MS, ms_text
 
 #: interval of the heartbeat; the bus process reads the application's outputs at least as often
 _HEARTBEAT: Final = 20 * NS_PER_MS
@@ -99,6 +100,7 @@ class Host:
         self._rounds_watched = False
         self._tap: Tap | None = None
         self._tap_goes_on = False  # the next portion is due soon
+        self._awake = AwakeProcessors()
         self._beats = 0
         self._dropped = 0
         self._over = False
@@ -381,6 +383,7 @@ class Host:
         self._image.words[Word.HEARTBEAT] = now
         self._take_outputs()
         self._follow_tap()
+        self._awake.hold(self._master.window.next_at != NEVER)
         self._beats += 1
         if not self._beats % _BEATS_TO_NEWS:
             self._send_tapped()
@@ -420,6 +423,7 @@ class Host:
     def _stop(self) -> None:
         if not self._over:
             self._over = True
+            self._awake.hold(False)
             self._loop.remove_reader(self._sock.fileno())
             self._outbox.close()
             self._loop.stop()

@@ -1,4 +1,4 @@
-"""Real-time rights on Linux: priority, locked memory, exact timers, processors.
+"""Real-time rights on Linux: priority, locked memory, exact timers.
 
 The bus process requests them, ``dpstack doctor`` checks them beforehand. A refusal is a notice with a remedy, no error.
 """

@@ -51,6 +51,24 @@ def test_auto_needs_rights_and_a_processor_of_its_own(rights: pytest.MonkeyPatch
     assert driver_for(config("process"), uart()) == "process"  # asked for: it says what it was not permitted
 
 
+def test_a_processor_for_the_bus_process_asks_for_a_bus_process() -> None:
+    def with_cpu(driver: str, port: str = "pty") -> Config:
+        return make_config(port, 500_000, bus={"driver": driver, "cpu": 1})
+
+    pty = open_port("pty", 500_000)
+    assert driver_for(config("auto", "pty"), pty) == "asyncio"
+    assert driver_for(with_cpu("auto"), pty) == "process"
+    assert driver_for(with_cpu("process"), pty) == "process"
+    assert driver_for(with_cpu("auto", "virtual"), None) == "virtual"
+    with pytest.raises(
+        ConfigError, match=r'cpu is for a bus process: with driver = "asyncio" .*; leave cpu out, or take'
+    ):
+        driver_for(with_cpu("asyncio"), pty)
+    far = "rfc2217://localhost:7000"
+    with pytest.raises(ConfigError, match=r"cpu is for a bus process: the port .* needs asyncio; leave cpu out"):
+        driver_for(with_cpu("auto", far), open_port(far, 500_000))
+
+
 @pytest.mark.usefixtures("rights")
 @pytest.mark.parametrize("port", ["pty", "socket://localhost:7000", "rfc2217://localhost:7000"])
 def test_auto_keeps_asyncio_where_there_is_no_wire_of_ours(port: str) -> None:

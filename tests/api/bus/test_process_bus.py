@@ -11,6 +11,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 from far_ends import until
 from process_kit import (
     LAMPS,
@@ -22,6 +23,7 @@ from process_kit import (
     eventually,
     octet_slaves,
     operating_octets,
+    process_of,
 )
 from support_responder import Responder
 
@@ -29,6 +31,7 @@ import dpstack
 from dpstack.api.config.config import make_config
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.errors import ConfigError
 
 INVERTER: dict[str, object] = {"name": "it", "address": 4, "drive": "imo-hd2"}
 
@@ -78,6 +81,34 @@ async def test_rate_groups_cyclic_control_and_the_books() -> None:
         assert book is not None
         assert book.missed == book.begun_late + book.left_out == sum(book.reasons.values())
         assert book.late.count == book.begun
+
+
+def held_open(pid: int) -> set[str]:
+    """The files that a process has open."""
+    folder = Path(f"/proc/{pid}/fd")
+    found = set()
+    for link in folder.iterdir():
+        with contextlib.suppress(OSError):
+            found.add(os.readlink(link))
+    return found
+
+
+async def test_a_bus_process_on_its_processor_is_awake_while_a_fixed_cycle_runs() -> None:
+    latency = "/dev/cpu_dma_latency"
+    cpu = max(os.sched_getaffinity(0))
+    async with operating_octets("process", VALVES, cycle_ms=60.0, cpu=cpu) as (bus, _):
+        pid = process_of(bus)
+        assert os.sched_getaffinity(pid) == {cpu}
+        if os.access(latency, os.W_OK):
+            await until(lambda: latency in held_open(pid), "the processors are kept awake")
+            await bus.stop()
+            await until(lambda: latency not in held_open(pid), "they may sleep without a fixed cycle")
+
+
+async def test_a_bus_process_does_not_begin_on_a_processor_that_is_not_there() -> None:
+    with pytest.raises(ConfigError, match="cpu = 8191: processor 8191 is not there"):
+        async with operating_octets("process", VALVES, cpu=8191):
+            pass
 
 
 async def test_parameters_are_listed_dumped_and_compared(tmp_path: Path) -> None:

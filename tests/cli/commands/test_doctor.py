@@ -64,6 +64,9 @@ def test_where_all_is_well_nothing_is_to_be_done(computer: Computer) -> None:
     assert [check.text for check in checks] == [
         "real-time priorities are allowed (any)",
         "memory may be locked",
+        "none is isolated: other programs can delay the bus process where they have a higher priority; isolcpus=1 "
+        "nohz_full=1 on the command line of the kernel isolates one",
+        "no sleep states are known: as in most virtual machines, the host decides",
         "USB 0403:6014, FTDI FT232H, driver ftdi_sio; its maker promises 12 Mbit/s at most",
         "may be opened",
         "its latency timer is 16 ms; dpstack sets it to 1 ms while it runs",
@@ -90,6 +93,33 @@ def test_rights_for_real_time(computer: Computer) -> None:
     assert not told(examine(computer=replace(computer, limit=limits.get, is_root=True)), Level.FINDING)
     granted = examine(computer=replace(computer, limit={"RLIMIT_RTPRIO": 50}.get))
     assert granted[0].text == "real-time priorities are allowed (up to 50)"
+
+
+def test_isolated_processors_sleep_states_and_interrupts(computer: Computer, tmp_path: Path) -> None:
+    cpus = tmp_path / "sys/devices/system/cpu"
+    (cpus / "cpu0/cpuidle/state1").mkdir(parents=True)
+    (cpus / "cpu0/cpuidle/state1/latency").write_text("133\n")
+    (cpus / "isolated").write_text("2-3\n")
+    dma = str(computer.cpu_dma_latency)
+    assert dma == "/dev/cpu_dma_latency"
+    checks = examine(computer=computer)
+    assert [(c.text, c.todo) for c in checks if c.topic == "processors"] == [
+        ("isolated from other programs: 2-3", "[bus] cpu = 2 puts the bus process there"),
+        ("may be kept from sleep states (up to 133 us to wake up) while a fixed cycle runs", ""),
+    ]
+    refused = examine(computer=replace(computer, access=lambda path, _how: path != dma))
+    ((text, todo),) = told(refused, Level.NOTE)
+    assert text == f"may not be kept from sleep states: each wake-up may take up to 133 us ({dma})"
+    assert 'KERNEL=="cpu_dma_latency"' in todo
+    (tmp_path / "sys/devices/irq").write_text("27\n")  # of the controller above usb1
+    (tmp_path / "proc/irq/27").mkdir(parents=True)
+    goes_to = tmp_path / "proc/irq/27/smp_affinity_list"
+    goes_to.write_text("0-3\n")
+    ((text, todo),) = told(examine(computer=computer), Level.NOTE)
+    assert text == "interrupts of its USB controller devices (27) go to processors 0-3, where other programs run"
+    assert todo == "beside the bus process, as root: echo 2 > /proc/irq/27/smp_affinity_list"
+    goes_to.write_text("2\n")
+    assert not told(examine(computer=computer), Level.NOTE)
 
 
 def test_no_adapter_no_port_no_permission(computer: Computer, port: Path) -> None:
@@ -157,13 +187,14 @@ def test_missing_abilities_of_an_adapter_are_told(computer: Computer, port: Path
 def test_an_unknown_chip_and_another_system(computer: Computer, tmp_path: Path) -> None:
     plug_in(tmp_path / "other", "ttyUSB0", usb="1111:2222", driver="cdc_acm", latency=None)
     checks = examine(computer=replace(computer, sysfs=tmp_path / "other"))
-    assert checks[2].text == "USB 1111:2222, an unknown chip, driver cdc_acm"
+    assert checks[4].text == "USB 1111:2222, an unknown chip, driver cdc_acm"
     (check,) = examine(computer=replace(computer, platform="win32"))
     assert (check.level, check.topic) == (Level.NOTE, "system")
 
 
 def test_doctor_of_a_pty_on_this_computer(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "_real_time", lambda _here: [])
+    monkeypatch.setattr(doctor, "_processors", lambda _here: [])
     far = PtyFarEnd()
     data = cli.json("doctor", "--port", far.path)
     assert data["findings"] == 0
