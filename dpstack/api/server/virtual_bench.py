@@ -97,7 +97,8 @@ class SimulatedSlave:
 
     It keeps an address of Set_Slave_Add. A drive keeps its EEPROM and reads its address from there; an I/O station
     keeps its modules. ``searching``: it detects the baud rate, among those of the device. A device that cannot detect
-    it stays at its set rate. ``own``: the device of a test, instead of a simulated one.
+    it stays at its set rate. ``own``: the device of a test, instead of a simulated one. ``t_sdr``: its T_SDR in bit
+    times; None: min T_SDR.
     """
 
     def __init__(
@@ -108,8 +109,10 @@ class SimulatedSlave:
         *,
         searching: bool = False,
         own: Device | None = None,
+        t_sdr: int | None = None,
     ) -> None:
         self.config = config
+        self._t_sdr = t_sdr
         self.powered = True
         self._address = config.address
         self._address_fixed = False
@@ -271,7 +274,7 @@ class SimulatedSlave:
         if self.drive is not None:
             self.drive.installed(self._address, None if self._searching else params.baud)
         self.app = SlaveApp(self.device, address=self._address, address_fixed=self._address_fixed)
-        self.station = PassiveStation(self._address, self.app, params, patience=self._patience)
+        self.station = PassiveStation(self._address, self.app, params, t_sdr=self._t_sdr, patience=self._patience)
         self.faults.attach(self.station, self.app)
         #: the station, or the baud search around it
         self.on_bus: BusStation = self.station
@@ -412,13 +415,15 @@ class VirtualBench(Bench):
         octets = unit.app.outputs if unit.powered else b""
         return fields.values(octets.ljust(fields.length, b"\x00"))
 
-    def add(self, config: SlaveConfig, own: Device | None = None) -> None:
-        """Add a slave; it replaces one with the same address. ``own``: the device of a test."""
+    def add(self, config: SlaveConfig, own: Device | None = None, *, t_sdr: int | None = None) -> None:
+        """Add a slave; it replaces one with the same address. ``own``: the device of a test. ``t_sdr``: its T_SDR in
+        bit times; None: min T_SDR."""
         before = self._units.get(config.address)
         if before is not None and before.powered:
             self._unplug(config.address)
         self._silent.pop(config.address, None)
-        unit = self._units[config.address] = SimulatedSlave(config, self._params, searching=self._searching, own=own)
+        unit = SimulatedSlave(config, self._params, searching=self._searching, own=own, t_sdr=t_sdr)
+        self._units[config.address] = unit
         unit.faults.connect(partial(self._send_at, unit))
         self._connect(unit)
 

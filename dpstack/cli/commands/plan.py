@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from typing import Final
+import contextlib
+from collections.abc import Callable, Mapping
+from time import monotonic
+from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.compose import Case, Plan, plan_bus
 from dpstack.api.bus.plan_checks import Verdict, cycle_rates
@@ -12,11 +14,19 @@ from dpstack.api.config.config import Config, load_config
 from dpstack.cli import options
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
-from dpstack.errors import ConfigError
-from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text, ms_text
+from dpstack.errors import ConfigError, UsageError
+from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
 
+if TYPE_CHECKING:
+    from dpstack.api.bus.plan_simulation import CycleStats, SimulatedPlan
+
+_PROGRESS: Final = "simulated seconds"
 #: the slowest baud rate for each verdict on the cycle
 Needs = Mapping[Verdict, int | None]
+#: seconds of bus time that --simulate runs for by default
+_SIMULATED_S: Final = 60.0
+#: a simulation that takes longer than this (s) shows its progress on a terminal
+_QUICK_S: Final = 1.0
 _HOW: Final = {
     Verdict.POSSIBLE: "possible",
     Verdict.TYPICAL: "typically kept",
@@ -32,6 +42,15 @@ def add_to(parser: Parser) -> None:
     parser.value("--baud", "B|all", "another rate, or all of them", type=options.baud_or("all"))
     parser.value("--cycle-ms", "X", "judge this cycle, and tell which rate it needs", type=options.milliseconds)
     parser.flag("--octets", "the octets of Set_Prm and Chk_Cfg of each slave, as they will be sent")
+    parser.value(
+        "--simulate",
+        "SECONDS",
+        "run the plant in virtual time, without a port, and print its rotation times beside the plan; SECONDS of bus "
+        f"time (default {_SIMULATED_S:g})",
+        nargs="?",
+        type=options.seconds,
+        const=_SIMULATED_S,
+    )
     parser.run_by(execute)
 
 
@@ -40,14 +59,19 @@ def execute(args: argparse.Namespace) -> int:
     config = load_config(args.config).with_bus(cycle_ms=args.cycle_ms)
     needs = cycle_rates(config, config.bus.cycle_ns) if config.bus.cycle_ns else {}
     if args.baud == "all":
+        if args.simulate is not None:
+            raise UsageError("--simulate runs at one rate: give --baud B, or leave --baud all out")
         return _all_rates(config, needs, json=args.json, octets=args.octets)
     plan = plan_bus(config, args.baud or config.baud)
     if args.json:
-        output.json_line(_with_rates(plan.as_dict(), needs))
+        simulated = {} if args.simulate is None else {"simulated": _simulated_json(config, plan, args.simulate)}
+        output.json_line(_with_rates(plan.as_dict(), needs) | simulated)
     else:
         _show(plan, needs)
         if args.octets:
             _show_octets(plan)
+        if args.simulate is not None:
+            _show_simulated(plan, _simulate(config, plan, args.simulate))
     return 1 if plan.findings else 0
 
 
@@ -83,8 +107,51 @@ def _all_rates(config: Config, needs: Needs, *, json: bool, octets: bool) -> int
     return int(any(plan.findings for rate, plan in plans.items() if rate == config.bus.baud))
 
 
+def _simulate(config: Config, plan: Plan, seconds: float) -> SimulatedPlan | None:
+    """What was measured until the end, or until a signal; None where no bus can run by this plan, and where nothing was
+    measured."""
+    if plan.refusals:
+        return None
+    # here, as the plan itself needs no bus
+    from dpstack.api.bus.plan_simulation import PlanSimulation
+    from dpstack.api.bus.virtual import run_virtual
+    from dpstack.cli.terminal.signals import StopSignal
+
+    async def run() -> SimulatedPlan | None:
+        simulation = PlanSimulation(config, plan)
+        with StopSignal() as stop, contextlib.ExitStack() as stack:
+            await stop.or_done(simulation.run(seconds, _Progress(stack, seconds)))
+        return simulation.result()
+
+    return run_virtual(run())
+
+
+class _Progress:
+    """Shows the progress of a simulation of ``seconds``, a bar on a terminal, once it has taken a while."""
+
+    def __init__(self, stack: contextlib.ExitStack, seconds: float) -> None:
+        self._stack = stack
+        self._seconds = seconds
+        self._since = monotonic()
+        self._show: Callable[[str, int, int], None] | None = None
+
+    def __call__(self, done: float) -> None:
+        if self._show is None:
+            if monotonic() - self._since < _QUICK_S:
+                return
+            from dpstack.cli.terminal.drawing import progress_bar
+
+            self._show = self._stack.enter_context(progress_bar(_PROGRESS))
+        self._show(_PROGRESS, round(done), round(self._seconds))
+
+
+def _simulated_json(config: Config, plan: Plan, seconds: float) -> dict[str, object] | None:
+    found = _simulate(config, plan, seconds)
+    return None if found is None else found.as_dict()
+
+
 def _rotation_text(plan: Plan, case: Case) -> str:
-    return f"{plan.rotation_ns(case) / NS_PER_MS:.3f} ms"
+    return _ms(plan.rotation_ns(case))
 
 
 def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
@@ -153,6 +220,53 @@ def _show(plan: Plan, needs: Needs) -> None:
         output.line(f"finding: {finding}", "bold red")
     if not plan.findings:
         output.line("nothing is out of bounds", "green")
+
+
+def _show_simulated(plan: Plan, found: SimulatedPlan | None) -> None:
+    if found is None:
+        why = plan.refusals[0].text if plan.refusals else "ended before all slaves were in data exchange"
+        output.line(f"not simulated: {why}", "bold red")
+        return
+    times = found.rotation
+    measured = {"min": times.min_ns, "median": times.quantile_ns(0.5), "p99": times.quantile_ns(0.99)}
+    planned = [(name, _rotation_text(plan, case)) for case, name in _CASES.items()]
+    planned.insert(2, ("", ""))
+    simulated = [(name, _ms(ns)) for name, ns in (*measured.items(), ("max", times.max_ns))]
+    output.table(
+        f"Bus rotation time of the plan, and of {times.count} simulated rotations in {found.ns / NS_PER_S:g} s",
+        ("plan", "time", "simulated", "time"),
+        [(*left, *right) for left, right in zip(planned, simulated, strict=True)],
+    )
+    for text in found.missing:
+        output.line(f"not in data exchange in the simulation: {text}", "bold red")
+    if found.cycles is not None:
+        _show_cycles(found.cycles)
+    if found.services is not None:
+        took = found.services.took
+        output.line(
+            f"one record read a second from each DP-V1 slave: {took.count} answered"
+            + (f" ({found.services.refused} of them refused)" if found.services.refused else "")
+            + (f", {found.services.failed} failed" if found.services.failed else "")
+            + f"; from the order to the answer median {_ms(took.quantile_ns(0.5))}, max {_ms(took.max_ns)}"
+        )
+    for text in found.limits:
+        output.line(f"not simulated: {text}", "dim")
+
+
+def _show_cycles(cycles: CycleStats) -> None:
+    late = cycles.late
+    all_of_them = cycles.begun + cycles.left_out
+    causes = ", ".join(f"{count} {reason.text}" for reason, count in cycles.reasons.items())
+    output.line(
+        f"cycles simulated: {all_of_them}, {cycles.missed} missed"
+        + (f" ({cycles.missed / all_of_them:.2%}: {causes})" if cycles.missed else "")
+        + f"; begin late by: median {_ms(late.quantile_ns(0.5))}, p99 {_ms(late.quantile_ns(0.99))}, "
+        f"max {_ms(late.max_ns)}"
+    )
+
+
+def _ms(ns: int) -> str:
+    return f"{ns / NS_PER_MS:.3f} ms"
 
 
 def _show_octets(plan: Plan, where: str = "") -> None:

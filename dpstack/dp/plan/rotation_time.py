@@ -94,7 +94,7 @@ class Rotation(Struct, frozen=True, kw_only=True):
 def rotation(params: BusParams, setups: Sequence[SlaveParams], case: Case, others: OtherMasters = ALONE) -> Rotation:
     """The bus rotation time with every slave of ``setups`` in data exchange, of other masters too as in ``case``."""
     retries = params.max_retry if case is Case.LONGEST else 0
-    slaves = {s.address: data_bits(params, s, _tsdr(params, s, case), retries) for s in setups}
+    slaves = {s.address: data_bits(params, s, tsdr_bits(params, s, case), retries) for s in setups}
     groups = (Share(s.address, s.every, slaves[s.address]) for s in setups)
     together = fullest(groups, rate_offsets(params, setups))
     data = sum(slaves[address] for address in together)
@@ -131,7 +131,8 @@ def longest_diagnosis(params: BusParams, setups: Sequence[SlaveParams], retries:
     return max((diagnosis_bits(params, s, retries) for s in setups), default=0)
 
 
-def _tsdr(params: BusParams, setup: SlaveParams, case: Case) -> int:
+def tsdr_bits(params: BusParams, setup: SlaveParams, case: Case) -> int:
+    """T_SDR of a slave in ``case``, in bit times."""
     shortest, longest = shortest_tsdr(params, setup), longest_tsdr(params, setup)
     if case is Case.SHORTEST:
         return shortest

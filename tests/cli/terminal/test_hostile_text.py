@@ -166,6 +166,8 @@ def test_plan_and_run_of_such_a_device(reader: str, config: Path, capsys: pytest
     for json_or_not in ([], ["--json"]):
         code, _, _ = run(capsys, "plan", str(config), *json_or_not)
         assert code in (0, 1)
+        code, _, _ = run(capsys, "plan", str(config), "--simulate", "0.05", *json_or_not)
+        assert code in (0, 1)
         code, _, _ = run(capsys, "run", str(config), "--seconds", "0.05", *json_or_not)
         assert code in (0, 1)
 
@@ -188,6 +190,7 @@ def test_comments_of_a_capture(
 
 NAMES = [
     ["plan", EVIL],
+    ["plan", "CONFIG", "--simulate", EVIL],
     ["run", EVIL],
     ["sim", EVIL, "--port", "pty"],
     ["sim", "--drive", EVIL, "--address", "3", "--port", "pty"],

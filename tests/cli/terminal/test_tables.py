@@ -135,6 +135,7 @@ def show_scan() -> int:
 TWO_MS = str(ROOT / "examples" / "two_milliseconds.toml")
 COMMANDS: dict[str, Callable[[], int]] = {
     "plan": lambda: main(["plan", TWO_MS, "--cycle-ms", "4"]),
+    "plan and simulation": lambda: main(["plan", TWO_MS, "--simulate", "0.1"]),
     "plan of all rates": lambda: main(["plan", TWO_MS, "--baud", "all"]),
     "gsd show": lambda: main(["gsd", "show", str(ROOT / "examples" / "terminal.gsd")]),
     "gsd show of a drive": lambda: main(["gsd", "show", "demag-dedrive"]),
