@@ -232,40 +232,42 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
         yield "  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
-def rows_of(suite: Suite, rounds: Sequence[Round], *, judged: bool = True) -> list[Row]:
-    """The rows of a suite from its rounds, each the old side's run and the new one's.
+def rows_of(name: str, suite: Suite, rounds: Sequence[Round], *, judged: bool = True) -> list[Row]:
+    """The rows of the suite ``name`` from its rounds, each the old side's run and the new one's.
 
     ``judged``: False where other programs had the processors, so that there is no verdict.
     """
     pairs = {pair.name: pair for pair in pairs_of(rounds)} if rounds else {}
+    command = f"python -m bench goals --only {name}"
     rows = [
-        _to_today(goal, suite, rounds, pairs) if goal.to_today else _itself(goal, suite, rounds) for goal in suite.goals
+        _to_today(goal, rounds, pairs, command) if goal.to_today else _itself(goal, suite, rounds, command)
+        for goal in suite.goals
     ]
     if judged:
         return rows
     return [replace(row, verdict=_NOT_JUDGED) if row.verdict in (_MET, _MISSED) else row for row in rows]
 
 
-def _to_today(goal: Goal, suite: Suite, rounds: Sequence[Round], pairs: Mapping[str, Pair]) -> Row:
+def _to_today(goal: Goal, rounds: Sequence[Round], pairs: Mapping[str, Pair], command: str) -> Row:
     pair = pairs.get(goal.figure)
     if pair is None:
         new = [run.readings[goal.figure].value for _, run in rounds if goal.figure in run.readings]
         verdict = "no figure of today" if new else "not measured"
-        return Row(goal, "-", f"{median(new):.3g}" if new else "-", None, None, None, (), verdict, suite.command)
+        return Row(goal, "-", f"{median(new):.3g}" if new else "-", None, None, None, (), verdict, command)
     low, high = _spread(pair.ratios)
     old, new_text = (_text(value, pair.unit) for value in (pair.old, pair.new))
     verdict = _verdict(goal, pair.ratio, rounds)
-    return Row(goal, old, new_text, pair.ratio, low, high, pair.ratios, verdict, suite.command)
+    return Row(goal, old, new_text, pair.ratio, low, high, pair.ratios, verdict, command)
 
 
-def _itself(goal: Goal, suite: Suite, rounds: Sequence[Round]) -> Row:
+def _itself(goal: Goal, suite: Suite, rounds: Sequence[Round], command: str) -> Row:
     old, new = ([v for both in rounds for v in _values(goal, both[side].readings, suite)] for side in SIDES)
     before = f"{median(old):.3g}" if old else "-"
     if not new:
-        return Row(goal, before, "-", None, None, None, (), "not measured", suite.command)
+        return Row(goal, before, "-", None, None, None, (), "not measured", command)
     low, high = _spread(new)
     verdict = _verdict(goal, median(new), rounds)
-    return Row(goal, before, f"{median(new):.3g}", median(new), low, high, new, verdict, suite.command)
+    return Row(goal, before, f"{median(new):.3g}", median(new), low, high, new, verdict, command)
 
 
 def _values(goal: Goal, readings: Readings, suite: Suite) -> Sequence[float]:
@@ -321,7 +323,7 @@ def measure(names: Sequence[str], commit: str, rounds: int) -> GoalTable:
             busy = 2 * commands.busy_runs > commands.runs
             if busy:
                 of_suite.append(f"other programs had the processors in {commands.busy_runs} of {commands.runs} runs")
-            rows += rows_of(suite, taken, judged=not busy)
+            rows += rows_of(name, suite, taken, judged=not busy)
             # figures that only one side has are no loss: the goals name those that count
             notes += [f"{name}: {note}" for note in of_suite if not note.startswith("only ")]
         return GoalTable((sides[0].title, sides[1].title), rounds, rows, list(dict.fromkeys(notes)))

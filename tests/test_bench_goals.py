@@ -32,14 +32,14 @@ def suite(*of: Goal) -> Suite:
 def test_a_goal_to_today_is_judged_by_the_ratio_of_pairs() -> None:
     rounds = rounds_with([{"cpu": 10.0}, {"cpu": 20.0}, {"cpu": 11.0}], [{"cpu": 5.0}, {"cpu": 12.0}, {"cpu": 6.05}])
     for limit, verdict in ((0.6, "met"), (0.5, "MISSED")):
-        (row,) = rows_of(suite(Goal("CPU", "cpu", limit, to_today=True)), rounds)
+        (row,) = rows_of("files", suite(Goal("CPU", "cpu", limit, to_today=True)), rounds)
         assert (row.old, row.new, row.verdict) == ("11.000", "6.050", verdict)
         assert (row.low, row.ratio, row.high) == pytest.approx((0.5, 0.55, 0.6))
 
 
 def test_a_figure_that_is_a_ratio_is_judged_itself_and_that_of_today_stands_beside_it() -> None:
     rounds = rounds_with([{"to": 0.4}] * 3, [{"to": 0.2}, {"to": 0.3}, {"to": 0.24}])
-    (row,) = rows_of(suite(Goal("CPU to another's", "to", 0.25)), rounds)
+    (row,) = rows_of("files", suite(Goal("CPU to another's", "to", 0.25)), rounds)
     assert row.cells == (
         "CPU to another's: at most 0.25",
         "0.4",
@@ -47,24 +47,24 @@ def test_a_figure_that_is_a_ratio_is_judged_itself_and_that_of_today_stands_besi
         "0.24",
         "0.20 to 0.30",
         "met",
-        "python -m bench gsd --files 60",
+        "python -m bench goals --only files",
     )
 
 
 def test_where_an_old_bench_lacks_the_ratio_it_is_the_quotient_of_two_figures_of_its_run() -> None:
     goal = Goal("efficiency", "to bare", 0.9, more=True, quotient=("own", "bare"), only_above=("bare", 0.5))
     old = {"own": 0.6, "bare": 0.8}
-    (row,) = rows_of(suite(goal), rounds_with([old] * 2, [old | {"to bare": 0.95}] * 2))
+    (row,) = rows_of("files", suite(goal), rounds_with([old] * 2, [old | {"to bare": 0.95}] * 2))
     assert (row.old, row.new, row.verdict) == ("0.75", "0.95", "met")
-    (row,) = rows_of(suite(goal), rounds_with([old] * 2, [{"own": 0.2, "bare": 0.4, "to bare": 0.5}] * 2))
+    (row,) = rows_of("files", suite(goal), rounds_with([old] * 2, [{"own": 0.2, "bare": 0.4, "to bare": 0.5}] * 2))
     assert (row.ratio, row.verdict) == (0.5, "no verdict: bare 0.40")
 
 
 def test_where_other_programs_had_the_processors_no_goal_is_judged() -> None:
     goals_of = (Goal("ratio", "to", 1.0), Goal("shown", "to", None), Goal("CPU", "cpu", 1.0, to_today=True))
     rounds = rounds_with([{"cpu": 1.0}], [{"cpu": 2.0, "to": 2.0}])
-    assert [row.verdict for row in rows_of(suite(*goals_of), rounds)] == ["MISSED", "", "MISSED"]
-    rows = rows_of(suite(*goals_of), rounds, judged=False)
+    assert [row.verdict for row in rows_of("files", suite(*goals_of), rounds)] == ["MISSED", "", "MISSED"]
+    rows = rows_of("files", suite(*goals_of), rounds, judged=False)
     assert [row.verdict for row in rows] == ["not judged", "", "not judged"]
     assert rows[1].cells[0] == "shown"
 
@@ -73,30 +73,31 @@ def test_a_run_with_rounds_of_its_own_gives_them_all() -> None:
     reading = Reading(0.5, "", repeats=(0.4, 0.5, 0.9))
     rounds = [(Run({}, STILL), Run({"to": reading}, STILL))]
     goal = Goal("ratio", "to", 1.0)
-    (row,) = rows_of(Suite("gsd", "", [goal], repeats=True), rounds)
+    (row,) = rows_of("files", Suite("gsd", "", [goal], repeats=True), rounds)
     assert (row.low, row.ratio, row.high) == (0.4, 0.5, 0.9)
-    (row,) = rows_of(Suite("gsd", "", [goal]), rounds)
+    (row,) = rows_of("files", Suite("gsd", "", [goal]), rounds)
     assert (row.low, row.ratio, row.high) == (0.5, 0.5, 0.5)
 
 
 def test_figures_that_one_side_or_nobody_has_are_told_and_not_judged() -> None:
     new_only = rounds_with([{}] * 2, [{"to": 0.2, "cpu": 3.0}] * 2)
-    (row,) = rows_of(suite(Goal("CPU to another's", "to", 0.25)), new_only)
+    (row,) = rows_of("files", suite(Goal("CPU to another's", "to", 0.25)), new_only)
     assert (row.old, row.new, row.verdict) == ("-", "0.2", "met")
-    (row,) = rows_of(suite(Goal("CPU", "cpu", 0.6, to_today=True)), new_only)
+    (row,) = rows_of("files", suite(Goal("CPU", "cpu", 0.6, to_today=True)), new_only)
     assert (row.old, row.new, row.ratio, row.verdict) == ("-", "3", None, "no figure of today")
-    rows = rows_of(suite(Goal("CPU", "cpu", 0.6, to_today=True), Goal("ratio", "to", 1.0)), [])
+    rows = rows_of("files", suite(Goal("CPU", "cpu", 0.6, to_today=True), Goal("ratio", "to", 1.0)), [])
     assert [row.verdict for row in rows] == ["not measured"] * 2
 
 
 def test_the_spread_of_eight_rounds_is_the_interval_of_the_median() -> None:
     values = [{"to": float(n)} for n in range(20)]
-    (row,) = rows_of(suite(Goal("ratio", "to", 100.0)), rounds_with(values, values))
+    (row,) = rows_of("files", suite(Goal("ratio", "to", 100.0)), rounds_with(values, values))
     assert (row.low, row.high) == (3.0, 16.0)
 
 
 def test_the_table_is_text_markdown_and_json() -> None:
     rows = rows_of(
+        "files",
         suite(Goal("CPU", "cpu", 0.6, to_today=True), Goal("ratio", "to", 1.0)),
         rounds_with([{"cpu": 10.0}], [{"cpu": 5.0}], PYTHON),
     )
@@ -106,11 +107,11 @@ def test_the_table_is_text_markdown_and_json() -> None:
         "  goal                         today         now          ratio  spread",
         "  CPU: at most 0.6 of today's  10.000 loops  5.000 loops  0.50   0.50 to 0.50  met",
         "  ratio: at most 1             -             -            -      -             not measured",
-        "  python -m bench gsd --files 60",
+        "  python -m bench goals --only files",
         "  a note",
     ]
     cells = "CPU: at most 0.6 of today's | 10.000 loops | 5.000 loops | 0.50 | 0.50 to 0.50 | met"
-    assert f"| {cells} | `python -m bench gsd --files 60` |" in table.as_markdown().splitlines()
+    assert f"| {cells} | `python -m bench goals --only files` |" in table.as_markdown().splitlines()
     first, second = json.loads(table.as_json())["rows"]
     assert (first["ratio"], first["ratios"], first["verdict"]) == (0.5, [0.5], "met")
     assert second["ratio"] is None
