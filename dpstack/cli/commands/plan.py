@@ -108,8 +108,8 @@ def _all_rates(config: Config, needs: Needs, *, json: bool, octets: bool) -> int
 
 
 def _simulate(config: Config, plan: Plan, seconds: float) -> SimulatedPlan | None:
-    """What was measured until the end, or until a signal; None where no bus can run by this plan, and where nothing was
-    measured."""
+    """The figures measured until the end or until a signal; None where no bus can run by this plan, and where the
+    measurement did not begin."""
     if plan.refusals:
         return None
     # here, as the plan itself needs no bus
@@ -227,7 +227,12 @@ def _show_simulated(plan: Plan, found: SimulatedPlan | None) -> None:
         why = plan.refusals[0].text if plan.refusals else "ended before all slaves were in data exchange"
         output.line(f"not simulated: {why}", "bold red")
         return
+    for text in found.missing:
+        output.line(f"not in data exchange in the simulation: {text}", "bold red")
     times = found.rotation
+    if not times.count:
+        output.line("not simulated: no slave was in data exchange", "bold red")
+        return
     measured = {"min": times.min_ns, "median": times.quantile_ns(0.5), "p99": times.quantile_ns(0.99)}
     planned = [(name, _rotation_text(plan, case)) for case, name in _CASES.items()]
     planned.insert(2, ("", ""))
@@ -237,8 +242,6 @@ def _show_simulated(plan: Plan, found: SimulatedPlan | None) -> None:
         ("plan", "time", "simulated", "time"),
         [(*left, *right) for left, right in zip(planned, simulated, strict=True)],
     )
-    for text in found.missing:
-        output.line(f"not in data exchange in the simulation: {text}", "bold red")
     if found.cycles is not None:
         _show_cycles(found.cycles)
     if found.services is not None:

@@ -141,6 +141,14 @@ def test_a_slave_that_hears_another_rate_is_named(cli: Cli, plant: Callable[...,
     assert "not in data exchange in the simulation: pump (12): offline" in lines
 
 
+def test_without_any_slave_in_data_exchange_there_are_no_times(cli: Cli, tmp_path: Path) -> None:
+    path = tmp_path / "pump.toml"
+    path.write_text('[bus]\nport = "virtual"\nbaud = 9600\n' + ELSEWHERE, encoding="utf-8")
+    assert cli.json("plan", str(path), "--simulate", "1", code=1)["simulated"]["rotation_us"]["min"] is None
+    last = cli.out("plan", str(path), "--simulate", "1", code=1).splitlines()[-1]
+    assert last == "not simulated: no slave was in data exchange"
+
+
 def test_other_masters_are_not_simulated_and_the_output_says_so(cli: Cli, plant: Callable[..., str]) -> None:
     limits = cli.json("plan", plant(keys="other_masters = 2"), "--simulate", "1")["simulated"]["limits"]
     assert limits[-1] == "2 other masters: the plan counts their token holds, the simulation does not"
