@@ -5,23 +5,62 @@ begins before its place, so the grid stands behind the longest stretch of the cy
 far a round lies behind its place; places without a round are counted as missed. *Gaps* are pauses of 40 ms and more on
 the bus: the kernel takes the processor from real-time processes for about 50 ms in every second when they use more than
 sched_rt_runtime_us, and it shows as one gap a second.
+
+The verdict on the process driver is a ratio: its late and missed rounds, by its own books, to those of a bare loop that
+sleeps on the same grid with the same settings (bench/grid_loop.py), in the same interleaved rounds. ``--settings``
+measures the settings instead: the bus process with all of them, with none, with all but one, and with one alone.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
-from typing import Final
+from statistics import median
+from typing import Final, NamedTuple
 
 from bench.machine import realtime
-from bench.masters import APPLICATIONS, DRIVERS, FIRST
+from bench.masters import APPLICATIONS, DRIVERS, FIRST, GRID_KIND
 from bench.records import Record
-from bench.report import Report, quantile
-from bench.rig import Taken, available, bench, note_disturbance, pinned
+from bench.report import Report, Table, quantile
+from bench.rig import Process, Processors, Taken, available, bench, note_disturbance, pinned
+from bench.settings import SETTINGS, environment
+from dpstack.dp.master.fixed_cycle import tolerance_ns
 
 _GAP_NS: Final = 40_000_000
 _QUANTILES: Final = (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0))
+_SETTLE_S: Final = 0.2
+#: late and missed rounds of the bus process to those of a bare loop
+_GOAL_RATIO: Final = 1.5
+#: no verdict where the rounds of the bare loop itself differ by more than this share of their median
+_STEADY: Final = 0.3
+#: of the applications, those beside which the bus process is compared with the loop, and the settings are measured
+_COMPARED: Final = ("idle", "burn")
+
+
+class Cycles(NamedTuple):
+    """Places of a grid: rounds that began, of these later than a tenth of the cycle, and places without a round.
+
+    ``overrun``: those of the late ones and of the places without a round that came after a round that was not over in
+    time. A bare loop has none; on a pty the other end and workers of the kernel make a round long.
+    """
+
+    begun: int
+    late: int
+    left_out: int
+    overrun: int = 0
+
+    @property
+    def overrun_percent(self) -> float:
+        """After a long round, of all places, in percent."""
+        return 100 * self.overrun / max(self.begun + self.left_out, 1)
+
+    @property
+    def percent(self) -> float:
+        """Late and missed rounds of all places, in percent."""
+        return 100 * (self.late + self.left_out) / max(self.begun + self.left_out, 1)
 
 
 def run(argv: list[str]) -> Report:
@@ -34,34 +73,143 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     parser.add_argument("--apps", nargs="*", choices=APPLICATIONS, default=APPLICATIONS)
+    parser.add_argument(
+        "--settings", action="store_true", help="each setting of the bus process alone on and alone off"
+    )
     args = parser.parse_args(argv)
     report = Report("jitter")
     with pinned() as where:
         rights = realtime()
         report.notes.append(where.text)
         report.notes.append(f"real-time share: {rights['runtime_us']} of every {rights['period_us']} us")
-        kinds = available(args.kinds, report.notes, max(args.cycles))
-        cases = [(kind, cycle, app) for kind in kinds for cycle in args.cycles for app in args.apps]
-        alone: list[Taken] = []  # a burning program stands in its own bus process's way
-        runs: dict[tuple[str, float, str], list[Lateness]] = {case: [] for case in cases}
-        for _ in range(args.rounds):
-            for (kind, cycle, app), rounds in runs.items():
-                with bench(kind, args.slaves, args.baud, where, app=app, cycle_ms=cycle) as running:
-                    taken = running.measure(args.seconds)
-                rounds.append(Lateness(taken.records, cycle))
-                if app != "burn":
-                    alone.append(taken)
-        note_disturbance(report, alone)
-        for (kind, cycle, app), rounds in runs.items():
-            _add(report, f"{kind}, {cycle:g} ms, {app}", rounds, kind)
-        for kind in kinds:
-            for cycle in args.cycles:
-                if {"burn", "idle"} <= set(args.apps):
-                    busy, idle = ([r.quantile_us(0.999) for r in runs[kind, cycle, app]] for app in ("burn", "idle"))
-                    ratios = [b / max(i, 1e-3) for b, i in zip(busy, idle, strict=True)]
-                    goal = 2.0 if kind == "process" else None
-                    report.measured(f"{kind}, {cycle:g} ms: lateness p99.9, burn to idle", ratios, "ratio", goal)
+        measure = _settings if args.settings else _drivers
+        measure(report, args, where)
     return report
+
+
+def _drivers(report: Report, args: argparse.Namespace, where: Processors) -> None:
+    kinds = available(args.kinds, report.notes, max(args.cycles))
+    cases = [(kind, cycle, app) for kind in kinds for cycle in args.cycles for app in args.apps]
+    alone: list[Taken] = []  # a burning program stands in its own bus process's way
+    runs: dict[tuple[str, float, str], list[Lateness]] = {case: [] for case in cases}
+    pairs: dict[tuple[float, str], list[tuple[Cycles, Cycles]]] = {}
+    for _ in range(args.rounds):
+        for (kind, cycle, app), rounds in runs.items():
+            with bench(kind, args.slaves, args.baud, where, app=app, cycle_ms=cycle) as running:
+                taken = running.measure(args.seconds)
+                of_bus = Cycles(*running.cycles(args.seconds)) if kind == "process" and app in _COMPARED else None
+            rounds.append(Lateness(taken.records, cycle))
+            if app != "burn":
+                alone.append(taken)
+            if of_bus is not None:
+                of_loop = _of_a_bare_loop(args.seconds, cycle, app, where)
+                pairs.setdefault((cycle, app), []).append((of_bus, of_loop))
+    note_disturbance(report, alone)
+    for (kind, cycle, app), rounds in runs.items():
+        _add(report, f"{kind}, {cycle:g} ms, {app}", rounds, kind)
+    for kind in kinds:
+        for cycle in args.cycles:
+            if {"burn", "idle"} <= set(args.apps):
+                busy, idle = ([r.quantile_us(0.999) for r in runs[kind, cycle, app]] for app in ("burn", "idle"))
+                ratios = [b / max(i, 1e-3) for b, i in zip(busy, idle, strict=True)]
+                goal = 2.0 if kind == "process" else None
+                report.measured(f"{kind}, {cycle:g} ms: lateness p99.9, burn to idle", ratios, "ratio", goal)
+    for (cycle, app), both in pairs.items():
+        compare_with_loop(report, f"{cycle:g} ms, {app}", both)
+
+
+# --- beside a bare loop ---
+
+
+def _of_a_bare_loop(seconds: float, cycle_ms: float, app: str, where: Processors) -> Cycles:
+    """What a bare loop gets for ``seconds`` beside the same application. Raises RuntimeError when it does not start."""
+    words = [sys.executable, "-m", "bench.masters", GRID_KIND, "-", "--baud", "0", "--app", app]
+    process = Process([*words, "--cycle-ms", str(cycle_ms)], where.master)
+    try:
+        if "ready" not in process.line():
+            raise RuntimeError("the bare loop did not start")
+        time.sleep(2 * _SETTLE_S)  # its interpreter starts beside the application
+        since = time.monotonic_ns()
+        time.sleep(seconds)
+        until = time.monotonic_ns()
+    finally:
+        told = process.end()
+    woke = [pair for found in told for pair in _pairs(found.get("woke"))]
+    return cycles_of([(due, now) for due, now in woke if since <= due < until], cycle_ms)
+
+
+def _pairs(found: object) -> Iterator[tuple[int, int]]:
+    for due, now in found if isinstance(found, list) else ():
+        yield int(due), int(now)
+
+
+def cycles_of(woke: Sequence[tuple[int, int]], cycle_ms: float) -> Cycles:
+    """The places of the grid from wake-ups: when each was due and when it was, in ns."""
+    cycle_ns = round(cycle_ms * 1e6)
+    late = sum(now - due > tolerance_ns(cycle_ns) for due, now in woke)
+    places = (woke[-1][0] - woke[0][0]) // cycle_ns + 1 if woke else 0
+    return Cycles(len(woke), late, places - len(woke))
+
+
+def compare_with_loop(report: Report, title: str, pairs: Sequence[tuple[Cycles, Cycles]]) -> None:
+    """Late and missed rounds of the bus process and of the bare loop in the same rounds, and the verdict on the ratio.
+
+    A loop that was never late in a round counts as late once. No goal is judged where the loop's own rounds differ too
+    much.
+    """
+    bus, loop = ([pair[side].percent for pair in pairs] for side in (0, 1))
+    report.measured(f"process, {title}: late and missed rounds", bus, "%")
+    overruns = [of_bus.overrun_percent for of_bus, _ in pairs]
+    report.measured(f"process, {title}: of these after a round that was not over in time", overruns, "%")
+    report.measured(f"bare loop, {title}: late and missed rounds", loop, "%")
+    least = [max(of_loop.percent, 100 / max(of_loop.begun + of_loop.left_out, 1)) for _, of_loop in pairs]
+    spread = (max(loop) - min(loop)) / median(least)
+    goal = _GOAL_RATIO if spread <= _STEADY else None
+    name = f"process, {title}: late and missed rounds to those of a bare loop"
+    ratios = [ours / theirs for ours, theirs in zip(bus, least, strict=True)]
+    report.add(name, sum(bus) / sum(least), "ratio", goal, rounds=ratios)
+    if goal is None:
+        report.notes.append(f"{name}: no verdict, the rounds of the bare loop differ by {spread:.0%}")
+
+
+# --- the settings ---
+
+
+def variants() -> dict[str, tuple[str, ...]]:
+    """Sets of settings by name, and the settings that each does without."""
+    found: dict[str, tuple[str, ...]] = {"all": ()}
+    found |= {f"without {name}": (name,) for name in SETTINGS}
+    found["none"] = SETTINGS
+    return found | {f"only {name}": tuple(other for other in SETTINGS if other != name) for name in SETTINGS}
+
+
+def _settings(report: Report, args: argparse.Namespace, where: Processors) -> None:
+    """The process driver with each set of settings in turn, all within each round."""
+    if not available(("process",), report.notes, max(args.cycles)):
+        return
+    apps = [app for app in args.apps if app in _COMPARED]
+    for cycle in args.cycles:
+        seen: dict[tuple[str, str], list[tuple[Cycles, Lateness]]] = {}
+        for _ in range(args.rounds):
+            for app in apps:
+                for name, without in variants().items():
+                    env = environment(without)
+                    with bench("process", args.slaves, args.baud, where, app=app, cycle_ms=cycle, env=env) as running:
+                        taken = running.measure(args.seconds)
+                        cycles = Cycles(*running.cycles(args.seconds))
+                    seen.setdefault((app, name), []).append((cycles, Lateness(taken.records, cycle)))
+        columns: dict[str, Callable[[tuple[Cycles, Lateness]], float]] = {
+            "late and missed %": lambda pair: pair[0].percent,
+            "p50 us": lambda pair: pair[1].quantile_us(0.5),
+            "p99 us": lambda pair: pair[1].quantile_us(0.99),
+        }
+        for app in apps:
+            table = Table(f"settings, {cycle:g} ms, {app}", tuple(columns), tuple(variants()))
+            report.tables.append(table)
+            for name in variants():
+                for column, value in columns.items():
+                    unit = column.rpartition(" ")[2]
+                    report.measured(table.name(name, column), [value(pair) for pair in seen[app, name]], unit)
 
 
 class Lateness:

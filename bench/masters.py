@@ -3,6 +3,7 @@
 ``asyncio`` and ``process`` are dpstack as a user has it, ``bare`` a loop that writes a request and reads an answer and
 knows no protocol, ``pyprofibus`` the other Python stack. All exchange 12 octets each way with slaves from address 3 on.
 ``bare-ring`` is the bare loop as one of two masters: it waits for its token, and passes it on to ``--other``.
+``grid`` has no line: bench/grid_loop.py sleeps in a process of its own, as the bus process of ``process``.
 One JSON line says when all are in data exchange; the end of standard input ends it in order.
 """
 
@@ -16,6 +17,7 @@ import json
 import os
 import select
 import signal
+import subprocess
 import sys
 import termios
 import threading
@@ -32,6 +34,7 @@ OCTETS: Final = 12
 DRIVERS: Final = ("asyncio", "process")
 KINDS: Final = (*DRIVERS, "bare", "pyprofibus")
 RING_KIND: Final = "bare-ring"
+GRID_KIND: Final = "grid"
 #: what else the program does that the master serves
 APPLICATIONS: Final = ("idle", "block", "burn")
 _OWN: Final = 2
@@ -108,6 +111,8 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         ready = monotonic_ns()
         if args.recordings:
             _record_by_signals(bus, args.recordings)
+        elif args.cycle_ms:
+            asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, lambda: _tell_cycles(bus))
         told(port=args.port, ready=ready, imported=imported, opening=opening, opened=opened, events=events)
         events.clear()
         reading = [asyncio.create_task(_read(slave, args.records)) for slave in bus.slaves if args.records]
@@ -151,6 +156,20 @@ def _record_by_signals(bus: Any, folder: str) -> None:
     loop.add_signal_handler(signal.SIGUSR2, end)
 
 
+def _tell_cycles(bus: Any) -> None:
+    """At SIGUSR1: the fixed cycles that began, those of them that were late, those that were left out; and the late and
+    missed ones after a round that was not over in time, for instance because the other end of the line was late."""
+    book = bus.stats.cycles
+    told(
+        cycles=(
+            book.begun,
+            book.begun_late,
+            book.left_out,
+            sum(count for reason, count in book.reasons.items() if reason.value == "overrun"),
+        )
+    )
+
+
 async def _read(slave: Any, octets: int) -> None:
     while True:
         await slave.read(1, 1, octets)
@@ -179,6 +198,17 @@ def _burn(ended: Ended) -> None:
     number = 1
     while not ended.is_set():
         number = number * 1_103_515_245 % 2_147_483_647
+
+
+def grid_application(args: argparse.Namespace, ended: Ended) -> None:
+    """The same program without a bus: a bare loop sleeps on the grid in a process of its own."""
+    words = [sys.executable, "-m", "bench.grid_loop", str(args.cycle_ms)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as loop:
+        told(ready=monotonic_ns())
+        asyncio.run(application(args.app, ended))
+        found, _ = loop.communicate()
+    sys.stdout.write(found)
+    sys.stdout.flush()
 
 
 # --- octets only ---
@@ -338,7 +368,7 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("kind", choices=(*KINDS, RING_KIND))
+    parser.add_argument("kind", choices=(*KINDS, RING_KIND, GRID_KIND))
     parser.add_argument("port")
     parser.add_argument("--baud", type=int, required=True)
     parser.add_argument("--slaves", type=int, default=1)
@@ -362,6 +392,8 @@ def main() -> int:
                 bare_master(args, ended)
             case "bare-ring":
                 bare_ring_master(args, ended)
+            case "grid":
+                grid_application(args, ended)
             case "pyprofibus":
                 pyprofibus_master(args, ended)
             case _:

@@ -229,6 +229,19 @@ class Bench:
             self._steps(since, until),
         )
 
+    def cycles(self, seconds: float) -> list[int]:
+        """Fixed cycles within ``seconds`` by the master's books: begun, late, left out; missed after a long round."""
+        before = self._told_cycles()
+        time.sleep(seconds)
+        return [now - then for now, then in zip(self._told_cycles(), before, strict=True)]
+
+    def _told_cycles(self) -> list[int]:
+        os.kill(self._master.pid, signal.SIGUSR1)
+        numbers: list[int] = json.loads(self._master.line(30.0) or "{}").get("cycles", [])
+        if not numbers:
+            raise RuntimeError("the master ended before it told its cycles")
+        return numbers
+
     def cpu_slice(self, seconds: float) -> tuple[int, int]:
         """CPU time of the master in ns, and the exchanges meanwhile; short, and without calibration."""
         cpu, _, exchanges = self.cpu_slices(seconds)
@@ -354,6 +367,7 @@ def bench(
     records: int = 0,
     control: bool = False,
     recording: bool = False,
+    env: dict[str, str] | None = None,
 ) -> Iterator[Bench]:
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
@@ -362,7 +376,7 @@ def bench(
     ``steps``: by steps;
     ``ident``: what the slaves are, of which the masters believe IDENT. ``records``: the master reads records of so many
     octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has. ``recording``:
-    its slaves have named values, and :meth:`Bench.record` makes it keep them.
+    its slaves have named values, and :meth:`Bench.record` makes it keep them. ``env``: of a master without a probe.
     """
     refused = unavailable(kind, cycle_ms)
     if refused:
@@ -385,7 +399,7 @@ def bench(
             words += ["--cycle-ms", str(cycle_ms)]
         if kind == "bare" and paced:
             words += ["--t-id1", str(params.t_id1)]
-        master = Process(words, where.master, _probed(port, folder, steps) if probe or steps else None)
+        master = Process(words, where.master, _probed(port, folder, steps) if probe or steps else env)
         told: list[dict[str, object]] = []
         stack.callback(lambda: told.extend(master.end()))
         facts = json.loads(master.line() or "{}")

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from bench import cycle, jitter, loop, rotation, startup, usb
-from bench.jitter import Lateness
+from bench.jitter import Cycles, Lateness, cycles_of
 from bench.records import Record, pty_share, rotations
 from bench.report import Report
 from bench.rig import MasterFailedError, Taken, bench, one_round, pinned, unavailable
+from bench.settings import SETTINGS, environment
 from bench.wire import Wire
 
 MS = 1_000_000
@@ -236,6 +240,76 @@ def test_jitter_runs_or_says_why_not() -> None:
     assert not refused or refused in report.notes
     figures = ("lateness p50", "lateness p99", "lateness p99.9", "lateness max", "missed rounds", "gaps a second")
     assert titles(report) == (set() if refused else {f"asyncio, 10 ms, idle: {figure}" for figure in figures})
+
+
+def test_the_wake_ups_of_a_bare_loop_are_counted_by_places() -> None:
+    """A cycle of 1 ms, late from 0.1 ms on; two places without a wake-up."""
+    ms = 1_000_000
+    due = [0, ms, 2 * ms, 5 * ms]
+    woke = list(zip(due, (100_000, ms + 100_001, 2 * ms, 5 * ms + 400_000), strict=True))
+    assert cycles_of(woke, 1.0) == (4, 2, 2, 0)
+    assert cycles_of(woke, 1.0).percent == pytest.approx(400 / 6)
+    assert cycles_of([], 1.0) == (0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("loop_late", "ratio", "goal"),
+    [((10, 12), 1.5, 1.5), ((10, 14), 1.375, None), ((0, 0), 16.5, 1.5)],
+    ids=["the rounds of the loop differ by 18 %", "by 33 %: no verdict", "a loop that was never late"],
+)
+def test_the_verdict_beside_a_bare_loop(loop_late: tuple[int, int], ratio: float, goal: float | None) -> None:
+    report = Report("jitter")
+    ours = [Cycles(990, 5, 10, 3), Cycles(990, 8, 10, 4)]
+    jitter.compare_with_loop(report, "x", [(mine, Cycles(1000, n, 0)) for mine, n in zip(ours, loop_late, strict=True)])
+    (judged,) = [figure for figure in report.figures if figure.name.endswith("to those of a bare loop")]
+    assert judged.value == pytest.approx(ratio)
+    assert judged.goal == goal
+    assert bool(report.notes) is (goal is None)
+
+
+def test_the_bus_process_is_compared_with_a_bare_loop_of_the_same_settings() -> None:
+    report = jitter.run(words("--cycles 10 --apps idle --rounds 1 --seconds 0.3 --kinds process"))
+    if unavailable("process", 10.0):
+        return
+    found = {figure.name: figure for figure in report.figures}
+    assert 0 <= found["bare loop, 10 ms, idle: late and missed rounds"].value <= 100
+    assert "process, 10 ms, idle: late and missed rounds to those of a bare loop" in found
+
+
+def test_each_setting_can_be_switched_off_alone_and_is_on_alone() -> None:
+    found = jitter.variants()
+    assert next(iter(found)) == "all"
+    assert found["none"] == SETTINGS
+    for name in SETTINGS:
+        assert found[f"without {name}"] == (name,)
+        assert {*found[f"only {name}"], name} == set(SETTINGS)
+        assert name not in found[f"only {name}"]
+
+
+@pytest.mark.parametrize("without", [(), SETTINGS])
+def test_a_bus_process_does_without_the_settings_that_are_switched_off(without: tuple[str, ...]) -> None:
+    """In a program that only looks like a bus process."""
+    program = (
+        "import gc, json, os\n"
+        "from dpstack.drivers.line.select_loop import SelectLoop\n"
+        "from dpstack.drivers.realtime import gc_control, processors, rights\n"
+        "gc_control.Collector().begin()\n"
+        "awake = processors.AwakeProcessors(); awake.hold(True)\n"
+        "print(json.dumps([rights.become_real_time(pty=True) == [], gc.isenabled(), SelectLoop()._lead_ns,"
+        " awake._wanted, 'dpstack.drivers.process' in __import__('sys').orig_argv]))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, "dpstack.drivers.process"],
+        env=environment(without),
+        cwd=Path(__file__).parent.parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    ready, collects, lead_ns, awake, is_named = json.loads(done.stdout)
+    assert is_named
+    assert (collects, lead_ns > 0, awake) == ((True, False, False) if without else (False, True, True))
+    assert ready or not without
 
 
 def test_failures_of_another_stack_are_left_out_and_ours_are_not() -> None:
