@@ -70,20 +70,21 @@ class NullBus:
         self.station.command(SetMode(Mode.OPERATE), self._now)
         handlers = self.master.handlers.values()
         while not all(h.state is SlaveState.DATA_EXCHANGE for h in handlers):
-            self._run(1)
+            self.run(1)
             if self._now > _BRING_UP:
                 raise RuntimeError("not every slave came into data exchange")
-        self._run(2 * len(self._slaves))
+        self.run(2 * len(self._slaves))
         for address, slave in self._slaves.items():
             self._table[address] = slave.serve(2, b"", bytes(12))
 
     def measure(self, exchanges: int) -> float:
         """CPU time in ns of one exchange, mean of ``exchanges`` (with the tokens and Global_Controls between them)."""
         begin = time.process_time_ns()
-        self._run(exchanges)
+        self.run(exchanges)
         return (time.process_time_ns() - begin) / exchanges
 
-    def _run(self, exchanges: int) -> None:
+    def run(self, exchanges: int) -> None:
+        """Run until ``exchanges`` more Data_Exchange were answered."""
         station = self.station
         transmit = self._transmit
         until = self.exchanges + exchanges

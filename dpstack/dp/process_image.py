@@ -62,7 +62,7 @@ class SlaveImage:
     ns, 0 before the first exchange.
     """
 
-    __slots__ = ("_outputs", "input_len", "input_time", "inputs", "latched", "output_len", "plugin", "valid")
+    __slots__ = ("input_len", "input_time", "inputs", "latched", "next_outputs", "output_len", "plugin", "valid")
 
     def __init__(self, input_len: int, output_len: int, outputs: bytes) -> None:
         self.input_len = input_len
@@ -72,23 +72,25 @@ class SlaveImage:
         #: False while the slave is not in data exchange, or its inputs cannot be trusted
         self.valid = False
         self.plugin: CyclicPlugin | None = None
-        self._outputs = outputs
+        #: the outputs of the next round; :attr:`outputs` sets them
+        self.next_outputs = outputs
         #: the outputs as they were when the round began, copied for all slaves at the same moment
         self.latched = outputs
 
     @property
     def outputs(self) -> bytes:
         """The outputs of the next round in Operate."""
-        return self._outputs
+        return self.next_outputs
 
     @outputs.setter
     def outputs(self, octets: bytes) -> None:
-        octets = bytes(octets)
+        if type(octets) is not bytes:
+            octets = bytes(octets)  # neither a subclass nor a buffer that may change
         if len(octets) != self.output_len:
             raise ValueError(
                 f"{octets_text(len(octets))} of outputs given, the slave's configuration has {self.output_len}"
             )
-        self._outputs = octets
+        self.next_outputs = octets
 
 
 def image_of(setup: SlaveParams, before: SlaveImage | None = None) -> SlaveImage:

@@ -156,10 +156,13 @@ def _misuse(da: int, sa: int, fc: int) -> ValueError:
 # --- decoding --------------------------------------------------------------------------------------------------------
 def decode(octets: bytes | bytearray) -> Telegram | None:
     """The one telegram that ``octets`` are from the first to the last, or None."""
+    if isinstance(octets, bytearray):
+        octets = bytes(octets)
     size = len(octets)
-    if not size or (octets[1] + 6 if octets[0] == _SD2 and size > 1 else _FIXED.get(octets[0])) != size:
-        return None  # the length of a telegram with these first octets (see claimed)
-    telegram = parse(octets, 0, size)
+    if size > 8 and octets[0] == _SD2:
+        telegram = _parse_sd2(octets, 0, size) if octets[1] + 6 == size else None
+    else:
+        telegram = parse(octets, 0, size) if size and _FIXED.get(octets[0]) == size else None
     return telegram if type(telegram) is Telegram else None
 
 
@@ -191,23 +194,7 @@ def parse(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | Non
         return parse(bytes(octets[at : at + _LONGEST]), 0, min(end - at, _LONGEST))
     start = octets[at]
     if start == _SD2:
-        if end - at < 9:
-            return _short_sd2(octets, at, end)
-        head = _read_head(octets[at : at + 7])
-        if isinstance(head, Flaw):
-            return head
-        le, check, da, sa, fc, plain = head
-        stop = at + 4 + le  # FCS
-        if stop + 2 > end:
-            return None
-        if octets[stop + 1] != ED:
-            return Flaw.BAD_ED
-        data = octets[at + 7 : stop]
-        if (check + sum(data)) & 0xFF != octets[stop]:
-            return Flaw.BAD_FCS
-        if plain:
-            return Telegram(_KIND_SD2, da, sa, fc, None, None, data)
-        return _content(_KIND_SD2, da, sa, fc, data)
+        return _parse_sd2(octets, at, end)
     if start == _SC:
         return SHORT_ACK
     if start == _SD1:
@@ -217,6 +204,26 @@ def parse(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | Non
     if start == _SD3:
         return _parse_sd3(octets, at, end)
     return Flaw.BAD_START
+
+
+def _parse_sd2(octets: bytes, at: int, end: int) -> Telegram | Flaw | None:
+    if end - at < 9:
+        return _short_sd2(octets, at, end)
+    head = _read_head(octets[at : at + 7])
+    if isinstance(head, Flaw):
+        return head
+    le, check, da, sa, fc, plain = head
+    stop = at + 4 + le  # FCS
+    if stop + 2 > end:
+        return None
+    if octets[stop + 1] != ED:
+        return Flaw.BAD_ED
+    data = octets[at + 7 : stop]
+    if (check + sum(data)) & 0xFF != octets[stop]:
+        return Flaw.BAD_FCS
+    if plain:
+        return Telegram(_KIND_SD2, da, sa, fc, None, None, data)
+    return _content(_KIND_SD2, da, sa, fc, data)
 
 
 #: LE; the sum of DA, SA and FC; these three; whether they are sound and no extension octets follow

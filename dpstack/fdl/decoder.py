@@ -94,20 +94,22 @@ class Decoder:
         self._last = 0  # time of the last octets, valid only while octets are pending or in doubt
         self._between = True  # the last telegram is over: nothing is pending or in doubt
 
+    def whole(self, chunk: bytes) -> Telegram | None:
+        """The telegram that ``chunk`` is, as most reads are; None: :meth:`feed` it."""
+        if not self._between or (telegram := decode(chunk)) is None:
+            return None
+        size = len(chunk)
+        stats = self.stats
+        stats.octets += size
+        stats.telegrams += 1
+        if size == _LE3_SIZE:
+            stats.empty_le3 += 1
+        return telegram
+
     def feed(self, chunk: bytes, now: int) -> list[Telegram]:
         """The telegrams that end within ``chunk``, in order; ``now`` in ns. Never raises."""
-        if self._between:
-            # most often one read is one telegram
-            telegram = decode(chunk)
-            if telegram is not None:
-                size = len(chunk)
-                stats = self.stats
-                stats.octets += size
-                stats.telegrams += 1
-                if size == _LE3_SIZE:
-                    stats.empty_le3 += 1
-                return [telegram]
-        return self._feed_slowly(chunk, now)
+        telegram = self.whole(chunk)
+        return self.feed_pieces(chunk, now) if telegram is None else [telegram]
 
     def stall_at(self) -> int:
         """Time in ns at which the pending telegram stalls; NEVER without one."""
@@ -137,7 +139,8 @@ class Decoder:
         self._tail = b""
         self._between = True
 
-    def _feed_slowly(self, chunk: bytes, now: int) -> list[Telegram]:
+    def feed_pieces(self, chunk: bytes, now: int) -> list[Telegram]:
+        """The same for a chunk that :meth:`whole` refused."""
         held = self.pending
         if not held and now - self._last >= self.stall_ns:
             self._doubt = 0

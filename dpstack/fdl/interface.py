@@ -7,7 +7,7 @@ evaluates the answers.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Final, NamedTuple, Protocol
 
@@ -68,6 +68,9 @@ class LinkUser(Protocol):
     A user derived from this class has no commands, no deadlines and no events, unless it says so.
     """
 
+    #: the events of this user that the station has not taken yet
+    events: Sequence[Event] = ()
+
     def token_received(self, now: int) -> None:
         """A token hold begins, or the next cycle in one that was kept for it
         (:mod:`dpstack.fdl.active.cycle_window`)."""
@@ -106,7 +109,10 @@ class LinkUser(Protocol):
         return
 
     def take_events(self) -> list[Event]:
-        """The events of this user since the last call, oldest first; the station adds them to its own."""
+        """The events of this user since the last call, oldest first; the station adds them to its own.
+
+        The station calls it while there are :attr:`events`.
+        """
         return []
 
 

@@ -105,7 +105,7 @@ class LiveList(LinkUser):
         self._waiting = -1  # the address polled now
         self._begun = -1  # begin of the list
         self._started = 0  # begin of the current poll
-        self._events: list[Event] = []
+        self.events: list[Event] = []
 
     def ask_soon(self, address: int) -> None:
         """Poll ``address`` before all others, once."""
@@ -186,7 +186,7 @@ class LiveList(LinkUser):
         else:
             self.stations[address] = kind
             self._newcomers += known is None
-        self._events.append(StationFound(t_ns=now, address=address, kind=kind))
+        self.events.append(StationFound(t_ns=now, address=address, kind=kind))
 
     def _end_pass(self) -> None:
         """Poll the silent addresses again while passes are left."""
@@ -213,5 +213,5 @@ class LiveList(LinkUser):
         return self._busy
 
     def take_events(self) -> list[Event]:
-        events, self._events = self._events, []
+        events, self.events = self.events, []
         return events

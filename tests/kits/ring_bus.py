@@ -38,7 +38,7 @@ class Sent:
 
 
 @dataclass
-class ListUser:
+class ListUser(LinkUser):
     """A link user that sends the requests in its lists and notes the calls of the station."""
 
     high: list[Request] = field(default_factory=list)

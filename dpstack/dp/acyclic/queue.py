@@ -28,7 +28,7 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import positive
 from dpstack.errors import UsageError
-from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.interface import Failure, LinkUser, Request
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
 from dpstack.machine import LineDown, Order
 from dpstack.trace import Event
@@ -107,7 +107,7 @@ class Provider:
         return False
 
 
-class Acyclic:
+class Acyclic(LinkUser):
     """A ``LinkUser``. ``master``: the class 1 master of the same station, if any. Orders go to ``providers``."""
 
     def __init__(self, master: Master | None, providers: Iterable[Provider]) -> None:
@@ -128,7 +128,7 @@ class Acyclic:
         self._no_line = ""
         #: stations that answered the last request: the next one waits longer for its answer
         self._known: set[int] = set()
-        self._events: list[Event] = []
+        self.events: list[Event] = []
         #: address -> number of exchanges when the slave left a service unanswered
         self._unanswered: dict[int, int] = {}
         self._turns = itertools.count()
@@ -197,7 +197,7 @@ class Acyclic:
 
     def report(self, event: Event) -> None:
         """Report ``event`` to the application."""
-        self._events.append(event)
+        self.events.append(event)
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
@@ -346,7 +346,7 @@ class Acyclic:
         return f"{after}; give it a longer timeout"
 
     def take_events(self) -> list[Event]:
-        events, self._events = self._events, []
+        events, self.events = self.events, []
         return events
 
     # --- ends ---------------------------------------------------------------------------------------------------
@@ -364,4 +364,4 @@ class Acyclic:
 
     def _end(self, entry: _Entry, outcome: Outcome, now: int) -> None:
         self._queue.remove(entry)
-        self._events += entry.job.ends(entry.token, outcome, now)
+        self.events += entry.job.ends(entry.token, outcome, now)

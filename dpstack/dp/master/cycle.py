@@ -30,6 +30,8 @@ from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_GLOBAL_CONTROL, S
 # asked in every exchange: an enum's member costs ten times a name of the module
 _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
 _OPERATE: Final = Mode.OPERATE
+_OFFLINE: Final = Mode.OFFLINE
+_STOP: Final = Mode.STOP
 #: octets of a diagnosis without known Max_Diag_Data_Len; after the first longer one, the length of that
 _DIAGNOSIS: Final = 32
 #: octets of the answers with a known length, by SAP
@@ -84,7 +86,7 @@ class Round:
         """The next request, in the round or between two fixed cycles."""
         if not self.open:
             fixed = self._cadence.fixed
-            if not (fixed or self._at_once):
+            if not (fixed or self._at_once) or self._context.mode <= _STOP:
                 return None
             # the link layer reports the end of Global_Control as it begins, and nothing can begin before its end
             if not self._cadence.due(max(now, self._free_at) if fixed else now):
@@ -92,13 +94,30 @@ class Round:
             if not (fixed or self._may_take_all(now)):
                 return None
             self._begin(now)
-        cursor = self._cursor
+        cursor, due = self._cursor, self._due
         if not cursor and (request := self._before_data(now)) is not None:
             return request
-        if cursor < len(self._due):
-            request = self._data(now)
-            if request is not None or self._cursor < len(self._due):
-                return request
+        if self._paused:
+            self._paused = False
+            self._cadence.resume()
+        while cursor < len(due):
+            handler = due[cursor]
+            if handler.state is _DATA_EXCHANGE:
+                if self._spaced and now < (until := self._spaced.get(handler.setup.address, 0)):
+                    if self._pauses(until, now):
+                        self._cursor = cursor
+                        return None
+                    cursor += 1
+                    continue  # its turn comes in the next cycle
+                self._cursor = cursor + 1
+                if self._turns.rates.has_slower_slaves:
+                    self._turns.rates.had_turn(handler.setup.address, self._cadence.number)
+                context, image = self._context, handler.image
+                if context.mode is context.target is _OPERATE and image.plugin is None and self._operating:
+                    return handler.data_request(image.latched)
+                return handler.data_request(self._outputs(handler, now))
+            cursor += 1
+        self._cursor = cursor
         if self._sync:
             self._sync = False
             return self._controls.cyclic(self._controls.sync)
@@ -116,34 +135,35 @@ class Round:
     # --- parts of a round ---------------------------------------------------------------------------------------------
 
     def _begin(self, now: int) -> None:
-        turns, context = self._turns, self._context
+        turns, context, controls = self._turns, self._context, self._controls
         turns.begin_round()
         exchanging = turns.exchanging
-        all_slaves = self._wants_all
+        descending = context.descending
+        all_slaves = descending or controls.wants_all
         interval = turns.interval_all if all_slaves else turns.interval
-        self._cadence.begin(now, fixed=bool(exchanging) and not context.descending, interval=interval)
-        self._controls.begin_round()
-        self._due = exchanging if all_slaves else turns.due(self._cadence.number)
+        self._cadence.begin(now, fixed=bool(exchanging) and not descending, interval=interval)
+        controls.begin_round()
+        self._due = due = exchanging if all_slaves else turns.due(self._cadence.number)
         context.on_begin()
-        for handler in self._due:
+        for handler in due:
             image = handler.image
-            image.latched = image.outputs
+            image.latched = image.next_outputs
         self.open = True
         self._at_once = False
         self._cursor = 0
         self._unsent = True
-        self.first_data = bool(self._due)
+        self.first_data = bool(due)
         # a mode reached in the middle of a round counts from the next round on, for all slaves at once
-        self._operating = context.mode is Mode.OPERATE
-        held = self._operating and context.target is Mode.OPERATE and bool(self._due)
-        self._freeze = held and bool(self._controls.freeze.groups)
-        self._sync = held and bool(self._controls.sync.groups)
+        self._operating = operating = context.mode is _OPERATE
+        held = operating and context.target is _OPERATE and bool(due)
+        self._freeze = held and bool(controls.freeze.groups)
+        self._sync = held and bool(controls.sync.groups)
         self._roster.begin_round()
         if self._cadence.fixed:
             self._services = 1
         else:
             self._services = 1 if exchanging else turns.candidates
-            if context.target is Mode.OFFLINE:
+            if context.target is _OFFLINE:
                 self._services = 0
 
     @property
@@ -161,38 +181,23 @@ class Round:
             request = self._controls.cyclic(self._controls.freeze)
         return request
 
-    def _data(self, now: int) -> Request | None:
-        """The next Data_Exchange; None when there is no more, or not yet."""
-        due, context = self._due, self._context
-        if self._paused:
-            self._paused = False
-            self._cadence.resume()
-        while self._cursor < len(due):
-            handler = due[self._cursor]
-            if handler.state is _DATA_EXCHANGE:
-                until = self._spaced.get(handler.setup.address) if self._spaced else None
-                if until is not None and now < until:
-                    if not self._cadence.fixed or until - now <= self._cadence.book.cycle_ns // 2:
-                        self._paused = True
-                        self._cadence.pause(until)
-                        return None
-                    self._cursor += 1
-                    continue  # its turn comes in the next cycle
-                self._cursor += 1
-                if self._turns.rates.has_slower_slaves:
-                    self._turns.rates.had_turn(handler.setup.address, self._cadence.number)
-                if not (self._operating and context.mode is _OPERATE):
-                    # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/reference/protocol.md#clear)
-                    outputs = b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
-                elif context.target is not _OPERATE:
-                    outputs = handler.plugin_host.safe_outputs()
-                elif handler.image.plugin is None:
-                    outputs = handler.image.latched
-                else:
-                    outputs = handler.plugin_host.outputs(now)
-                return handler.data_request(outputs)
-            self._cursor += 1
-        return None
+    def _pauses(self, until: int, now: int) -> bool:
+        """Wait for the Min_Slave_Interval of the next slave, if that is over soon enough for this round."""
+        if self._cadence.fixed and until - now > self._cadence.book.cycle_ns // 2:
+            return False
+        self._paused = True
+        self._cadence.pause(until)
+        return True
+
+    def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
+        """The outputs for a slave with a plugin, or of a round in which outputs are safe."""
+        context = self._context
+        if self._operating and context.mode is _OPERATE:
+            return (
+                handler.plugin_host.outputs(now) if context.target is _OPERATE else handler.plugin_host.safe_outputs()
+            )
+        # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/reference/protocol.md#clear)
+        return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
     def _service(self, now: int, *, room: bool = True) -> Request | None:
         while self._services:
@@ -259,13 +264,14 @@ class Round:
             return None
         self._published += 1
         cadence = self._cadence
+        started_at = cadence.started_at
         exchanging = self._turns.exchanging
         return CycleData(
             number=cadence.number,
             published=self._published,
-            t_ns=cadence.started_at,
+            t_ns=started_at,
             due_ns=cadence.due_at,
             inputs={h.setup.address: h.image.inputs for h in exchanging},
-            fresh=frozenset(h.setup.address for h in exchanging if h.image.input_time >= cadence.started_at),
+            fresh=frozenset([h.setup.address for h in exchanging if h.image.input_time >= started_at]),
             missed=cadence.book.missed,
         )

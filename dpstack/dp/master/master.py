@@ -24,7 +24,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.events import StationFound
-from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.interface import Failure, LinkUser, Request
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Telegram
 from dpstack.machine import HeldUp, LineDown
 from dpstack.params import BusParams
@@ -32,12 +32,11 @@ from dpstack.stats import Histogram
 from dpstack.trace import Event
 
 # asked in every exchange: an enum's member costs ten times a name of the module
-_STOP: Final = Mode.STOP
 _ABANDONED: Final = Failure.ABANDONED
 _HELD_BACK: Final = Failure.HELD_BACK
 
 
-class Master:
+class Master(LinkUser):
     """A DP class 1 master of ``slaves``. It starts in Clear, or in Stop if the bus is read-only.
 
     It calls ``on_round(now)`` at the end of every round with data exchange, when ``cycle`` is up to date. With a fixed
@@ -51,6 +50,7 @@ class Master:
         settings: MasterSettings = DEFAULTS,
     ) -> None:
         self.context = context = MasterContext(params, settings)
+        self.events = context.events
         self.handlers: dict[int, SlaveHandler] = {}
         self.rotation = Histogram()
         self.rounds = 0
@@ -129,10 +129,8 @@ class Master:
 
     def take_events(self) -> list[Event]:
         """Return and clear the events since the last call."""
-        context = self.context
-        if not context.events:
-            return []
-        events, context.events = context.events, []
+        events = self.context.events.copy()
+        self.context.events.clear()
         return events
 
     def _writable(self, what: str) -> None:
@@ -258,10 +256,11 @@ class Master:
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
-        if now >= self._watch.look_at:
-            self._watch.look(now)
-        self._watch.outdated = False
-        return self._round.next_request(now) if self.context.mode > _STOP else None
+        watch = self._watch
+        if now >= watch.look_at:
+            watch.look(now)
+        watch.outdated = False
+        return self._round.next_request(now)
 
     def _round_ended(self, now: int) -> None:
         self.rounds += 1
@@ -301,14 +300,17 @@ class Master:
         if outcome is _HELD_BACK:
             self._round.held_back(request)
             return
-        if outcome is _ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
-            self.controls.abandoned(request)
         handler = self.handlers.get(request.da)
         if handler is None or handler is not request.tag:
-            return  # the request of no slave, or of one that was removed meanwhile
-        if request.dsap is None:
+            # the request of no slave, or of one that was removed meanwhile
+            if outcome is _ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
+                self.controls.abandoned(request)
+        elif request.dsap is None:
             handler.data_result(outcome, now)
-            return
+        else:
+            self._service_ended(handler, request, outcome, now)
+
+    def _service_ended(self, handler: SlaveHandler, request: Request, outcome: Telegram | Failure, now: int) -> None:
         self._turns.count_poll(handler, now - self._token.sent_at, now, long=request.extra_ns > 0)
         handler.service_result(request, outcome, now)
 

@@ -159,7 +159,7 @@ class Scanner(LinkUser):
         self._asked: _Question | None = None
         self._turn = False
         self._reported: dict[int, Found] = {}
-        self._events: list[Event] = []
+        self.events: list[Event] = []
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
@@ -208,13 +208,13 @@ class Scanner(LinkUser):
             self.done = True
             found = tuple(found for _, found in sorted(self.found.items()))
             unreadable = tuple(sorted(self.live.unreadable))
-            self._events.append(
+            self.events.append(
                 ScanDone(t_ns=now, stations=len(found), token=self._token, found=found, unreadable=unreadable)
             )
 
     def take_events(self) -> list[Event]:
         """Stations found, changed and lost."""
-        events, self._events = self._events, []
+        events, self.events = self.events, []
         return events
 
     # --- what was found -----------------------------------------------------------------------------------------
@@ -274,13 +274,13 @@ class Scanner(LinkUser):
         found = self.found.get(address)
         if found is not None and found != self._reported.get(address):
             self._reported[address] = found
-            self._events.append(StationSeen(t_ns=now, found=found))
+            self.events.append(StationSeen(t_ns=now, found=found))
 
     def _gone(self, address: int, now: int) -> None:
         found = self.found.pop(address, None)
         self._reported.pop(address, None)
         if found is not None:
-            self._events.append(StationSeen(t_ns=now, found=found, present=False))
+            self.events.append(StationSeen(t_ns=now, found=found, present=False))
 
 
 class SurveyOrder(AttachUser):

@@ -13,6 +13,7 @@ Rules that decide whether a telegram is the answer, the most certain first:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -32,6 +33,10 @@ from dpstack.params import BROADCAST
 NO_REQUEST: Final = Request(-1, Req.FDL_STATUS)
 
 
+def _no_poll(_: int) -> None:
+    raise RuntimeError("a telegram is sent that nobody has queued")
+
+
 @dataclass(slots=True, eq=False)
 class Exchange(Awaiting):
     """The current request of a user. Handlers of Await_Data_Response."""
@@ -40,6 +45,8 @@ class Exchange(Awaiting):
     admission: Admission
     user: LinkUser | None = None
     request: Request = NO_REQUEST
+    #: called with the time of its last bit when the GAP poll is sent (:class:`~dpstack.fdl.active.use_token.GapPoll`)
+    poll_sent: Callable[[int], None] = _no_poll
     #: time at which a user made the last request
     made_at: int = 0
     _asked: StationStats = field(default_factory=StationStats)  # counters of the station asked last
@@ -47,7 +54,7 @@ class Exchange(Awaiting):
     _service: Service = SERVICES[NO_REQUEST.function]  # of the current request
     _frame: bytes = b""
     _candidate: Telegram = NONE  # an answer that is kept back, because it may be late
-    _tries_left: int = 0
+    _may_repeat: bool = True
     _repeats: int = 0
     _wrong: bool = False
 
@@ -56,14 +63,10 @@ class Exchange(Awaiting):
         da = request.da
         service = SERVICES[request.function]
         fc = service.fc
-        tries = self.times.max_retry if service.answered and request.retry else 0
         if service.counted:
-            fcb = self.fcb
             if request.restart:
-                fcb.restart(da)
-            fc |= fcb.bits[da]
-            if not fcb.operational[da]:
-                tries = 0  # a first request is not repeated (docs/reference/protocol.md#frame-count-bit)
+                self.fcb.restart(da)
+            fc |= self.fcb.bits[da]
         elif service.answered and not request.patient and self.peers.knows(da):
             request = replace(request, patient=True)  # for every user: the silence of a known station is news
         self.user = user
@@ -71,17 +74,23 @@ class Exchange(Awaiting):
         self._service = service
         self.made_at = now
         self._asked_da = da
-        self._tries_left = tries
+        self._may_repeat = True
         self._repeats = 0
         self._wrong = False
         line = self.line
         self._frame = frame = request_octets(da, line.ts, fc, request.data, request.dsap, request.ssap)
-        line.queue(frame)
-        self.machine.enter(USE_TOKEN)
+        line.tx = frame
+        line.gate_ns = line.after_ns
+        machine = self.machine  # as enter(); its deadline is NEVER already, in Check_Access_Time
+        machine.state = USE_TOKEN
+        machine.row = machine.rows[USE_TOKEN]
 
     def sent(self, _: Telegram, at: int) -> None:
-        """An attempt is sent; its last bit is on the line at ``at``."""
+        """An attempt is sent, or a GAP poll; its last bit is on the line at ``at``."""
         request = self.request
+        if request is NO_REQUEST:
+            self.poll_sent(at)
+            return
         if not self._repeats:
             taken_at, user, stats = self.line.taken_at, self.user, self.stats
             self._asked = asked = stats.stations.get(request.da) or stats.station(request.da)
@@ -104,10 +113,23 @@ class Exchange(Awaiting):
 
     def response(self, telegram: Telegram, now: int) -> None:
         """A response to this station, or SC, while it waits for an answer."""
-        if not answers(self.request, telegram) or self.line.edge_at < self.early_until:
+        request, peers = self.request, self.peers
+        if self.line.edge_at < self.early_until or not answers(request, telegram):
             self._no_answer_to_request(telegram, now)
-        elif not (self.peers.due and self._keep_back(telegram, now)):
-            self._answered(telegram, now)
+            return
+        if peers.due and self._keep_back(telegram, now):
+            return
+        da = request.da
+        self._asked.answers += 1
+        if self._service.counted and self.fcb.answered(da):
+            peers.knows_only_fcv(da, now)
+        if not telegram.data and telegram.empty_le3:
+            peers.empty_le3(da, now)
+        if self._repeats:
+            peers.expect_late(request, now, self.times.slot_known_ns)
+        elif peers.due:
+            peers.expect_none(da)
+        self._finish(telegram, now)
 
     def _keep_back(self, telegram: Telegram, now: int) -> bool:
         """True when ``telegram`` may be a late answer and is kept back for one slot time (see above)."""
@@ -122,23 +144,11 @@ class Exchange(Awaiting):
         self._count_late(first, now)
         return False
 
-    def _answered(self, telegram: Telegram, now: int) -> None:
-        request, peers = self.request, self.peers
-        da = request.da
-        self._asked.answers += 1
-        if self._service.counted and self.fcb.answered(da):
-            peers.knows_only_fcv(da, now)
-        if not telegram.data and telegram.empty_le3:
-            peers.empty_le3(da, now)
-        if self._repeats:
-            peers.expect_late(request, now, self.times.slot_known_ns)
-        elif peers.due:
-            peers.expect_none(da)
-        self._finish(telegram, now)
-
     def _finish(self, outcome: Telegram | Failure, now: int) -> None:
         user, request = self.user, self.request
-        self.user, self.request, self._candidate = None, NO_REQUEST, NONE
+        self.user = None
+        self.request = NO_REQUEST
+        self._candidate = NONE
         if user is not None:
             user.result(request, outcome, now)
         self.machine.check(now)
@@ -151,7 +161,7 @@ class Exchange(Awaiting):
             # no second telegram followed: the one kept back is the answer, and no other answer is due
             peers.due.clear()
             self._repeats = 0
-            self._answered(candidate, now)
+            self.response(candidate, now)
             return
         asked = self._asked
         peers.attempt_failed(request.da)
@@ -160,10 +170,9 @@ class Exchange(Awaiting):
         if not request.cyclic:
             self.admission.unanswered(request, now)
         outdated = False
-        if self._tries_left:
+        if self._repeats < self._most_repeats():
             outdated = request.still is not None and not request.still(now)
             if not outdated:
-                self._tries_left -= 1
                 if not self._repeats:
                     self.garbled = False  # a slave that loses its power may have begun to answer; then it is silent
                 self._repeats += 1
@@ -205,7 +214,15 @@ class Exchange(Awaiting):
 
     def stop_repeating(self) -> None:
         """Do not repeat the current request."""
-        self._tries_left = 0
+        self._may_repeat = False
+
+    def _most_repeats(self) -> int:
+        request, service = self.request, self._service
+        if not (self._may_repeat and service.answered and request.retry):
+            return 0
+        if service.counted and not self.fcb.operational[request.da]:
+            return 0  # a first request is not repeated (docs/reference/protocol.md#frame-count-bit)
+        return self.times.max_retry
 
     def detach(self, user: LinkUser) -> None:
         """Report no more results to ``user``."""

@@ -50,13 +50,14 @@ class ActiveLine(Line):
         self.after_ns = self.t_id1_ns
         self.busy_until = now + longest_ns
 
-    def telegram_ended(self, now: int) -> None:
-        """A whole telegram ended at ``now``."""
+    def telegram_ended(self, now: int, lasted_ns: int = 0) -> None:
+        """A whole telegram ended at ``now``. ``lasted_ns``: its duration, where the port is exact and has no edges."""
         if now > self.idle_since:
             self.idle_since = now
-        if not self._edge_seen:
-            self.edge_at = now
-        self._edge_seen = False
+        if self._edge_seen:
+            self._edge_seen = False
+        else:
+            self.edge_at = now - lasted_ns
         self.busy_until = 0
         self.after_ns = self.t_id1_ns
 
@@ -68,9 +69,11 @@ class ActiveLine(Line):
         # receiving while sending implies sent; only on an exact line it is a collision
         if now > self.idle_since or not exact:
             self.idle_since = now
-        if first_at >= 0 and not self._edge_seen:
-            self.edge_at = first_at
-        self._edge_seen = self._edge_seen and stall_at > 0
+        if not self._edge_seen:
+            if first_at >= 0:
+                self.edge_at = first_at
+        elif not stall_at:
+            self._edge_seen = False
         self.busy_until = stall_at
         self.after_ns = self.t_id1_ns
 
@@ -159,7 +162,7 @@ class Users:
 
     def update_due(self) -> None:
         """Read the deadlines of the users anew, after a call that may have changed one."""
-        self.due_at = min((user.wake_at() for user in self.all), default=NEVER)
+        self.due_at = min([user.wake_at() for user in self.all], default=NEVER)
 
     def broadcast(self, command: object, now: int) -> bool:
         """Pass ``command`` to all users; True when one of them accepted it."""

@@ -6,7 +6,7 @@ It receives octets or whole telegrams, classifies them, and runs the handler tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from msgspec.structs import replace
@@ -113,6 +113,7 @@ class ActiveStation:
         waiting = Waiting(*parts, exchange)
         passing = TokenPass(*parts, exchange, waiting)
         self._poll = poll = GapPoll(*parts, gap, exchange, admission, passing)
+        exchange.poll_sent = poll.sent
         self._hold = hold = TokenHold(*parts, gap, exchange, admission, window, passing, poll, waiting, guard)
         #: from receipt to receipt of the token
         self.token_rotation = hold.token_rotation
@@ -147,20 +148,30 @@ class ActiveStation:
     # --- receiving ----------------------------------------------------------------------------------------------
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets from the line (machine contract)."""
-        if self._machine.state is OFFLINE:
+        machine, line = self._machine, self._line
+        if machine.state is OFFLINE:
+            return
+        telegram = self._decoder.whole(chunk)
+        if telegram is not None:
+            if self._times.exact:
+                line.telegram_ended(now, chars_to_ns(len(chunk), self.baud))
+            else:
+                line.idle_since = now  # receiving while sending implies sent
+                line.telegram_ended(now)
+            self._process(telegram, now)
             return
         exact, pending, decoder = self._times.exact, self._pending, self._decoder
         first_at = -1 if pending else now
         if exact and not pending:
             first_at -= chars_to_ns(len(chunk), self.baud)
-        found = decoder.feed(chunk, now)
-        self._line.octets_ended(now, first_at, decoder.stall_at() if pending else 0, exact)
+        found = decoder.feed_pieces(chunk, now)
+        line.octets_ended(now, first_at, decoder.stall_at() if pending else 0, exact)
         if len(found) > _FLOOD:
             found = self._without_flood(found)
-        if found:
-            self._process(found, now)
-        else:
-            self._machine.row[ACTIVITY](NONE, now)
+        for telegram in found:
+            self._process(telegram, now)
+        if not found:
+            machine.row[ACTIVITY](NONE, now)
 
     def _without_flood(self, found: list[Telegram]) -> list[Telegram]:
         """``found`` with at most two SC in a row; the others count as stray.
@@ -186,24 +197,25 @@ class ActiveStation:
         """A whole telegram (see BusStation)."""
         if self._machine.state is not OFFLINE:
             self._line.telegram_ended(now)
-            self._process((telegram,), now)
+            self._process(telegram, now)
 
-    def _process(self, found: Iterable[Telegram], now: int) -> None:
-        machine, stats = self._machine, self.stats
-        for telegram in found:
-            stats.heard += 1
-            if self.wire is not None:
-                octets = _octets(telegram)
-                sender = str(telegram.sa) if telegram.sa >= 0 else None
-                self.wire(WireEntry(now - chars_to_ns(len(octets), self.baud), now, octets, sender))
-            machine.telegram(telegram, now)
+    def _process(self, telegram: Telegram, now: int) -> None:
+        self.stats.heard += 1
+        if self.wire is not None:
+            self._log_heard(self.wire, telegram, now)
+        self._machine.telegram(telegram, now)
+
+    def _log_heard(self, wire: Callable[[WireEntry], None], telegram: Telegram, now: int) -> None:
+        octets = _octets(telegram)
+        sender = str(telegram.sa) if telegram.sa >= 0 else None
+        wire(WireEntry(now - chars_to_ns(len(octets), self.baud), now, octets, sender))
 
     # --- time and sending ---------------------------------------------------------------------------------------
     def wake_at(self) -> int:
         """The earliest of: gate, deadline of the state, stall of a telegram, deadline of a user (machine contract)."""
         line, due_at = self._line, self._users.due_at
         at = self._machine.deadline if line.tx is None else line.idle_since + line.gate_ns
-        if at < line.busy_until:
+        if line.busy_until and at < line.busy_until:
             at = line.busy_until
         if self._pending:
             stall = self._decoder.stall_at()
@@ -216,7 +228,8 @@ class ActiveStation:
         if self._pending and now >= self._decoder.stall_at():
             found = self._decoder.stalled(now)
             self._line.end_arrival()
-            self._process(found, now)
+            for telegram in found:
+                self._process(telegram, now)
         line, machine, users = self._line, self._machine, self._users
         if line.tx is None and machine.deadline <= now and line.busy_until <= now:
             machine.timeout(now)
@@ -227,7 +240,7 @@ class ActiveStation:
         """The queued telegram once its gate is open (machine contract)."""
         line = self._line
         octets = line.tx
-        if octets is None or now < line.idle_since + line.gate_ns or now < line.busy_until:
+        if octets is None or now < line.idle_since + line.gate_ns or (line.busy_until and now < line.busy_until):
             return None
         if now - self._exchange.made_at > _LATE_NS and self._exchange.is_outdated(now):
             self._exchange.drop_outdated(now)
@@ -270,7 +283,8 @@ class ActiveStation:
         """The station's events, then its users'."""
         events = self._events
         for user in self._users.all:
-            events += user.take_events()
+            if user.events:
+                events += user.take_events()
         if not events:
             return []
         taken = events.copy()

@@ -206,13 +206,6 @@ class TokenHold(Parts):
         if machine.state is USE_TOKEN and self.line.tx is None and machine.deadline != NEVER:
             machine.check(now)
 
-    def sent(self, _: Telegram, at: int) -> None:
-        """A request or a GAP poll is on the line; its last bit at ``at``."""
-        if self.exchange.request is NO_REQUEST:
-            self.poll.sent(at)
-        else:
-            self.exchange.sent(NONE, at)
-
     def withdraw(self, telegram: Telegram, now: int) -> None:
         """Another station sends as only a token holder does: give up the hold. Active_Idle handles ``telegram``."""
         ts, ps = self.line.ts, self.membership.ring.ps

@@ -31,7 +31,7 @@ def recording(calls: list[tuple[State, Input, Telegram, int]]) -> StateMachine:
         return lambda telegram, now: calls.append((state, what, telegram, now))
 
     machine = StateMachine(TS)
-    machine.bind(tuple(tuple(handler(state, what) for what in Input) for state in State))
+    machine.bind({state: tuple(handler(state, what) for what in Input) for state in State})
     return machine
 
 

@@ -48,7 +48,7 @@ class Rig:
 
             return run
 
-        machine.bind(tuple(tuple(wrap(s, i, machine.rows[s][i]) for i in Input) for s in State))
+        machine.bind({s: tuple(wrap(s, i, machine.rows[s][i]) for i in Input) for s in State})
 
     def step(self) -> None:
         """To the next deadline, then one wake and one transmission at most."""
