@@ -13,18 +13,21 @@ SHORT: Final = bytes.fromhex("10 02 03 03 08 16")  # RS: the service is not acti
 
 
 class Asker(LinkUser):
-    """Asks station 3 once a token hold."""
+    """Asks station 3 ``often`` a token hold."""
 
-    def __init__(self) -> None:
+    def __init__(self, often: int = 1) -> None:
         self.outcomes: list[Telegram | Failure] = []
-        self._asks = False
+        self._often = often
+        self._left = 0
 
     def token_received(self, now: int) -> None:
-        self._asks = True
+        self._left = self._often
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
-        asks, self._asks = self._asks, False
-        return Request(3, Req.SRD_HIGH, bytes(12), patient=True) if asks else None
+        if not self._left:
+            return None
+        self._left -= 1
+        return Request(3, Req.SRD_HIGH, bytes(12), patient=True)
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         self.outcomes.append(outcome)

@@ -50,6 +50,8 @@ class Kernel:
         self.coming: list[tuple[int, bytes]] = []
         self.written: list[tuple[int, bytes]] = []
         self.woken: list[int] = []  # when somebody who slept was woken up
+        #: system calls by name; those of asyncio's loop ("epoll_wait", "epoll_ctl") and of its timer ("timerfd") too
+        self.calls: Counter[str] = Counter()
         self.far: Callable[[bytes, int], None] = lambda _octets, _now: None
         #: told what was done ("clock", "octets" or "nothing" read, "write", "woken"): how long the driver stands still
         self.held_up: Callable[[str], int] = lambda _what: 0
@@ -95,8 +97,13 @@ class Kernel:
     def readable(self) -> bool:
         return bool(self.coming) and self.coming[0][0] <= self.now
 
+    def call(self, name: str, ticks: int = 1) -> None:
+        """A system call, which takes its time."""
+        self.calls[name] += 1
+        self.now += ticks * TICK_NS
+
     def read(self, size: int) -> bytes:
-        self.now += TICK_NS
+        self.call("read")
         octets = b""
         while self.readable and len(octets) + len(self.coming[0][1]) <= size:
             octets += self.coming.pop(0)[1]
@@ -106,7 +113,7 @@ class Kernel:
         return octets
 
     def write(self, octets: bytes) -> int:
-        self.now += 10 * TICK_NS
+        self.call("write", 10)
         self.written.append((self.now, octets))
         self.far(octets, self.now)
         self.now += self.held_up("write")
@@ -119,6 +126,11 @@ class Kernel:
         if until > self.now:
             self.now = until + LATE_NS + self.held_up("woken")
             self.woken.append(self.now)
+
+    def nap(self, until: int) -> None:
+        """Up to ``until`` by the driver's clock, whatever arrives."""
+        self.call("nap")
+        self.sleep(self.true_time(until), listening=False)
 
 
 class Line(FdPort):
@@ -148,7 +160,7 @@ class _Select:
         self, readers: list[int], _writers: object, _errors: object, timeout: float | None
     ) -> tuple[list[int], list[int], list[int]]:
         kernel = self._kernel
-        kernel.now += TICK_NS
+        kernel.call("select")
         until = NEVER if timeout is None else kernel.true_end(round(timeout * 1e6) * 1000)
         kernel.sleep(until, _LINE in readers)
         return ([_LINE] if _LINE in readers and kernel.readable else []), [], []
@@ -169,7 +181,7 @@ class _Poll:
         self._fds.discard(fd)
 
     def poll(self, _timeout: int) -> Iterable[tuple[int, int]]:
-        self._kernel.now += TICK_NS
+        self._kernel.call("poll")
         return [(_LINE, select.POLLIN)] if _LINE in self._fds and self._kernel.readable else []
 
 
@@ -195,11 +207,11 @@ class _Asyncio:
         self.early_ns = 0
 
     def add_reader(self, _fd: int, callback: Callable[[], object], /) -> None:
-        self._kernel.now += TICK_NS
+        self._kernel.call("epoll_ctl")
         self._reader = callback
 
     def remove_reader(self, _fd: int, /) -> None:
-        self._kernel.now += TICK_NS
+        self._kernel.call("epoll_ctl")
         self._reader = None
 
     def call_soon(self, callback: Callable[[], object], /) -> _Soon:
@@ -219,8 +231,11 @@ class _Asyncio:
         self.stopping = True
 
     def set(self, at: int) -> None:
-        self._kernel.now += TICK_NS
+        self._kernel.call("timerfd")
         self._at = at
+
+    def nap(self, until: int) -> None:
+        self._kernel.nap(until)
 
     def close(self) -> None:
         self._at = NEVER
@@ -234,6 +249,7 @@ class _Asyncio:
                 if call.callback is not None:
                     call.callback()
             at = kernel.true_time(self._at - self.early_ns if self._at != NEVER else NEVER)
+            kernel.calls["epoll_wait"] += 1
             kernel.sleep(kernel.now if self._soon else min(at, until), self._reader is not None)
             if self._reader is not None and kernel.readable:
                 self._reader()
@@ -290,6 +306,7 @@ class Driven:
             self.stop = asyncio_loop.stop
         else:
             patch.setattr(select_loop, "select", _Select(kernel))
+            patch.setattr(select_loop.Alarm, "nap", lambda _alarm, until: kernel.nap(until))
             self._loop = loop = SelectLoop()
             runtime = SelectRuntime(port, machine, self.events.extend, **options)
             runtime.open(loop)

@@ -3,14 +3,16 @@
 The driver uses the expected time for two purposes. It collects garbage between a request and its answer. And it saves
 wake-ups: a port delivers an answer in pieces, six of them for 21 octets at 500 kbit/s, and each piece wakes the driver.
 Where earlier answers to requests with the same header had the same length and came in several pieces, the driver sleeps
-until the next answer should be complete. The operating system keeps the octets meanwhile. The deadlines of the protocol
-machine do not change, so the driver never notices a missing answer later than without this sleep.
+until the next answer should be complete, and reads it with one call. The operating system keeps the octets meanwhile.
+The deadlines of the protocol machine do not change, so the driver never notices a missing answer later than without
+this sleep.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
+from dpstack.drivers.line.timers import Lead
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req
 from dpstack.units import NEVER, NS_PER_US
 
@@ -21,22 +23,29 @@ _MOST_HEADERS: Final = 1024
 #: weight of a new delay in the mean, as a shift: one eighth
 _MEAN_SHIFT: Final = 3
 
-#: The driver sleeps only through answers of at least this many pieces: the wake-up before the end costs time too.
-_LEAST_PIECES: Final = 4
-#: After this many answers of equal length the driver expects the next one at the earliest time among them.
+#: The driver sleeps only through answers of at least this many pieces: one piece wakes it once anyhow.
+_LEAST_PIECES: Final = 2
+#: After this many answers of equal length the driver expects the end of the next one at the earliest time among them.
 _EQUAL_ANSWERS: Final = 4
 #: After this many expected answers the driver learns the time anew: while it sleeps it cannot notice that answers have
 #: become faster.
 _RELEARN_AFTER: Final = 250
-#: The driver does not sleep through a shorter time.
-_SHORTEST_SLEEP_NS: Final = 100 * NS_PER_US
-#: The driver sets the wake-up this much before the end of the answer: first value, minimum, maximum, and the step by
-#: which each answer changes the value. The value follows the median lateness of wake-ups, so that about half of the
-#: answers are complete when the driver wakes up.
-_EARLY_NS: Final = 40 * NS_PER_US
-_LEAST_EARLY_NS: Final = 15 * NS_PER_US
-_MOST_EARLY_NS: Final = 150 * NS_PER_US
-_EARLY_STEP_NS: Final = NS_PER_US
+#: Wake-ups that were saved, at most so many, may be lost again by answers that come at irregular times. Then the driver
+#: does not sleep through so many answers to requests with this header.
+_MOST_SAVED: Final = 4
+_LISTEN_FOR: Final = 40
+#: The driver does not sleep through a shorter time: it would read the answer some 15 us later than with a wake-up for
+#: each piece, as the processor does not rest between these (measured at 1.5 Mbit/s, 21 octets: 2 % of a rotation).
+_SHORTEST_SLEEP_NS: Final = 500 * NS_PER_US
+#: The driver sets the wake-up this much before the end of the answer: first value, maximum, the step up. Nine of ten
+#: wake-ups are later than that, so that they find the answer complete: a second one costs more than the time lost.
+_LEAD_NS: Final = 20 * NS_PER_US
+_MOST_LEAD_NS: Final = 150 * NS_PER_US
+_LEAD_STEP_NS: Final = NS_PER_US // 2
+#: Where the rest of an answer ends sooner than this after a wake-up that found it incomplete, the earliest time is
+#: raised, by one eighth of the wait for the rest.
+_NEARLY_NS: Final = 25 * NS_PER_US
+_RAISE_SHIFT: Final = 3
 
 _SD1: Final = int(Kind.SD1)
 _SD2: Final = int(Kind.SD2)
@@ -62,24 +71,27 @@ def is_answered(header: bytes) -> bool:
 class _UsualAnswer:
     """The usual answer to requests with one header. Times in ns from the end of the request."""
 
-    __slots__ = ("answered", "delay", "equal_answers", "octets", "soonest")
+    __slots__ = ("answered", "delay", "equal_answers", "octets", "pieces", "saved", "soonest")
 
     def __init__(self, delay: int, octets: int, answered: bool) -> None:
-        self.delay = self.soonest = delay  # to its last octet
+        self.delay = delay  # to the reading of its last octet, the mean
+        self.soonest = delay  # to its end at the earliest
         self.octets = octets
-        self.equal_answers = 0  # successive answers of equal length
+        self.equal_answers = 0  # successive answers of equal length in several pieces
         self.answered = answered
+        self.pieces = 0  # of the last answer that the driver did not sleep through
+        self.saved = 0  # wake-ups
 
 
 class AnswerTiming:
     """Learns when answers arrive: the driver reports each transmission and each read of the port. Times in ns."""
 
     __slots__ = (
-        "_early",
         "_end",
         "_first_at",
         "_header",
         "_last_at",
+        "_lead",
         "_octets",
         "_pieces",
         "_usual",
@@ -90,7 +102,7 @@ class AnswerTiming:
         self._usual: dict[bytes, _UsualAnswer] = {}
         self._header = b""
         self._end = 0
-        self._early = _EARLY_NS
+        self._lead = Lead(_LEAD_NS, least=0, most=_MOST_LEAD_NS, raised=_LEAD_STEP_NS, lowered=9 * _LEAD_STEP_NS)
         #: the driver need not read the answer before this time; 0: read at once
         self.sleep_until = 0
         # since the last transmission
@@ -111,8 +123,9 @@ class AnswerTiming:
                 return 0
         return self._octets
 
-    def sent(self, octets: bytes, end: int) -> int:
-        """``octets`` have left at ``end``. Returns when the last octet of the answer should arrive, or NEVER."""
+    def sent(self, octets: bytes, now: int, end: int) -> int:
+        """``octets`` were written at ``now`` and leave until ``end``. Returns when the last octet of the answer should
+        arrive, or NEVER."""
         by_header, header = self._usual, self._header
         usual = by_header.get(header)
         if self._pieces:
@@ -134,24 +147,31 @@ class AnswerTiming:
         if usual is None:
             return NEVER
         if usual.equal_answers >= _EQUAL_ANSWERS:
-            sleep_ns = usual.soonest - self._early
-            if sleep_ns > _SHORTEST_SLEEP_NS:
-                self.sleep_until = end + sleep_ns
+            wake_at = end + usual.soonest - self._lead.ns
+            if wake_at - now > _SHORTEST_SLEEP_NS:
+                self.sleep_until = wake_at
         return end + usual.delay
 
     def _learn(self, usual: _UsualAnswer) -> None:
         delay = self._last_at - self._end
-        if self.sleep_until:
-            if self._first_at - self.sleep_until > self._early:
-                self._early = min(self._early + _EARLY_STEP_NS, _MOST_EARLY_NS)
-            else:
-                self._early = max(self._early - _EARLY_STEP_NS, _LEAST_EARLY_NS)
+        usual.delay += (delay - usual.delay) >> _MEAN_SHIFT
+        pieces, sleep_until = self._pieces, self.sleep_until
+        ended = delay  # the answer had ended by then
+        if sleep_until:
+            self._lead.learn(self._first_at - sleep_until)
             usual.equal_answers = usual.equal_answers + 1 if usual.equal_answers < _RELEARN_AFTER else 0
+            usual.saved = min(usual.saved + usual.pieces - pieces, _MOST_SAVED)
+            if usual.saved < 0:
+                usual.saved = 0
+                usual.equal_answers = _EQUAL_ANSWERS - _LISTEN_FOR
         else:
-            usual.equal_answers = usual.equal_answers + 1 if usual.answered and self._pieces >= _LEAST_PIECES else 0
+            usual.pieces = pieces
+            usual.equal_answers = usual.equal_answers + 1 if usual.answered and pieces >= _LEAST_PIECES else 0
+            ended -= self._lead.ns  # octets wake the driver as late as a timer does
         if self._octets != usual.octets:
             usual.octets = self._octets
             usual.equal_answers = 0
-        if delay < usual.soonest or not usual.equal_answers:
-            usual.soonest = delay
-        usual.delay += (delay - usual.delay) >> _MEAN_SHIFT
+        if ended < usual.soonest or usual.equal_answers <= 0:
+            usual.soonest = ended
+        elif sleep_until and pieces > 1 and (rest := self._last_at - self._first_at) - self._lead.ns < _NEARLY_NS:
+            usual.soonest += rest >> _RAISE_SHIFT

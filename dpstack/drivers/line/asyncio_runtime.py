@@ -21,7 +21,8 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
 
     blocked_by = "the program did not let its event loop run, or was stopped,"
     _loop: asyncio.AbstractEventLoop | None = None  # set by open()
-    _sleep_until = 0  # the port delivers nothing before this time; the timer ends it
+    _paused = False  # the port delivers nothing
+    _sleep_until = 0  # until this time, which the timer ends; 0 while the loop is awake
     _reopening: asyncio.Task[None] | None = None
     _left: str | None = None  # why it no longer runs although it was not closed
     #: a real bus cannot fall behind real time
@@ -78,13 +79,19 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
 
     def _expect(self, at: int, sleep_until: int) -> None:
         if sleep_until:
-            if not self._sleep_until and not self._port.pause_reading(True):
+            if not self._paused and not self._port.pause_reading(True):
                 return
+            sleep_until += self._early_ns  # by which the timer is set early: nothing is left to spin here
+            self._paused = True
             if sleep_until < self._armed:
                 self._arm(sleep_until)
-        elif self._sleep_until:
-            self._port.pause_reading(False)
+        elif self._paused:
+            self._resume_reading()
         self._sleep_until = sleep_until
+
+    def _resume_reading(self) -> None:
+        self._paused = False
+        self._port.pause_reading(False)
 
     def _timer_due(self) -> None:
         sleep_until = self._sleep_until
@@ -95,16 +102,24 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
             if min(sleep_until, self._deadline) - monotonic_ns() > self._early_ns:
                 self._arm(min(sleep_until, self._deadline))
             elif sleep_until < self._deadline:
-                self._armed = NEVER  # before the step, which may arm it again
-                self._sleep_until = 0
-                self._port.pause_reading(False)
-                self._step(self._drain())
+                self._read_after_sleep()
             else:
                 super()._timer_due()
                 if self._sleep_until and self._sleep_until < self._armed:
                     self._arm(self._sleep_until)
         except Exception as exc:  # above all MemoryError: the timer is not armed again
             self._fail(exc)
+
+    def _read_after_sleep(self) -> None:
+        """The answer should be there. A complete one leads to the next request, and often to the next sleep: only
+        where it does not, the loop is told to wake up for octets again, which costs a system call both ways."""
+        self._armed = NEVER  # before the step, which may arm it again
+        self._sleep_until = 0
+        try:
+            self._step(self._drain())
+        finally:
+            if self._paused and not self._sleep_until:
+                self._resume_reading()
 
     def _count_spinning(self, spun_ns: int, now: int) -> None:
         """Spinning is limited only in a process with real-time priority."""

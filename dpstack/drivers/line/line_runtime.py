@@ -1,7 +1,7 @@
 """Common part of the real-time drivers: steps the protocol machine, follows its baud rate, dispatches its events.
 
 Subclasses differ only in how they wait. From an answer to the next request: the loop calls the port's reader, which
-reads and calls :meth:`LineRuntime._step`. That pumps the machine, spins to the end of the idle time when it is near,
+reads and calls :meth:`LineRuntime._step`. That pumps the machine, waits for the end of the idle time when it is near,
 and writes. Events and the timer follow after the write.
 """
 
@@ -19,7 +19,7 @@ from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.drivers.line.last_clear import LastClear
 from dpstack.drivers.line.port_latency import PortLatency, Tune
 from dpstack.drivers.line.rate import BACKOFF_NS, LONGEST, NoRateError, ReopenAttempts, follow, wire_times
-from dpstack.drivers.line.timers import Timer, boottime_ns, suspended_ns
+from dpstack.drivers.line.timers import Lead, Timer, boottime_ns, suspended_ns
 from dpstack.drivers.runtime import RESERVE, OnEvents, OnFailure, PortBack, PortLost, stopped_by
 from dpstack.drivers.tap import Tap, TappedMachine
 from dpstack.errors import BusError, DpError, PortError, UsageError
@@ -30,8 +30,19 @@ from dpstack.text import printable
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_US, ms_text
 
-#: The driver spins through shorter waits: a timer would fire later (measured 40 us).
-SPIN_NS: Final = 20 * NS_PER_US
+#: The driver waits that long within a step: a turn of the loop costs 8 us more in the bus process, 40 us and seven
+#: system calls in asyncio. T_ID1 at 500 kbit/s is 74 us. Shorter than any slot time.
+STEP_WAIT_NS: Final = 75 * NS_PER_US
+#: The timer is set so much before a deadline, the rest is spun (a timerfd is 20 to 40 us late).
+_EARLY_NS: Final = 20 * NS_PER_US
+#: Within a step the driver naps and spins the rest. A nap takes as much processor time as it is late (16 us in a
+#: virtual machine, 25 us less than spinning through T_ID1 at 500 kbit/s); a shorter one saves nothing.
+_SHORTEST_NAP_NS: Final = 10 * NS_PER_US
+#: A nap ends this much before the deadline: first value, minimum, maximum, the step down. Nine of ten are less late.
+_NAP_LEAD_NS: Final = 20 * NS_PER_US
+_LEAST_NAP_LEAD_NS: Final = 5 * NS_PER_US
+_MOST_NAP_LEAD_NS: Final = 80 * NS_PER_US
+_NAP_LEAD_STEP_NS: Final = NS_PER_US // 4
 #: After a deadline missed by more than this the port is read again before the machine acts on the deadline.
 _LATE_NS: Final = 30 * NS_PER_US
 #: The driver reports to the machine that it ran later than this. No slave's watchdog is shorter.
@@ -63,10 +74,8 @@ class LineRuntime(ABC):
 
     #: reason for a late run, for messages
     blocked_by = "the process was stopped, or had no processor"
-    #: longest wait within a step that is spun
-    spin_ns = SPIN_NS
     #: the timer is set this much before a deadline, the rest is spun
-    early_ns = SPIN_NS
+    early_ns = _EARLY_NS
 
     def __init__(
         self,
@@ -93,7 +102,14 @@ class LineRuntime(ABC):
         self._reserve: bytearray | None = None
         self._stepped_at = 0  # end of the last step
         self._suspended_ns = 0  # sleep of the computer that was reported to the machine
-        self._spin_ns, self._early_ns = self.spin_ns, self.early_ns
+        self._step_wait_ns, self._early_ns = STEP_WAIT_NS, self.early_ns
+        self._nap_lead = Lead(
+            _NAP_LEAD_NS,
+            least=_LEAST_NAP_LEAD_NS,
+            most=_MOST_NAP_LEAD_NS,
+            raised=9 * _NAP_LEAD_STEP_NS,
+            lowered=_NAP_LEAD_STEP_NS,
+        )
         self._backoff_ns = backoff_ns
         self._attempts: ReopenAttempts | None = None  # while the port is lost
         self._echo_wanted = echo
@@ -176,7 +192,7 @@ class LineRuntime(ABC):
 
     @abstractmethod
     def _count_spinning(self, spun_ns: int, now: int) -> None:
-        """A step has spun for ``spun_ns``."""
+        """A step has spun for ``spun_ns`` in all."""
 
     @abstractmethod
     def _begin_reopening(self, attempts: ReopenAttempts) -> None:
@@ -238,8 +254,8 @@ class LineRuntime(ABC):
     # --- the lean path ------------------------------------------------------------------------------------------------
 
     def _step(self, chunk: bytes) -> None:
-        """Pump until nothing is due within the spin time, then arm the timer and dispatch events."""
-        machine, pumped, transmit, spin_ns = self._machine, self._pumped, self._transmit, self._spin_ns
+        """Pump until nothing is due soon, then arm the timer and dispatch events."""
+        machine, pumped, transmit, wait_ns = self._machine, self._pumped, self._transmit, self._step_wait_ns
         steps = _BURST
         count, sent_at, spun = 0, 0, 0
         try:
@@ -262,16 +278,17 @@ class LineRuntime(ABC):
                 if now - began >= _HELD_UP_NS and self._held_up is not None:
                     self._held_up(self._late(now - began), now)
                     deadline = machine.wake_at()
-                if deadline - now > spin_ns:
+                if deadline - now > wait_ns:
                     break
                 steps -= 1
                 if not steps:
                     self._let_loop_turn()
                     break
                 if now < deadline:
-                    spun += deadline - now
+                    spinning = self._nap(deadline, now)
                     while now < deadline:
                         now = monotonic_ns()
+                    spun += now - spinning
                 chunk = b""
                 if now - deadline > _LATE_NS:
                     if now - deadline >= _HELD_UP_NS and self._held_up is not None:  # it was stopped while it spun
@@ -303,6 +320,19 @@ class LineRuntime(ABC):
             if self._echo is None and self._echo_wanted is Echo.AUTO:
                 self._suspect_echo(events)
             self._dispatch(events)
+
+    def _nap(self, deadline: int, now: int) -> int:
+        """Sleep up to shortly before ``deadline`` where that pays. Returns the time."""
+        lead = self._nap_lead
+        end = deadline - lead.ns
+        if end - now < _SHORTEST_NAP_NS or self._timer is None:
+            if deadline - now >= _SHORTEST_NAP_NS + _LEAST_NAP_LEAD_NS:
+                lead.learn(0)  # it was too late for a nap: perhaps it is no longer
+            return now
+        self._timer.nap(end)
+        now = monotonic_ns()
+        lead.learn(now - end)
+        return now
 
     def _report_late_run(self, tell: OnHeldUp, now: int) -> None:
         """Report to the machine, before it acts, that it did not run in time or that the computer slept."""
@@ -343,9 +373,10 @@ class LineRuntime(ABC):
             self._echo.sent(octets)
         if not self._put(octets):
             self._dropped(now)
-        end = self.lateness.sent_at = monotonic_ns() + self._wire_ns[len(octets)]
+        written = monotonic_ns()
+        end = self.lateness.sent_at = written + self._wire_ns[len(octets)]
         answers = self._answers
-        self._expect(answers.sent(octets, end), answers.sleep_until)
+        self._expect(answers.sent(octets, written, end), answers.sleep_until)
         return end
 
     def _write_after_refusal(self, octets: bytes, now: int) -> int:

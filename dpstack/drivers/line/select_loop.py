@@ -25,18 +25,17 @@ from collections.abc import Callable, Iterable
 from time import monotonic_ns, sleep
 from typing import Final
 
+from dpstack.drivers.line.timers import Lead
 from dpstack.drivers.realtime.cpu_budget import Budget
 from dpstack.errors import UsageError
 from dpstack.text import traceback_text
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US
 
-#: The loop wakes up this much before a deadline: first value, minimum, maximum.
+#: The loop wakes up this much before a deadline: first value, minimum, maximum. Nine of ten wake-ups are less late.
 _LEAD_NS: Final = 40 * NS_PER_US
 _LEAST_LEAD_NS: Final = 15 * NS_PER_US
 _MOST_LEAD_NS: Final = 90 * NS_PER_US
-#: A wake-up that was less late than the lead shortens it by one step; a later one lengthens it by nine steps.
 _LEAD_STEP_NS: Final = NS_PER_US // 2
-_LEAD_STEPS_UP: Final = 9
 
 #: select's own limit (FD_SETSIZE); beyond it the loop sleeps in poll(), whose grain is 1 ms
 _MOST_FDS: Final = 1024
@@ -68,6 +67,10 @@ class Alarm:
 
     cancel = close  # the name of asyncio's handles
 
+    def nap(self, until: int) -> None:
+        """Let the thread sleep until ``until`` (CLOCK_MONOTONIC, ns). The loop does nothing meanwhile."""
+        sleep(max(0, until - monotonic_ns()) / NS_PER_S)
+
 
 class _Soon:
     __slots__ = ("callback",)
@@ -90,6 +93,10 @@ class SelectLoop:
         self.budget = Budget() if budget is None else budget
         #: expected time of the next octets (ns), NEVER where it is unknown; for ``on_idle``
         self.expected_at = NEVER
+        #: The loop does not wake up for the quiet descriptor (:meth:`set_quiet`) before this time (ns), and calls its
+        #: reader then, whether there are octets or not. 0: it wakes up for all octets. A loop that is awake for another
+        #: reason calls the reader sooner.
+        self.quiet_until = 0
         #: called before the loop sleeps: with the time, and the time of the next deadline or expected octets (ns)
         self.on_idle: Callable[[int, int], object] | None = None
         self._readers: dict[int, Callable[[], object]] = {}
@@ -97,14 +104,16 @@ class SelectLoop:
         self._read_fds: list[int] = []
         self._write_fds: list[int] = []
         self._quiet_fd: int | None = None
-        self._sleep_until = 0
+        self._loud_fds: list[int] = []  # those to read, without the quiet one
         self._has_high_fd = False
         self._poll = select.poll()
         self._soon: deque[_Soon] = deque()
         self._alarms: list[Alarm] = []
         self._signals: dict[int, Callable[[], object]] = {}
         self._waker: tuple[socket.socket, socket.socket] | None = None
-        self._lead_ns = _LEAD_NS
+        self._lead = Lead(
+            _LEAD_NS, least=_LEAST_LEAD_NS, most=_MOST_LEAD_NS, raised=9 * _LEAD_STEP_NS, lowered=_LEAD_STEP_NS
+        )
         self._is_running = False
         self._stopping = False
         self._closed = False
@@ -160,13 +169,10 @@ class SelectLoop:
         """A deadline that can be set repeatedly; none is set yet."""
         return Alarm(self._alarms, callback, NEVER, lasts=True)
 
-    def ignore_until(self, fd: int | None, until: int) -> None:
-        """Do not wake up for octets at the descriptor ``fd`` before ``until`` (ns); 0: wake up for all octets.
-
-        A loop that is awake for another reason still calls the reader.
-        """
+    def set_quiet(self, fd: int | None) -> None:
+        """The descriptor that ``quiet_until`` is about."""
         self._quiet_fd = fd
-        self._sleep_until = until
+        self._loud_fds = [each for each in self._read_fds if each != fd]
 
     def call_at(self, at: int, callback: Callable[[], object]) -> Alarm:
         """Call once at ``at`` (CLOCK_MONOTONIC, ns)."""
@@ -202,7 +208,7 @@ class SelectLoop:
         self._closed = True
         self._soon.clear()
         self._alarms.clear()
-        for fds in (self._readers, self._writers, self._read_fds, self._write_fds):
+        for fds in (self._readers, self._writers, self._read_fds, self._loud_fds, self._write_fds):
             fds.clear()
         self._poll = select.poll()
         bell, self._waker = self._waker, None
@@ -262,7 +268,7 @@ class SelectLoop:
                 due = alarm.at
         if due <= now or self._soon or self._stopping:
             return poll(0)
-        if due - now <= self._lead_ns and budget.may_spin(now):
+        if due - now <= self._lead.ns and budget.may_spin(now):
             begin = now
             until = min(due, now + budget.left_ns())
             ready: Iterable[tuple[int, int]] = ()
@@ -282,12 +288,12 @@ class SelectLoop:
             expected = self.expected_at
             self.on_idle(now, expected if now < expected < due else due)
             now = monotonic_ns()
-        lead = self._lead_ns
-        target = due - lead if due - lead > now and budget.may_spin(due) else due
-        read_fds = self._read_fds
-        if now < self._sleep_until < target:
-            target = self._sleep_until
-            read_fds = [fd for fd in read_fds if fd != self._quiet_fd]
+        lead = self._lead
+        target = due - lead.ns if due - lead.ns > now and budget.may_spin(due) else due
+        read_fds, quiet_fd = self._read_fds, None
+        if now < self.quiet_until < target:
+            target = self.quiet_until
+            read_fds, quiet_fd = self._loud_fds, self._quiet_fd
         if self._has_high_fd:
             ready = self._poll.poll(None if target == NEVER else max(0, target - now) // NS_PER_MS)
             woke = monotonic_ns()
@@ -301,14 +307,19 @@ class SelectLoop:
             return ()
         woke = monotonic_ns()
         budget.slept(woke - now, woke)
+        if writable:
+            return self._poll.poll(0)
+        ready = [(fd, select.POLLIN) for fd in readable]
         if woke >= target:
-            lead += _LEAD_STEPS_UP * _LEAD_STEP_NS if woke - target > lead else -_LEAD_STEP_NS
-            self._lead_ns = min(max(lead, _LEAST_LEAD_NS), _MOST_LEAD_NS)
-        return self._poll.poll(0) if writable else [(fd, select.POLLIN) for fd in readable]
+            lead.learn(woke - target)
+            if quiet_fd is not None:
+                ready.append((quiet_fd, select.POLLIN))
+        return ready
 
     # --- book-keeping ---
     def _register(self, fd: int) -> None:
         self._read_fds = list(self._readers)
+        self._loud_fds = [each for each in self._read_fds if each != self._quiet_fd]
         self._write_fds = list(self._writers)
         self._has_high_fd = max((*self._read_fds, *self._write_fds), default=0) >= _MOST_FDS
         events = (select.POLLIN if fd in self._readers else 0) | (select.POLLOUT if fd in self._writers else 0)

@@ -9,11 +9,11 @@ import threading
 from functools import partial
 from time import monotonic_ns
 
-from dpstack.drivers.line.line_runtime import LineRuntime
+from dpstack.drivers.line.line_runtime import STEP_WAIT_NS, LineRuntime
 from dpstack.drivers.line.rate import ReopenAttempts
 from dpstack.drivers.line.select_loop import Alarm, SelectLoop
 from dpstack.errors import PortError
-from dpstack.units import NEVER, NS_PER_US
+from dpstack.units import NEVER
 
 
 class SelectRuntime(LineRuntime):
@@ -27,9 +27,6 @@ class SelectRuntime(LineRuntime):
     _retry: Alarm | None = None
     _connecting: threading.Thread | None = None
 
-    #: A turn of the loop costs 8 us more than spinning, measured at 500 kbit/s, where T_ID1 is 74 us and most of it is
-    #: left when an answer has been decoded. Shorter than any slot time.
-    spin_ns = 70 * NS_PER_US
     #: the loop itself polls before a deadline
     early_ns = 0
 
@@ -70,18 +67,27 @@ class SelectRuntime(LineRuntime):
     def _expect(self, at: int, sleep_until: int) -> None:
         loop = self._loop
         loop.expected_at = at
-        loop.ignore_until(self._port.fd, sleep_until)
+        loop.quiet_until = sleep_until
+
+    def _attach(self) -> None:
+        self._loop.set_quiet(self._port.fd)
+        super()._attach()
+
+    def _arm(self, deadline: int) -> None:
+        """Each time, as it costs no system call: an alarm that is too early wakes the loop up in vain."""
+        if self._timer is not None:
+            self._timer.set(deadline)
 
     def _count_spinning(self, spun_ns: int, now: int) -> None:
         budget = self._loop.budget
         budget.spun(spun_ns, now)
         if not budget.may_spin(now):
-            self._spin_ns = 0
+            self._step_wait_ns = 0
 
     def _timer_due(self) -> None:
         try:
-            if not self._spin_ns and self._loop.budget.may_spin(monotonic_ns()):
-                self._spin_ns = self.spin_ns
+            if not self._step_wait_ns and self._loop.budget.may_spin(monotonic_ns()):
+                self._step_wait_ns = STEP_WAIT_NS
         except MemoryError as exc:
             self._fail(exc)
             return

@@ -1,4 +1,5 @@
-"""Timers for deadlines in an event loop (timerfd on Linux, else the loop's own); the clock of system sleep."""
+"""Timers for deadlines in an event loop (timerfd on Linux, else the loop's own); how early they are set; the clock of
+system sleep."""
 
 from __future__ import annotations
 
@@ -30,11 +31,35 @@ def suspended_ns() -> int:
     return boottime_ns() - time.monotonic_ns()
 
 
+class Lead:
+    """Time by which a sleep is set to end before its deadline, learned from how late wake-ups are. In ns.
+
+    ``raised``, ``lowered``: steps after a wake-up that was later than the lead, and after another one. So the share
+    ``lowered / (raised + lowered)`` of all wake-ups is later than the lead. ``least``, ``most``: its limits.
+    """
+
+    __slots__ = ("_least", "_lowered", "_most", "_raised", "ns")
+
+    def __init__(self, first: int, *, least: int, most: int, raised: int, lowered: int) -> None:
+        self.ns = first
+        self._least, self._most = least, most
+        self._raised, self._lowered = raised, lowered
+
+    def learn(self, late: int) -> None:
+        """A wake-up was ``late`` ns after the end that was set for it."""
+        ns = self.ns + self._raised if late > self.ns else self.ns - self._lowered
+        self.ns = min(max(ns, self._least), self._most)
+
+
 class Timer(Protocol):
     """Calls back once when its deadline is reached, early at most by the clock's grain. The call may use ``set``."""
 
     def set(self, at: int) -> None:
         """Replace the deadline by ``at`` (CLOCK_MONOTONIC, ns)."""
+
+    def nap(self, until: int) -> None:
+        """Let the thread sleep until ``until`` (CLOCK_MONOTONIC, ns); returns at once where no precise sleep is to be
+        had. The loop does nothing meanwhile."""
 
     def close(self) -> None: ...
 
@@ -42,25 +67,35 @@ class Timer(Protocol):
 class FdTimer:
     """A timerfd in the loop's selector: about 0.04 ms late."""
 
-    __slots__ = ("_callback", "_loop", "_timer")
+    __slots__ = ("_callback", "_is_due", "_loop", "_naps", "_timer")
 
     def __init__(self, loop: asyncio.AbstractEventLoop, callback: Callable[[], None]) -> None:
         self._loop = loop
         self._callback = callback
         self._timer = timerfd.Timerfd()
+        self._naps = timerfd.Timerfd(blocking=True)
+        self._is_due = False
         loop.add_reader(self._timer.fd, self._fired)
 
     def set(self, at: int) -> None:
+        self._is_due = False
         self._timer.set(at)
+
+    def nap(self, until: int) -> None:
+        self._naps.sleep(until)
 
     def close(self) -> None:
         if self._timer.fd >= 0 and not self._loop.is_closed():
             self._loop.remove_reader(self._timer.fd)
         self._timer.close()
+        self._naps.close()
 
     def _fired(self) -> None:
-        self._timer.clear()
+        self._is_due = True
         self._callback()
+        if self._is_due and self._timer.fd >= 0:  # a new deadline, which most calls set, has reset it already
+            self._is_due = False
+            self._timer.clear()
 
 
 class LoopTimer:
@@ -77,6 +112,9 @@ class LoopTimer:
         if self._handle is not None:
             self._handle.cancel()
         self._handle = self._loop.call_later(max(0, at - time.monotonic_ns()) / NS_PER_S, self._fired)
+
+    def nap(self, until: int) -> None:
+        """Never: a sleep would be as late as the timer."""
 
     def close(self) -> None:
         if self._handle is not None:

@@ -71,6 +71,55 @@ def test_a_reader_is_called_until_all_octets_are_read(
     assert calls == [b"ab", b"cd", b"ef"]
 
 
+@pytest.mark.parametrize("octets", [b"abc", b""])
+def test_a_quiet_descriptor_is_read_once_at_the_end_of_its_time(
+    loop: SelectLoop, pair: tuple[socket.socket, socket.socket], octets: bytes
+) -> None:
+    near, far = pair
+    calls: list[tuple[int, bytes]] = []
+    until = monotonic_ns() + 5 * NS_PER_MS
+
+    def readable() -> None:
+        got = b""
+        with contextlib.suppress(BlockingIOError):
+            got = near.recv(9)
+        calls.append((monotonic_ns(), got))
+
+    loop.add_reader(near.fileno(), readable)
+    loop.set_quiet(near.fileno())
+    loop.quiet_until = until
+    far.send(octets)
+    loop.call_at(until + 5 * NS_PER_MS, loop.stop)
+    run(loop)
+    ((at, got),) = calls
+    assert at >= until
+    assert got == octets
+
+
+def test_other_descriptors_wake_the_loop_up_while_one_is_quiet(
+    loop: SelectLoop, pair: tuple[socket.socket, socket.socket]
+) -> None:
+    near, far = pair
+    other, its_far = socket.socketpair()
+    calls: list[str] = []
+
+    def on_other() -> None:
+        calls.append("other")
+        other.recv(9)
+        loop.stop()
+
+    loop.add_reader(near.fileno(), lambda: calls.append("quiet"))
+    loop.add_reader(other.fileno(), on_other)
+    loop.set_quiet(near.fileno())
+    loop.quiet_until = monotonic_ns() + LIMIT_NS // 2
+    far.send(b"a")
+    its_far.send(b"b")
+    run(loop)
+    assert calls == ["other"]
+    other.close()
+    its_far.close()
+
+
 def test_a_hang_up_is_readable(loop: SelectLoop, pair: tuple[socket.socket, socket.socket]) -> None:
     near, far = pair
     got: list[bytes] = []

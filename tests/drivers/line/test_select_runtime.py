@@ -69,30 +69,30 @@ def opened(loop: SelectLoop, port: Port, machine: Machine, events: list[Event] |
 
 def test_an_answer_is_expected_when_the_last_alike_came() -> None:
     answers = AnswerTiming()
-    assert answers.sent(REQUEST, 1_000) == NEVER
+    assert answers.sent(REQUEST, 1_000, 1_000) == NEVER
     answers.received(6, 5_000)
-    assert answers.sent(OTHER, 10_000) == NEVER  # the first was answered after 4000
+    assert answers.sent(OTHER, 10_000, 10_000) == NEVER  # the first was answered after 4000
     answers.received(6, 12_000)
-    assert answers.sent(REQUEST, 20_000) == 24_000  # the other one after 2000
+    assert answers.sent(REQUEST, 20_000, 20_000) == 24_000  # the other one after 2000
     answers.received(6, 32_000)
-    assert answers.sent(OTHER, 40_000) == 42_000  # after 12000 this time: an eighth of the way
+    assert answers.sent(OTHER, 40_000, 40_000) == 42_000  # after 12000 this time: an eighth of the way
     answers.received(6, 42_000)
-    assert answers.sent(REQUEST, 50_000) == 55_000
+    assert answers.sent(REQUEST, 50_000, 50_000) == 55_000
 
 
 def test_after_a_silence_no_answer_is_expected() -> None:
     answers = AnswerTiming()
-    answers.sent(REQUEST, 1_000)
+    answers.sent(REQUEST, 1_000, 1_000)
     answers.received(6, 5_000)
-    answers.sent(REQUEST, 10_000)
-    assert answers.sent(REQUEST, 20_000) == NEVER
+    answers.sent(REQUEST, 10_000, 10_000)
+    assert answers.sent(REQUEST, 20_000, 20_000) == NEVER
 
 
 def test_the_number_of_remembered_requests_is_bounded() -> None:
     answers = AnswerTiming()
     for number in range(5_000):
         answers.received(6, 10 * number - 5)
-        answers.sent(number.to_bytes(7, "big"), 10 * number)
+        answers.sent(number.to_bytes(7, "big"), 10 * number, 10 * number)
     assert len(answers._usual) <= 1024
 
 
@@ -128,7 +128,7 @@ def test_a_driver_without_budget_waits_by_timer_and_is_never_early(loop: SelectL
     driver.command(10 * NS_PER_US)
     run_until(loop, lambda: len(machine.did("wake")) == 30)
     assert all(now >= deadline for _, deadline, now in machine.did("wake"))
-    assert driver._spin_ns == 0
+    assert driver._step_wait_ns == 0
     driver.close()
 
 
