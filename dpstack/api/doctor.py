@@ -25,10 +25,6 @@ __all__ = ["AdapterInfo", "Check", "Computer", "Level", "examine", "list_adapter
 
 #: usual rates of buses with several masters
 _USUAL_RATES: Final = (187_500, 500_000)
-_AWAKE: Final = (
-    'as root, in /etc/udev/rules.d/99-dpstack-awake.rules: KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"; '
-    "then udevadm trigger"
-)
 
 
 class Level(Enum):
@@ -125,7 +121,7 @@ def _processors(here: Computer) -> Iterator[Check]:
         yield Check(topic, Level.OK, text)
     else:
         text = f"may not be kept from sleep states: each wake-up may take up to {wake_up_us} us"
-        yield Check(topic, Level.NOTE, f"{text} ({here.cpu_dma_latency})", _AWAKE)
+        yield Check(topic, Level.NOTE, f"{text} ({here.cpu_dma_latency})", SET_UP)
 
 
 def _interrupts(path: str, here: Computer) -> Iterator[Check]:

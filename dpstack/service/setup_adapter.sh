@@ -55,7 +55,7 @@ if [ -z "$root" ]; then
         run usermod -aG dialout "$user"
     fi
     run udevadm control --reload
-    run udevadm trigger --subsystem-match=tty --subsystem-match=usb-serial
+    run udevadm trigger --subsystem-match=tty --subsystem-match=usb-serial --subsystem-match=misc
 fi
 if [ -n "$root" ] || [ -d /run/systemd/system ]; then
     if [ -z "$root" ] && ! id dpstack >/dev/null 2>&1; then

@@ -110,7 +110,8 @@ def test_isolated_processors_sleep_states_and_interrupts(computer: Computer, tmp
     refused = examine(computer=replace(computer, access=lambda path, _how: path != dma))
     ((text, todo),) = told(refused, Level.NOTE)
     assert text == f"may not be kept from sleep states: each wake-up may take up to 133 us ({dma})"
-    assert 'KERNEL=="cpu_dma_latency"' in todo
+    assert "`dpstack doctor --fix`" in todo
+    assert 'KERNEL=="cpu_dma_latency", GROUP="dialout"' in (FILES / "99-dpstack.rules").read_text()
     (tmp_path / "sys/devices/irq").write_text("27\n")  # of the controller above usb1
     (tmp_path / "proc/irq/27").mkdir(parents=True)
     goes_to = tmp_path / "proc/irq/27/smp_affinity_list"
