@@ -44,7 +44,7 @@ class Verdict(Enum):
 class Reading(NamedTuple):
     """A figure of one run. ``beside``: the unit of the calibration that it is judged in, or ``""``.
 
-    ``repeats``: what the run took the median of.
+    ``repeats``: what the run took the median of. ``goal``: the bound that the run's report judged it by, if any.
     """
 
     value: float
@@ -53,6 +53,7 @@ class Reading(NamedTuple):
     more: bool = False
     exact: bool = False
     repeats: tuple[float, ...] = ()
+    goal: float | None = None
 
     def times(self, factor: float, unit: str, beside: str = "") -> Reading:
         repeats = tuple(value * factor for value in self.repeats)
@@ -112,7 +113,7 @@ def _ignored(name: str) -> bool:
 
 def _reading(figure: Figure, loop_us: Figure | None) -> tuple[str, Reading]:
     name, unit = figure.name, figure.unit
-    reading = Reading(figure.value, unit, "", figure.more, figure.exact, figure.rounds)
+    reading = Reading(figure.value, unit, "", figure.more, figure.exact, figure.rounds, figure.goal)
     if figure.raw_us:
         return name, reading._replace(value=median(figure.raw_us), unit="us", beside=unit, repeats=figure.raw_us)
     if unit == "loops" and loop_us is not None:  # reports from before there were two calibrations

@@ -150,8 +150,6 @@ def compared(report: Report, runs: dict[str, list[Ring]], baud: int) -> None:
         report.notes.append(
             f"no verdict: two bare loops lost {sum(each.lost for each in bare)} tokens in the same rounds"
         )
-    whole = [float(not each.lost) for each in bare]
-    report.add("two bare loops: share of rounds without a lost token", sum(whole) / len(whole), "", more=True)
     for row, (kind, taken) in zip(rows, runs.items(), strict=True):
         _add(report, table, row, taken)
         if kind in DRIVERS:  # whatever the rate is, for comparisons of runs

@@ -22,7 +22,6 @@ from bench.calibration import Speeds, speeds
 from bench.commits import Side, clean, commit_side, packages, tree_side
 from bench.machine import load
 from bench.paired import (
-    SIDES,
     PairedComparison,
     Reading,
     Round,
@@ -115,11 +114,9 @@ def both_sides(commit: str) -> Iterator[tuple[tuple[Side, Side], list[str]]]:
         yield (old, new), notes
 
 
-def rounds_of(
-    commands: Commands, sides: tuple[Side, Side], count: int, notes: list[str], *, new_alone: bool = False
-) -> list[Round]:
-    """``count`` rounds of both sides; ``new_alone``: see :class:`Measured`. Raises RuntimeError."""
-    measured = Measured(commands, sides, notes, new_alone=new_alone)
+def rounds_of(commands: Commands, sides: tuple[Side, Side], count: int, notes: list[str]) -> list[Round]:
+    """``count`` rounds of both sides. Raises RuntimeError."""
+    measured = Measured(commands, sides, notes)
     taken = []
     for both in take_rounds(count, measured.round, notes):
         taken.append(both)
@@ -170,8 +167,7 @@ class Measured:
     """Rounds of two sides. Which figures come from the own benches and which from the probe, a run that is not judged
     decides: the own ones where both have them, so that both sides of a figure are measured in the same way.
 
-    ``new_alone``: the new side is measured by its own bench, too, where the old side lacks that. Raises RuntimeError
-    when the two have no figure in common, and the new one is not measured alone.
+    Raises RuntimeError when the two have no figure in common.
     """
 
     def __init__(
@@ -180,8 +176,6 @@ class Measured:
         sides: tuple[Side, Side],
         notes: list[str],
         calibrate: Callable[[], Speeds] = speeds,
-        *,
-        new_alone: bool = False,
     ) -> None:
         self._commands = commands
         self._sides = sides
@@ -189,10 +183,9 @@ class Measured:
         owns = [self._own(side, notes) for side in sides]
         probes = commands.probe(*sides)
         own, probed = (both[0].keys() & both[1].keys() for both in (owns, probes))
-        #: numbers of the sides whose own bench is used
-        self._own_of = set(SIDES) if own else {1} if new_alone and owns[1] else set()
+        self._uses_own = bool(own)
         self._of_probe = probed - own
-        if not self._own_of and not probed:
+        if not own and not probed:
             raise RuntimeError(f"{sides[0].title} and {sides[1].title} have no figure in common; {'; '.join(notes)}")
         for side, readings in zip(sides, owns, strict=True):
             if alone := readings.keys() - own - probed:
@@ -214,12 +207,10 @@ class Measured:
         return runs[0], runs[1]
 
     def _readings(self, numbers: tuple[int, ...]) -> dict[int, dict[str, Reading]]:
-        found: dict[int, dict[str, Reading]] = {number: {} for number in numbers}
-        wanted = [number for number in numbers if number in self._own_of]
-        if not wanted:
-            return found
+        if not self._uses_own:
+            return {number: {} for number in numbers}
         try:
-            return found | dict(zip(wanted, self._commands.own(*map(self._sides.__getitem__, wanted)), strict=True))
+            return dict(zip(numbers, self._commands.own(*map(self._sides.__getitem__, numbers)), strict=True))
         except LacksError as error:
             raise RuntimeError(f"a benchmark that ran before does not run: {error}") from None
 

@@ -14,6 +14,7 @@ from bench.calibration import PYTHON, Speeds
 from bench.commits import Side
 from bench.goals import SUITES, Goal, GoalTable, Suite, rows_of
 from bench.paired import Reading, Round, Run
+from bench.rounds import Commands
 
 STILL = Speeds(500.0, 800.0)
 SIDES = (Side("old", Path("old"), Path("old/python")), Side("new", Path("new"), Path("new/python")))
@@ -21,7 +22,7 @@ SIDES = (Side("old", Path("old"), Path("old/python")), Side("new", Path("new"), 
 
 def rounds_with(old: Sequence[dict[str, float]], new: Sequence[dict[str, float]], unit: str = "") -> list[Round]:
     """Rounds of figures of this unit."""
-    readings = [[{n: Reading(v, unit) for n, v in values.items()} for values in side] for side in (old, new)]
+    readings = [[{n: Reading(v, unit, goal=1.0) for n, v in values.items()} for values in side] for side in (old, new)]
     return [(Run(before, STILL), Run(after, STILL)) for before, after in zip(*readings, strict=True)]
 
 
@@ -52,12 +53,23 @@ def test_a_figure_that_is_a_ratio_is_judged_itself_and_that_of_today_stands_besi
 
 
 def test_where_an_old_bench_lacks_the_ratio_it_is_the_quotient_of_two_figures_of_its_run() -> None:
-    goal = Goal("efficiency", "to bare", 0.9, more=True, quotient=("own", "bare"), only_above=("bare", 0.5))
+    goal = Goal("efficiency", "to bare", 0.9, more=True, quotient=("own", "bare"))
     old = {"own": 0.6, "bare": 0.8}
     (row,) = rows_of("files", suite(goal), rounds_with([old] * 2, [old | {"to bare": 0.95}] * 2))
     assert (row.old, row.new, row.verdict) == ("0.75", "0.95", "met")
-    (row,) = rows_of("files", suite(goal), rounds_with([old] * 2, [{"own": 0.2, "bare": 0.4, "to bare": 0.5}] * 2))
-    assert (row.ratio, row.verdict) == (0.5, "no verdict: bare 0.40")
+    # a duration in microseconds and one in Python loops, of which one takes half a microsecond
+    own, other = Reading(60.0, "us", PYTHON), Reading(100.0, PYTHON, PYTHON)
+    new = Reading(1.0, "ratio", goal=0.9)
+    (row,) = rows_of("files", suite(goal), [(Run({"own": own, "bare": other}, STILL), Run({"to bare": new}, STILL))])
+    assert row.old == "1.2"
+
+
+def test_what_the_benchmark_does_not_judge_in_most_rounds_has_no_verdict() -> None:
+    readings = [Reading(0.5, "ratio", goal=goal) for goal in (0.9, None, None)]
+    rounds = [(Run({}, STILL), Run({"to bare": reading}, STILL)) for reading in readings]
+    goal = Goal("efficiency", "to bare", 0.9, more=True)
+    assert [row.verdict for row in rows_of("files", suite(goal), rounds)] == ["no verdict"]
+    assert [row.verdict for row in rows_of("files", suite(goal), rounds[:2])] == ["MISSED"]
 
 
 def test_where_other_programs_had_the_processors_no_goal_is_judged() -> None:
@@ -69,14 +81,14 @@ def test_where_other_programs_had_the_processors_no_goal_is_judged() -> None:
     assert rows[1].cells[0] == "shown"
 
 
-def test_a_run_with_rounds_of_its_own_gives_them_all() -> None:
-    reading = Reading(0.5, "", repeats=(0.4, 0.5, 0.9))
+def test_a_run_of_the_tree_alone_has_rounds_of_its_own() -> None:
+    reading = Reading(0.6, "", repeats=(0.4, 0.5, 0.9), goal=1.0)  # it has summed them up in its own way
     rounds = [(Run({}, STILL), Run({"to": reading}, STILL))]
     goal = Goal("ratio", "to", 1.0)
-    (row,) = rows_of("files", Suite("gsd", "", [goal], repeats=True), rounds)
-    assert (row.low, row.ratio, row.high) == (0.4, 0.5, 0.9)
-    (row,) = rows_of("files", Suite("gsd", "", [goal]), rounds)
-    assert (row.low, row.ratio, row.high) == (0.5, 0.5, 0.5)
+    (row,) = rows_of("files", Suite("gsd", "", [goal], alone=True), rounds)
+    assert (row.old, row.low, row.ratio, row.high) == ("-", 0.4, 0.6, 0.9)
+    (row,) = rows_of("files", suite(goal), rounds)
+    assert (row.low, row.ratio, row.high) == (0.6, 0.6, 0.6)
 
 
 def test_figures_that_one_side_or_nobody_has_are_told_and_not_judged() -> None:
@@ -103,7 +115,8 @@ def test_the_table_is_text_markdown_and_json() -> None:
     )
     table = GoalTable(("old", "new"), 1, rows, ["a note"])
     assert table.as_text().splitlines() == [
-        "today: old, now: new, 1 rounds in turn; spread: least and greatest",
+        "today: old, now: new, 1 rounds in turn; "
+        "spread: 99 % interval of the median, of less than 8 rounds the least and the greatest",
         "  goal                         today         now          ratio  spread",
         "  CPU: at most 0.6 of today's  10.000 loops  5.000 loops  0.50   0.50 to 0.50  met",
         "  ratio: at most 1             -             -            -      -             not measured",
@@ -128,16 +141,20 @@ def test_a_benchmark_that_fails_is_a_note_and_its_goals_are_not_measured(
             pass
 
     def fails(*words: object, **_words: object) -> list[Round]:
-        notes = words[-1]
-        assert isinstance(notes, list)
-        notes += ["only the tree as it stands has: another figure", "round 1 was taken again: slaves were lost"]
+        if isinstance(notes := words[-1], list):
+            notes += ["only the tree as it stands has: another figure", "round 1 was taken again: slaves were lost"]
         raise RuntimeError("the wire did not start")
 
     monkeypatch.setattr(goals, "both_sides", lambda commit: Sides())
     monkeypatch.setattr(goals, "rounds_of", fails)
-    assert cli.main(["goals", "--only", "paced", "--json"]) == 1
+    monkeypatch.setattr(Commands, "own", fails)
+    assert cli.main(["goals", "--only", "paced", "ring", "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
-    assert told["notes"] == ["paced: round 1 was taken again: slaves were lost", "paced: the wire did not start"]
+    assert told["notes"] == [
+        "paced: round 1 was taken again: slaves were lost",
+        "paced: the wire did not start",
+        "ring: the wire did not start",
+    ]
     assert {row["verdict"] for row in told["rows"]} == {"not measured"}
 
 

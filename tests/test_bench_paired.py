@@ -230,6 +230,18 @@ def test_figures_in_loops_keep_their_durations_in_the_report() -> None:
     assert json.loads(report.as_json())["figures"]["a"]["raw_us"] == [8.0, 9.0, 10.0]
 
 
+def test_a_reading_has_the_bound_that_its_report_judged_it_by() -> None:
+    report = Report("rotation")
+    report.measured("judged", [0.9], "ratio", 0.8, more=True)
+    report.measured("no verdict", [0.3], "ratio", more=True)
+    report.in_loops("in loops", [(900.0, 300.0)], 2.0)
+    assert {name: reading.goal for name, reading in readings_of(report).items()} == {
+        "judged": 0.8,
+        "no verdict": None,
+        "in loops": 2.0,
+    }
+
+
 def test_the_comparison_is_told_in_words_and_as_json() -> None:
     taken = [
         round_of(
@@ -341,15 +353,6 @@ def test_a_commit_without_the_benchmark_is_probed_alone() -> None:
     assert values(measured.round((1, 0))) == [{"a": 11}, {"a": 12}]
     assert [called for called in commands.called if called != "calibrate"] == ["probe new old"]
     assert notes[0] == "the own bench of 0123456789ab cannot do this: no benchmark 'virtual'"
-
-
-def test_a_side_without_the_benchmark_is_left_out_where_the_new_one_may_stand_alone() -> None:
-    commands = MadeUp([LacksError("no benchmark"), {"b": 2}], [{}, {}])
-    measured = Measured(commands, (OLD, NEW), [], lambda: STILL, new_alone=True)
-    commands.called.clear()
-    old, new = measured.round((0, 1))
-    assert (old.readings, new.readings["b"].value) == ({}, 2)
-    assert commands.called == ["own new"]
 
 
 def test_sides_without_a_common_figure_are_reported_with_the_reason() -> None:
