@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from dpstack.units import NS_PER_US
 
 _SUB_BITS: Final = 8  # 256 buckets an octave: values are kept to 0.4 %
+_KEY_BITS: Final = _SUB_BITS + 1
 
 
 class Histogram(Struct):
@@ -27,8 +28,8 @@ class Histogram(Struct):
         """Count one duration in nanoseconds (negative ones count as 0)."""
         if ns < 0:
             ns = 0
-        shift = ns.bit_length() - _SUB_BITS - 1
-        key = ns if shift <= 0 else (shift << (_SUB_BITS + 1)) + (ns >> shift)
+        shift = ns.bit_length() - _KEY_BITS
+        key = ns if shift <= 0 else (shift << _KEY_BITS) + (ns >> shift)
         buckets = self.buckets
         buckets[key] = buckets.get(key, 0) + 1
         if ns > self.max_ns:

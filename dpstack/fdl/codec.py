@@ -115,6 +115,7 @@ def _extension(sap: int | None, segment: int | None) -> bytes:
     return bytes((_SEGMENT | segment,)) if sap is None else bytes((_MORE | _SEGMENT | segment, sap))
 
 
+@lru_cache(_KEPT_HEADS)
 def encode_token(da: int, sa: int) -> bytes:
     """The token from ``sa`` to ``da``, both 0..126. Raises ValueError."""
     if not (0 <= da <= UNADDRESSED and 0 <= sa <= UNADDRESSED):

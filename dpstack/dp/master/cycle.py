@@ -66,6 +66,7 @@ class Round:
         self._unsent = False  # no request of this round was sent yet
         self._at_once = False  # the grid has ended, and the next round begins within this hold
         self._published = 0
+        self._has_cyclic_controls = bool(controls.freeze.groups or controls.sync.groups)
         self._freeze = self._sync = False  # still to be sent in this round
         #: address -> earliest time in ns of the next exchange, only of slaves with a Min_Slave_Interval
         self._spaced: dict[int, int] = {}
@@ -139,11 +140,14 @@ class Round:
         turns.begin_round()
         exchanging = turns.exchanging
         descending = context.descending
-        all_slaves = descending or controls.wants_all
+        wants_all = controls.wants_all
+        all_slaves = descending or wants_all
         interval = turns.interval_all if all_slaves else turns.interval
         self._cadence.begin(now, fixed=bool(exchanging) and not descending, interval=interval)
-        controls.begin_round()
-        self._due = due = exchanging if all_slaves else turns.due(self._cadence.number)
+        if wants_all:
+            controls.begin_round()
+        in_turn = all_slaves or not turns.rates.has_slower_slaves
+        self._due = due = exchanging if in_turn else turns.due(self._cadence.number)
         context.on_begin()
         for handler in due:
             image = handler.image
@@ -155,10 +159,12 @@ class Round:
         self.first_data = bool(due)
         # a mode reached in the middle of a round counts from the next round on, for all slaves at once
         self._operating = operating = context.mode is _OPERATE
-        held = operating and context.target is _OPERATE and bool(due)
-        self._freeze = held and bool(controls.freeze.groups)
-        self._sync = held and bool(controls.sync.groups)
-        self._roster.begin_round()
+        if self._has_cyclic_controls:
+            held = operating and context.target is _OPERATE and bool(due)
+            self._freeze = held and bool(controls.freeze.groups)
+            self._sync = held and bool(controls.sync.groups)
+        if self._roster.leaving:
+            self._roster.begin_round()
         if self._cadence.fixed:
             self._services = 1
         else:

@@ -120,6 +120,7 @@ class Times:
     def set_patience(self, patience: Patience) -> None:
         params, line = self.params, self._line
         self.patience = patience
+        self.sending_ns = patience.sending_ns
         #: the port delivers nothing late and reports start edges
         self.exact = patience == EXACT
         # A port without edges delivers an octet at its end: the slot time includes that octet.
@@ -162,7 +163,12 @@ class Users:
 
     def update_due(self) -> None:
         """Read the deadlines of the users anew, after a call that may have changed one."""
-        self.due_at = min([user.wake_at() for user in self.all], default=NEVER)
+        due_at = NEVER
+        for user in self.all:
+            at = user.wake_at()
+            if at < due_at:
+                due_at = at
+        self.due_at = due_at
 
     def broadcast(self, command: object, now: int) -> bool:
         """Pass ``command`` to all users; True when one of them accepted it."""

@@ -256,7 +256,7 @@ class ActiveStation:
         self.stats.sent += 1
         if self.wire is not None:
             self.wire(WireEntry(line.taken_at, at, self._sending, str(self.address)))
-        at += self._times.patience.sending_ns  # an answer ends this time, silence does not
+        at += self._times.sending_ns  # an answer ends this time, silence does not
         line.idle_since = at
         line.after_ns = line.t_id1_ns
         self._machine.row[SENT](NONE, at)
