@@ -115,8 +115,11 @@ def pump(machine: Pumped, chunk: bytes, now: int, transmit: Transmit) -> int:
     if chunk:
         machine.receive(chunk, now)
     deadline = machine.wake_at()
-    if deadline > now:
-        return deadline
+    return deadline if deadline > now else run_due(machine, now, transmit)
+
+
+def run_due(machine: Pumped, now: int, transmit: Transmit) -> int:
+    """The part of :func:`pump` for a machine whose deadline is reached. Returns the new deadline in ns."""
     for _ in range(_MAX_SETTLE):
         machine.wake(now)
         tx = machine.take_tx(now)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import Enum
 from typing import Any, ClassVar, NamedTuple, dataclass_transform
@@ -112,22 +111,28 @@ class WireEntry(NamedTuple):
     note: str = ""
 
 
-@dataclass(slots=True)
 class WireLog:
     """The last ``keep`` transmissions, and a listener for all of them (a capture). Cheap when nobody listens."""
 
-    keep: int = 400
-    listener: Callable[[WireEntry], None] | None = None
-    _entries: deque[WireEntry] = field(init=False)
+    def __init__(self, keep: int = 400, listener: Callable[[WireEntry], None] | None = None) -> None:
+        self.keep = keep
+        self._entries: deque[WireEntry] = deque(maxlen=keep)
+        self.listener = listener
 
-    def __post_init__(self) -> None:
-        self._entries = deque(maxlen=self.keep)
+    @property
+    def listener(self) -> Callable[[WireEntry], None] | None:
+        return self._listener
 
-    def add(self, entry: WireEntry) -> None:
-        """Append ``entry``, dropping the oldest one when full."""
+    @listener.setter
+    def listener(self, listener: Callable[[WireEntry], None] | None) -> None:
+        self._listener = listener
+        #: appends an entry, dropping the oldest one when full; the deque's own method while nobody listens
+        self.add: Callable[[WireEntry], None] = self._entries.append if listener is None else self._add_and_tell
+
+    def _add_and_tell(self, entry: WireEntry) -> None:
         self._entries.append(entry)
-        if self.listener is not None:
-            self.listener(entry)
+        if self._listener is not None:
+            self._listener(entry)
 
     def __iter__(self) -> Iterator[WireEntry]:
         return iter(self._entries)

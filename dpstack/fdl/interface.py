@@ -245,7 +245,8 @@ class BusStation(Machine, Protocol):
     def activity(self, now: int) -> None:
         """A start edge on a silent line; a telegram, octets or nothing readable may follow.
 
-        The medium calls it for stations that hear all, and for the addressee. Ports without edges never call it.
+        The medium calls it for stations that hear all, and for the addressee. Ports without edges never call it. It may
+        put the station's deadline off, but never bring it forward.
         """
 
     def telegram(self, telegram: Telegram, now: int) -> None:

@@ -65,18 +65,20 @@ class TokenWatch:
     def __init__(self) -> None:
         self.holder: int | None = None
         self.ring: set[int] = set()
-        self._node: Node | None = None  # of the holder: two stations may have one address
-        self._offer: _Offer | None = None
+        #: of the holder: two stations may have one address
+        self.node: Node | None = None
+        #: the token that was passed and not used yet
+        self.offer: _Offer | None = None
 
     @property
     def offered_by(self) -> int | None:
         """The station that has passed the token and waits for its successor to use it."""
-        return None if self._offer is None else self._offer.sa
+        return None if self.offer is None else self.offer.sa
 
     def request(self, sa: int, node: Node | None) -> Finding | None:
-        offer = self._offer
+        offer = self.offer
         if offer is not None and sa == offer.sa and self.holder == sa:
-            self._offer = None
+            self.offer = None
             return Finding(Rule.RIGHT, f"station {sa} sends a request after it passed the token to {offer.da}")
         finding = self._check_holder(sa, node, "sends a request")
         if finding is not None:
@@ -100,8 +102,8 @@ class TokenWatch:
                 finding = Finding(Rule.CLAIM, f"station {sa} claims the token {lacks}") if lacks else None
             self._claim(sa, node)
         order = self._check_order(sa, da)
-        tries = 1 + (self._offer.tries if self._offer is not None and self._offer.da == da else 0)
-        self._offer = None if sa == da else _Offer(sa, da, tries)
+        tries = 1 + (self.offer.tries if self.offer is not None and self.offer.da == da else 0)
+        self.offer = None if sa == da else _Offer(sa, da, tries)
         return finding or order
 
     def _claim(self, sa: int, node: Node | None) -> None:
@@ -110,7 +112,7 @@ class TokenWatch:
 
     def _check_holder(self, sa: int, node: Node | None, does: str) -> Finding | None:
         """Check that ``sa`` may send; its sending confirms that it has received the token."""
-        offer = self._offer
+        offer = self.offer
         if offer is not None and sa == offer.da:
             self._set_holder(sa, node)
             self.ring |= {offer.sa, sa}
@@ -118,7 +120,7 @@ class TokenWatch:
         if sa != self.holder:
             holds = "nobody has it" if self.holder is None else f"{self.holder} has it"
             return Finding(Rule.RIGHT, f"station {sa} {does} without having the token ({holds})")
-        if self._node is not node and node is not None and self._node is not None:
+        if self.node is not node and node is not None and self.node is not None:
             return Finding(
                 Rule.TWO_TOKENS, f"a second station {sa} {does}; another one with this address has the token"
             )
@@ -126,11 +128,11 @@ class TokenWatch:
 
     def _set_holder(self, sa: int, node: Node | None) -> None:
         self.holder = sa
-        self._node = node
-        self._offer = None
+        self.node = node
+        self.offer = None
 
     def _check_order(self, sa: int, da: int) -> Finding | None:
-        offer = self._offer
+        offer = self.offer
         if offer is not None and offer.da != da:
             self.ring.discard(offer.da)
             if offer.tries < PASS_ATTEMPTS:
@@ -196,12 +198,6 @@ class _Times(NamedTuple):
     t_to: int
 
 
-class _Pending(NamedTuple):
-    sa: int
-    da: int
-    end_ns: int
-
-
 class Referee:
     """The referee of one wire. ``violations``: those that the test has not allowed; ``allowed``: the others.
 
@@ -220,7 +216,7 @@ class Referee:
         self._after = _NOTHING
         self._last_end = start_ns
         self._last_sa = -1
-        self._pending: _Pending | None = None
+        self._pending: tuple[int, int, int] | None = None  # the request that is open: SA, DA, its end in ns
         self._baud = 0
         self._excerpt: list[WireEntry] = []
         self._excused_until = 0
@@ -293,12 +289,15 @@ class Referee:
     def _request(self, tx: Transmission, telegram: Telegram) -> int:
         sa = telegram.sa
         self._check_idle_time(tx, sa)
-        if self.token_rules and (finding := self.tokens.request(sa, tx.node)) is not None:
-            self._add_violation(tx, *finding)
+        tokens = self.tokens
+        if self.token_rules and not (sa == tokens.holder and tx.node is tokens.node and tokens.offer is None):
+            finding = tokens.request(sa, tx.node)
+            if finding is not None:
+                self._add_violation(tx, *finding)
         if telegram.da == BROADCAST or telegram.fc & FC_FUNCTION in UNANSWERED:
             self._pending = None
             return _QUIET
-        self._pending = _Pending(sa, telegram.da, tx.end_ns)
+        self._pending = (sa, telegram.da, tx.end_ns)
         return _REQUEST
 
     def _token(self, tx: Transmission, telegram: Telegram) -> int:
@@ -322,17 +321,18 @@ class Referee:
         if pending is None:
             self._add_violation(tx, Rule.UNASKED, "no request is open")
             return _ANSWER
-        if telegram.fc >= 0 and (telegram.sa != pending.da or telegram.da != pending.sa):
-            text = f"{telegram.sa} answers {telegram.da}, the request was {pending.sa} -> {pending.da}"
+        sa, da, end_ns = pending
+        if telegram.fc >= 0 and (telegram.sa != da or telegram.da != sa):
+            text = f"{telegram.sa} answers {telegram.da}, the request was {sa} -> {da}"
             self._add_violation(tx, Rule.UNASKED, text)
             return _ANSWER
-        waited = tx.start_ns - pending.end_ns
+        waited = tx.start_ns - end_ns
         if waited < _ns(MIN_TSDR, tx.baud):
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; min T_SDR is {MIN_TSDR}"
             self._add_violation(tx, Rule.EARLY, text)
-        times = self._masters.get(pending.sa)
+        times = self._masters.get(sa)
         if times is not None and waited >= _ns(times.t_sl, tx.baud):
-            text = f"{ns_to_bits(waited, tx.baud)} bits after the request; T_SL of {pending.sa} is {times.t_sl}"
+            text = f"{ns_to_bits(waited, tx.baud)} bits after the request; T_SL of {sa} is {times.t_sl}"
             self._add_violation(tx, Rule.LATE, text)
         return _ANSWER
 
@@ -344,7 +344,12 @@ class Referee:
         rule, need, name = _IDLE, T_SYN, "T_SYN"
         times = self._masters.get(sa)
         if times is not None:
-            if self._waits_for_slot_time(sa):
+            pending = self._pending
+            if (
+                pending is not None and pending[0] == sa
+                if after == _REQUEST
+                else after == _TOKEN and self.tokens.offered_by == sa
+            ):  # it waits for an answer, or for its successor to use the token
                 rule, need, name = Rule.SLOT, times.t_sl, "T_SL"
             elif after in (_ANSWER, _TOKEN):
                 need, name = times.t_id1, "T_ID1"
@@ -354,12 +359,6 @@ class Referee:
         if silence < _ns(need, tx.baud):
             text = f"begins after {ns_to_bits(silence, tx.baud)} bits of silence; {name} is {need}"
             self._add_violation(tx, rule, text)
-
-    def _waits_for_slot_time(self, sa: int) -> bool:
-        """Whether ``sa`` waits for an answer, or for its successor to use the token."""
-        if self._after == _REQUEST:
-            return self._pending is not None and self._pending.sa == sa
-        return self._after == _TOKEN and self.tokens.offered_by == sa
 
     def _excuse_forged_token(self, tx: Transmission) -> None:
         """A token has no check sum: noise can turn it into another token. Excuse the violations that follow."""

@@ -9,6 +9,8 @@ from functools import lru_cache
 from random import Random
 from typing import Final
 
+from msgspec import Struct, field
+
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import Telegram
 from dpstack.phy.uart import flipped
@@ -16,44 +18,50 @@ from dpstack.sim.nodes import Node
 from dpstack.units import BITS_PER_CHAR, NS_PER_S, chars_to_ns
 
 #: The same octets are sent again and again: each telegram is decoded once.
-_decode: Final = lru_cache(1_024)(decode)
+decoded: Final = lru_cache(1_024)(decode)
 
 
-class Transmission:
+class Transmission(Struct, eq=False):
     """Octets of one sender on the wire, without gaps. ``telegram`` is None when they are not exactly one.
 
     ``forced``: a test injected or delayed it, so no station is responsible. ``flips``: inverted bits by octet number
-    (see :func:`dpstack.phy.uart.flipped`). ``lost``: it is not on the wire at all. ``whole``: so
-    far it is intact for all receivers at its rate. ``heard_ns``: the end of its last readable octet.
+    (see :func:`dpstack.phy.uart.flipped`). ``lost``: it is not on the wire at all. ``whole``: so far it is intact for
+    all receivers at its rate. ``heard_ns``: the end of its last readable octet. ``repeat_after_ns``: it is on the wire
+    again so long after its end; None: once.
     """
 
-    def __init__(self, node: Node | None, sender: str, octets: bytes, baud: int, start_ns: int, end_ns: int) -> None:
-        self.node = node
-        self.sender = sender
-        self.octets = octets
-        self.baud = baud
-        self.start_ns = start_ns
-        self.end_ns = self.heard_ns = end_ns
-        self.telegram: Telegram | None = _decode(octets)
-        self.flips: dict[int, int] = {}
-        self.notes: list[str] = []
-        self.forced = node is None
-        self.whole = self.lost = self.collided = self.cut = False
-        #: it is on the wire again so long after its end; None: once
-        self.repeat_after_ns: int | None = None
+    node: Node | None
+    sender: str
+    octets: bytes
+    baud: int
+    start_ns: int
+    end_ns: int
+    heard_ns: int
+    telegram: Telegram | None
+    forced: bool = False
+    flips: dict[int, int] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    whole: bool = False
+    lost: bool = False
+    collided: bool = False
+    cut: bool = False
+    ended: bool = False
+    repeat_after_ns: int | None = None
 
     def cut_short(self, octets: int) -> None:
         """Leave only the first ``octets`` of it on the wire."""
         self.notes.append(f"cut off after {octets} of {len(self.octets)} octets")
         self.octets = self.octets[:octets]
         self.end_ns = self.heard_ns = self.start_ns + chars_to_ns(octets, self.baud)
-        self.telegram = _decode(self.octets)
+        self.telegram = decoded(self.octets)
         self.forced = True
 
     def again(self) -> Transmission:
         """Its repetition, which no station sends."""
         start_ns = self.end_ns + (self.repeat_after_ns or 0)
-        tx = Transmission(None, self.sender, self.octets, self.baud, start_ns, start_ns + self.end_ns - self.start_ns)
+        end_ns = start_ns + self.end_ns - self.start_ns
+        octets = self.octets
+        tx = Transmission(None, self.sender, octets, self.baud, start_ns, end_ns, end_ns, decoded(octets), forced=True)
         tx.notes.append("repeated")
         return tx
 

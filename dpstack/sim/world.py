@@ -14,18 +14,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from heapq import heappop, heappush
+from itertools import count
 from random import Random
 from typing import Any, Final
 
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import BusStation
-from dpstack.machine import pump
+from dpstack.machine import pump, run_due
 from dpstack.params import BROADCAST, BusParams
 from dpstack.phy.uart import Receiver, waveform
 from dpstack.sim.faults import Faults
 from dpstack.sim.nodes import Node, Nodes
 from dpstack.sim.referee import Referee
-from dpstack.sim.transmission import Heard, Transmission, complete, garbled, receive
+from dpstack.sim.transmission import Heard, Transmission, complete, decoded, garbled, receive
 from dpstack.trace import Event, WireEntry, WireLog
 from dpstack.units import NEVER, chars_to_ns, ns_to_s
 
@@ -76,6 +77,8 @@ class Medium:
         #: transmissions whose start edge is not yet announced to the stations
         self.starting: list[Transmission] = []
         self._world = world
+        self._heap = world.heap
+        self._ticks = world.ticks
         self._nodes = nodes
         self._log = world.log
         self._faults = world.faults
@@ -86,6 +89,7 @@ class Medium:
         self._jam: _Jam | None = None
         self._receivers: dict[int, Receiver] = {}  # by rate, of stations at another rate than the sender's
         self._octet_ns = 0  # end of the last octet that was delivered outside of a whole telegram
+        self._on_end: Callback = self._transmission_ended
 
     # --- sending ---
     def transmit(self, node: Node, octets: bytes, now: int) -> int:
@@ -93,21 +97,33 @@ class Medium:
         if node.sending_until > now:
             raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
         baud = node.baud
-        tx = Transmission(node, node.name, octets, baud, now, now + self.duration(len(octets), baud))
+        size = len(octets)
+        table = self._durations.get(baud)
+        end = now + (table[size] if table is not None and size < _LENGTHS else self.duration(size, baud))
+        tx = Transmission(node, node.name, octets, baud, now, end, end, decoded(octets))
+        if self._faults.armed or node.mute_until > now:
+            self._disturb(tx, node, now)
+            end = tx.end_ns
+            self._start_or_schedule(tx, now)
+        else:
+            self._begin(tx)
+        node.sending_until = end
+        if end > node.hears_from:
+            node.hears_from = end
+        return end
+
+    def _disturb(self, tx: Transmission, node: Node, now: int) -> None:
+        """Apply the faults of the line to ``tx``, and the silence of its sender."""
         if self._faults.armed:
             self._faults.apply(tx)
         if node.mute_until > now:
             tx.lost = True
             tx.notes.append("silenced")
-        end = node.sending_until = tx.end_ns
-        if end > node.hears_from:
-            node.hears_from = end
-        self._start_or_schedule(tx, now)
-        return end
 
     def inject(self, octets: bytes, baud: int, now: int, sender: str) -> None:
         """Put ``octets`` that no station sends on the line at ``now``."""
-        tx = Transmission(None, sender, octets, baud, now, now + self.duration(len(octets), baud))
+        end = now + self.duration(len(octets), baud)
+        tx = Transmission(None, sender, octets, baud, now, end, end, decoded(octets), forced=True)
         if self._faults.armed:
             self._faults.apply(tx)
         self._start_or_schedule(tx, now)
@@ -126,7 +142,7 @@ class Medium:
         tx.telegram = None
         tx.end_ns = now
         tx.cut = True
-        self._record(tx)
+        self._transmission_ended(tx)
         self._current = None
         if whole and sent:
             self._deliver_octets(sent, tx.baud, tx.start_ns, ports=False)
@@ -139,20 +155,20 @@ class Medium:
         return table[size] if size < _LENGTHS else chars_to_ns(size, baud)
 
     def edge(self, tx: Transmission) -> None:
-        """Announce the start edge of ``tx`` to the stations."""
+        """Announce the start edge of ``tx`` to the stations. It brings no deadline forward (:class:`BusStation`), so
+        that none of them needs another heap entry."""
         if tx.cut:
             return
         now = tx.start_ns
-        update_deadline = self._world.update_deadline
-        for node in self._nodes.listeners:
+        nodes = self._nodes
+        for node in nodes.listeners:
             if node.hears_from <= now:
                 node.station.activity(now)
-                update_deadline(node)
+                node.deadline = node.station.wake_at()
         if tx.telegram is not None:
-            for node in self._nodes.by_address.get(tx.telegram.da, ()):
+            for node in nodes.by_address.get(tx.telegram.da, ()):
                 if node.hears_from <= now and node.baud == tx.baud:
                     node.station.activity(now)
-                    update_deadline(node)
 
     # --- the line ---
     def _start_or_schedule(self, tx: Transmission, now: int) -> None:
@@ -173,56 +189,53 @@ class Medium:
     def _begin(self, tx: Transmission) -> None:
         self.transmissions += 1
         baud = self.baud = tx.baud
-        self._world.schedule(tx.end_ns, _ENDS, self._transmission_ended, tx)
+        start = tx.start_ns
+        heappush(self._heap, (tx.end_ns, _ENDS + next(self._ticks), self._on_end, tx))
         self.starting.append(tx)
         before = self._current
-        if before is not None and before.end_ns > tx.start_ns:
+        if before is not None and before.end_ns > start:
             self._collide(tx, before)
             if tx.end_ns > before.end_ns:
                 self._current = tx
             return
         self._current = tx
-        self._octet_ns = tx.start_ns
+        self._octet_ns = start
         if tx.flips:
             tx.notes.append("damaged")
         tx.whole = not tx.flips and tx.telegram is not None
-        if not tx.whole or self._nodes.ports:
+        nodes = self._nodes
+        if not tx.whole or nodes.ports:
             self._schedule_octets(_Stream(tx, baud, receive(tx.octets, baud, tx.flips), ports_only=tx.whole))
-        rates = self._nodes.by_rate
+        rates = nodes.by_rate
         if len(rates) > 1 or baud not in rates:
             self._sample_at_other_rates(tx)
 
     def _transmission_ended(self, tx: Transmission) -> None:
-        """The last bit of ``tx`` is on the line."""
-        if tx.cut:
+        """The last bit of ``tx`` is on the line: judge and log it, and deliver it if it is whole."""
+        if tx.ended:
             return
-        self._record(tx)
-        if tx.whole:
-            self._deliver_telegram(tx)
-
-    def _record(self, tx: Transmission) -> None:
+        tx.ended = True
+        start = tx.start_ns
+        end = tx.end_ns
         if self._referee is not None and not tx.lost:
             if not tx.whole:
                 tx.heard_ns = self._octet_ns
             self._referee.ended(tx)
         notes = "; ".join(tx.notes) if tx.notes else ""
-        self._log.add(_NEW(WireEntry, (tx.start_ns, tx.end_ns, tx.octets, tx.sender, notes)))
-
-    def _deliver_telegram(self, tx: Transmission) -> None:
+        self._log.add(_NEW(WireEntry, (start, end, tx.octets, tx.sender, notes)))
         telegram = tx.telegram
-        assert telegram is not None
-        start = tx.start_ns
-        end = tx.end_ns
+        if telegram is None or not tx.whole:
+            return
         baud = tx.baud
         nodes = self._nodes
         da = telegram.da
-        others = nodes.by_rate.get(baud, []) if da == BROADCAST else nodes.by_address.get(da, [])
         heard: list[Node] = []
         for node in nodes.listeners:
             if node.hears_from <= start and node.baud == baud:
                 heard.append(node)
                 node.station.telegram(telegram, end)
-        for node in others:  # the sender hears only later transmissions; listeners already have the telegram
+        # the sender hears only later transmissions; listeners already have the telegram
+        for node in nodes.by_rate.get(baud, ()) if da == BROADCAST else nodes.by_address.get(da, ()):
             if node.hears_from <= start and node.baud == baud and not node.hears_all:
                 heard.append(node)
                 node.station.telegram(telegram, end)
@@ -337,8 +350,9 @@ class World:
         self.log = WireLog(keep)
         self.faults = Faults(2 * seed)
         self.referee: Referee | None = Referee(self.log, start_ns) if referee else None
-        self._heap: list[tuple[int, int, Callback, Any]] = []
-        self._count = 0
+        #: the events to come, and the numbers that keep their order within a nanosecond
+        self.heap: list[tuple[int, int, Callback, Any]] = []
+        self.ticks = count(1)
         self._nodes = Nodes()
         self._medium = Medium(self, self._nodes, 2 * seed + 1)
         self._on_timer: Callback = self._run_timer
@@ -406,7 +420,7 @@ class World:
                 raise UsageError(f"stations at {len(rates)} baud rates: say at which one to inject")
             (baud,) = rates
         self._medium.inject(octets, baud, self.now, sender)
-        self._announce_edges()
+        self.announce_edges()
 
     # --- time ---
     def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
@@ -417,19 +431,19 @@ class World:
 
     def next_at(self) -> int:
         """The time of the next event in ns; NEVER when there is none."""
-        heap = self._heap
+        heap = self.heap
         return heap[0][0] if heap else NEVER
 
     def step(self) -> None:
         """Advance to the next event and run it. Raises UsageError when there is none."""
-        if not self._heap:
+        if not self.heap:
             raise UsageError("nothing will ever happen in this world: no station waits for a time, nothing is sent")
-        self.now, _, call, argument = heappop(self._heap)
+        self.now, _, call, argument = heappop(self.heap)
         call(argument)
 
     def run_until(self, at_ns: int) -> None:
         """Run every event up to and including ``at_ns`` and advance to that time."""
-        heap = self._heap
+        heap = self.heap
         while heap and heap[0][0] <= at_ns:
             self.now, _, call, argument = heappop(heap)
             call(argument)
@@ -445,7 +459,7 @@ class World:
 
         ``until_ns`` may be NEVER. Returns whether ``stop()`` ended the run.
         """
-        heap = self._heap
+        heap = self.heap
         while heap and heap[0][0] <= until_ns:
             self.now, _, call, argument = heappop(heap)
             call(argument)
@@ -458,15 +472,20 @@ class World:
     # --- for the medium ---
     def schedule(self, at: int, order: int, call: Callback, argument: object) -> None:
         """Call ``call(argument)`` at ``at``; ``order`` decides between those of the same nanosecond."""
-        self._count += 1
-        heappush(self._heap, (at, order + self._count, call, argument))
+        heappush(self.heap, (at, order + next(self.ticks), call, argument))
 
-    def pump_station(self, node: Node, chunk: bytes) -> None:
-        """Pump the station with ``chunk`` (may be empty), schedule its deadline, pass on its events."""
+    def pump_station(self, node: Node, chunk: bytes, *, due: bool = False) -> None:
+        """Pump the station with ``chunk`` (may be empty), schedule its deadline, pass on its events.
+
+        ``due``: its deadline is known to be reached.
+        """
         if not node.on_bus:
             return
         station = node.station
-        deadline = pump(station, chunk, self.now, node.transmit)
+        if chunk:
+            deadline = pump(station, chunk, self.now, node.transmit)
+        elif due or (deadline := station.wake_at()) <= self.now:
+            deadline = run_due(station, self.now, node.transmit)
         if station.address != node.address or station.baud != node.baud:
             if station.baud != node.baud:
                 # the transmission on the wire began before its receiver was at this rate
@@ -474,66 +493,49 @@ class World:
             self._nodes.renew(node)
         node.deadline = deadline
         if deadline < node.due:
-            self._arm(node)
+            # Call it earlier. It gets a new heap entry only where it has none before that, and later entries stay: a
+            # watchdog that every exchange postpones has one heap entry, not one for each exchange.
+            at = deadline if deadline > self.now else self.now
+            if at < node.due:
+                node.due = at
+                node.order = order = _TIMERS + next(self.ticks)
+                if at < node.entry:
+                    node.later.append(node.entry)
+                    node.entry = at
+                    heappush(self.heap, (at, order, self._on_timer, node))
         if self._medium.starting:
-            self._announce_edges()
+            self.announce_edges()
         events = station.take_events()
         if events and node.on_events is not None:
             node.on_events(events)
 
-    def update_deadline(self, node: Node) -> None:
-        """Schedule the station after a call in which it cannot send: only its deadline may have changed."""
-        node.deadline = node.station.wake_at()
-        if node.deadline < node.due:
-            self._arm(node)
-
-    # --- inside ---
-    def _arm(self, node: Node) -> None:
-        """Call the station earlier: at its deadline. It gets a new heap entry only where it has none before that.
-
-        Later entries stay: a watchdog that every exchange postpones has one heap entry, not one for each exchange.
-        """
-        due = node.deadline
-        if due < self.now:
-            due = self.now
-        if due >= node.due:
-            return
-        node.due = due
-        self._count += 1
-        node.order = _TIMERS + self._count
-        if due < node.entry:
-            self._push_timer(node)
-
-    def _push_timer(self, node: Node) -> None:
-        node.later.append(node.entry)
-        node.entry = node.due
-        heappush(self._heap, (node.due, node.order, self._on_timer, node))
-
-    def _run_timer(self, node: Node) -> None:
-        if not node.on_bus:
-            return
-        node.entry = node.later.pop()
-        if node.due > self.now:  # postponed
-            if node.due < node.entry:
-                self._push_timer(node)
-            return
-        node.due = NEVER
-        if node.deadline > self.now:
-            if node.deadline < NEVER:
-                self._arm(node)
-        else:
-            self.pump_station(node, b"")
-
-    def _announce_edges(self) -> None:
+    def announce_edges(self) -> None:
         """Announce start edges, after all other events of this instant."""
         medium = self._medium
         starting, medium.starting = medium.starting, []
-        heap = self._heap
+        heap = self.heap
         for tx in starting:
             if heap and heap[0][0] <= self.now:
                 self.schedule(self.now, _EDGES, medium.edge, tx)
             else:
                 medium.edge(tx)
+
+    # --- inside ---
+    def _run_timer(self, node: Node) -> None:
+        if not node.on_bus:
+            return
+        node.entry = node.later.pop()
+        if node.due <= self.now:
+            if node.deadline <= self.now:
+                node.due = NEVER
+                self.pump_station(node, b"", due=True)
+                return
+            node.due = node.deadline  # an edge has put it off
+            node.order = _TIMERS + next(self.ticks)
+        if node.due < node.entry:  # postponed
+            node.later.append(node.entry)
+            node.entry = node.due
+            heappush(self.heap, (node.due, node.order, self._on_timer, node))
 
     def _node(self, station: BusStation) -> Node:
         node = self._nodes.find(station)

@@ -37,11 +37,14 @@ class PluginHost:
         plugin = image.plugin
         if plugin is not None and self.fault is None:
             try:
-                image.outputs = plugin.cyclic(image.inputs if image.valid else b"", now)
-                self._drain(plugin, now)
+                outputs = plugin.cyclic(image.inputs if image.valid else b"", now)
+                if outputs is not image.next_outputs:
+                    image.outputs = outputs
+                if events := plugin.take_events():
+                    self._report(events, now)
             except FAILURES as error:
                 self._fail(plugin, error, now)
-        return image.outputs
+        return image.next_outputs
 
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
         """Hand an order to the plugin. Without a plugin, or after its failure, report an event with the error."""
@@ -85,12 +88,12 @@ class PluginHost:
     def _call(self, plugin: CyclicPlugin, now: int, method: Callable[..., None], *args: object) -> None:
         try:
             method(*args)
-            self._drain(plugin, now)
+            self._report(plugin.take_events(), now)
         except FAILURES as error:
             self._fail(plugin, error, now)
 
-    def _drain(self, plugin: CyclicPlugin, now: int) -> None:
-        for payload in plugin.take_events():
+    def _report(self, payloads: list[dict[str, object]], now: int) -> None:
+        for payload in payloads:
             json.dumps(payload, ensure_ascii=False).encode()  # else a bus process could not send it
             self._reports.event(DriveEvent, now, payload=payload)
 

@@ -140,7 +140,12 @@ class SlaveApp(SlaveCore):
         self.stats.exchanges += 1
         if waiting:  # DH until the diagnosis is fetched; SC could not say so
             return Reply(_DH, inputs)
-        return Reply(_DL, inputs) if inputs else SC_REPLY
+        if not inputs:
+            return SC_REPLY
+        reply = data.reply
+        if reply.data != inputs:  # the same reply again needs no new telegram (PassiveStation)
+            reply = data.reply = Reply(_DL, inputs)
+        return reply
 
     def indicate(self, telegram: Telegram, now: int) -> None:
         """Global_Control of the owner; everything else is dropped."""

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.slave.device import DpV0Device
+from dpstack.fdl.interface import Reply
+from dpstack.fdl.telegram import Resp
 
 
 class CyclicData:
@@ -30,6 +32,8 @@ class CyclicData:
         self.input_len = input_len
         self.output_len = output_len
         self.inputs = bytes(input_len)
+        #: the last answer with inputs
+        self.reply = Reply(Resp.DL, b"")
         self._safe = device.safe or bytes(output_len)
         if len(self._safe) != output_len:
             raise ValueError(f"{len(self._safe)} safe octets, the configuration has {output_len} output octets")

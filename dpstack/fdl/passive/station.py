@@ -7,6 +7,7 @@ repeats its last answer when a master repeats the request, and passes all other 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final, Protocol
 
 from msgspec import Struct
@@ -126,7 +127,12 @@ class PassiveStation(PassiveReceiver):
         self._kept_sa = -1  # the master that got it; -1 = no answer is kept
         self.set_address(address)
         self._kept_fcb = 0
+        self._reply: Reply | None = None  # the last one with data, its telegram and the addresses and SAPs of that
+        self._reply_octets = b""
+        self._reply_to: tuple[int, int, int | None, int | None] = (-1, -1, None, None)
         self._events: list[Event] = []
+        #: the station's own events and its application's; called in every step, so its application's alone at first
+        self.take_events: Callable[[], list[Event]] = responder.take_events
         self._reported_le3: set[int] = set()
         self.stats = PassiveStats()
         self._min_tsdr = 0  # of Set_Prm; 0: Set_Prm gave none
@@ -174,8 +180,9 @@ class PassiveStation(PassiveReceiver):
 
     def activity(self, now: int) -> None:
         """Another station begins to send: an answer now would collide, and its master no longer waits for it."""
-        self.line.note_activity(now)
-        self.drop()
+        if self._tx is not None:
+            self.line.note_activity(now)
+            self.drop()
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram, decoded by the medium; it ended at ``now``."""
@@ -231,12 +238,10 @@ class PassiveStation(PassiveReceiver):
             return at
         return own if own < at else at
 
-    def take_events(self) -> list[Event]:
-        """The station's own events and its application's."""
-        events = self.responder.take_events()
-        if self._events:
-            events = self._events + events
-            self._events = []
+    def _take_all_events(self) -> list[Event]:
+        events = [*self._events, *self.responder.take_events()]
+        self._events = []
+        self.take_events = self.responder.take_events
         return events
 
     # --- answers ---
@@ -264,6 +269,7 @@ class PassiveStation(PassiveReceiver):
         if not telegram.data and telegram.empty_le3 and sa not in self._reported_le3:
             self._reported_le3.add(sa)
             self._events.append(le3_notice(f"station {self.address}", sa, now))
+            self.take_events = self._take_all_events
         if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb and function in COUNTED:
             # docs/reference/protocol.md#frame-count-bit: same requester, same FCB: the answer was lost. Repeat the
             # answer without another call of the application.
@@ -285,7 +291,12 @@ class PassiveStation(PassiveReceiver):
                 self.stats.indications += 1
                 self.responder.indicate(telegram, now)
             return
-        octets = None if reply is None else self._octets(telegram, reply)
+        if reply is None:
+            octets = None
+        elif reply is self._reply and (sa, telegram.da, telegram.ssap, telegram.dsap) == self._reply_to:
+            octets = self._reply_octets
+        else:
+            octets = self._octets(telegram, reply)
         if fc & (FC_FCV | FC_FCB) and self.address == telegram.da:
             # FCV = 0 with FCB = 1 starts the count; a request from another SA is new whatever its FCB
             self._kept = octets
@@ -301,7 +312,10 @@ class PassiveStation(PassiveReceiver):
         da = request.sa
         sa = request.da
         if data or status is _DL or status is _DH:
-            return request_octets(da, sa, status, data, request.ssap, request.dsap)
+            self._reply = reply
+            self._reply_to = (da, sa, request.ssap, request.dsap)
+            self._reply_octets = request_octets(da, sa, status, data, request.ssap, request.dsap)
+            return self._reply_octets
         if status is not Resp.OK:
             self.stats.refused += 1
         return encode_sd1(da, sa, status)

@@ -181,6 +181,8 @@ class DriveCore:
         self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
         self._rest = (0,) * (telegram.outputs // 2 - 2)
         self._orders = DriveJobs()
+        #: plain JSON data for the application, oldest first; the master calls it in every cycle
+        self.take_events: Callable[[], list[dict[str, object]]] = self._orders.take_events
         #: the settings of the drive, compared with those that the plugin relies on
         self.settings_check = SettingsCheck(self, enabled=bool(options.get(CHECK_SETTINGS, True)))
         self._last_event: tuple[object, ...] = ()  # key of the last status event
@@ -214,7 +216,8 @@ class DriveCore:
         if access is not None and access.busy and self.online:
             access.step(self._inputs, now)
             self._dirty = True
-        self._orders.step(now, self.status_word)
+        if self._orders.jobs:
+            self._orders.step(now, self.status_word)
         if self._dirty:
             self._build()
         return self._outputs
@@ -256,10 +259,6 @@ class DriveCore:
             self._orders.failed(token, error)
             return
         self._orders.begin(DriveJob(op, token, steps, motion=op in _MOTION))
-
-    def take_events(self) -> list[dict[str, object]]:
-        """Plain JSON data for the application, oldest first."""
-        return self._orders.take_events()
 
     # -- for the application in the same process ------------------------------------------------------------------
 

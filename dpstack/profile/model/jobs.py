@@ -146,7 +146,8 @@ class DriveJobs:
     """The jobs of one drive in order of arrival; each is resumed once a cycle and ends with a result event."""
 
     def __init__(self) -> None:
-        self._jobs: list[DriveJob] = []
+        #: the jobs that are not over; :meth:`step` does nothing without one
+        self.jobs: list[DriveJob] = []
         self._status = 0  # the drive's status word in this cycle
         #: set by a job before it yields: it sleeps until this time in ns, or until the status word changes
         self.sleep_until = 0
@@ -155,34 +156,34 @@ class DriveJobs:
     def begin(self, job: DriveJob) -> None:
         """Begin an order; a new motion order supersedes the present one."""
         if job.motion:
-            for other in [other for other in self._jobs if other.motion]:
+            for other in [other for other in self.jobs if other.motion]:
                 self._drop(other)
                 self.failed(other.token, CommandError("usage", f"{other.op} was superseded by {job.op}"))
-        self._jobs.append(job)
+        self.jobs.append(job)
         self._resume(job)
 
     def spawn(self, job: DriveJob) -> None:
         """Add a job of the plugin; it begins with the next cycle."""
-        self._jobs.append(job)
+        self.jobs.append(job)
 
     def step(self, now: int, status: int) -> None:
         """A cycle at ``now`` (ns); ``status``: the drive's status word."""
-        if self._jobs:
+        if self.jobs:
             self._status = status
-            for job in tuple(self._jobs):
+            for job in tuple(self.jobs):
                 if now >= job.due_ns or status != job.status:
                     self._resume(job)
 
     def end(self, error: CommandError) -> None:
         """End all jobs, as failed."""
-        jobs, self._jobs = self._jobs, []
+        jobs, self.jobs = self.jobs, []
         for job in jobs:
             job.steps.close()
             self.failed(job.token, error)
 
     def cancel(self, token: int | None) -> int:
         """End the orders with ``token`` without a result; their number."""
-        ended = [job for job in self._jobs if job.token == token and token is not None]
+        ended = [job for job in self.jobs if job.token == token and token is not None]
         for job in ended:
             self._drop(job)
         return len(ended)
@@ -204,23 +205,23 @@ class DriveJobs:
         return events
 
     def _drop(self, job: DriveJob) -> None:
-        self._jobs.remove(job)
+        self.jobs.remove(job)
         job.steps.close()
 
     def _resume(self, job: DriveJob) -> None:
-        if job not in self._jobs:
+        if job not in self.jobs:
             return
         try:
             self.sleep_until = 0
             next(job.steps)
             job.due_ns, job.status = self.sleep_until, self._status
         except StopIteration as done:
-            self._jobs.remove(job)
+            self.jobs.remove(job)
             if job.token is not None:
                 self._events.append({"type": "result", "token": job.token, "ok": True, **done.value})
         except CommandError as error:
-            self._jobs.remove(job)
+            self.jobs.remove(job)
             self.failed(job.token, error)
         except BaseException:
-            self._jobs.remove(job)
+            self.jobs.remove(job)
             raise

@@ -62,6 +62,10 @@ class Scale:
 
     def nearest(self, value: float) -> int:
         """``value`` as :meth:`encode` has it, or the end of the range that it is beyond."""
+        counts = value / self.span * self.full
+        half = 1 << self.bits - 1
+        if -half <= counts < half - 1:
+            return round(counts) & (half << 1) - 1
         low, high = self.limits
         return self.encode(min(max(value, low), high))
 

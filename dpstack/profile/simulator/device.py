@@ -256,7 +256,8 @@ class DriveDevice(Device):
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
         """Set the outputs for the next scan, return the inputs of the last one."""
-        self.advance(now)
+        if self._next is None or now >= self._next:
+            self.advance(now)
         self._outputs = outputs if len(outputs) == self.telegram.output_octets else None
         return self._inputs
 
