@@ -1,7 +1,9 @@
 """Virtual time: the CPU time of an exchange and of a second of the simulated bus, in Python loops.
 
 Ten PPO1 drives (plugin at the master, simulated drive at the other end, running) at 500 kbit/s are the measure; then
-mirrors, 1 to 100 of them: a telegram must cost the same however many slaves there are. The referee watches in all runs.
+mirrors, 1 to 100 of them: a telegram must cost the same however many slaves there are. With a Global_Control (SYNC and
+FREEZE) in each round an exchange must cost hardly more where it is for all of the slaves than where it is for one of
+them. The referee watches in all runs.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from typing import Final
 
 from bench.calibration import Beside
 from bench.report import Report
-from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
+from dpstack.dp.master.commands import DriveCommand, Mode, SendControl, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
@@ -38,13 +40,22 @@ _WITHIN: Final = 60 * NS_PER_S
 _GOAL: Final = 90_000
 #: no worse than linear: an exchange costs no more with many slaves than with few
 _LINEAR: Final = 1.0
+#: an exchange with a Global_Control to all slaves in each round, to one with a Global_Control to one slave
+_BROADCAST: Final = 1.2
+#: groups of the slaves that a Global_Control of the benchmark is for, and of the others
+_MEMBERS, _OTHERS = (1,), (2,)
 
 
 class Plant:
-    """A master with ``slaves`` slaves in data exchange and Operate: mirrors, or drives of ``drive`` that run."""
+    """A master with ``slaves`` slaves in data exchange and Operate: mirrors, or drives of ``drive`` that run.
 
-    def __init__(self, slaves: int, baud: int, drive: str | None = None) -> None:
+    ``members``: the number of mirrors that each Global_Control of :meth:`measure_rounds` is for, from the first on.
+    """
+
+    def __init__(self, slaves: int, baud: int, drive: str | None = None, *, members: int = 0) -> None:
         self.world = World()
+        self._slaves = slaves
+        self._orders = 0
         params = BusParams.preset(baud, address=2)
         addresses = range(_FIRST, _FIRST + slaves)
         profile = None if drive is None else find_drive(drive)
@@ -53,13 +64,26 @@ class Plant:
         user_prm = b"" if profile is None else profile.user_prm
         for address in addresses:
             device: Device = MirrorDevice(_IDENT, _PPO1) if profile is None else profile.device("PPO1")
+            device.sync_supported = device.freeze_supported = members > 0
             self.world.add(PassiveStation(address, SlaveApp(device, address=address), params))
         self.master = Master(
             params,
-            [SlaveParams(address=a, name=f"s{a}", ident=ident, config=config, user_prm=user_prm) for a in addresses],
+            [
+                SlaveParams(
+                    address=a,
+                    name=f"s{a}",
+                    ident=ident,
+                    config=config,
+                    user_prm=user_prm,
+                    sync=members > 0,
+                    freeze=members > 0,
+                    groups=_MEMBERS if a < _FIRST + members else _OTHERS,
+                )
+                for a in addresses
+            ],
             MasterSettings(watchdog_ms=2_000),
         )
-        station = ActiveStation(params, [self.master])
+        self._station = station = ActiveStation(params, [self.master])
         self.world.add(station)
         if profile is not None:
             for address, image in self.master.images.items():
@@ -87,6 +111,20 @@ class Plant:
         begin = time.process_time_ns()
         self.world.run_for(ns)
         return max(1, time.process_time_ns() - begin)
+
+    def measure_rounds(self, rounds: int) -> float:
+        """Run for the time of so many rounds, each with a Global_Control to its members; the CPU time in ns."""
+        begin = time.process_time_ns()
+        self.run_rounds(rounds)
+        return max(1, time.process_time_ns() - begin)
+
+    def run_rounds(self, rounds: int) -> None:
+        """Run for the time of so many rounds, each with a Global_Control to its members."""
+        round_ns = self.world.now * self._slaves // self.exchanges  # longer than one: there was a bring-up
+        for _ in range(rounds):
+            self._orders += 1
+            self.world.command(self._station, SendControl(self._orders, _MEMBERS, sync=True, freeze=True))
+            self.world.run_for(round_ns)
 
 
 def run(argv: Sequence[str]) -> Report:
@@ -125,7 +163,22 @@ def run(argv: Sequence[str]) -> Report:
         few, many = ([cpu / loop for cpu, loop in costs[_title(n)]] for n in (counts[0], counts[-1]))
         name = f"CPU per exchange, {counts[-1]} mirrors to {counts[0]}"
         report.measured(name, [a / b for a, b in zip(many, few, strict=True)], "", _LINEAR)
+    _measure_global_control(report, counts[-1], args.baud, args.rounds)
     return report
+
+
+def _measure_global_control(report: Report, slaves: int, baud: int, rounds: int) -> None:
+    """An exchange among ``slaves`` mirrors with a Global_Control in each round: to all of them, and to one."""
+    plants = [Plant(slaves, baud, members=members) for members in (slaves, 1)]
+    costs: list[list[float]] = [[], []]
+    beside = Beside()
+    for _ in range(rounds):
+        for plant, found in zip(plants, costs, strict=True):
+            before = plant.exchanges
+            cpu, loop = beside(partial(plant.measure_rounds, 3))
+            found.append(cpu / loop / max(1, plant.exchanges - before))
+    name = f"CPU per exchange with a Global_Control in each round, to {slaves} mirrors to that to 1"
+    report.measured(name, [a / b for a, b in zip(*costs, strict=True)], "", _BROADCAST)
 
 
 def _title(mirrors: int) -> str:

@@ -35,10 +35,10 @@ Callback = Callable[[Any], None]
 # Order of events in the same nanosecond: octets, ends of transmissions, commands from outside, timers, start edges.
 # A start edge cannot hold back a station whose timer ends at the same instant: both send.
 _OCTETS: Final = 0
-_ENDS: Final = 1 << 59
-_ORDERS: Final = 1 << 60
-_TIMERS: Final = 2 << 60
-_EDGES: Final = 3 << 60
+_ENDS: Final = 1 << 56
+_ORDERS: Final = 2 << 56
+_TIMERS: Final = 3 << 56
+_EDGES: Final = 4 << 56
 
 _LENGTHS: Final = 256
 _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs twice as much

@@ -157,6 +157,8 @@ class PassiveStation(PassiveReceiver):
         if bits:
             self._min_tsdr = max(bits, LOWEST_TSDR)
         self._t_sdr_ns = self.params.ns(max(self._t_sdr, self._min_tsdr or self.params.min_tsdr))
+        #: the requester no longer waits for an answer that begins so long after the request
+        self._late_ns = max(self.line.t_sl_ns, self._t_sdr_ns)
 
     def set_params(self, params: BusParams) -> None:
         """Take baud rate and times from ``params``; unfinished telegrams and the unsent answer are dropped.
@@ -324,7 +326,7 @@ class PassiveStation(PassiveReceiver):
         if self.stub is not None and octets is not None:
             octets = self.stub.answer(octets, now)
         self._tx = octets
-        self._tx_until = now + max(self.line.t_sl_ns, self._t_sdr_ns)
+        self._tx_until = now + self._late_ns
 
     def _forget(self) -> None:
         super()._forget()

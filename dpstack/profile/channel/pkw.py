@@ -425,6 +425,9 @@ class PkwServer:
 
     def step(self, octets: bytes) -> bytes:
         """The reply to the eight octets of the order area."""
+        if octets == ZEROS:  # no order, in every dialect
+            self.reset()
+            return ZEROS
         order = self._dialect.parse(octets)
         if order.id == TaskId.NONE:
             self.reset()

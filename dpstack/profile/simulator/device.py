@@ -258,7 +258,8 @@ class DriveDevice(Device):
         """Set the outputs for the next scan, return the inputs of the last one."""
         if self._next is None or now >= self._next:
             self.advance(now)
-        self._outputs = outputs if len(outputs) == self.telegram.output_octets else None
+        if outputs != self._outputs:
+            self._outputs = outputs if len(outputs) == self.telegram.output_octets else None
         return self._inputs
 
     def clear(self, now: int) -> None:

@@ -207,8 +207,12 @@ class DemagDevice(DriveDevice):
             self._contacts(obeyed if released else 0, now)
         if machine.state is not State.FAULT:
             self.fault = 0
-        self._drive(SPEED.decode(line), SPEED.decode(words[2]) if words and len(words) == 6 else 0.0, active, now)
-        return self._report(control, released, active)
+        rated = self.store.value("rated_frequency", active)
+        reference = self.store.value("profibus_reference", active) or rated
+        self._bus_hz = SPEED.decode(line) * reference
+        additional_hz = SPEED.decode(words[2]) * reference if words and len(words) == 6 else 0.0
+        self._drive(additional_hz, int(self.store.value("ramp_set_point", active)), rated, now)
+        return self._report(control, released, rated, reference)
 
     def _answered(self, control: int, mode: int, now: int) -> int:
         """The control word, or what stands for it while the toggle bit is not answered (8)."""
@@ -270,15 +274,12 @@ class DemagDevice(DriveDevice):
         else:
             machine.enter(State.READY)
 
-    def _drive(self, line: float, additional: float, active: int, now: int) -> None:
+    def _drive(self, additional_hz: float, how: int, rated: float, now: int) -> None:
         machine, motor = self.machine, self.motor
-        rated = self.store.value("rated_frequency", active)
-        reference = self._reference(active)
-        self._bus_hz = line * reference
-        self._ramp_hz = self._combined(self._bus_hz, int(self.store.value("ramp_set_point", active)))
+        self._ramp_hz = self._combined(self._bus_hz, how)
         if self._anticlockwise:
             self._ramp_hz = -self._ramp_hz
-        wanted = min(max(self._ramp_hz + additional * reference, -self.f_max), self.f_max)
+        wanted = min(max(self._ramp_hz + additional_hz, -self.f_max), self.f_max)
         self._wanted_hz = wanted
         quick = machine.state is State.QUICK_STOP
         powered = machine.state in _POWERED and not self._braking
@@ -322,10 +323,8 @@ class DemagDevice(DriveDevice):
 
     # -- inputs ---------------------------------------------------------------------------------------------------
 
-    def _report(self, control: int, remote: bool, active: int) -> tuple[int, ...]:
+    def _report(self, control: int, remote: bool, rated: float, reference: float) -> tuple[int, ...]:
         motor = self.motor
-        rated = self.store.value("rated_frequency", active)
-        reference = self._reference(active)
         status = drivecom_states.SHOWN[self.machine.state]
         off = abs(motor.frequency * rated - self._wanted_hz)
         if motor.on and not motor.limited and off <= self.store.value("max_control_deviation") / 100 * rated:
