@@ -27,6 +27,7 @@ _TURNS: Final = 1_000
 _NUDGE_NS: Final = 100_000
 #: World events between two polls of real file descriptors (signals, sockets).
 _EVENTS_PER_POLL: Final = 500
+_STOPS: Final = [True] + [False] * (_EVENTS_PER_POLL - 1)
 #: At real time a simulated bus catches up at most this much; beyond it virtual time falls behind. It never skips.
 DEBT_NS: Final = 50 * NS_PER_MS
 
@@ -93,7 +94,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._attached: list[_Attached] = []
         self._running: _Attached | None = None
         self._has_new_calls = False  # a callback or a timer was added while worlds ran
-        self._events = 0
+        #: the answers to the worlds, which ask after each event whether to stop; the next one is the last in the list
+        self._stops: list[bool] = []
         self._turns = 0
         self._threads = 0
         self._signals: set[int] = set()
@@ -126,6 +128,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self, callback: Callable[[Unpack[_Ts]], object], *args: *_Ts, context: Context | None = None
     ) -> asyncio.Handle:
         self._has_new_calls = True
+        self._stops.append(True)
         return super().call_soon(callback, *args, context=context)
 
     def call_at(
@@ -136,6 +139,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         context: Context | None = None,
     ) -> asyncio.TimerHandle:
         self._has_new_calls = True
+        self._stops.append(True)
         return super().call_at(when, callback, *args, context=context)
 
     def run_in_executor(
@@ -173,6 +177,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     # --- the waiting step ---
     def _wait(self, timeout: float | None) -> _Ready:
         """Return when a descriptor is ready or ``timeout`` seconds of virtual time are over."""
+        self._stops.clear()
         ready = self._waiting.poll(0)
         if timeout is not None and timeout <= 0:
             # callbacks are ready: time stands still
@@ -202,7 +207,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         if len(attached) > 1:
             return self._advance_many(horizon)
         if attached:
-            self._events = 0
+            self._stops = _STOPS.copy()
             if self._run(attached[0], horizon):
                 return True
         if self._at_ns < horizon < NEVER:
@@ -211,7 +216,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def _advance_many(self, horizon: int) -> bool:
         """Several worlds: always run the one with the next event, up to the next event of another one."""
-        self._events = 0
+        self._stops = _STOPS.copy()
         stopped = False
         while not stopped:
             first, second = sorted(self._attached, key=_Attached.next_at)[:2]
@@ -228,14 +233,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         timeline = attached.timeline
         self._running = attached
         try:
-            return timeline.run(until if until == NEVER else until - attached.offset, self._stop)
+            return timeline.run(until if until == NEVER else until - attached.offset, self._stops.pop)
         finally:
             self._running = None
             self._at_ns = max(self._at_ns, timeline.now + attached.offset)
-
-    def _stop(self) -> bool:
-        self._events += 1
-        return self._has_new_calls or self._events >= _EVENTS_PER_POLL
 
     # --- real time ---
     def _set_origin(self) -> None:
