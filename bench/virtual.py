@@ -37,7 +37,7 @@ _IDENT: Final = 0x1234
 _FIRST: Final = 3
 _WITHIN: Final = 60 * NS_PER_S
 #: CPU time of a simulated second of ten PPO1 drives, in Python loops
-_GOAL: Final = 90_000
+_GOAL: Final = 75_000
 #: no worse than linear: an exchange costs no more with many slaves than with few
 _LINEAR: Final = 1.0
 #: an exchange with a Global_Control to all slaves in each round, to one with a Global_Control to one slave
