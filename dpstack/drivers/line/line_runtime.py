@@ -121,6 +121,7 @@ class LineRuntime(ABC):
         self._answers = AnswerTiming()
         self._tolerated: set[str] = set()  # notices of the port that were reported, once for all openings
         self._pending_step: Pending | None = None
+        self._later: list[Callable[[], object]] = []
         self._wire_ns = wire_times(port)
         self._flood_from = 1  # number of discarded octets from which on the next one is looked at
         self._flood_notice = 1  # and from which on the next notice is due
@@ -174,6 +175,11 @@ class LineRuntime(ABC):
             else:
                 tap.lost += 1
         return True
+
+    def after_step(self, callback: Callable[[], object]) -> None:
+        """Call ``callback`` once at the end of the step under way, after its transmissions and events: for work that
+        the next telegram need not wait for. Called by the machine's users from within a step."""
+        self._later.append(callback)
 
     @property
     def echo(self) -> Echo:
@@ -320,6 +326,16 @@ class LineRuntime(ABC):
             if self._echo is None and self._echo_wanted is Echo.AUTO:
                 self._suspect_echo(events)
             self._dispatch(events)
+        if self._later:
+            self._do_later()
+
+    def _do_later(self) -> None:
+        later, self._later = self._later, []
+        try:
+            for callback in later:
+                callback()
+        except Exception as exc:
+            self._fail(exc)
 
     def _nap(self, deadline: int, now: int) -> int:
         """Sleep up to shortly before ``deadline`` where that pays. Returns the time."""

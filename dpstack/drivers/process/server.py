@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import socket
 from collections import deque
-from functools import partial
 from time import monotonic_ns
 from typing import Final
 
@@ -234,16 +233,18 @@ class Host:
     # --- the process image ---
 
     def _on_round(self, _now: int) -> None:
+        self.runtime.after_step(self._publish_round)
+
+    def _publish_round(self) -> None:
         self._publish()
         watched = bool(self._image.words[Word.ROUNDS_WATCHED])
         if watched is not self._rounds_watched:
             self._rounds_watched = watched
             self._publish_counters()  # an application that waited for rounds looks at the counters next
-        # after the round's last telegram, not before it
         if watched:
-            self._loop.call_soon(partial(self._send_round, self._master.cycle))
+            self._send_round(self._master.cycle)
         elif monotonic_ns() - self._drives_at >= _DRIVES_NS:
-            self._loop.call_soon(self._publish_drives)
+            self._publish_drives()
 
     def _publish(self) -> None:
         slaves = {address: image_snapshot(handler) for address, handler in self._master.handlers.items()}

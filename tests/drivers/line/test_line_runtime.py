@@ -129,6 +129,30 @@ async def test_endless_near_deadlines_leave_the_loop_its_turns() -> None:
         rig.machine.on_wake = lambda _now: None
 
 
+async def test_work_for_later_is_done_once_after_the_transmission_and_the_events() -> None:
+    async with Rig() as rig:
+        seen: list[tuple[bytes, int]] = []
+
+        def on_receive(_chunk: bytes, now: int) -> None:
+            rig.driver.after_step(lambda: seen.append((rig.far.read_now(), rig.calls)))
+            rig.machine.events.append(Notice(t_ns=now, source="test", message="hello"))
+            rig.machine.tx.append(TOKEN)
+
+        rig.machine.on_receive = on_receive
+        rig.far.write(REQUEST)
+        await rig.settle()
+        rig.driver.command(REQUEST)
+        assert seen == [(TOKEN, 1)]
+
+
+async def test_a_defect_in_work_for_later_stops_the_driver() -> None:
+    async with Rig() as rig:
+        rig.machine.on_receive = lambda _chunk, _now: rig.driver.after_step(lambda: defect(None))
+        rig.far.write(REQUEST)
+        await rig.settle()
+        assert [type(exc) for exc in rig.failures] == [ZeroDivisionError]
+
+
 async def test_events_are_handed_over_after_the_step_and_only_when_there_are_some() -> None:
     async with Rig() as rig:
         rig.far.write(TOKEN)

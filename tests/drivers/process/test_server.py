@@ -8,8 +8,11 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
+from time import monotonic_ns
 
 import pytest
+from support_responder import Responder
 
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.master.events import DriveEvent
@@ -19,13 +22,13 @@ from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.process.server import Host
-from dpstack.drivers.process.shared_image import Outputs, SharedImage, Word, make_memory
+from dpstack.drivers.process.shared_image import Area, Outputs, Picture, SharedImage, Word, make_memory
 from dpstack.drivers.stack import StackSpec
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
 from dpstack.trace import Notice
-from dpstack.units import NEVER, NS_PER_S
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S
 
 
 def is_full(outbox: m.Outbox) -> bool:
@@ -66,12 +69,12 @@ def test_an_application_that_does_not_read_bounds_the_outbox() -> None:
 class Rig:
     """A bus process's inside in this process: its host on a pty, and the application's end of its socket."""
 
-    def __init__(self) -> None:
+    def __init__(self, slaves: tuple[SlaveParams, ...] = ()) -> None:
         params = BusParams.preset(1_500_000, address=2, gap=0)
         spec = StackSpec(
             params=params,
             patience=HOST,
-            slaves=(),
+            slaves=slaves,
             master=MasterSettings(watchdog_ms=1000),
             watched=True,
         )
@@ -104,6 +107,48 @@ class Rig:
     @property
     def told(self) -> list[str]:
         return [m.event_of(event).text for news in self.got for event in news.events]
+
+
+def test_the_inputs_of_a_round_are_published_behind_the_next_telegram(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Encoding them takes longer than an idle time at the high rates: no telegram waits for it."""
+    rig = Rig((SlaveParams(address=3, name="s", ident=0x0696, config=b"\xf3\xf1"),))
+    host = rig.host
+    log: list[str] = []
+    put, write = host.runtime._put, Area.write
+
+    def written(octets: bytes) -> bool:
+        log.append("telegram")
+        return put(octets)
+
+    def ended(now: int) -> None:
+        log.append("end of the round")
+        host._on_round(now)
+
+    def published(area: Area[object], picture: object) -> None:
+        if isinstance(picture, Picture):
+            log.append("picture")
+        write(area, picture)
+
+    monkeypatch.setattr(host.runtime, "_put", written)
+    monkeypatch.setattr(host._master, "on_round", ended)
+    monkeypatch.setattr(Area, "write", published)
+    with Responder(host.runtime.port_name, ["3:0696:f3f1:12:12"]):
+        host.runtime.command(GoOnline())
+        host.runtime.command(SetMode(Mode.OPERATE))
+        limit = monotonic_ns() + 10 * NS_PER_S
+
+        def look() -> None:
+            if log.count("end of the round") > 40 or monotonic_ns() > limit:
+                rig.loop.stop()
+            else:
+                rig.loop.call_at(monotonic_ns() + NS_PER_MS, look)
+
+        rig.loop.call_soon(look)
+        rig.loop.run()
+        rig.close()
+    behind = [after for before, after in pairwise(log) if before == "end of the round"]
+    assert behind.count("telegram") >= 40
+    assert behind.count("picture") <= 4  # with the first states of the slave
 
 
 @pytest.fixture
