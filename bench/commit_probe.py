@@ -9,13 +9,20 @@ names exist in the commit is used. One JSON object: name of the figure -> {"loop
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import importlib
 import json
+import os
+import pty
 import resource
 import runpy
+import select
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+import tempfile
+import time
+import tty
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -57,6 +64,34 @@ import os, pty, dpstack
 slave = {{"name": "valves", "address": 9, "ident": 0x1234, "config": "20 10"}}
 dpstack.open_bus(port=os.ttyname(pty.openpty()[1]), baud={baud}, driver="asyncio", slaves=[slave])
 """
+#: told when the slaves are in data exchange; the end of standard input ends it
+_SLAVES_UP: Final = """\
+import asyncio, sys, dpstack
+async def main():
+    async with dpstack.open_bus(port={port!r}, baud={baud}, driver={driver!r}, slaves={tables}) as bus:
+        await bus.operate()
+        await bus.ready(30)
+        print("ready", flush=True)
+        await asyncio.to_thread(sys.stdin.read)
+asyncio.run(main())
+"""
+_CONFIG: Final = """\
+[bus]
+port = "{port}"
+baud = {baud}
+driver = "{driver}"
+
+[[slave]]
+name = "valves"
+address = 9
+ident = 0x1234
+config = "20 10"
+"""
+_SLAVES: Final = 32
+#: no octets, or no slaves, within so many seconds
+_LIMIT_S: Final = 60.0
+#: programs are measured as users have them, with their byte code
+_ENVIRONMENT: Final = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 
 class Adapter(NamedTuple):
@@ -166,6 +201,119 @@ def command(words: str) -> None:
     _output([str(Path(sys.executable).with_name("dpstack")), *words.split()])
 
 
+#: the program that --version and a plain ctl are compared with
+PLAIN: Final = ("-c", "import argparse, json, socket")
+
+
+def plain_ns() -> int:
+    """CPU time of an interpreter that only loads what a plain command cannot do without."""
+    begin = _children_ns()
+    _output([sys.executable, *PLAIN])
+    return _children_ns() - begin
+
+
+@contextlib.contextmanager
+def running() -> Iterator[str]:
+    """A ``dpstack run`` on a simulated bus in this environment, and the name by which ``dpstack ctl`` finds it."""
+    with tempfile.TemporaryDirectory(prefix="dpstack-bench-") as folder:
+        config = Path(folder, "plant.toml")
+        config.write_text(_CONFIG.format(port="virtual", baud=_BAUD, driver="auto"), encoding="utf-8")
+        words = [str(Path(sys.executable).with_name("dpstack")), "run", str(config), "--json"]
+        with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=_ENVIRONMENT) as program:
+            try:
+                assert program.stdout is not None
+                if not program.stdout.readline():
+                    raise RuntimeError("dpstack run ended without a word")
+                yield f"virtual:{program.pid}"
+            finally:
+                program.terminate()
+                program.communicate()
+
+
+def _status() -> Figures:
+    """A command to a running program and its answer."""
+    with running() as name:
+        clock = _loop_clock(_children_ns)
+        begin = clock()
+        command(f"ctl {name} status")
+        return {"dpstack ctl status: CPU time": {"loops": (clock() - begin) / 1000}}
+
+
+def _first_octet(driver: str) -> Figures:
+    spent = 0
+    clock = _loop_clock(lambda: spent)
+    begin = clock()
+    spent = first_octet_ns(driver)
+    return {f"dpstack run, {driver}, until the first octet: CPU time": {"loops": (clock() - begin) / 1000}}
+
+
+def first_octet_ns(driver: str) -> int:
+    """CPU time of ``dpstack run`` and its bus process until the first octet is on a pty where nobody else sends."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    with tempfile.TemporaryDirectory(prefix="dpstack-bench-") as folder, os.fdopen(master, "rb", 0) as line:
+        config = Path(folder, "plant.toml")
+        config.write_text(_CONFIG.format(port=os.ttyname(slave), baud=_BAUD, driver=driver), encoding="utf-8")
+        words = [str(Path(sys.executable).with_name("dpstack")), "run", str(config)]
+        program = subprocess.Popen(
+            words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=_ENVIRONMENT
+        )
+        try:
+            if not select.select([line], [], [], _LIMIT_S)[0]:
+                raise RuntimeError("dpstack run sent nothing")
+            return _cpu_of_family(program.pid)
+        finally:
+            _kill_family(program)
+            os.close(slave)
+
+
+def _slaves_up(driver: str) -> Figures:
+    """A program with 32 slaves behind a pty whose octets take no time, until all are in data exchange."""
+    words = [sys.executable, str(Path(__file__).with_name("wire.py")), "--baud", "12000000"]
+    words += [f"{_FIRST + n}:1234:20 10:1:1,records=1" for n in range(_SLAVES)]
+    tables = [{"name": f"s{n}", "address": _FIRST + n, "ident": 0x1234, "config": "20 10"} for n in range(_SLAVES)]
+    spent = 0
+    clock = _loop_clock(lambda: spent)
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_ENVIRONMENT) as wire:
+        assert wire.stdout is not None
+        port = json.loads(wire.stdout.readline())["port"]
+        code = _SLAVES_UP.format(port=port, baud=12_000_000, driver=driver, tables=tables)
+        begin = clock()
+        with subprocess.Popen(
+            [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_ENVIRONMENT
+        ) as program:
+            assert program.stdout is not None
+            ready = program.stdout.readline()
+            spent = _cpu_of_family(program.pid)
+            program.communicate()
+        wire.communicate()
+    if not ready:
+        raise RuntimeError(f"{driver}: the slaves did not come up")
+    return {f"{driver}, {_SLAVES} slaves behind a pty in data exchange: CPU time": {"loops": (clock() - begin) / 1000}}
+
+
+def _family(pid: int) -> list[int]:
+    """The process, its children, theirs."""
+    family = [pid]
+    for tasks in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in tasks.read_text().split():
+            family += _family(int(child))
+    return family
+
+
+def _cpu_of_family(pid: int) -> int:
+    """CPU time in ns (the clock of a process, clock_getcpuclockid(3))."""
+    return sum(time.clock_gettime_ns((~one << 3) | 2) for one in _family(pid))
+
+
+def _kill_family(program: subprocess.Popen[bytes]) -> None:
+    for pid in _family(program.pid)[1:]:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, 9)
+    program.kill()
+    program.wait()
+
+
 def _children_ns() -> int:
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return round((usage.ru_utime + usage.ru_stime) * 1e9)
@@ -203,12 +351,14 @@ def _needs(words: str) -> tuple[str, ...]:
 
 
 def _output(words: Sequence[str]) -> str:
-    ended = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    ended = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, env=_ENVIRONMENT)
     if ended.returncode:
         raise RuntimeError(f"{' '.join(words)}: {ended.stderr.strip()[-200:]}")
     return ended.stdout
 
 
+#: drivers whose start is a figure
+DRIVERS: Final = ("asyncio", "process")
 #: commands whose CPU time is a figure
 COMMANDS: Final = ("--version", "ctl --help", "decode E5", "monitor --help", "capture --help")
 #: those of them that older commits do not have stand in this room
@@ -228,6 +378,9 @@ ADAPTERS: Final[dict[str, tuple[tuple[Adapter, ...], ...]]] = {
         (Adapter(_MAIN, _modules),),
         (Adapter(_API, _first_bus),),
         (Adapter(_API, _program),),
+        (Adapter(_MAIN, _status),),
+        *((Adapter(_MAIN, partial(_first_octet, driver)),) for driver in DRIVERS),
+        *((Adapter(_API, partial(_slaves_up, driver)),) for driver in DRIVERS),
     ),
 }
 

@@ -4,23 +4,27 @@
 start of the bus process where there is one; *listening* until the first telegram; *claim* from there until the token
 is this master's; *bring-up* until the last slave is in data exchange, by the times of the events. Listening and claim
 last as long as the bus's timers and are in ms, the rest is in Python loops. Commands that only start are measured
-besides: their CPU time, and how many modules they import.
+besides: their CPU time, and how many modules they import. ``--version`` and a ``ctl`` that asks a running program have
+a goal: they are compared with an interpreter that only loads argparse, json and socket.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from functools import partial
 from typing import Final, cast
 
 from bench.calibration import Beside
-from bench.commit_probe import COMMANDS, command_ns, modules
+from bench.commit_probe import COMMANDS, command_ns, first_octet_ns, modules, plain_ns, running
 from bench.masters import DRIVERS
 from bench.report import Report
 from bench.rig import Bench, Processors, available, bench, pinned
 from dpstack.units import NS_PER_MS
 
 _PARTS: Final = ("program", "opening", "listening", "claim", "bring-up", "all")
+#: CPU time of a plain command at most, as a ratio
+_PLAIN_GOAL: Final = 1.6
 #: these last as long as the bus's timers
 _BUS_TIME: Final = ("listening", "claim")
 
@@ -40,14 +44,23 @@ def run(argv: list[str]) -> Report:
         beside = Beside()
         commands: dict[str, list[tuple[float, float]]] = {words: [] for words in COMMANDS}
         runs: dict[str, list[tuple[dict[str, float], float]]] = {kind: [] for kind in kinds}
+        octets: dict[str, list[tuple[float, float]]] = {kind: [] for kind in kinds}
         for _ in range(args.rounds):
             for words, times in commands.items():
                 times.append(beside(partial(command_ns, words)))
             for kind, parts in runs.items():
                 parts.append(beside(partial(_measure, kind, args.slaves, args.baud, where)))
+                octets[kind].append(beside(partial(first_octet_ns, kind)))
+        with running() as name:
+            plain = _beside_plain({"--version": "--version", "ctl status": f"ctl {name} status"}, args.rounds)
         report.calibrated("Python", beside.loops)
         for words, times in commands.items():
             report.in_loops(f"dpstack {words}: CPU time", times)
+        for words, ratios in plain.items():
+            title = f"dpstack {words}: CPU time beside python -c 'import argparse, json, socket'"
+            report.measured(title, ratios, "ratio", _PLAIN_GOAL)
+        for kind, times in octets.items():
+            report.in_loops(f"dpstack run, {kind}, until the first octet: CPU time", times)
         report.exact("dpstack --version: modules of ours", modules(), "")
         for kind, parts in runs.items():
             for name in _PARTS:
@@ -57,6 +70,18 @@ def run(argv: list[str]) -> Report:
                 else:
                     report.in_loops(title, [(part[name] * NS_PER_MS, loop) for part, loop in parts])
     return report
+
+
+def _beside_plain(commands: Mapping[str, str], rounds: int) -> dict[str, list[float]]:
+    """The CPU time of each command as a ratio to that of the plain interpreter before it."""
+    ratios: dict[str, list[float]] = {title: [] for title in commands}
+    for words in commands.values():
+        command_ns(words)  # with the first call the byte code is written
+    for _ in range(rounds):
+        for title, words in commands.items():
+            plain = plain_ns()
+            ratios[title].append(command_ns(words) / plain)
+    return ratios
 
 
 def _measure(kind: str, slaves: int, baud: int, where: Processors) -> dict[str, float]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import secrets
 import stat
 from collections.abc import Callable
 from pathlib import Path
@@ -99,6 +98,8 @@ class AtomicFile:
         self._real = Path(os.path.realpath(self.path)) if os.path.islink(self.path) else self.path
         #: path of an incomplete list
         self.part = self._real.parent / f"{self._real.name}.part"
+        import secrets  # here, as most programs only read
+
         self._new = self._real.parent / f".{secrets.token_hex(8)}.tmp"
         self._file: BinaryIO | None = None
 

@@ -6,15 +6,13 @@ import copy
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from msgspec import Struct
-
 from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.scanner import Scanner
-from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.master.settings import StackSpec
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import reading_only
 from dpstack.dp.slave_params import SlaveParams
@@ -25,27 +23,12 @@ from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, Slav
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.interface import LinkStats, LinkUser
 from dpstack.fdl.livelist import LiveList, live_allowance
-from dpstack.params import BusParams
-from dpstack.phy.patience import Patience
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 #: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
 _LIST_PERIOD: Final = 10 * NS_PER_S
 _DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
-
-
-class StackSpec(Struct, frozen=True, kw_only=True):
-    """The plain data that the machines of a bus are made from.
-
-    ``watched``: a read-only bus shows the state of its stations.
-    """
-
-    params: BusParams
-    patience: Patience
-    slaves: tuple[SlaveParams, ...]
-    master: MasterSettings
-    watched: bool
 
 
 def acyclic_services(own: int, master: Master | None = None) -> Acyclic:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
@@ -60,8 +59,11 @@ class Bus(Sealed):
         join_timeout: float | None = None,
         world: World | None = None,
         watched: bool = True,
+        adds_drives: bool = True,
     ) -> None:
-        self._core = core = BusCore(config, on_event, join_timeout=join_timeout, world=world, watched=watched)
+        self._core = core = BusCore(
+            config, on_event, join_timeout=join_timeout, world=world, watched=watched, adds_drives=adds_drives
+        )
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
         self.class2 = Class2(core, core.by_address, core.slave)
         self._seal(Bus)
@@ -505,6 +507,8 @@ def _check_arguments(config: object, slaves: object, on_event: object, world: ob
     names = (*_OWN_ARGUMENTS, *keys_of(BusConfig))
     for name in bus:
         if name not in names:
+            import difflib  # here, as most names are right
+
             near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names)}"
             raise ConfigError(f"open_bus: unknown argument {name!r}; {hint}")

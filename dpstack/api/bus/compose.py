@@ -13,18 +13,12 @@ from dpstack.api.config.bus import SAFE
 from dpstack.api.config.config import ECHO, Config, port_of, rate_findings
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.streams import Rounds
-from dpstack.dp.master.master import Master
-from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.master.settings import MasterSettings, StackSpec
 from dpstack.dp.plan.plan import Plan, make_plan
 from dpstack.dp.plan.rotation_time import Case
-from dpstack.dpv1.master.plugin_queue import RecordQueue
-from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
-from dpstack.drivers.line.last_clear import LastClear
 from dpstack.drivers.line.port_latency import patience_of
-from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.runtime import OnEvents, OnFailure, OnRefused, Runtime
 from dpstack.drivers.snapshots import View
-from dpstack.drivers.stack import Stack, StackSpec
 from dpstack.errors import ConfigError
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
@@ -34,7 +28,9 @@ from dpstack.units import NS_PER_MS
 if TYPE_CHECKING:
     from dpstack.api.server.virtual_bench import VirtualBench
     from dpstack.api.slave.drive import DrivePlugin
+    from dpstack.dp.master.master import Master
     from dpstack.drivers.process.client import ProcessRuntime
+    from dpstack.drivers.process.plugins import AttachPlugin
     from dpstack.profile import DriveCore, DriveStatus
     from dpstack.sim.world import World
 
@@ -108,13 +104,15 @@ def compose(
     *,
     world: World | None,
     watched: bool,
+    adds_drives: bool,
 ) -> Parts:
     """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 
     The runtime calls ``on_failure`` when a machine has raised (a defect of dpstack) or the bus process has ended, and
     ``on_refused`` when the bus process refuses an order that no caller awaits. ``world``: the master joins this
     simulated bus, and none of its slaves are simulated. ``watched``: a read-only bus, which sends no request that could
-    write, asks its slaves for their state. Raises ConfigError, PortError.
+    write, asks its slaves for their state. ``adds_drives``: drives may be added while the bus runs; a bus process loads
+    the plugins of all drives then, as it has no time for it later. Raises ConfigError, PortError.
     """
     plan = plan_bus(config)
     refuse_misfit(config, plan, config.slave_params)
@@ -148,7 +146,6 @@ def compose(
     if driver == PROCESS:
         from dpstack.drivers.process.client import ProcessRuntime
         from dpstack.drivers.process.messages import SetUp
-        from dpstack.profile import registry
 
         orders = [(slave, order) for slave in config.slaves if (order := plugin_of(slave)) is not None]
         setup = SetUp(
@@ -159,16 +156,21 @@ def compose(
             tune=tune,
             stack=spec,
             plugins=tuple(order for _, order in orders),
-            preload=tuple(registry.places().values()),  # drives that may be added while the bus runs
+            preload=_all_plugins() if adds_drives else (),
             cpus=config.bus.cpus,
         )
         view = runtime = remote = ProcessRuntime(setup, on_events, on_failure, on_refused)
         plugins = {slave.address: remote_plugin(remote, slave) for slave, _ in orders}
         attach_new = partial(attach_remote, remote)
     else:
+        from dpstack.drivers.stack import Stack  # these here, as the machines of the others run in a bus process
+
         view = stack = Stack(spec)
         station = stack.station
         if port is not None:
+            from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
+            from dpstack.drivers.line.last_clear import LastClear
+
             runtime = stack.line = AsyncioRuntime(
                 port,
                 station,
@@ -207,6 +209,12 @@ def compose(
     )
 
 
+def _all_plugins() -> tuple[str, ...]:
+    from dpstack.profile import registry  # here, as a bus without drives needs nothing of them
+
+    return tuple(registry.places().values())
+
+
 async def _attach_async(attach: Callable[[SlaveConfig], DrivePlugin | None], slave: SlaveConfig) -> DrivePlugin | None:
     return attach(slave)
 
@@ -232,6 +240,8 @@ def core_of(slave: SlaveConfig, *, simulated: bool = False) -> DriveCore | None:
     """
     if slave.profile is None or slave.raw:
         return None
+    from dpstack.dpv1.master.plugin_queue import RecordQueue
+
     records = None if slave.params.dpv1 is None else RecordQueue()
     return slave.profile.core(slave.name, slave.telegram, slave.options, simulated=simulated, records=records)
 
@@ -243,6 +253,7 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
     """
     if slave.profile is None or slave.raw:
         return None
+    from dpstack.drivers.process.plugins import AttachPlugin
     from dpstack.profile import registry
 
     place = registry.places().get(slave.profile.name)

@@ -11,7 +11,6 @@ from msgspec.structs import replace
 
 from dpstack.api.bus.compose import compose
 from dpstack.api.bus.cycles import Cycles
-from dpstack.api.bus.find_baud import rate_of, require_wire
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_report
 from dpstack.api.bus.shutdown import OrderedEnd
@@ -23,7 +22,6 @@ from dpstack.api.streams import EventStream, OnEvent
 from dpstack.dp.master.commands import AddSlave, DriveCommand, Mode, RemoveSlave
 from dpstack.dp.master.events import DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveState, SlaveStateChanged
 from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, view_of
-from dpstack.dp.slave.events import DeviceFailed
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.futures import wait_through_cancellation
@@ -50,7 +48,7 @@ class BusFailed(Notice):
 class BusCore(BusBase):
     """The inside of a :class:`~dpstack.api.bus.bus.Bus`, for the rooms of dpstack.
 
-    ``world``, ``watched``: see :func:`~dpstack.api.bus.compose.compose`; ``join_timeout`` in seconds.
+    ``world``, ``watched``, ``adds_drives``: see :func:`~dpstack.api.bus.compose.compose`; ``join_timeout`` in seconds.
     """
 
     def __init__(
@@ -61,10 +59,12 @@ class BusCore(BusBase):
         join_timeout: float | None = None,
         world: World | None = None,
         watched: bool = True,
+        adds_drives: bool = True,
     ) -> None:
         super().__init__(config, on_event)
         self._given_world = world
         self._watched = watched
+        self._adds_drives = adds_drives
         self._join_timeout = join_timeout
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
@@ -74,12 +74,20 @@ class BusCore(BusBase):
         if not self.searching:
             self._build(config)
         elif world is None:
+            from dpstack.api.bus.find_baud import require_wire  # here, as most buses have a rate
+
             require_wire(config.port)
 
     def _build(self, config: Config) -> None:
         """Make the objects behind the bus; ``config`` has a baud rate. Raises ConfigError."""
         self._parts = compose(
-            config, self._on_events, self._on_failure, self._on_refused, world=self._given_world, watched=self._watched
+            config,
+            self._on_events,
+            self._on_failure,
+            self._on_refused,
+            world=self._given_world,
+            watched=self._watched,
+            adds_drives=self._adds_drives,
         )
         self.config = config
         self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)
@@ -103,6 +111,8 @@ class BusCore(BusBase):
             raise UsageError("this bus was opened before: make a new one with open_bus()")
         rate_text = None
         if self.searching:
+            from dpstack.api.bus.find_baud import rate_of
+
             report = await rate_of(self.config, self._given_world)
             self._build(self.config.with_bus(baud=report.baud))
             rate_text = report.text
@@ -172,6 +182,8 @@ class BusCore(BusBase):
 
     def _on_device_events(self, events: list[Event]) -> None:
         """Report exceptions in simulated devices: on the wire they are a slave without valid inputs only."""
+        from dpstack.dp.slave.events import DeviceFailed  # here, as a bus on a wire simulates no slaves
+
         for event in events:
             if isinstance(event, DeviceFailed):
                 self.notice(SIMULATION, event.text, Severity.ERROR)

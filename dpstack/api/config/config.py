@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import difflib
-import hashlib
 import itertools
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -166,6 +164,8 @@ def read_text(path: str | Path, what: str) -> str:
     try:
         return read_file(path, MAX_OCTETS).decode("utf-8-sig")
     except FileNotFoundError:
+        import difflib
+
         near = difflib.get_close_matches(Path(path).name, _toml_files(Path(path).parent), 1)
         if near:
             raise ConfigError(f"{name}: there is no such file; did you mean {Path(path).with_name(near[0])}?") from None
@@ -201,6 +201,8 @@ def file_digest(path: str | Path) -> str | None:
 
 
 def _digest(text: str) -> str:
+    import hashlib  # here, as most programs do not ask for it
+
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -8,7 +8,6 @@ class.
 from __future__ import annotations
 
 import contextlib
-import difflib
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -152,6 +151,8 @@ class Table:
         names = list(keys)
         for name in self._data:
             if name not in names:
+                import difflib  # here, as most keys are right
+
                 near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.5)
                 todo = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(names)}"
                 self.fail(name, f"unknown key {name!r}", todo)

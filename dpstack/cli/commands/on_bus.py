@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.core import BusFailed
 from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, Notice, RingJoined, Severity
-from dpstack.api.bus.find_baud import find_baud
-from dpstack.api.bus.live_list import MakeBus
 from dpstack.api.config.config import AUTO, Config, make_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.server import ControlServer
@@ -20,6 +18,9 @@ from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import BusError, PortError, UsageError
 from dpstack.units import baud_text
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.live_list import MakeBus
 
 #: time-out in s of data exchange: a slave that searches for the baud rate takes its time
 READY_S: Final = 10.0
@@ -47,6 +48,8 @@ async def rate_of(args: argparse.Namespace) -> int:
     """The baud rate of the arguments, or the one found by listening. Raises BusError."""
     if args.baud != AUTO:
         return int(args.baud)
+    from dpstack.api.bus.find_baud import find_baud  # here, as most rates are given
+
     report = await find_baud(args.port, naming=0)
     if report.baud is None:
         raise BusError(

@@ -8,7 +8,7 @@ import contextlib
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dpstack.api.bus.bus import Bus, core_of, open_bus
+from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.events_json import Event, Severity, event_json
 from dpstack.api.bus.statistics import clear_since
 from dpstack.api.config.config import Config, load_config
@@ -122,7 +122,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
             reporter.event(event)
             lines.event(event)
 
-        bus = open_bus(config, on_event=on_event)
+        bus = Bus(config, on_event=on_event, adds_drives=False)  # no command adds a slave
         plant = _simulated_plant(bus, args)
         reporter = Reporter(bus, json=args.json)
         lines = causes.CauseLines(bus)

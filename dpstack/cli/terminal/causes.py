@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import shlex
-import shutil
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,7 +16,6 @@ from dpstack.api.bus.events_json import Event, SlaveFaulted
 from dpstack.api.streams import load_beside
 from dpstack.cli.terminal import output
 from dpstack.errors import DpError
-from dpstack.why.causes import Cause
 
 if TYPE_CHECKING:
     from dpstack.why.story import Story
@@ -34,7 +32,11 @@ WIDTH: Final = 100
 
 def columns() -> int:
     """Columns of a line of text."""
-    return shutil.get_terminal_size().columns if output.on_terminal() else WIDTH
+    if not output.on_terminal():
+        return WIDTH
+    import shutil  # here, as only a terminal has a width
+
+    return shutil.get_terminal_size().columns
 
 
 class CauseLines:
@@ -58,9 +60,11 @@ class CauseLines:
     async def _tell(self, event: SlaveFaulted) -> None:
         await load_beside(*_WHY)
         with contextlib.suppress(DpError):  # it was removed, or the bus has ended
+            from dpstack.why.story import HEALTHY
+
             story = await self._bus.why(event.address, ask=False)
             told = self._told.setdefault(event.address, set())
-            if story.first.cause == Cause.HEALTHY.value or story.first.cause in told:
+            if story.first.cause == HEALTHY or story.first.cause in told:
                 return
             told.add(story.first.cause)
             file = self._bus.config.file

@@ -1,4 +1,5 @@
-"""Settings of a DP master that do not depend on its slaves, and the state that all its parts share."""
+"""Settings of a DP master that do not depend on its slaves, the state that all its parts share, and all plain data of a
+bus."""
 
 from __future__ import annotations
 
@@ -8,7 +9,9 @@ from typing import Final
 from msgspec import Struct
 
 from dpstack.dp.master.commands import Mode
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
+from dpstack.phy.patience import Patience
 from dpstack.trace import Event
 from dpstack.units import NS_PER_S
 
@@ -65,3 +68,16 @@ class MasterContext:
     def emit(self, event: Event) -> None:
         """Report ``event`` to the application."""
         self.events.append(event)
+
+
+class StackSpec(Struct, frozen=True, kw_only=True):
+    """The plain data that the machines of a bus are made from.
+
+    ``watched``: a read-only bus shows the state of its stations.
+    """
+
+    params: BusParams
+    patience: Patience
+    slaves: tuple[SlaveParams, ...]
+    master: MasterSettings
+    watched: bool

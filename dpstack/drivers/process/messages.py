@@ -21,11 +21,11 @@ from msgspec import Struct, field
 
 from dpstack import errors
 from dpstack.dp.master.fixed_cycle import CycleData
+from dpstack.dp.master.settings import StackSpec
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
-from dpstack.drivers.stack import StackSpec
 from dpstack.drivers.tap import Tapped
 from dpstack.errors import BusError, DpError
 from dpstack.gsd.diag_texts import DiagTexts

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,7 @@ except SystemExit:
     pass
 print("loaded", *sys.modules)
 """
+ROOT = Path(__file__).parents[3]
 HEAVY = {"asyncio", "construct", "msgspec", "rich"}
 
 
@@ -34,13 +37,61 @@ def loaded(program: str, *args: str) -> tuple[set[str], set[str]]:
 @pytest.mark.parametrize("args", [["--version"], ["--help"], ["nonsense"], []], ids=" ".join)
 def test_help_and_wrong_commands_load_no_command(args: list[str]) -> None:
     ours, heavy = loaded(_PROGRAM, *args)
-    assert len(ours) <= 12
+    assert len(ours) <= 9
     assert heavy == set()
+
+
+#: modules of Python that take long to load, measured by the 15 ms that a plain command may last
+_SLOW = {
+    "asyncio",
+    "ctypes",
+    "dataclasses",
+    "difflib",
+    "hashlib",
+    "inspect",
+    "pathlib",
+    "shutil",
+    "tempfile",
+    "traceback",
+}
+
+
+def loaded_without_site(*args: str) -> set[str]:
+    """All modules after a command, in an interpreter whose site-packages have loaded none before."""
+    command = [sys.executable, "-S", "-c", _PROGRAM, *args]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return set(done.stdout.splitlines()[-1].split()[1:])
+
+
+def test_the_version_is_told_without_slow_modules_of_python() -> None:
+    assert loaded_without_site("--version") & _SLOW == set()
+
+
+def test_ctl_asks_a_program_without_slow_modules_of_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    folder = tmp_path / "dpstack"
+    folder.mkdir(mode=0o700)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(folder / "virtual-4711.sock"))
+        listening.listen()
+        threading.Thread(target=_answer, args=(listening,), daemon=True).start()
+        assert loaded_without_site("ctl", "virtual", "status") & _SLOW == set()
+
+
+def _answer(listening: socket.socket) -> None:
+    """Answer one request; a client that only looks who is there asks nothing."""
+    line = b""
+    while not line:
+        connection, _ = listening.accept()
+        with connection:
+            line = connection.recv(1000)
+            if line:
+                connection.sendall(b'{"ok": true, "result": {"mode": "operate"}}\n')
 
 
 def test_the_control_client_is_all_that_ctl_loads() -> None:
     ours, heavy = loaded(_PROGRAM, "ctl", "no/such/port")
-    assert len(ours) <= 32
+    assert len(ours) <= 21
     assert heavy == set()
     assert {name for name in ours if name.startswith("dpstack.api.bus")} == set()
 
@@ -88,13 +139,46 @@ print(len(made), *sys.modules)
 """
 
 
+def test_a_run_loads_what_it_uses(tmp_path: Path) -> None:
+    """Neither the live screen nor reports, recordings, simulated slaves, drives and causes of faults."""
+    ours, heavy = loaded(_PROGRAM, "run", str(tmp_path / "there-is-none.toml"))
+    assert len(ours) <= 188
+    assert heavy == {"asyncio", "construct", "msgspec"}
+    rooms = {".".join(name.split(".")[1:2]) for name in ours}
+    assert rooms.isdisjoint(
+        {"capture", "decode", "live", "monitor", "profile", "record", "screen", "sim", "web", "why"}
+    )
+
+
+_RUN_WITH_A_BUS_PROCESS = """
+import os, pty, sys
+from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.config.config import make_config
+slave = {"address": 9, "ident": 1, "config": "20"}
+config = make_config(os.ttyname(pty.openpty()[1]), 500_000, 2, [slave], bus={"driver": "process"})
+bus = Bus(config, adds_drives=False)
+print(len(core_of(bus).runtime._setup.preload), *sys.modules)
+"""
+
+
+def test_a_run_with_a_bus_process_loads_neither_its_machines_nor_drives() -> None:
+    done = subprocess.run([sys.executable, "-c", _RUN_WITH_A_BUS_PROCESS], capture_output=True, text=True, check=True)
+    preload, *names = done.stdout.split()
+    assert preload == "0"
+    late = "drivers.stack drivers.line.asyncio_runtime profile"
+    assert {f"dpstack.{name}" for name in late.split()}.isdisjoint(names)
+    ours, heavy = loaded("import sys, dpstack.drivers.process.__main__; print('loaded', *sys.modules)")
+    assert len(ours) <= 134
+    assert "asyncio" not in heavy
+
+
 def test_the_first_bus_loads_nothing_of_gsd_files_drives_and_recordings() -> None:
     """A module costs about 0.3 ms of the processor, a dataclass as much again: a bus loads only what it has."""
     done = subprocess.run([sys.executable, "-c", _FIRST_BUS], capture_output=True, text=True, check=True)
     dataclasses, *names = done.stdout.split()
     ours = {name.removeprefix("dpstack.") for name in names if name.startswith("dpstack.")}
-    assert int(dataclasses) <= 62
-    assert len(ours) <= 186
+    assert int(dataclasses) <= 26
+    assert len(ours) <= 172
     assert {name.partition(".")[0] for name in ours}.isdisjoint({"sim", "profile", "record", "live", "why"})
     late = "gsd.parser gsd.model api.slave.drive api.bus.live api.bus.recording drivers.process.client"
     assert ours.isdisjoint(late.split())

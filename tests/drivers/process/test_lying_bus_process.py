@@ -18,14 +18,13 @@ from far_ends import until
 
 from dpstack.dp.master.commands import Mode, RemoveSlave, SetMode
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.master.settings import MasterSettings, StackSpec
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.process import channel, messages
 from dpstack.drivers.process.client import ProcessRuntime
 from dpstack.drivers.process.shared_image import SharedImage, Word
 from dpstack.drivers.snapshots import Counters
-from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT

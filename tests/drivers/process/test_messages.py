@@ -19,6 +19,7 @@ from property_kit import examples
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.commands import AddSlave, DriveCommand, ReparameteriseSlave
+from dpstack.dp.master.settings import StackSpec
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dp.slave_params import SlaveParams
@@ -36,7 +37,6 @@ from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.snapshots import Counters
-from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, ConfigError, DpError, PortBusyError, SlaveFault, UsageError
 from dpstack.fdl.interface import LinkStats
 from dpstack.gsd.diag_texts import DiagTexts

@@ -16,14 +16,13 @@ from support_responder import Responder
 
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.master.events import DriveEvent
-from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.master.settings import MasterSettings, StackSpec
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.process.server import Host
 from dpstack.drivers.process.shared_image import Area, Outputs, Picture, SharedImage, Word, make_memory
-from dpstack.drivers.stack import StackSpec
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST

@@ -14,7 +14,7 @@ from dpstack.dp.acyclic.class2 import ReadService, Service
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
 from dpstack.dp.master.events import DriveEvent, FaultKind, SlaveRemark, SlaveState, SlaveStateChanged
-from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.master.settings import MasterSettings, StackSpec
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import (
@@ -29,7 +29,7 @@ from dpstack.dpv1.master.orders import (
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
-from dpstack.drivers.stack import Stack, StackSpec
+from dpstack.drivers.stack import Stack
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams

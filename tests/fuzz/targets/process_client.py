@@ -22,14 +22,13 @@ import msgspec
 
 from dpstack.dp.master.commands import Alive, Mode, RemoveSlave, SetMode
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.master.settings import MasterSettings, StackSpec
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.process import channel, client, messages
 from dpstack.drivers.process.client import ProcessRuntime
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
 from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot
-from dpstack.drivers.stack import StackSpec
 from dpstack.drivers.tap import Tap
 from dpstack.errors import DpError
 from dpstack.params import BusParams

@@ -20,7 +20,7 @@ from unittest import mock
 import msgspec
 
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.settings import MasterSettings
+from dpstack.dp.master.settings import MasterSettings, StackSpec
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line import shutdown
 from dpstack.drivers.line.echo import Echo
@@ -28,7 +28,6 @@ from dpstack.drivers.line.port_latency import PortLatency
 from dpstack.drivers.process import messages, server
 from dpstack.drivers.process.server import Host
 from dpstack.drivers.process.shared_image import SharedImage, Word
-from dpstack.drivers.stack import StackSpec
 from dpstack.machine import Machine
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT
