@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from statistics import median
 from typing import Final, NamedTuple
@@ -102,8 +102,8 @@ def _drivers(report: Report, args: argparse.Namespace, where: Processors) -> Non
             if app != "burn":
                 alone.append(taken)
             if of_bus is not None:
-                of_loop = _of_a_bare_loop(args.seconds, cycle, app, where)
-                pairs.setdefault((cycle, app), []).append((of_bus, of_loop))
+                woke = _wake_ups_of_a_bare_loop(args.seconds, cycle, app, where)
+                pairs.setdefault((cycle, app), []).append((of_bus, cycles_of(woke, cycle)))
     note_disturbance(report, alone)
     for (kind, cycle, app), rounds in runs.items():
         _add(report, f"{kind}, {cycle:g} ms, {app}", rounds, kind)
@@ -121,10 +121,15 @@ def _drivers(report: Report, args: argparse.Namespace, where: Processors) -> Non
 # --- beside a bare loop ---
 
 
-def _of_a_bare_loop(seconds: float, cycle_ms: float, app: str, where: Processors) -> Cycles:
-    """What a bare loop gets for ``seconds`` beside the same application. Raises RuntimeError when it does not start."""
+def _wake_ups_of_a_bare_loop(
+    seconds: float, cycle_ms: float, app: str, where: Processors, env: dict[str, str] | None = None
+) -> list[tuple[int, int]]:
+    """When a bare loop beside the same application was due, and when it woke up, for ``seconds``; in ns.
+
+    Raises RuntimeError when it does not start.
+    """
     words = [sys.executable, "-m", "bench.masters", GRID_KIND, "-", "--baud", "0", "--app", app]
-    process = Process([*words, "--cycle-ms", str(cycle_ms)], where.master)
+    process = Process([*words, "--cycle-ms", str(cycle_ms)], where.master, env)
     try:
         if "ready" not in process.line():
             raise RuntimeError("the bare loop did not start")
@@ -135,7 +140,7 @@ def _of_a_bare_loop(seconds: float, cycle_ms: float, app: str, where: Processors
     finally:
         told = process.end()
     woke = [pair for found in told for pair in _pairs(found.get("woke"))]
-    return cycles_of([(due, now) for due, now in woke if since <= due < until], cycle_ms)
+    return [(due, now) for due, now in woke if since <= due < until]
 
 
 def _pairs(found: object) -> Iterator[tuple[int, int]]:
@@ -164,6 +169,7 @@ def compare_with_loop(report: Report, title: str, pairs: Sequence[tuple[Cycles, 
     report.measured(f"bare loop, {title}: late and missed rounds", loop, "%")
     least = [max(of_loop.percent, 100 / max(of_loop.begun + of_loop.left_out, 1)) for _, of_loop in pairs]
     spread = (max(loop) - min(loop)) / median(least)
+    report.add(f"bare loop, {title}: agreement of its rounds", 1 - spread, "", more=True)
     goal = _GOAL_RATIO if spread <= _STEADY else None
     name = f"process, {title}: late and missed rounds to those of a bare loop"
     ratios = [ours / theirs for ours, theirs in zip(bus, least, strict=True)]
@@ -184,32 +190,37 @@ def variants() -> dict[str, tuple[str, ...]]:
 
 
 def _settings(report: Report, args: argparse.Namespace, where: Processors) -> None:
-    """The process driver with each set of settings in turn, all within each round."""
+    """The process driver, and a bare loop, with each set of settings in turn, all within each round."""
     if not available(("process",), report.notes, max(args.cycles)):
         return
     apps = [app for app in args.apps if app in _COMPARED]
     for cycle in args.cycles:
-        seen: dict[tuple[str, str], list[tuple[Cycles, Lateness]]] = {}
+        seen: dict[tuple[str, str, str], list[float]] = {}
         for _ in range(args.rounds):
             for app in apps:
                 for name, without in variants().items():
                     env = environment(without)
                     with bench("process", args.slaves, args.baud, where, app=app, cycle_ms=cycle, env=env) as running:
-                        taken = running.measure(args.seconds)
                         cycles = Cycles(*running.cycles(args.seconds))
-                    seen.setdefault((app, name), []).append((cycles, Lateness(taken.records, cycle)))
-        columns: dict[str, Callable[[tuple[Cycles, Lateness]], float]] = {
-            "late and missed %": lambda pair: pair[0].percent,
-            "p50 us": lambda pair: pair[1].quantile_us(0.5),
-            "p99 us": lambda pair: pair[1].quantile_us(0.99),
-        }
+                        lateness = Lateness(running.measure(args.seconds).records, cycle)
+                    woke = _wake_ups_of_a_bare_loop(args.seconds, cycle, app, where, env)
+                    late_us = [(now - due) / 1000 for due, now in woke]
+                    for column, value in (
+                        ("late and missed %", cycles.percent),
+                        ("p50 us", lateness.quantile_us(0.5)),
+                        ("p99 us", lateness.quantile_us(0.99)),
+                        ("bare loop %", cycles_of(woke, cycle).percent),
+                        ("its p50 us", quantile(late_us, 0.5)),
+                        ("its p99 us", quantile(late_us, 0.99)),
+                    ):
+                        seen.setdefault((app, name, column), []).append(value)
+        columns = tuple(dict.fromkeys(column for _, _, column in seen))
         for app in apps:
-            table = Table(f"settings, {cycle:g} ms, {app}", tuple(columns), tuple(variants()))
+            table = Table(f"settings, {cycle:g} ms, {app}", columns, tuple(variants()))
             report.tables.append(table)
             for name in variants():
-                for column, value in columns.items():
-                    unit = column.rpartition(" ")[2]
-                    report.measured(table.name(name, column), [value(pair) for pair in seen[app, name]], unit)
+                for column in columns:
+                    report.measured(table.name(name, column), seen[app, name, column], column.rpartition(" ")[2])
 
 
 class Lateness:
