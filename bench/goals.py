@@ -75,16 +75,6 @@ def _efficiency(rate: str, limit: float) -> list[Goal]:
     ]
 
 
-def _steady(app: str) -> Goal:
-    of_loop = f"bare loop, 10 ms, {app}: agreement of its rounds"
-    return Goal(
-        f"late and missed rounds to a bare loop's, 10 ms, {app} application",
-        f"process, 10 ms, {app}: late and missed rounds to those of a bare loop",
-        1.5,
-        only_above=(of_loop, 0.7),
-    )
-
-
 #: name -> what is run, in the order of the table
 SUITES: Final[Mapping[str, Suite]] = {
     "alone": Suite(
@@ -167,12 +157,6 @@ SUITES: Final[Mapping[str, Suite]] = {
         ],
         alone=True,
     ),
-    "steady": Suite(
-        "jitter",
-        "--rounds 6 --seconds 3 --cycles 10 --kinds process --apps idle burn",
-        [_steady("idle"), _steady("burn")],
-        repeats=True,
-    ),
     "tight": Suite(
         "acyclic",
         "--bauds 500000 --lengths 64 --rotations 20 --cycles 198 --pty-bauds",
@@ -183,7 +167,7 @@ SUITES: Final[Mapping[str, Suite]] = {
                 100 / 9,
             )
         ],
-        repeats=True,
+        alone=True,
     ),
 }
 

@@ -169,7 +169,6 @@ def compare_with_loop(report: Report, title: str, pairs: Sequence[tuple[Cycles, 
     report.measured(f"bare loop, {title}: late and missed rounds", loop, "%")
     least = [max(of_loop.percent, 100 / max(of_loop.begun + of_loop.left_out, 1)) for _, of_loop in pairs]
     spread = (max(loop) - min(loop)) / median(least)
-    report.add(f"bare loop, {title}: agreement of its rounds", 1 - spread, "", more=True)
     goal = _GOAL_RATIO if spread <= _STEADY else None
     name = f"process, {title}: late and missed rounds to those of a bare loop"
     ratios = [ours / theirs for ours, theirs in zip(bus, least, strict=True)]
