@@ -154,21 +154,31 @@ class Medium:
             table = self._durations[baud] = [chars_to_ns(n, baud) for n in range(_LENGTHS)]
         return table[size] if size < _LENGTHS else chars_to_ns(size, baud)
 
-    def edge(self, tx: Transmission) -> None:
-        """Announce the start edge of ``tx`` to the stations. It brings no deadline forward (:class:`BusStation`), so
-        that none of them needs another heap entry."""
-        if tx.cut:
-            return
-        now = tx.start_ns
+    def announce_edges(self, due: list[Transmission] | None = None) -> None:
+        """Announce the start edges of ``due`` to the stations; None: of all that are not announced, after all other
+        events of this instant.
+
+        An edge brings no deadline forward (:class:`BusStation`), so that no station needs another heap entry.
+        """
+        if due is None:
+            due, self.starting = self.starting, []
+            now = self._world.now
+            if self._heap and self._heap[0][0] <= now:
+                self._world.schedule(now, _EDGES, self.announce_edges, due)
+                return
         nodes = self._nodes
-        for node in nodes.listeners:
-            if node.hears_from <= now:
-                node.station.activity(now)
-                node.deadline = node.station.wake_at()
-        if tx.telegram is not None:
-            for node in nodes.by_address.get(tx.telegram.da, ()):
-                if node.hears_from <= now and node.baud == tx.baud:
-                    node.station.activity(now)
+        for tx in due:
+            if tx.cut:
+                continue
+            start = tx.start_ns
+            for node in nodes.listeners:
+                if node.hears_from <= start:
+                    node.station.activity(start)
+                    node.deadline = node.station.wake_at()
+            if tx.telegram is not None:
+                for node in nodes.by_address.get(tx.telegram.da, ()):
+                    if node.hears_from <= start and node.baud == tx.baud:
+                        node.station.activity(start)
 
     # --- the line ---
     def _start_or_schedule(self, tx: Transmission, now: int) -> None:
@@ -420,7 +430,7 @@ class World:
                 raise UsageError(f"stations at {len(rates)} baud rates: say at which one to inject")
             (baud,) = rates
         self._medium.inject(octets, baud, self.now, sender)
-        self.announce_edges()
+        self._medium.announce_edges()
 
     # --- time ---
     def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
@@ -504,21 +514,10 @@ class World:
                     node.entry = at
                     heappush(self.heap, (at, order, self._on_timer, node))
         if self._medium.starting:
-            self.announce_edges()
+            self._medium.announce_edges()
         events = station.take_events()
         if events and node.on_events is not None:
             node.on_events(events)
-
-    def announce_edges(self) -> None:
-        """Announce start edges, after all other events of this instant."""
-        medium = self._medium
-        starting, medium.starting = medium.starting, []
-        heap = self.heap
-        for tx in starting:
-            if heap and heap[0][0] <= self.now:
-                self.schedule(self.now, _EDGES, medium.edge, tx)
-            else:
-                medium.edge(tx)
 
     # --- inside ---
     def _run_timer(self, node: Node) -> None:
