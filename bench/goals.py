@@ -117,8 +117,27 @@ SUITES: Final[Mapping[str, Suite]] = {
         "startup",
         "--rounds 1",
         [
-            Goal(f"32 slaves in data exchange, {kind}", f"{kind}, 32 slaves: all", 0.5, to_today=True)
-            for kind in DRIVERS
+            *(
+                Goal(
+                    f"CPU of dpstack {words} to that of python -c 'import argparse, json, socket'",
+                    f"dpstack {words}: CPU time beside python -c 'import argparse, json, socket'",
+                    1.6,
+                )
+                for words in ("--version", "ctl status")
+            ),
+            *(
+                Goal(
+                    f"CPU until the first octet, {kind}",
+                    f"dpstack run, {kind}, until the first octet: CPU time",
+                    0.40,
+                    to_today=True,
+                )
+                for kind in DRIVERS
+            ),
+            *(
+                Goal(f"32 slaves in data exchange, {kind}", f"{kind}, 32 slaves: all", 0.5, to_today=True)
+                for kind in DRIVERS
+            ),
         ],
     ),
     "steady": Suite(
