@@ -72,10 +72,15 @@ class FdTimer:
     def __init__(self, loop: asyncio.AbstractEventLoop, callback: Callable[[], None]) -> None:
         self._loop = loop
         self._callback = callback
-        self._timer = timerfd.Timerfd()
-        self._naps = timerfd.Timerfd(blocking=True)
         self._is_due = False
-        loop.add_reader(self._timer.fd, self._fired)
+        self._timer = self._naps = timerfd.Timerfd()
+        try:
+            self._naps = timerfd.Timerfd(blocking=True)
+            loop.add_reader(self._timer.fd, self._fired)
+        except BaseException:  # no descriptors left, a loop without add_reader
+            self._timer.close()
+            self._naps.close()
+            raise
 
     def set(self, at: int) -> None:
         self._is_due = False

@@ -11,7 +11,7 @@ from time import monotonic_ns
 import pytest
 from far_ends import until
 
-from dpstack.drivers.line.timers import FdTimer, Lead, LoopTimer, Timer
+from dpstack.drivers.line.timers import FdTimer, Lead, LoopTimer, Timer, make_timer
 from dpstack.ports import timerfd
 from dpstack.units import NS_PER_MS, NS_PER_US
 
@@ -88,6 +88,30 @@ async def test_a_timer_may_be_closed_by_its_call() -> None:
     timer = FdTimer(asyncio.get_running_loop(), lambda: timer.close())
     timer.set(monotonic_ns())
     await until(lambda: timer._timer.fd < 0, "the call")
+
+
+async def test_without_descriptors_the_loops_own_timer_is_taken_and_none_is_left_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[timerfd.Timerfd] = []
+    closed: list[timerfd.Timerfd] = []
+    close = timerfd.Timerfd.close
+
+    class Scarce(timerfd.Timerfd):
+        def __init__(self, *, blocking: bool = False) -> None:
+            if made:
+                raise OSError(24, "Too many open files")
+            super().__init__(blocking=blocking)
+            made.append(self)
+
+        def close(self) -> None:
+            closed.append(self)
+            close(self)
+
+    monkeypatch.setattr(timerfd, "Timerfd", Scarce)
+    timer = make_timer(asyncio.get_running_loop(), lambda: None)
+    assert isinstance(timer, LoopTimer)
+    assert set(closed) == set(made)
 
 
 async def test_a_nap_is_never_short() -> None:
