@@ -295,7 +295,7 @@ def test_a_bus_process_does_without_the_settings_that_are_switched_off(without: 
         "from dpstack.drivers.realtime import gc_control, processors, rights\n"
         "gc_control.Collector().begin()\n"
         "awake = processors.AwakeProcessors(); awake.hold(True)\n"
-        "print(json.dumps([rights.become_real_time(pty=True) == [], gc.isenabled(), SelectLoop()._lead_ns,"
+        "print(json.dumps([rights.become_real_time(pty=True) == [], gc.isenabled(), SelectLoop()._lead.ns,"
         " awake._wanted, 'dpstack.drivers.process' in __import__('sys').orig_argv]))\n"
     )
     done = subprocess.run(
