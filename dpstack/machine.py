@@ -120,7 +120,8 @@ def pump(machine: Pumped, chunk: bytes, now: int, transmit: Transmit) -> int:
 
 def run_due(machine: Pumped, now: int, transmit: Transmit) -> int:
     """The part of :func:`pump` for a machine whose deadline is reached. Returns the new deadline in ns."""
-    for _ in range(_MAX_SETTLE):
+    settle = _MAX_SETTLE
+    while settle:
         machine.wake(now)
         tx = machine.take_tx(now)
         if tx is not None:
@@ -136,4 +137,5 @@ def run_due(machine: Pumped, now: int, transmit: Transmit) -> int:
         deadline = machine.wake_at()
         if deadline > now:
             return deadline
+        settle -= 1
     raise RuntimeError(f"{machine!r} does not settle: it wants to be called at {deadline} again and again")

@@ -107,7 +107,10 @@ class Exchange(Awaiting):
             until = at + times.slot_known_ns
         else:
             until = self.admission.in_vain_until(request, at)
-        self.machine.enter(AWAIT_DATA_RESPONSE, until)
+        machine = self.machine  # as enter()
+        machine.state = AWAIT_DATA_RESPONSE
+        machine.row = machine.rows[AWAIT_DATA_RESPONSE]
+        machine.deadline = until
         if times.exact:
             self.early_until = at + times.early_ns
 
