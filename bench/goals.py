@@ -122,6 +122,7 @@ SUITES: Final[Mapping[str, Suite]] = {
                     f"CPU of dpstack {words} to that of python -c 'import argparse, json, socket'",
                     f"dpstack {words}: CPU time beside python -c 'import argparse, json, socket'",
                     1.6,
+                    quotient=(f"dpstack {words}: CPU time", "python -c 'import argparse, json, socket': CPU time"),
                 )
                 for words in ("--version", "ctl status")
             ),
