@@ -128,6 +128,7 @@ class FakeRuntime:
         self.lateness = PortLatency()
         self.slaves = {address: CorrectSlave(address, 1, b"\x10\x21", b"\x07") for address in (3, 4)}
         self.line = Line(machine, BAUD, self.heard)
+        self.later: list[Callable[[], object]] = []
         self.is_open = False
 
     def heard(self, octets: bytes, end: int) -> None:
@@ -150,9 +151,15 @@ class FakeRuntime:
         self.line.pump()
         self.tell()
 
+    def after_step(self, callback: Callable[[], object]) -> None:
+        self.later.append(callback)
+
     def tell(self) -> None:
         if events := self.machine.take_events():
             self.on_events(events)
+        later, self.later = self.later, []
+        for callback in later:
+            callback()
 
     def run_until(self, at: int) -> None:
         while self.is_open and self.line.step(at):
