@@ -208,6 +208,7 @@ def sources() -> dict[str, str]:
                 "ports/posix.py",  # fcntl, termios, grp
                 "profile/registry.py",  # drives by entry point
                 "drivers/process/plugins.py",  # the same in the bus process
+                "api/streams.py",  # modules of ours that a running bus needs, see the test below
                 "api/user_code.py",  # functions with --allow-code, slaves named on the command line
                 "web/child.py",  # dpstack run
             },
@@ -237,6 +238,18 @@ def test_the_places_in_the_source(what: str, pattern: str, places: set[str]) -> 
     assert {name for name, text in sources().items() if wanted.search(text)} == {f"dpstack/{one}" for one in places}, (
         what
     )
+
+
+def test_a_running_bus_loads_only_modules_named_in_the_source() -> None:
+    """No command, configuration or octets of others decide about the modules that ``load_beside`` imports."""
+    found = {words for text in sources().values() for words in re.findall(r"await load_beside\((.*)\)", text)}
+    literal = {word for words in found for word in words.split(", ") if word.startswith('"dpstack.')}
+    assert {word for words in found for word in words.split(", ")} - literal == {"place", "*_WHY"}
+    assert 'place = f"{__package__}.{module}"' in sources()["dpstack/api/control/handlers.py"]
+    by_need = re.findall(r"_by_need\((\S+), (\S+), bus", sources()["dpstack/api/control/handlers.py"])
+    assert by_need
+    assert all(re.fullmatch(r'"\w+"', word) for words in by_need for word in words)
+    assert '_WHY: Final = ("dpstack.' in sources()["dpstack/cli/terminal/causes.py"]
 
 
 def test_children_take_no_modules_of_the_working_directory() -> None:
