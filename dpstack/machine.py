@@ -114,12 +114,14 @@ def pump(machine: Pumped, chunk: bytes, now: int, transmit: Transmit) -> int:
     """
     if chunk:
         machine.receive(chunk, now)
-    deadline = machine.wake_at()
-    return deadline if deadline > now else run_due(machine, now, transmit)
+        deadline = machine.wake_at()
+        if deadline > now:
+            return deadline
+    return run_due(machine, now, transmit)  # it is due, or hardly too early, which is harmless
 
 
 def run_due(machine: Pumped, now: int, transmit: Transmit) -> int:
-    """The part of :func:`pump` for a machine whose deadline is reached. Returns the new deadline in ns."""
+    """The part of :func:`pump` without octets, as a rule at the machine's deadline. Returns the new deadline in ns."""
     settle = _MAX_SETTLE
     while settle:
         machine.wake(now)

@@ -3,8 +3,8 @@
 Layouts: docs/reference/protocol.md#telegrams, docs/reference/protocol.md#addresses (extension octets: those of DA come
 first, then SA's), docs/reference/protocol.md#function-code.
 
-Only :func:`parse` judges octets. It recognises a frame that cannot become a telegram by the first octet that shows it
-(an impossible LE by its repetition), not at the end of the frame.
+:func:`parse` judges octets. It recognises a frame that cannot become a telegram by the first octet that shows it
+(an impossible LE by its repetition), not at the end of the frame. :func:`decode` accepts the same telegrams, whole.
 """
 
 from __future__ import annotations
@@ -157,13 +157,23 @@ def _misuse(da: int, sa: int, fc: int) -> ValueError:
 # --- decoding --------------------------------------------------------------------------------------------------------
 def decode(octets: bytes | bytearray) -> Telegram | None:
     """The one telegram that ``octets`` are from the first to the last, or None."""
-    if isinstance(octets, bytearray):
+    if type(octets) is not bytes:
         octets = bytes(octets)
+    frame = _plain_frame(octets[:7])
+    if frame is None:
+        return _decode_other(octets)
+    size, check, da, sa, fc = frame
+    data = octets[7:-2]
+    # as in _parse_sd2, but one comparison finds FCS and ED right, because the reason of a flaw is not wanted
+    if len(octets) != size or octets[-2:] != _TAILS[(check + sum(data)) & 0xFF]:
+        return None
+    return Telegram(_KIND_SD2, da, sa, fc, None, None, data)
+
+
+def _decode_other(octets: bytes) -> Telegram | None:
+    """:func:`decode` for all but the SD2 frames of :func:`_plain_frame`."""
     size = len(octets)
-    if size > 8 and octets[0] == _SD2:
-        telegram = _parse_sd2(octets, 0, size) if octets[1] + 6 == size else None
-    else:
-        telegram = parse(octets, 0, size) if size and _FIXED.get(octets[0]) == size else None
+    telegram = parse(octets, 0, size) if size and claimed(octets, 0, size) == size else None
     return telegram if type(telegram) is Telegram else None
 
 
@@ -242,6 +252,21 @@ def _read_head(head: bytes) -> _Head | Flaw:
     if second != _SD2:
         return Flaw.BAD_SECOND_SD
     return le, da + sa + fc, da, sa, fc, isinstance(_content(_KIND_SD2, da, sa, fc, b""), Telegram)
+
+
+@lru_cache(_KEPT_HEADS)
+def _plain_frame(head: bytes) -> tuple[int, int, int, int, int] | None:
+    """The number of octets of an SD2 frame without extension octets, the sum of DA, SA and FC, and these three.
+
+    ``head``: its first seven octets. None for every other frame, and where :func:`_read_head` finds a flaw.
+    """
+    if len(head) < 7 or head[0] != _SD2:
+        return None
+    found = _read_head(head)
+    if isinstance(found, Flaw):
+        return None
+    le, check, da, sa, fc, plain = found
+    return (le + 6, check, da, sa, fc) if plain else None
 
 
 def _content(kind: Kind, da: int, sa: int, fc: int, body: bytes) -> Telegram | Flaw:

@@ -145,3 +145,14 @@ def test_garbage_never_raises(octets: bytes, data: st.DataObject) -> None:
     found = parse(octets, at, end)
     if isinstance(found, Telegram):
         assert claimed(octets, at, end) <= end - at
+
+
+@given(telegrams, st.data())
+def test_a_whole_damaged_frame_is_read_alike_in_a_stream(telegram: Telegram, data: st.DataObject) -> None:
+    octets = bytearray(encode(telegram))
+    for _ in range(data.draw(st.integers(0, 2))):
+        octets[data.draw(st.integers(0, len(octets) - 1))] = data.draw(st.integers(0, 255))
+    frame = bytes(octets[: data.draw(st.integers(1, len(octets)))]) + data.draw(st.sampled_from((b"", b"\x16")))
+    found = parse(frame, 0, len(frame))
+    whole = isinstance(found, Telegram) and claimed(frame, 0, len(frame)) == len(frame)
+    assert decode(frame) == decode(bytearray(frame)) == (found if whole else None)

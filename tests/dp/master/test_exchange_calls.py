@@ -49,4 +49,4 @@ def test_a_request_is_encoded_once_and_an_answer_decoded_once() -> None:
     calls = calls_of(bus)
     tokens = calls["StateMachine.hold"]
     assert calls["request_octets"] <= EXCHANGES + tokens  # a Global_Control at most in each round
-    assert calls["decode"] == calls["_parse_sd2"] == EXCHANGES
+    assert calls["decode"] == EXCHANGES
