@@ -74,6 +74,7 @@ def test_virtual_measures_drives_and_mirrors_under_the_referee() -> None:
         "2 mirrors: CPU time of a simulated second",
         "2 mirrors: CPU per exchange, both ends and the wire",
         "CPU per exchange, 2 mirrors to 1",
+        "CPU per exchange with a Global_Control in each round, to 2 mirrors to that to 1",
     }
     assert values["1 mirror: CPU time of a simulated second"] > 0
 

@@ -222,7 +222,10 @@ def test_startup_runs() -> None:
     report = startup.run(words("--slaves 2 --rounds 1 --kinds asyncio"))
     names = ("program", "opening", "listening", "claim", "bring-up", "all")
     commands = ("--version", "ctl --help", "decode E5", "monitor --help", "capture --help")
+    commands_beside = ("--version", "ctl status")
     others = {"Python calibration", "dpstack --version: modules of ours"} | {f"dpstack {c}: CPU time" for c in commands}
+    others |= {f"dpstack {c}: CPU time beside python -c 'import argparse, json, socket'" for c in commands_beside}
+    others.add("dpstack run, asyncio, until the first octet: CPU time")
     assert titles(report) == {f"asyncio, 2 slaves: {name}" for name in names} | others
     *parts, whole_time = (1e3 * f.value if f.unit == "ms" else f.raw_us[0] for f in report.figures[-len(names) :])
     assert sum(parts) == pytest.approx(whole_time)
