@@ -171,7 +171,10 @@ class Responder(Protocol):
         return
 
     def wake_at(self) -> int:
-        """Deadline of the application for :meth:`tick` in ns (its watchdog, its process), or NEVER."""
+        """Deadline of the application for :meth:`tick` in ns (its watchdog, its process), or NEVER.
+
+        The station asks after a request, an SDN, a tick and a command: only these may change it.
+        """
         return NEVER
 
     def tick(self, now: int) -> None:

@@ -90,8 +90,7 @@ class Bench:
 
     def poke(self) -> None:
         """A deadline changed from outside."""
-        if isinstance(self.port, Multidrop):
-            self.port.poke()
+        self.port.poke()
 
     def run_until(self, at: int) -> None:
         while (deadline := self.port.wake_at()) <= at:

@@ -15,7 +15,6 @@ from typing import Final
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import GlobalControl, SetSlaveAdd
-from dpstack.dp.slave.cyclic_data import wrong_inputs
 from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.dp.slave.events import SlaveAppStats, WatchdogExpired
 from dpstack.dp.slave.extension import SlaveService
@@ -24,14 +23,13 @@ from dpstack.dp.slave.services import handlers
 from dpstack.dp.slave.state import DeviceClock, SlaveCore
 from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppTrigger, SlaveAppState
 from dpstack.errors import PduError
-from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply, StationControl
+from dpstack.fdl.interface import RS_REPLY, Reply, StationControl
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Resp, Telegram
 from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
 
 __all__ = ["SlaveApp", "SlaveAppState", "SlaveAppStats"]
 
-_DL: Final = Resp.DL
 _DH: Final = Resp.DH
 #: SRD low and high differ in bit 0 of the function; bit 6 is that of a request.
 _SRD_MASK: Final = 0x4E
@@ -126,11 +124,10 @@ class SlaveApp(SlaveCore):
                 except Exception as error:
                     DEVICE_CALL.mark(error)
                     raise
-                if type(inputs) is not bytes or len(inputs) != data.input_len:
-                    raise wrong_inputs(inputs, data.input_len)
-                data.inputs = inputs
+                if inputs is not data.inputs:
+                    data.take(inputs, hold=False)
             elif data.accepts(octets):
-                inputs = data.exchange(octets, now)
+                data.exchange(octets, now)
             else:
                 return self._wrong_length(request.sa, len(octets), data.output_len, now)
             waiting = not self.diag.silent and self.diag.waiting(request.fc)
@@ -139,13 +136,8 @@ class SlaveApp(SlaveCore):
             return RS_REPLY
         self.stats.exchanges += 1
         if waiting:  # DH until the diagnosis is fetched; SC could not say so
-            return Reply(_DH, inputs)
-        if not inputs:
-            return SC_REPLY
-        reply = data.reply
-        if reply.data != inputs:  # the same reply again needs no new telegram (PassiveStation)
-            reply = data.reply = Reply(_DL, inputs)
-        return reply
+            return Reply(_DH, data.inputs)
+        return data.reply
 
     def indicate(self, telegram: Telegram, now: int) -> None:
         """Global_Control of the owner; everything else is dropped."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.slave.device import DpV0Device
-from dpstack.fdl.interface import Reply
+from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import Resp
 
 
@@ -32,8 +32,8 @@ class CyclicData:
         self.input_len = input_len
         self.output_len = output_len
         self.inputs = bytes(input_len)
-        #: the last answer with inputs
-        self.reply = Reply(Resp.DL, b"")
+        #: the answer with :attr:`inputs`
+        self.reply = _reply_with(self.inputs)
         self._safe = device.safe or bytes(output_len)
         if len(self._safe) != output_len:
             raise ValueError(f"{len(self._safe)} safe octets, the configuration has {output_len} output octets")
@@ -50,8 +50,21 @@ class CyclicData:
         """Whether ``octets`` can be the outputs: the right length, or an empty fail-safe frame."""
         return len(octets) == self.output_len or (not octets and self._device.fail_safe)
 
-    def exchange(self, octets: bytes, now: int) -> bytes:
-        """A Data_Exchange that was accepted; returns the inputs for the answer."""
+    def take(self, inputs: bytes, *, hold: bool) -> None:
+        """Answer with ``inputs`` of the device from now on; ``hold``: FREEZE holds the earlier ones.
+
+        Raises TypeError and ValueError where they cannot go out on the wire.
+        """
+        if type(inputs) is not bytes or len(inputs) != self.input_len:
+            raise wrong_inputs(inputs, self.input_len)
+        if hold:
+            return
+        if inputs != self.inputs:  # the same reply again needs no new telegram (PassiveStation)
+            self.reply = _reply_with(inputs)
+        self.inputs = inputs
+
+    def exchange(self, octets: bytes, now: int) -> None:
+        """A Data_Exchange that was accepted."""
         # a Fail_Safe slave is sent empty frames in Clear (docs/reference/protocol.md#clear)
         if len(octets) != self.output_len:
             self._make_void(now)
@@ -60,11 +73,8 @@ class CyclicData:
         self._received = self._safe if self.void else octets
         if self.void or not self.synced:
             self.outputs = self._received
-        fresh = self._sample(now)
-        if not self.frozen:
-            self.inputs = fresh
+        self._sample(now, hold=self.frozen)
         self._set_plain()
-        return self.inputs
 
     def control(self, command: GlobalControl, now: int) -> None:
         """A Global_Control that concerns this slave (docs/reference/protocol.md#global_control): each further SYNC or
@@ -80,9 +90,7 @@ class CyclicData:
         passes = self._switch_sync(command)
         samples = self._switch_freeze(command)
         if passes or samples:
-            fresh = self._sample(now)
-            if samples or not self.frozen:
-                self.inputs = fresh
+            self._sample(now, hold=self.frozen and not samples)
         self._set_plain()
 
     def _switch_sync(self, command: GlobalControl) -> bool:
@@ -116,15 +124,17 @@ class CyclicData:
             with DEVICE_CALL:
                 self._device.operate(now)
 
-    def _sample(self, now: int) -> bytes:
+    def _sample(self, now: int, *, hold: bool) -> None:
         with DEVICE_CALL:
             inputs = self.run(self.outputs, now)
-        if type(inputs) is not bytes or len(inputs) != self.input_len:
-            raise wrong_inputs(inputs, self.input_len)
-        return inputs
+        self.take(inputs, hold=hold)
 
     def _set_plain(self) -> None:
         self.plain = self._started and not (self.void or self.synced or self.frozen)
+
+
+def _reply_with(inputs: bytes) -> Reply:
+    return Reply(Resp.DL, inputs) if inputs else SC_REPLY
 
 
 def wrong_inputs(inputs: object, expected: int) -> Exception:

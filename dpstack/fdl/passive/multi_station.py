@@ -97,7 +97,8 @@ class Multidrop(PassiveReceiver):
         """Read the address and the deadline of every station anew."""
         self._index_addresses()
         for station in self._due:
-            self._due[station] = station.responder.wake_at()
+            station.poke()
+            self._due[station] = station.due
         self._next = min(self._due.values(), default=NEVER)
 
     def set_params(self, params: BusParams) -> None:
@@ -126,7 +127,7 @@ class Multidrop(PassiveReceiver):
             for station, at in list(due.items()):
                 if at <= now:
                     station.wake(now)
-                    due[station] = station.responder.wake_at()
+                    due[station] = station.due
             self._next = min(due.values(), default=NEVER)
 
     def take_tx(self, now: int) -> bytes | None:
@@ -196,7 +197,7 @@ class Multidrop(PassiveReceiver):
             self._answering = station
         due = self._due
         before = due[station]
-        at = due[station] = station.responder.wake_at()
+        at = due[station] = station.due
         if at < self._next:
             self._next = at
         elif before == self._next and at != before:

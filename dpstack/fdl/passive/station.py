@@ -122,7 +122,7 @@ class PassiveStation(PassiveReceiver):
         self.responder = responder
         self._t_sdr = LOWEST_TSDR if t_sdr is None else t_sdr
         self._tx: bytes | None = None
-        self._tx_until = 0  # no answer starts after this, when noise has delayed it
+        self._asked_at = 0  # the time of the request of ``_tx``
         self._kept: bytes | None = None  # the last answer, for repetitions; None = silence was the answer
         self._kept_sa = -1  # the master that got it; -1 = no answer is kept
         self.set_address(address)
@@ -140,6 +140,8 @@ class PassiveStation(PassiveReceiver):
         self.stub: Stub | None = None
         self.set_params(params)
         responder.attached(self)
+        #: the deadline of the application in ns, as it was after its last call
+        self.due = responder.wake_at()
 
     def __repr__(self) -> str:
         return f"<PassiveStation {self.address}>"
@@ -195,6 +197,14 @@ class PassiveStation(PassiveReceiver):
                 self.process(late, now)
         self.process(telegram, now)
 
+    def command(self, command: object, now: int) -> None:
+        super().command(command, now)
+        self.poke()
+
+    def poke(self) -> None:
+        """Read the deadline of the application anew."""
+        self.due = self.responder.wake_at()
+
     def drop(self) -> None:
         """Do not send the answer that waits."""
         if self._tx is not None:
@@ -208,12 +218,13 @@ class PassiveStation(PassiveReceiver):
             for telegram in self.decoder.stalled(now):
                 self.process(telegram, now)
             self.drop_if_late(now)
-        if self.responder.wake_at() <= now:
+        if self.due <= now:
             self.responder.tick(now)
+            self.due = self.responder.wake_at()
 
     def drop_if_late(self, now: int) -> None:
         """Drop the answer if noise behind the request delayed it past the slot time: the master no longer waits."""
-        if self._tx is not None and now > self._tx_until:
+        if self._tx is not None and now > self._asked_at + self._late_ns:
             self.drop()
 
     def answer_at(self) -> int:
@@ -231,7 +242,7 @@ class PassiveStation(PassiveReceiver):
 
     def wake_at(self) -> int:
         """The next of: start of the answer, stall of an unfinished telegram, deadline of the application."""
-        at = self.responder.wake_at()
+        at = self.due
         if self.decoder.pending:
             own = self.decoder.stall_at()
         elif self._tx is not None:
@@ -255,48 +266,52 @@ class PassiveStation(PassiveReceiver):
         fc = telegram.fc
         if fc < 0 or not fc & FC_REQUEST:
             return
-        if self.stub is not None and not self.stub.hears(telegram, now):
+        stub = self.stub
+        if stub is not None and not stub.hears(telegram, now):
             return
         da = telegram.da
         if da == self.address:
             if telegram.sa != da and telegram.dseg is telegram.sseg is None:
-                self._request(telegram, fc, now)
+                octets = self._answer(telegram, fc, now)
+                if stub is not None and octets is not None:
+                    octets = stub.answer(octets, now)
+                self._tx = octets
+                self._asked_at = now
         elif da == BROADCAST and fc & FC_FUNCTION in _UNCONFIRMED:
-            self.stats.indications += 1
-            self.responder.indicate(telegram, now)
+            self._indicate(telegram, now)
 
-    def _request(self, telegram: Telegram, fc: int, now: int) -> None:
+    def _answer(self, telegram: Telegram, fc: int, now: int) -> bytes | None:
+        """The answer to a request to this station in octets; None: it stays silent."""
         function = fc & FC_FUNCTION
         sa = telegram.sa
         if not telegram.data and telegram.empty_le3 and sa not in self._reported_le3:
             self._reported_le3.add(sa)
             self._events.append(le3_notice(f"station {self.address}", sa, now))
             self.take_events = self._take_all_events
-        if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb and function in COUNTED:
+        if fc & FC_FCB == self._kept_fcb and sa == self._kept_sa and fc & FC_FCV and function in COUNTED:
             # docs/reference/protocol.md#frame-count-bit: same requester, same FCB: the answer was lost. Repeat the
             # answer without another call of the application.
             self.stats.repeats += 1
-            self._answer(self._kept, now)
-            return
+            return self._kept
         self._kept_sa = -1  # the next telegram to this station ends the validity of the kept answer
         if function in _SERVED:
             self.stats.requests += 1
-            reply = self.responder.serve(telegram, now)
+            responder = self.responder
+            reply = responder.serve(telegram, now)
+            self.due = responder.wake_at()
         elif function in _REFUSED:
             reply = RS_REPLY
         elif function == Req.FDL_STATUS:
             self.stats.status += 1
-            self._answer(encode_sd1(sa, telegram.da, Resp.OK), now)
-            return
+            return encode_sd1(sa, telegram.da, Resp.OK)
         else:
             if function in _UNCONFIRMED:
-                self.stats.indications += 1
-                self.responder.indicate(telegram, now)
-            return
-        if reply is None:
+                self._indicate(telegram, now)
+            return None
+        if reply is self._reply and (sa, telegram.da, telegram.ssap, telegram.dsap) == self._reply_to:
+            octets: bytes | None = self._reply_octets
+        elif reply is None:
             octets = None
-        elif reply is self._reply and (sa, telegram.da, telegram.ssap, telegram.dsap) == self._reply_to:
-            octets = self._reply_octets
         else:
             octets = self._octets(telegram, reply)
         if fc & (FC_FCV | FC_FCB) and self.address == telegram.da:
@@ -304,7 +319,12 @@ class PassiveStation(PassiveReceiver):
             self._kept = octets
             self._kept_sa = sa
             self._kept_fcb = fc & FC_FCB
-        self._answer(octets, now)
+        return octets
+
+    def _indicate(self, telegram: Telegram, now: int) -> None:
+        self.stats.indications += 1
+        self.responder.indicate(telegram, now)
+        self.due = self.responder.wake_at()
 
     def _octets(self, request: Telegram, reply: Reply) -> bytes:
         """The answer in octets: SC or SD1 for an answer without data, else SD2 with the SAPs exchanged."""
@@ -321,12 +341,6 @@ class PassiveStation(PassiveReceiver):
         if status is not Resp.OK:
             self.stats.refused += 1
         return encode_sd1(da, sa, status)
-
-    def _answer(self, octets: bytes | None, now: int) -> None:
-        if self.stub is not None and octets is not None:
-            octets = self.stub.answer(octets, now)
-        self._tx = octets
-        self._tx_until = now + self._late_ns
 
     def _forget(self) -> None:
         super()._forget()

@@ -6,6 +6,7 @@ from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.interface import Reply, Responder
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Resp, Telegram
+from dpstack.machine import pump
 from dpstack.params import BusParams
 from dpstack.trace import Notice
 
@@ -46,3 +47,40 @@ def test_damage_has_its_name() -> None:
     decoder.feed(b"\x10\x03\x02\x49\x00\x16", 0)
     decoder.feed(b"\x00\x00", 5_000)
     assert told == [("bad_fcs", 1), ("bad_start", 2)]
+
+
+class _Timed(_Ok):
+    """An application with a deadline that each of its calls puts off."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+        self.due = 10**6
+        self.ticks: list[int] = []
+
+    def serve(self, request: Telegram, now: int) -> Reply:
+        self.due = now + 10**6
+        return super().serve(request, now)
+
+    def tick(self, now: int) -> None:
+        self.ticks.append(now)
+        self.due += 10**6
+
+    def wake_at(self) -> int:
+        self.asked += 1
+        return self.due
+
+
+def test_the_station_asks_for_the_deadline_of_its_application_once_a_call_of_it() -> None:
+    application = _Timed()
+    station = PassiveStation(3, application, BusParams.preset(500_000))
+    before = application.asked
+    octets = bytes.fromhex("68 04 04 68 03 02 4D 07 59 16")
+    answer_at = pump(station, octets, 500_000, lambda _octets, now: now)
+    assert answer_at == 500_000 + station.t_sdr_ns
+    assert pump(station, b"", answer_at, lambda octets, now: now + 2_000 * len(octets)) == 1_500_000
+    assert application.asked == before + 1
+    assert pump(station, b"", 1_499_999, lambda _octets, now: now) == 1_500_000
+    assert application.ticks == []
+    assert pump(station, b"", 1_500_000, lambda _octets, now: now) == 2_500_000
+    assert application.ticks == [1_500_000]
+    assert application.asked == before + 2

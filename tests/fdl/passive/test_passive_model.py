@@ -231,14 +231,17 @@ def test_the_application_is_called_at_its_deadline() -> None:
     application = Application()
     station = PassiveStation(3, application, PARAMS)
     application.due = 5_000
+    station.poke()
     assert station.wake_at() == 5_000
     station.wake(4_999)
     assert application.ticks == []
     station.receive(REQUEST, 4_000)
     assert station.wake_at() == 5_000
     application.due = 4_000 + 11 * BIT + 1
+    station.poke()
     assert station.wake_at() == 4_000 + 11 * BIT
     application.due = 5_000
+    station.poke()
     station.wake(5_000)
     assert application.ticks == [5_000]
 
