@@ -137,16 +137,14 @@ class PkwChannel:
 
     #: the eight octets to send now
     octets = ZEROS
+    #: :meth:`step` has to be called in every cycle
+    busy: bool = False
 
     def __init__(self, dialect: PkwDialect, times: CycleTimes) -> None:
         self._dialect = dialect
         self._times = times
         self._queue: deque[Exchange] = deque()
         self.reset()
-
-    @property
-    def busy(self) -> bool:
-        return self._release or self._active is not None or bool(self._queue)
 
     def replied(self, order: Pkw, label: str, deadline: int) -> Steps[Pkw]:
         """The reply to an order, right or wrong. Raises CommandError of kind timeout."""
@@ -213,6 +211,7 @@ class PkwChannel:
         """Queue an order; the caller polls the exchange's ``reply``."""
         exchange = Exchange(order)
         self._queue.append(exchange)
+        self.busy = True
         return exchange
 
     def cancel(self, exchange: Exchange) -> None:
@@ -222,6 +221,7 @@ class PkwChannel:
             self._quiet_until = self._times.now + self._times.settle_ns
         elif exchange in self._queue:
             self._queue.remove(exchange)
+            self._note_busy()
 
     def reset(self) -> None:
         """The slave left data exchange: both ends start at 0 again."""
@@ -231,6 +231,7 @@ class PkwChannel:
         self._quiet_until = 0  # a 0 before this may be older than an order that was withdrawn unanswered
         self._last: Pkw | None = None
         self.octets = ZEROS
+        self.busy = False
 
     def step(self, inputs: bytes, now: int) -> None:
         """Process the channel's octets in ``inputs`` (the first eight) and advance the handshake."""
@@ -246,6 +247,10 @@ class PkwChannel:
             self._withdraw()
         elif replied:
             active.stray = reply
+        self._note_busy()
+
+    def _note_busy(self) -> None:
+        self.busy = self._release or self._active is not None or bool(self._queue)
 
     def _next(self, replied: bool, now: int) -> None:
         """Send the next order as soon as the drive's present reply cannot be mistaken for its answer."""

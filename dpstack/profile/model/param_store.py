@@ -15,7 +15,7 @@ class ParamStore:
     Construction takes presets by name or number in engineering units. Raises ConfigError.
     """
 
-    __slots__ = ("_eeprom", "_ram", "_values", "eeprom_writes", "sets", "table")
+    __slots__ = ("_eeprom", "_ram", "_values", "changes", "eeprom_writes", "sets", "table")
 
     def __init__(
         self, table: ParamTable, presets: Mapping[str, object], *, sets: int = 1, where: str = "drive"
@@ -23,6 +23,8 @@ class ParamStore:
         self.table = table
         self.sets = sets
         self.eeprom_writes = 0
+        #: counts the occasions at which values may have changed
+        self.changes = 0
         self._values: dict[tuple[str, int], float] = {}  # cache of value() since the last write
         self._ram: dict[str, list[int]] = {}
         for spec in table:
@@ -65,7 +67,7 @@ class ParamStore:
 
     def write(self, spec: ParamSpec, raw: int, data_set: int = 0, *, ram_only: bool = False) -> None:
         """Set the value in ``data_set``, 0 for all of them; an EEPROM write is counted once for each set."""
-        self._values.clear()
+        self._changed()
         stores = [self._ram[spec.name]] if ram_only else [self._ram[spec.name], self._eeprom[spec.name]]
         count = len(stores[0])
         places = range(count) if data_set == 0 or count == 1 else (data_set - 1,)
@@ -78,7 +80,7 @@ class ParamStore:
         """Set a value at commissioning, in RAM and EEPROM, without counting; ignored outside the limits."""
         spec = self.table.named(name)
         if spec is not None and spec.low <= value <= spec.high:
-            self._values.clear()
+            self._changed()
             for stores in (self._ram, self._eeprom):
                 stores[spec.name] = [spec.to_raw(value)] * len(stores[spec.name])
 
@@ -96,5 +98,9 @@ class ParamStore:
 
     def power_up(self) -> None:
         """RAM is what the EEPROM holds."""
-        self._values.clear()
+        self._changed()
         self._ram = {name: list(values) for name, values in self._eeprom.items()}
+
+    def _changed(self) -> None:
+        self.changes += 1
+        self._values.clear()

@@ -100,6 +100,8 @@ class Motor:
         if steps <= 0:
             return
         self._at = at + steps * STEP_NS
+        if not self.on and not self.speed:  # at rest
+            return
         step = self._braked if self.braking else self._driven if self.on else self._coasting
         while steps:
             steps -= 1

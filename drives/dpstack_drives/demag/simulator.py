@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, NamedTuple
 
 from dpstack.profile import (
     NS_PER_MS,
@@ -39,6 +39,17 @@ OWN_SUPPLY: Final = "24v"
 _S1, _S2, _S3 = 0x0001, 0x0002, 0x0004
 #: S1IND to S8IND
 _CONTACTS: Final = 0x00FF
+
+
+class _Settings(NamedTuple):
+    """The parameters that every scan reads, those of the active data set."""
+
+    mode: int  # 412
+    rated_hz: float  # 375
+    reference_hz: float  # of 100 %
+    ramp_source: int  # 434
+    toggle_reaction: int  # 880
+    toggle_ms: float  # 881
 
 
 class DemagDevice(DriveDevice):
@@ -94,6 +105,8 @@ class DemagDevice(DriveDevice):
         self._bus_hz = 0.0
         self._ramp_hz = 0.0
         self._wanted_hz = 0.0
+        self._settings = self._read_settings()
+        self._settings_of = self.store.changes
 
     # -- conditions -----------------------------------------------------------------------------------------------
 
@@ -188,8 +201,11 @@ class DemagDevice(DriveDevice):
             self._trip = None
             self.motor.switch(False)
             return (0,) * (self.telegram.inputs // 2)
-        active = self.active_set
-        mode = int(self.store.value("local_remote", active))
+        if self._settings_of != self.store.changes:
+            self._settings = self._read_settings()
+            self._settings_of = self.store.changes
+        settings = self._settings
+        mode = settings.mode
         machine = self.machine
         trip = self.take_trip()
         if trip is not None:
@@ -200,28 +216,38 @@ class DemagDevice(DriveDevice):
             if machine.state is not State.FAULT:
                 machine.enter(State.SWITCH_ON_INHIBITED if mode == _STATE_MACHINE else State.READY)
         released = self.released and mode in (_STATE_MACHINE, _REMOTE_CONTACTS)
-        obeyed = self._answered(control, mode, now)
+        obeyed = self._answered(control, settings, now)
         if mode == _STATE_MACHINE:
             self._obey(obeyed, now)
         else:
             self._contacts(obeyed if released else 0, now)
         if machine.state is not State.FAULT:
             self.fault = 0
-        rated = self.store.value("rated_frequency", active)
-        reference = self.store.value("profibus_reference", active) or rated
+        reference = settings.reference_hz
         self._bus_hz = SPEED.decode(line) * reference
         additional_hz = SPEED.decode(words[2]) * reference if words and len(words) == 6 else 0.0
-        self._drive(additional_hz, int(self.store.value("ramp_set_point", active)), rated, now)
-        return self._report(control, released, rated, reference)
+        self._drive(additional_hz, settings, now)
+        return self._report(control, released, settings)
 
-    def _answered(self, control: int, mode: int, now: int) -> int:
+    def _read_settings(self) -> _Settings:
+        value, active = self.store.value, self.active_set
+        return _Settings(
+            mode=int(value("local_remote", active)),
+            rated_hz=value("rated_frequency", active),
+            reference_hz=self._reference(active),
+            ramp_source=int(value("ramp_set_point", active)),
+            toggle_reaction=int(value("toggle_bit_reaction")),
+            toggle_ms=value("toggle_bit_time"),
+        )
+
+    def _answered(self, control: int, settings: _Settings, now: int) -> int:
         """The control word, or what stands for it while the toggle bit is not answered (8)."""
-        reaction = int(self.store.value("toggle_bit_reaction"))
+        reaction = settings.toggle_reaction
         late = self.toggle.step(
             control,
             now,
             reaction=reaction,
-            limit_ms=self.store.value("toggle_bit_time"),
+            limit_ms=settings.toggle_ms,
             locked=self.machine.state is State.FAULT or now < self._locked_until,
         )
         if late and reaction == toggle.FAULT:
@@ -229,7 +255,8 @@ class DemagDevice(DriveDevice):
         if self.toggle.answered:
             return control
         acknowledge = control & drivecom_states.CONTROL.mask("reset_fault")
-        return acknowledge | (_QUICK_STOP if reaction == toggle.QUICK_STOP and mode == _STATE_MACHINE else 0)
+        stops = reaction == toggle.QUICK_STOP and settings.mode == _STATE_MACHINE
+        return acknowledge | (_QUICK_STOP if stops else 0)
 
     def _obey(self, control: int, now: int) -> None:
         machine = self.machine
@@ -274,9 +301,9 @@ class DemagDevice(DriveDevice):
         else:
             machine.enter(State.READY)
 
-    def _drive(self, additional_hz: float, how: int, rated: float, now: int) -> None:
-        machine, motor = self.machine, self.motor
-        self._ramp_hz = self._combined(self._bus_hz, how)
+    def _drive(self, additional_hz: float, settings: _Settings, now: int) -> None:
+        machine, motor, rated = self.machine, self.motor, settings.rated_hz
+        self._ramp_hz = self._combined(self._bus_hz, settings.ramp_source)
         if self._anticlockwise:
             self._ramp_hz = -self._ramp_hz
         wanted = min(max(self._ramp_hz + additional_hz, -self.f_max), self.f_max)
@@ -323,8 +350,8 @@ class DemagDevice(DriveDevice):
 
     # -- inputs ---------------------------------------------------------------------------------------------------
 
-    def _report(self, control: int, remote: bool, rated: float, reference: float) -> tuple[int, ...]:
-        motor = self.motor
+    def _report(self, control: int, remote: bool, settings: _Settings) -> tuple[int, ...]:
+        motor, rated = self.motor, settings.rated_hz
         status = drivecom_states.SHOWN[self.machine.state]
         off = abs(motor.frequency * rated - self._wanted_hz)
         if motor.on and not motor.limited and off <= self.store.value("max_control_deviation") / 100 * rated:
@@ -334,13 +361,14 @@ class DemagDevice(DriveDevice):
         status |= 0x0080 if self.warning_mask or not self.toggle.answered else 0
         status |= toggle.BIT if self.toggle.bit else 0
         status |= 0x8000 if self.warning_mask & t.TRIPS_SOON else 0
-        frequency = SPEED.nearest(motor.frequency * rated / reference)
-        current, active_current = SPEED.nearest(motor.current), SPEED.nearest(motor.motoring)
-        if self.telegram.inputs == 12:
-            return status, frequency, current, active_current, self.warning_mask, self.fault
+        frequency = SPEED.nearest(motor.frequency * rated / settings.reference_hz)
         select = control >> 12 & 7
-        if select not in t.SELECTABLE:
+        wide = self.telegram.inputs == 12
+        if not wide and select not in t.SELECTABLE:
             return status, frequency
+        current, active_current = SPEED.nearest(motor.current), SPEED.nearest(motor.motoring)
+        if wide:
+            return status, frequency, current, active_current, self.warning_mask, self.fault
         values = {
             t.SELECT_CURRENT: current,
             t.SELECT_ACTIVE: active_current,
