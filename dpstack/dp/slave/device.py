@@ -98,7 +98,10 @@ class DpV0Device:
         return False
 
     def wake_at(self) -> int:
-        """When :meth:`tick` is wanted, in ns, or NEVER; a device that computes it has its own method."""
+        """When :meth:`tick` is wanted, in ns, or NEVER; a device that computes it has its own method.
+
+        The slave asks after each request, tick and command: only these may bring it forward.
+        """
         return self.due_at
 
     def tick(self, now: int) -> int | None:

@@ -323,8 +323,8 @@ class DeviceClock:
     def __init__(self, device: DpV0Device) -> None:
         self._device = device
         self._error: Exception | None = None
-        #: Called after each step of the slave: the time in ns at which :meth:`tick` is wanted. None: the device states
-        #: it in ``due_at``. Exceptions go to :meth:`failed`.
+        #: Called after each request, tick and command: the time in ns at which :meth:`tick` is wanted. None: the device
+        #: states it in ``due_at``. Exceptions go to :meth:`failed`.
         self.due = None if device.overrides_none("wake_at") else device.wake_at
 
     def failed(self, error: Exception) -> int:

@@ -431,7 +431,8 @@ class PkwServer:
     def step(self, octets: bytes) -> bytes:
         """The reply to the eight octets of the order area."""
         if octets == ZEROS:  # no order, in every dialect
-            self.reset()
+            if self._last != ZEROS:
+                self.reset()
             return ZEROS
         order = self._dialect.parse(octets)
         if order.id == TaskId.NONE:

@@ -368,7 +368,9 @@ class DriveDevice(Device):
         if lead:
             order = bytes(lead) if outputs is None else outputs[:lead]
             reply = bytes(lead) if self.unpowered else self.channel.step(order)
-        self._inputs = reply + self.refresh(None if outputs is None else outputs[lead:], now)
+        inputs = reply + self.refresh(None if outputs is None else outputs[lead:], now)
+        if inputs != self._inputs:  # the slave takes the same object as unchanged
+            self._inputs = inputs
         if self._tripped is not None and self._trip is None and not self.faulted:
             self._tripped = None
 

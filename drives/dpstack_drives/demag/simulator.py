@@ -50,6 +50,9 @@ class _Settings(NamedTuple):
     ramp_source: int  # 434
     toggle_reaction: int  # 880
     toggle_ms: float  # 881
+    stop: int  # 392
+    still_percent: float  # 637
+    deviation_hz: float  # 549
 
 
 class DemagDevice(DriveDevice):
@@ -218,7 +221,7 @@ class DemagDevice(DriveDevice):
         released = self.released and mode in (_STATE_MACHINE, _REMOTE_CONTACTS)
         obeyed = self._answered(control, settings, now)
         if mode == _STATE_MACHINE:
-            self._obey(obeyed, now)
+            self._obey(obeyed, settings, now)
         else:
             self._contacts(obeyed if released else 0, now)
         if machine.state is not State.FAULT:
@@ -238,6 +241,9 @@ class DemagDevice(DriveDevice):
             ramp_source=int(value("ramp_set_point", active)),
             toggle_reaction=int(value("toggle_bit_reaction")),
             toggle_ms=value("toggle_bit_time"),
+            stop=int(value("state_transition_5")),
+            still_percent=value("switch_off_threshold"),
+            deviation_hz=value("max_control_deviation") / 100 * value("rated_frequency", active),
         )
 
     def _answered(self, control: int, settings: _Settings, now: int) -> int:
@@ -258,7 +264,7 @@ class DemagDevice(DriveDevice):
         stops = reaction == toggle.QUICK_STOP and settings.mode == _STATE_MACHINE
         return acknowledge | (_QUICK_STOP if stops else 0)
 
-    def _obey(self, control: int, now: int) -> None:
+    def _obey(self, control: int, settings: _Settings, now: int) -> None:
         machine = self.machine
         if not self.released:
             # without the release the control word is not obeyed; a running drive coasts (11.2.1.2)
@@ -270,7 +276,7 @@ class DemagDevice(DriveDevice):
                 machine.enter(State.READY)  # no new control word is accepted before (11.2.1.2.1)
             return
         self._braking_until = None
-        how = int(self.store.value("state_transition_5"))
+        how = settings.stop
         machine.step(
             control,
             stops_at_once=how == 0,
@@ -318,7 +324,7 @@ class DemagDevice(DriveDevice):
         motor.accel = self.acceleration / rated
         motor.decel = (self.store.value(emergency) if quick else self.deceleration) / rated
         motor.setpoint = 0.0 if quick or machine.stopping or not powered else wanted / rated
-        if not powered or abs(motor.frequency) * rated > self.store.value("switch_off_threshold") / 100 * self.f_max:
+        if not powered or abs(motor.frequency) * rated > settings.still_percent / 100 * self.f_max:
             self._still_since = None
         elif self._still_since is None:
             self._still_since = now
@@ -354,7 +360,7 @@ class DemagDevice(DriveDevice):
         motor, rated = self.motor, settings.rated_hz
         status = drivecom_states.SHOWN[self.machine.state]
         off = abs(motor.frequency * rated - self._wanted_hz)
-        if motor.on and not motor.limited and off <= self.store.value("max_control_deviation") / 100 * rated:
+        if motor.on and not motor.limited and off <= settings.deviation_hz:
             status |= 0x0400
         status |= 0x0200 if remote else 0
         status |= 0x0800 if motor.limited else 0
