@@ -162,12 +162,15 @@ def decode(octets: bytes | bytearray) -> Telegram | None:
     frame = _plain_frame(octets[:7])
     if frame is None:
         return _decode_other(octets)
-    size, check, da, sa, fc = frame
+    if octets == frame.octets:  # inputs are often those of the last exchange
+        return frame.telegram
     data = octets[7:-2]
     # as in _parse_sd2, but one comparison finds FCS and ED right, because the reason of a flaw is not wanted
-    if len(octets) != size or octets[-2:] != _TAILS[(check + sum(data)) & 0xFF]:
+    if len(octets) != frame.size or octets[-2:] != _TAILS[(frame.check + sum(data)) & 0xFF]:
         return None
-    return Telegram(_KIND_SD2, da, sa, fc, None, None, data)
+    frame.octets = octets
+    frame.telegram = telegram = Telegram(_KIND_SD2, frame.da, frame.sa, frame.fc, None, None, data)
+    return telegram
 
 
 def _decode_other(octets: bytes) -> Telegram | None:
@@ -254,19 +257,35 @@ def _read_head(head: bytes) -> _Head | Flaw:
     return le, da + sa + fc, da, sa, fc, isinstance(_content(_KIND_SD2, da, sa, fc, b""), Telegram)
 
 
-@lru_cache(_KEPT_HEADS)
-def _plain_frame(head: bytes) -> tuple[int, int, int, int, int] | None:
-    """The number of octets of an SD2 frame without extension octets, the sum of DA, SA and FC, and these three.
+class _PlainFrame:
+    """An SD2 frame without extension octets: ``size`` in octets, ``check`` the sum of ``da``, ``sa`` and ``fc``.
 
-    ``head``: its first seven octets. None for every other frame, and where :func:`_read_head` finds a flaw.
+    ``octets`` and ``telegram``: the last telegram with this head.
     """
+
+    __slots__ = ("check", "da", "fc", "octets", "sa", "size", "telegram")
+
+    def __init__(self, size: int, check: int, da: int, sa: int, fc: int) -> None:
+        self.size = size
+        self.check = check
+        self.da = da
+        self.sa = sa
+        self.fc = fc
+        self.octets = b""
+        self.telegram = SHORT_ACK  # never read: no frame has the octets b""
+
+
+@lru_cache(_KEPT_HEADS)
+def _plain_frame(head: bytes) -> _PlainFrame | None:
+    """The frame with the first seven octets ``head``. None for another kind, and where :func:`_read_head` finds a
+    flaw."""
     if len(head) < 7 or head[0] != _SD2:
         return None
     found = _read_head(head)
     if isinstance(found, Flaw):
         return None
     le, check, da, sa, fc, plain = found
-    return (le + 6, check, da, sa, fc) if plain else None
+    return _PlainFrame(le + 6, check, da, sa, fc) if plain else None
 
 
 def _content(kind: Kind, da: int, sa: int, fc: int, body: bytes) -> Telegram | Flaw:

@@ -11,7 +11,7 @@ fixed cycle they come between the rounds, one a token hold, as far as they fit i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from msgspec.structs import replace
@@ -60,7 +60,8 @@ class Round:
         self._cadence = cadence
         self._ended = ended
         self._due: list[SlaveHandler] = []
-        self._cursor = 0
+        self._left: Iterator[SlaveHandler] = iter(())  # those of ``_due`` whose turn is still to come
+        self._at_begin = True  # nobody had a turn in this round yet
         self._services = 0
         self._operating = False  # the round began in Operate
         self._unsent = False  # no request of this round was sent yet
@@ -95,30 +96,26 @@ class Round:
             if not (fixed or self._may_take_all(now)):
                 return None
             self._begin(now)
-        cursor, due = self._cursor, self._due
-        if not cursor and (request := self._before_data(now)) is not None:
+        if self._at_begin and (request := self._before_data(now)) is not None:
             return request
         if self._paused:
             self._paused = False
             self._cadence.resume()
-        while cursor < len(due):
-            handler = due[cursor]
-            if handler.state is _DATA_EXCHANGE:
-                if self._spaced and now < (until := self._spaced.get(handler.setup.address, 0)):
-                    if self._pauses(until, now):
-                        self._cursor = cursor
-                        return None
-                    cursor += 1
-                    continue  # its turn comes in the next cycle
-                self._cursor = cursor + 1
+        for handler in self._left:
+            exchanging = handler.state is _DATA_EXCHANGE
+            if exchanging and self._spaced and now < (until := self._spaced.get(handler.setup.address, 0)):
+                if self._pauses(until, now):
+                    self._left = iter([handler, *self._left])
+                    return None
+                exchanging = False  # its turn comes in the next cycle
+            self._at_begin = False
+            if exchanging:
                 if self._turns.rates.has_slower_slaves:
                     self._turns.rates.had_turn(handler.setup.address, self._cadence.number)
-                context, image = self._context, handler.image
-                if context.mode is context.target is _OPERATE and image.plugin is None and self._operating:
+                image = handler.image
+                if self._operating and self._context.operates and image.plugin is None:
                     return handler.data_request(image.latched)
                 return handler.data_request(self._outputs(handler, now))
-            cursor += 1
-        self._cursor = cursor
         if self._sync:
             self._sync = False
             return self._controls.cyclic(self._controls.sync)
@@ -154,13 +151,14 @@ class Round:
             image.latched = image.next_outputs
         self.open = True
         self._at_once = False
-        self._cursor = 0
+        self._left = iter(due)
+        self._at_begin = True
         self._unsent = True
         self.first_data = bool(due)
         # a mode reached in the middle of a round counts from the next round on, for all slaves at once
-        self._operating = operating = context.mode is _OPERATE
+        self._operating = context.mode is _OPERATE
         if self._has_cyclic_controls:
-            held = operating and context.target is _OPERATE and bool(due)
+            held = context.operates and bool(due)
             self._freeze = held and bool(controls.freeze.groups)
             self._sync = held and bool(controls.sync.groups)
         if self._roster.leaving:
@@ -199,9 +197,7 @@ class Round:
         """The outputs for a slave with a plugin, or of a round in which outputs are safe."""
         context = self._context
         if self._operating and context.mode is _OPERATE:
-            return (
-                handler.plugin_host.outputs(now) if context.target is _OPERATE else handler.plugin_host.safe_outputs()
-            )
+            return handler.plugin_host.outputs(now) if context.operates else handler.plugin_host.safe_outputs()
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/reference/protocol.md#clear)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 

@@ -166,7 +166,7 @@ class Master(LinkUser):
             for handler in self.handlers.values():
                 handler.plugin_host.lost(now)
             self.controls.release_all(f"the master goes to {target.name.capitalize()}", now)
-        self.context.target = target
+        self.context.head_for(target)
         if target is Mode.OPERATE:
             self._watch.begin(now)
         else:
@@ -220,7 +220,7 @@ class Master(LinkUser):
             self._reach(self.context.target, now)
 
     def _reach(self, mode: Mode, now: int, *, cleared: bool = True) -> None:
-        self.context.mode = mode
+        self.context.reach(mode)
         self.controls.change_of_mode()
         self.context.emit(ModeChanged(t_ns=now, mode=mode))
         if mode is Mode.OPERATE:

@@ -54,11 +54,23 @@ class MasterContext:
         self.mode = Mode.STOP if settings.read_only else Mode.CLEAR
         #: the mode that the master is on its way to
         self.target = Mode.CLEAR
+        #: in Operate, and to stay there
+        self.operates = False
         self.events: list[Event] = []
         #: called as a round begins: outputs that it puts into the process image go out in that round
         self.on_begin: Callable[[], None] = lambda: None
         #: gives the addresses of the masters in the token ring, None where they are not known
         self.ring: Callable[[], Collection[int] | None] = lambda: None
+
+    def reach(self, mode: Mode) -> None:
+        """Be in ``mode``."""
+        self.mode = mode
+        self.operates = mode is self.target is Mode.OPERATE
+
+    def head_for(self, target: Mode) -> None:
+        """Be on the way to ``target``."""
+        self.target = target
+        self.operates = target is self.mode is Mode.OPERATE
 
     @property
     def descending(self) -> bool:

@@ -83,7 +83,7 @@ class Exchange(Awaiting):
         line.gate_ns = line.after_ns
         machine = self.machine  # as enter(); its deadline is NEVER already, in Check_Access_Time
         machine.state = USE_TOKEN
-        machine.row = machine.rows[USE_TOKEN]
+        machine.row = machine.using
 
     def sent(self, _: Telegram, at: int) -> None:
         """An attempt is sent, or a GAP poll; its last bit is on the line at ``at``."""
@@ -109,7 +109,7 @@ class Exchange(Awaiting):
             until = self.admission.in_vain_until(request, at)
         machine = self.machine  # as enter()
         machine.state = AWAIT_DATA_RESPONSE
-        machine.row = machine.rows[AWAIT_DATA_RESPONSE]
+        machine.row = machine.awaiting_data
         machine.deadline = until
         if times.exact:
             self.early_until = at + times.early_ns

@@ -221,13 +221,20 @@ class StateMachine:
         self.ts = ts
         self.state = OFFLINE
         self.deadline = NEVER
-        self.rows: Rows = {}
         self.row: tuple[Handler, ...] = ()
+        self.rows: Rows = {}
+        # the rows of the states that every exchange goes through
+        self.checking: tuple[Handler, ...] = ()
+        self.using: tuple[Handler, ...] = ()
+        self.awaiting_data: tuple[Handler, ...] = ()
 
     def bind(self, rows: Rows) -> None:
         """Use ``rows[state][input]`` as handlers."""
         self.rows = rows
         self.row = rows[self.state]
+        self.checking = rows[CHECK_ACCESS_TIME]
+        self.using = rows[USE_TOKEN]
+        self.awaiting_data = rows[AWAIT_DATA_RESPONSE]
 
     def enter(self, state: State, deadline: int = NEVER) -> None:
         """Change to ``state`` with its own ``deadline``."""
@@ -248,7 +255,7 @@ class StateMachine:
     def check(self, now: int) -> None:
         """Choose the next telegram of this token hold."""
         self.state = CHECK_ACCESS_TIME
-        self.row = row = self.rows[CHECK_ACCESS_TIME]
+        self.row = row = self.checking
         self.deadline = NEVER
         row[CHECK](NONE, now)
 

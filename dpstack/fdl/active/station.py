@@ -230,11 +230,11 @@ class ActiveStation:
             self._line.end_arrival()
             for telegram in found:
                 self._process(telegram, now)
-        line, machine, users = self._line, self._machine, self._users
-        if line.tx is None and machine.deadline <= now and line.busy_until <= now:
-            machine.timeout(now)
-        if users.due_at <= now:
-            users.tick(now)
+        line = self._line
+        if line.tx is None and self._machine.deadline <= now and line.busy_until <= now:
+            self._machine.timeout(now)
+        if self._users.due_at <= now:
+            self._users.tick(now)
 
     def take_tx(self, now: int) -> bytes | None:
         """The queued telegram once its gate is open (machine contract)."""
