@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 from dpstack.fdl.interface import BusStation
 from dpstack.machine import Transmit
+from dpstack.params import BROADCAST
 from dpstack.trace import Event
 from dpstack.units import NEVER
 
@@ -18,9 +19,9 @@ class Node:
     """A station on the medium and its entries in the event heap.
 
     ``deadline``: last result of the station's ``wake_at``. ``due``: time at which the world calls the station (never
-    after ``deadline``); ``order``: its place among the stations due at the same time. ``entry``: time of its next heap
-    entry (never after ``due``); ``later``: times of its other entries, the next one last. The station hears
-    transmissions that begin at ``hears_from`` or later, because it cannot hear while it sends.
+    after ``deadline``); ``order``: its place among the stations due at the same time. ``entries``: times of its heap
+    entries, the next one (never after ``due``) last, below them NEVER. The station hears transmissions that begin at
+    ``hears_from`` or later, because it cannot hear while it sends.
     """
 
     def __init__(
@@ -35,14 +36,30 @@ class Node:
         self.name = str(station.address) if label is None else label
         self.hears_from = self.sending_until = self.mute_until = now
         self.on_bus = True
-        self.deadline = self.due = self.entry = NEVER
+        self.deadline = self.due = NEVER
         self.order = 0
-        self.later: list[int] = []
+        self.entries = [NEVER]
         self.transmit: Transmit = _not_connected
 
 
 def _not_connected(octets: bytes, now: int) -> int:
     raise RuntimeError("a station that is on no medium wanted to send")
+
+
+class Hearers(dict[int, tuple[Node, ...]]):
+    """The stations that hear a telegram, by its DA: those that hear all, then the addressed ones. Found once."""
+
+    def __init__(self, nodes: Nodes) -> None:
+        self._nodes = nodes
+
+    def __missing__(self, da: int) -> tuple[Node, ...]:
+        nodes = self._nodes
+        if da == BROADCAST:
+            addressed = [node for same_rate in nodes.by_rate.values() for node in same_rate if not node.hears_all]
+        else:
+            addressed = nodes.by_address.get(da, [])
+        self[da] = found = (*nodes.listeners, *addressed)
+        return found
 
 
 class Nodes:
@@ -54,6 +71,9 @@ class Nodes:
         self.listeners: list[Node] = []
         #: the stations that get single octets
         self.ports: list[Node] = []
+        #: the rate of all stations if they have the same one and none is a port, else 0
+        self.common_rate = 0
+        self.hearers = Hearers(self)
 
     def __iter__(self) -> Iterator[Node]:
         return iter(list(self._by_station.values()))
@@ -89,11 +109,17 @@ class Nodes:
         self.by_rate[node.baud] = [*self.by_rate.get(node.baud, ()), node]
         if not node.hears_all:
             self.by_address[node.address] = [*self.by_address.get(node.address, ()), node]
+        self._changed()
 
     def _unindex(self, node: Node) -> None:
         _drop(self.by_rate, node.baud, node)
         if not node.hears_all:
             _drop(self.by_address, node.address, node)
+        self._changed()
+
+    def _changed(self) -> None:
+        self.common_rate = 0 if self.ports or len(self.by_rate) != 1 else next(iter(self.by_rate))
+        self.hearers.clear()
 
 
 def _drop(index: dict[int, list[Node]], key: int, node: Node) -> None:

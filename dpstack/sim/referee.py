@@ -25,6 +25,7 @@ from dpstack.units import bits_to_ns, ns_to_bits
 #: first attempt and two repetitions before the successor counts as absent
 PASS_ATTEMPTS: Final = 3
 _CIRCLE: Final = 128
+_NOBODY: Final = -1
 
 
 class Rule(Enum):
@@ -157,7 +158,6 @@ MIN_TSDR: Final = 11
 _DISORDER: Final = 6 + 2 * 126
 _SHOWN_VIOLATIONS: Final = 20
 _SHOWN_ENTRIES: Final = 60
-_IDLE: Final = Rule.IDLE
 _SD4: Final = Kind.SD4
 #: called with the same few times for every transmission
 _ns: Final = lru_cache(256)(bits_to_ns)
@@ -198,6 +198,34 @@ class _Times(NamedTuple):
     t_to: int
 
 
+class _Idle(NamedTuple):
+    """A silence that must come before a request or token, its rule and its name."""
+
+    ns: int
+    rule: Rule
+    name: str
+    bits: int
+
+
+@lru_cache(256)
+def _idle_time(times: _Times | None, after: int, waiting: bool, baud: int) -> _Idle:
+    """The silence before a request or token of a master with ``times`` (None: not known) that follows ``after``.
+
+    ``waiting``: the same master sent that, and has waited since.
+    """
+    rule, bits, name = Rule.IDLE, T_SYN, "T_SYN"
+    if after == _NOTHING:
+        bits = 0
+    elif times is not None:
+        if waiting and after in (_REQUEST, _TOKEN):  # for an answer, or for its successor to use the token
+            rule, bits, name = Rule.SLOT, times.t_sl, "T_SL"
+        elif after in (_ANSWER, _TOKEN):
+            bits, name = times.t_id1, "T_ID1"
+        elif waiting and after == _QUIET:
+            bits, name = times.t_id2, "T_ID2"
+    return _Idle(bits_to_ns(bits, baud), rule, name, bits)
+
+
 class Referee:
     """The referee of one wire. ``violations``: those that the test has not allowed; ``allowed``: the others.
 
@@ -215,7 +243,7 @@ class Referee:
         self._expect: set[Rule] = set()
         self._after = _NOTHING
         self._last_end = start_ns
-        self._last_sa = -1
+        self._waiting = _NOBODY  # the master that sent the last request, or passed the token and waits for its use
         self._pending: tuple[int, int, int] | None = None  # the request that is open: SA, DA, its end in ns
         self._baud = 0
         self._excerpt: list[WireEntry] = []
@@ -265,39 +293,45 @@ class Referee:
 
     def ended(self, tx: Transmission) -> None:
         telegram = tx.telegram
+        whole = tx.whole
         self._baud = tx.baud
-        if tx.collided or tx.cut or telegram is None:
+        if telegram is None or (not whole and (tx.collided or tx.cut)):
             if telegram is None and not (tx.collided or tx.cut or tx.forced):
                 self._add_violation(tx, Rule.BROKEN, "the octets are not one telegram without gaps")
             self._pending = None
             after = _GARBAGE
-        elif telegram.kind is _SD4:
-            after = self._token(tx, telegram)
-        elif telegram.fc >= 0 and telegram.fc & FC_REQUEST:
-            after = self._request(tx, telegram)
+        elif telegram.fc >= 0:
+            after = self._request(tx, telegram) if telegram.fc & FC_REQUEST else self._answer(tx, telegram)
         else:
-            after = self._answer(tx, telegram)
+            after = self._token(tx, telegram) if telegram.kind is _SD4 else self._answer(tx, telegram)
+        if whole:
+            self._after = after
+            self._last_end = tx.end_ns
+            return
         if tx.flips:
             after = _GARBAGE
             self._excuse_forged_token(tx)
         self._after = after
-        self._last_sa = telegram.sa if telegram is not None else -1
         if tx.heard_ns > self._last_end:
             self._last_end = tx.heard_ns
 
     # --- rules ---
     def _request(self, tx: Transmission, telegram: Telegram) -> int:
         sa = telegram.sa
-        self._check_idle_time(tx, sa)
+        idle = _idle_time(self._masters.get(sa), self._after, sa == self._waiting, tx.baud)
+        if tx.start_ns - self._last_end < idle.ns:
+            self._add_idle_violation(tx, idle)
+        self._waiting = sa
         tokens = self.tokens
         if self.token_rules and not (sa == tokens.holder and tx.node is tokens.node and tokens.offer is None):
             finding = tokens.request(sa, tx.node)
             if finding is not None:
                 self._add_violation(tx, *finding)
-        if telegram.da == BROADCAST or telegram.fc & FC_FUNCTION in UNANSWERED:
+        da = telegram.da
+        if da == BROADCAST or telegram.fc & FC_FUNCTION in UNANSWERED:
             self._pending = None
             return _QUIET
-        self._pending = (sa, telegram.da, tx.end_ns)
+        self._pending = (sa, da, tx.end_ns)
         return _REQUEST
 
     def _token(self, tx: Transmission, telegram: Telegram) -> int:
@@ -309,9 +343,12 @@ class Referee:
             lacks = ""
             if silence < _ns(times.t_to, tx.baud):
                 lacks = f"after {ns_to_bits(silence, tx.baud)} bits of silence; its T_TO is {times.t_to}"
-        self._check_idle_time(tx, sa)
+        idle = _idle_time(times, self._after, sa == self._waiting, tx.baud)
+        if tx.start_ns - self._last_end < idle.ns:
+            self._add_idle_violation(tx, idle)
         if self.token_rules and (finding := self.tokens.token(sa, telegram.da, tx.node, lacks)) is not None:
             self._add_violation(tx, *finding)
+        self._waiting = sa if self.tokens.offered_by == sa else _NOBODY
         self._pending = None
         return _TOKEN
 
@@ -336,29 +373,10 @@ class Referee:
             self._add_violation(tx, Rule.LATE, text)
         return _ANSWER
 
-    def _check_idle_time(self, tx: Transmission, sa: int) -> None:
-        """Check the silence before a request or token."""
-        after = self._after
-        if after == _NOTHING:
-            return
-        rule, need, name = _IDLE, T_SYN, "T_SYN"
-        times = self._masters.get(sa)
-        if times is not None:
-            pending = self._pending
-            if (
-                pending is not None and pending[0] == sa
-                if after == _REQUEST
-                else after == _TOKEN and self.tokens.offered_by == sa
-            ):  # it waits for an answer, or for its successor to use the token
-                rule, need, name = Rule.SLOT, times.t_sl, "T_SL"
-            elif after in (_ANSWER, _TOKEN):
-                need, name = times.t_id1, "T_ID1"
-            elif after == _QUIET and sa == self._last_sa:
-                need, name = times.t_id2, "T_ID2"
-        silence = tx.start_ns - self._last_end
-        if silence < _ns(need, tx.baud):
-            text = f"begins after {ns_to_bits(silence, tx.baud)} bits of silence; {name} is {need}"
-            self._add_violation(tx, rule, text)
+    def _add_idle_violation(self, tx: Transmission, idle: _Idle) -> None:
+        silence = ns_to_bits(tx.start_ns - self._last_end, tx.baud)
+        text = f"begins after {silence} bits of silence; {idle.name} is {idle.bits}"
+        self._add_violation(tx, idle.rule, text)
 
     def _excuse_forged_token(self, tx: Transmission) -> None:
         """A token has no check sum: noise can turn it into another token. Excuse the violations that follow."""

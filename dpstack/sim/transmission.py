@@ -19,6 +19,8 @@ from dpstack.units import BITS_PER_CHAR, NS_PER_S, chars_to_ns
 
 #: The same octets are sent again and again: each telegram is decoded once.
 decoded: Final = lru_cache(1_024)(decode)
+#: the time of so many octets on the wire at a rate, in ns
+duration: Final = lru_cache(4_096)(chars_to_ns)
 
 
 class Transmission(Struct, eq=False):
@@ -26,8 +28,8 @@ class Transmission(Struct, eq=False):
 
     ``forced``: a test injected or delayed it, so no station is responsible. ``flips``: inverted bits by octet number
     (see :func:`dpstack.phy.uart.flipped`). ``lost``: it is not on the wire at all. ``whole``: so far it is intact for
-    all receivers at its rate. ``heard_ns``: the end of its last readable octet. ``repeat_after_ns``: it is on the wire
-    again so long after its end; None: once.
+    all receivers at its rate. ``heard_ns``: the end of the last readable octet of one that is not whole, set at its
+    end. ``repeat_after_ns``: it is on the wire again so long after its end; None: once.
     """
 
     node: Node | None
@@ -36,7 +38,6 @@ class Transmission(Struct, eq=False):
     baud: int
     start_ns: int
     end_ns: int
-    heard_ns: int
     telegram: Telegram | None
     forced: bool = False
     flips: dict[int, int] = field(default_factory=dict)
@@ -46,13 +47,14 @@ class Transmission(Struct, eq=False):
     collided: bool = False
     cut: bool = False
     ended: bool = False
+    heard_ns: int = 0
     repeat_after_ns: int | None = None
 
     def cut_short(self, octets: int) -> None:
         """Leave only the first ``octets`` of it on the wire."""
         self.notes.append(f"cut off after {octets} of {len(self.octets)} octets")
         self.octets = self.octets[:octets]
-        self.end_ns = self.heard_ns = self.start_ns + chars_to_ns(octets, self.baud)
+        self.end_ns = self.start_ns + chars_to_ns(octets, self.baud)
         self.telegram = decoded(self.octets)
         self.forced = True
 
@@ -61,7 +63,7 @@ class Transmission(Struct, eq=False):
         start_ns = self.end_ns + (self.repeat_after_ns or 0)
         end_ns = start_ns + self.end_ns - self.start_ns
         octets = self.octets
-        tx = Transmission(None, self.sender, octets, self.baud, start_ns, end_ns, end_ns, decoded(octets), forced=True)
+        tx = Transmission(None, self.sender, octets, self.baud, start_ns, end_ns, decoded(octets), forced=True)
         tx.notes.append("repeated")
         return tx
 

@@ -20,13 +20,13 @@ from typing import Any, Final
 
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import BusStation
-from dpstack.machine import pump, run_due
+from dpstack.machine import run_due
 from dpstack.params import BROADCAST, BusParams
 from dpstack.phy.uart import Receiver, waveform
 from dpstack.sim.faults import Faults
 from dpstack.sim.nodes import Node, Nodes
 from dpstack.sim.referee import Referee
-from dpstack.sim.transmission import Heard, Transmission, complete, decoded, garbled, receive
+from dpstack.sim.transmission import Heard, Transmission, complete, decoded, duration, garbled, receive
 from dpstack.trace import Event, WireEntry, WireLog
 from dpstack.units import NEVER, chars_to_ns, ns_to_s
 
@@ -40,7 +40,7 @@ _ORDERS: Final = 2 << 56
 _TIMERS: Final = 3 << 56
 _EDGES: Final = 4 << 56
 
-_LENGTHS: Final = 256
+_NO_ADDRESS: Final = -1
 _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs twice as much
 
 
@@ -74,8 +74,8 @@ class Medium:
     def __init__(self, world: World, nodes: Nodes, seed: int) -> None:
         self.transmissions = 0
         self.baud = 0
-        #: transmissions whose start edge is not yet announced to the stations
-        self.starting: list[Transmission] = []
+        #: delayed and repeated transmissions; their start edge is announced with the next step of a station
+        self.late: list[Transmission] = []
         self._world = world
         self._heap = world.heap
         self._ticks = world.ticks
@@ -84,7 +84,6 @@ class Medium:
         self._faults = world.faults
         self._referee = world.referee
         self._rng = Random(seed)
-        self._durations: dict[int, list[int]] = {}
         self._current: Transmission | None = None  # the one on the wire that ends last
         self._jam: _Jam | None = None
         self._receivers: dict[int, Receiver] = {}  # by rate, of stations at another rate than the sender's
@@ -97,19 +96,19 @@ class Medium:
         if node.sending_until > now:
             raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
         baud = node.baud
-        size = len(octets)
-        table = self._durations.get(baud)
-        end = now + (table[size] if table is not None and size < _LENGTHS else self.duration(size, baud))
-        tx = Transmission(node, node.name, octets, baud, now, end, end, decoded(octets))
-        if self._faults.armed or node.mute_until > now:
+        end = now + duration(len(octets), baud)
+        tx = Transmission(node, node.name, octets, baud, now, end, decoded(octets))
+        disturbed = self._faults.armed or node.mute_until > now
+        if disturbed:
             self._disturb(tx, node, now)
             end = tx.end_ns
-            self._start_or_schedule(tx, now)
-        else:
-            self._begin(tx)
         node.sending_until = end
         if end > node.hears_from:
             node.hears_from = end
+        if disturbed:
+            self._start_or_schedule(tx, now)
+        else:
+            self._begin(tx)
         return end
 
     def _disturb(self, tx: Transmission, node: Node, now: int) -> None:
@@ -122,8 +121,8 @@ class Medium:
 
     def inject(self, octets: bytes, baud: int, now: int, sender: str) -> None:
         """Put ``octets`` that no station sends on the line at ``now``."""
-        end = now + self.duration(len(octets), baud)
-        tx = Transmission(None, sender, octets, baud, now, end, end, decoded(octets), forced=True)
+        end = now + duration(len(octets), baud)
+        tx = Transmission(None, sender, octets, baud, now, end, decoded(octets), forced=True)
         if self._faults.armed:
             self._faults.apply(tx)
         self._start_or_schedule(tx, now)
@@ -147,38 +146,34 @@ class Medium:
         if whole and sent:
             self._deliver_octets(sent, tx.baud, tx.start_ns, ports=False)
 
-    def duration(self, size: int, baud: int) -> int:
-        """The time of ``size`` octets on the wire in ns, from a table."""
-        table = self._durations.get(baud)
-        if table is None:
-            table = self._durations[baud] = [chars_to_ns(n, baud) for n in range(_LENGTHS)]
-        return table[size] if size < _LENGTHS else chars_to_ns(size, baud)
+    def announce_late_edges(self) -> None:
+        """Announce the start edges of the transmissions in ``late``."""
+        late, self.late = self.late, []
+        now = self._world.now
+        for tx in late:
+            if self._heap and self._heap[0][0] <= now:
+                self._world.schedule(now, _EDGES, self._announce_edge, tx)
+            else:
+                self._announce_edge(tx)
 
-    def announce_edges(self, due: list[Transmission] | None = None) -> None:
-        """Announce the start edges of ``due`` to the stations; None: of all that are not announced, after all other
-        events of this instant.
+    def _announce_edge(self, tx: Transmission) -> None:
+        """Announce the start edge of ``tx`` to the stations that hear all and to the addressee.
 
         An edge brings no deadline forward (:class:`BusStation`), so that no station needs another heap entry.
         """
-        if due is None:
-            due, self.starting = self.starting, []
-            now = self._world.now
-            if self._heap and self._heap[0][0] <= now:
-                self._world.schedule(now, _EDGES, self.announce_edges, due)
-                return
-        nodes = self._nodes
-        for tx in due:
-            if tx.cut:
-                continue
-            start = tx.start_ns
-            for node in nodes.listeners:
-                if node.hears_from <= start:
-                    node.station.activity(start)
-                    node.deadline = node.station.wake_at()
-            if tx.telegram is not None:
-                for node in nodes.by_address.get(tx.telegram.da, ()):
-                    if node.hears_from <= start and node.baud == tx.baud:
-                        node.station.activity(start)
+        if tx.cut:
+            return
+        start = tx.start_ns
+        telegram = tx.telegram
+        da = _NO_ADDRESS if telegram is None or telegram.da == BROADCAST else telegram.da
+        for node in self._nodes.hearers[da]:
+            if node.hears_from <= start:
+                station = node.station
+                if node.hears_all:
+                    station.activity(start)
+                    node.deadline = station.wake_at()
+                elif node.baud == tx.baud:
+                    station.activity(start)
 
     # --- the line ---
     def _start_or_schedule(self, tx: Transmission, now: int) -> None:
@@ -194,22 +189,37 @@ class Medium:
 
     def _begin_late(self, tx: Transmission) -> None:
         if tx.node is None or tx.node.on_bus:
-            self._begin(tx)
+            self._begin(tx, late=True)
 
-    def _begin(self, tx: Transmission) -> None:
+    def _begin(self, tx: Transmission, *, late: bool = False) -> None:
+        """Put ``tx`` on the line now, and announce its start edge after all other events of this instant."""
         self.transmissions += 1
-        baud = self.baud = tx.baud
+        self.baud = baud = tx.baud
         start = tx.start_ns
-        heappush(self._heap, (tx.end_ns, _ENDS + next(self._ticks), self._on_end, tx))
-        self.starting.append(tx)
+        heap = self._heap
+        heappush(heap, (tx.end_ns, _ENDS + next(self._ticks), self._on_end, tx))
         before = self._current
         if before is not None and before.end_ns > start:
             self._collide(tx, before)
             if tx.end_ns > before.end_ns:
                 self._current = tx
-            return
-        self._current = tx
-        self._octet_ns = start
+        else:
+            self._current = tx
+            if tx.flips or tx.telegram is None or baud != self._nodes.common_rate:
+                self._begin_octets(tx)
+            else:
+                tx.whole = True
+        if late:
+            self.late.append(tx)
+        elif heap[0][0] <= start:
+            self._world.schedule(start, _EDGES, self._announce_edge, tx)
+        else:
+            self._announce_edge(tx)
+
+    def _begin_octets(self, tx: Transmission) -> None:
+        """Begin a transmission of which some stations get single octets: ports, stations at another rate, or all."""
+        baud = tx.baud
+        self._octet_ns = tx.start_ns
         if tx.flips:
             tx.notes.append("damaged")
         tx.whole = not tx.flips and tx.telegram is not None
@@ -227,31 +237,26 @@ class Medium:
         tx.ended = True
         start = tx.start_ns
         end = tx.end_ns
-        if self._referee is not None and not tx.lost:
-            if not tx.whole:
+        whole = tx.whole
+        referee = self._referee
+        if referee is not None and not tx.lost:
+            if not whole:
                 tx.heard_ns = self._octet_ns
-            self._referee.ended(tx)
+            referee.ended(tx)
         notes = "; ".join(tx.notes) if tx.notes else ""
         self._log.add(_NEW(WireEntry, (start, end, tx.octets, tx.sender, notes)))
         telegram = tx.telegram
-        if telegram is None or not tx.whole:
+        if telegram is None or not whole:
             return
         baud = tx.baud
-        nodes = self._nodes
-        da = telegram.da
         heard: list[Node] = []
-        for node in nodes.listeners:
+        for node in self._nodes.hearers[telegram.da]:  # not the sender: it hears only later transmissions
             if node.hears_from <= start and node.baud == baud:
                 heard.append(node)
                 node.station.telegram(telegram, end)
-        # the sender hears only later transmissions; listeners already have the telegram
-        for node in nodes.by_rate.get(baud, ()) if da == BROADCAST else nodes.by_address.get(da, ()):
-            if node.hears_from <= start and node.baud == baud and not node.hears_all:
-                heard.append(node)
-                node.station.telegram(telegram, end)
-        pump_station = self._world.pump_station
+        run_station = self._world.run_station
         for node in heard:
-            pump_station(node, b"")
+            run_station(node, node.station.wake_at())
 
     def _deliver_octets(self, octets: bytes, rate: int, since: int, *, ports: bool = True, others: bool = True) -> None:
         """Deliver ``octets`` to the stations at ``rate``: to ``ports``, and to all ``others``."""
@@ -430,7 +435,6 @@ class World:
                 raise UsageError(f"stations at {len(rates)} baud rates: say at which one to inject")
             (baud,) = rates
         self._medium.inject(octets, baud, self.now, sender)
-        self._medium.announce_edges()
 
     # --- time ---
     def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
@@ -484,57 +488,57 @@ class World:
         """Call ``call(argument)`` at ``at``; ``order`` decides between those of the same nanosecond."""
         heappush(self.heap, (at, order + next(self.ticks), call, argument))
 
-    def pump_station(self, node: Node, chunk: bytes, *, due: bool = False) -> None:
-        """Pump the station with ``chunk`` (may be empty), schedule its deadline, pass on its events.
+    def pump_station(self, node: Node, chunk: bytes) -> None:
+        """Pump the station with ``chunk`` (may be empty), see :meth:`run_station`."""
+        if node.on_bus:
+            station = node.station
+            if chunk:
+                station.receive(chunk, self.now)
+            self.run_station(node, station.wake_at())
 
-        ``due``: its deadline is known to be reached.
-        """
+    def run_station(self, node: Node, deadline: int) -> None:
+        """Run the station if its ``deadline`` is reached, schedule its next one, pass on its events."""
         if not node.on_bus:
             return
         station = node.station
-        if chunk:
-            deadline = pump(station, chunk, self.now, node.transmit)
-        elif due or (deadline := station.wake_at()) <= self.now:
-            deadline = run_due(station, self.now, node.transmit)
+        now = self.now
+        if deadline <= now:
+            deadline = run_due(station, now, node.transmit)
         if station.address != node.address or station.baud != node.baud:
             if station.baud != node.baud:
                 # the transmission on the wire began before its receiver was at this rate
                 node.hears_from = max(node.hears_from, self.now)
             self._nodes.renew(node)
         node.deadline = deadline
-        if deadline < node.due:
+        if deadline < node.due > now:
             # Call it earlier. It gets a new heap entry only where it has none before that, and later entries stay: a
             # watchdog that every exchange postpones has one heap entry, not one for each exchange.
-            at = deadline if deadline > self.now else self.now
-            if at < node.due:
-                node.due = at
-                node.order = order = _TIMERS + next(self.ticks)
-                if at < node.entry:
-                    node.later.append(node.entry)
-                    node.entry = at
-                    heappush(self.heap, (at, order, self._on_timer, node))
-        if self._medium.starting:
-            self._medium.announce_edges()
+            node.due = at = deadline if deadline > now else now
+            node.order = order = _TIMERS + next(self.ticks)
+            entries = node.entries
+            if at < entries[-1]:
+                entries.append(at)
+                heappush(self.heap, (at, order, self._on_timer, node))
+        if self._medium.late:
+            self._medium.announce_late_edges()
         events = station.take_events()
         if events and node.on_events is not None:
             node.on_events(events)
 
     # --- inside ---
     def _run_timer(self, node: Node) -> None:
-        if not node.on_bus:
-            return
-        node.entry = node.later.pop()
-        if node.due <= self.now:
-            if node.deadline <= self.now:
-                node.due = NEVER
-                self.pump_station(node, b"", due=True)
-                return
-            node.due = node.deadline  # an edge has put it off
-            node.order = _TIMERS + next(self.ticks)
-        if node.due < node.entry:  # postponed
-            node.later.append(node.entry)
-            node.entry = node.due
-            heappush(self.heap, (node.due, node.order, self._on_timer, node))
+        node.entries.pop()
+        deadline = node.deadline
+        if deadline <= self.now:
+            node.due = NEVER
+            self.run_station(node, deadline)
+        elif node.on_bus:
+            if node.due <= self.now:
+                node.due = deadline  # an edge has put it off
+                node.order = _TIMERS + next(self.ticks)
+            if node.due < node.entries[-1]:  # postponed
+                node.entries.append(node.due)
+                heappush(self.heap, (node.due, node.order, self._on_timer, node))
 
     def _node(self, station: BusStation) -> Node:
         node = self._nodes.find(station)
