@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from heapq import heappush
 from types import FrameType
 from typing import Any
 
@@ -37,6 +38,45 @@ def test_an_exchange_in_virtual_time_costs_so_many_python_calls(drive: str | Non
     # 150 and 175 before a station heard an edge without a heap entry and an unchanged answer was not encoded again
     plant = Plant(10, _BAUD, drive)
     assert calls_an_exchange(plant, lambda: plant.world.run_for(200 * NS_PER_MS)) <= most
+
+
+def test_an_exchange_in_virtual_time_costs_so_many_heap_entries() -> None:
+    # request, answer, the master's slot time; the slave's T_SDR and the master's T_ID1 need none: nothing comes before
+    entries = 0
+
+    def count(_frame: FrameType, event: str, argument: Any) -> None:
+        nonlocal entries
+        entries += event == "c_call" and argument is heappush
+
+    plant = Plant(10, _BAUD)
+    before = plant.exchanges
+    sys.setprofile(count)
+    try:
+        plant.world.run_for(200 * NS_PER_MS)
+    finally:
+        sys.setprofile(None)
+    assert entries / (plant.exchanges - before) <= 3.7
+
+
+def test_a_world_that_runs_does_the_same_as_one_that_steps() -> None:
+    stepped, run, asked = (Plant(3, _BAUD) for _ in range(3))
+    end = stepped.world.now + 50 * NS_PER_MS
+    steps = 0
+    while stepped.world.next_at() <= end:
+        stepped.world.step()
+        steps += 1
+    run.world.run_until(end)
+    answers = [False] * (steps + 1)
+    assert not asked.world.run(end, answers.pop)
+    assert len(answers) == 1  # asked after each event, those without a heap entry too
+    assert list(stepped.world.log) == list(run.world.log) == list(asked.world.log)
+    for stop in (1, 2, 3, 5, 8, 13, 21):
+        again = Plant(3, _BAUD)
+        for _ in range(stop):
+            again.world.step()
+        stops = Plant(3, _BAUD)
+        assert stops.world.run(end, [True, *[False] * (stop - 1)].pop)
+        assert (stops.world.now, stops.world.next_at()) == (again.world.now, again.world.next_at())
 
 
 def test_a_global_control_to_all_slaves_costs_an_exchange_hardly_more_than_one_to_one_slave() -> None:

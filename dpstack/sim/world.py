@@ -1,7 +1,7 @@
 """The virtual world: stations on one simulated bus line, in integer nanoseconds, driven by a heap of events.
 
 Deterministic: the same seed, stations and orders give the same wire log to the nanosecond. The world drives every
-station through :func:`dpstack.machine.pump` and nothing else: on input, at its deadline, after commands.
+station in the steps of :func:`dpstack.machine.pump` and nothing else: on input, at its deadline, after commands.
 
 The medium decodes a telegram once if all stations receive it intact, and delivers it whole when its last bit is on the
 line. In other cases it delivers octets one by one: noise, a collision, another baud rate, octets that are no telegram,
@@ -41,6 +41,8 @@ _TIMERS: Final = 3 << 56
 _EDGES: Final = 4 << 56
 
 _NO_ADDRESS: Final = -1
+_STEPWISE: Final = -1  # no event is run before the one that asks for it is over
+_never: Final[Callable[[], bool]] = bool
 _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs twice as much
 
 
@@ -255,8 +257,9 @@ class Medium:
                 heard.append(node)
                 node.station.telegram(telegram, end)
         run_station = self._world.run_station
+        alone = len(heard) == 1
         for node in heard:
-            run_station(node, node.station.wake_at())
+            run_station(node, node.station.wake_at(), last=alone)
 
     def _deliver_octets(self, octets: bytes, rate: int, since: int, *, ports: bool = True, others: bool = True) -> None:
         """Deliver ``octets`` to the stations at ``rate``: to ``ports``, and to all ``others``."""
@@ -371,6 +374,9 @@ class World:
         self._nodes = Nodes()
         self._medium = Medium(self, self._nodes, 2 * seed + 1)
         self._on_timer: Callback = self._run_timer
+        self._horizon = _STEPWISE  # a station's deadline up to this time needs no heap entry if it is the next event
+        self._stop: Callable[[], bool] = _never  # asked after each event of :meth:`run`
+        self._stopped = False  # it has said yes
 
     def __repr__(self) -> str:
         return f"<World at {ns_to_s(self.now):.6f} s, {len(list(self._nodes))} stations>"
@@ -458,9 +464,14 @@ class World:
     def run_until(self, at_ns: int) -> None:
         """Run every event up to and including ``at_ns`` and advance to that time."""
         heap = self.heap
-        while heap and heap[0][0] <= at_ns:
-            self.now, _, call, argument = heappop(heap)
-            call(argument)
+        self._horizon = at_ns
+        self._stop = _never
+        try:
+            while heap and heap[0][0] <= at_ns:
+                self.now, _, call, argument = heappop(heap)
+                call(argument)
+        finally:
+            self._horizon = _STEPWISE
         if at_ns > self.now:
             self.now = at_ns
 
@@ -474,11 +485,17 @@ class World:
         ``until_ns`` may be NEVER. Returns whether ``stop()`` ended the run.
         """
         heap = self.heap
-        while heap and heap[0][0] <= until_ns:
-            self.now, _, call, argument = heappop(heap)
-            call(argument)
-            if stop():
-                return True
+        self._horizon = until_ns
+        self._stop = stop
+        self._stopped = False
+        try:
+            while heap and heap[0][0] <= until_ns:
+                self.now, _, call, argument = heappop(heap)
+                call(argument)
+                if self._stopped or stop():
+                    return True
+        finally:
+            self._horizon = _STEPWISE
         if self.now < until_ns < NEVER:
             self.now = until_ns
         return False
@@ -496,32 +513,44 @@ class World:
                 station.receive(chunk, self.now)
             self.run_station(node, station.wake_at())
 
-    def run_station(self, node: Node, deadline: int) -> None:
-        """Run the station if its ``deadline`` is reached, schedule its next one, pass on its events."""
+    def run_station(self, node: Node, deadline: int, *, last: bool = False) -> None:
+        """Run the station if its ``deadline`` is reached, schedule its next one, pass on its events.
+
+        ``last``: the present event does nothing else after this. A next deadline that comes before all other events
+        is then reached at once, without an entry in the heap.
+        """
         if not node.on_bus:
             return
         station = node.station
-        now = self.now
-        if deadline <= now:
-            deadline = run_due(station, now, node.transmit)
-        if station.address != node.address or station.baud != node.baud:
-            if station.baud != node.baud:
-                # the transmission on the wire began before its receiver was at this rate
-                node.hears_from = max(node.hears_from, self.now)
-            self._nodes.renew(node)
-        node.deadline = deadline
+        heap = self.heap
+        while True:
+            now = self.now
+            if deadline <= now:
+                deadline = run_due(station, now, node.transmit)
+            if station.address != node.address or station.baud != node.baud:
+                if station.baud != node.baud:
+                    # the transmission on the wire began before its receiver was at this rate
+                    node.hears_from = max(node.hears_from, now)
+                self._nodes.renew(node)
+            node.deadline = deadline
+            if self._medium.late:
+                self._medium.announce_late_edges()
+            events = station.take_events()
+            if not (last and heap and now < deadline < heap[0][0] and deadline <= self._horizon) or events:
+                break
+            if self._stop():
+                self._stopped = True
+                break
+            self.now = deadline
+            node.due = NEVER
         if deadline < node.due > now:
             # Call it earlier. It gets a new heap entry only where it has none before that, and later entries stay: a
             # watchdog that every exchange postpones has one heap entry, not one for each exchange.
             node.due = at = deadline if deadline > now else now
             node.order = order = _TIMERS + next(self.ticks)
-            entries = node.entries
-            if at < entries[-1]:
-                entries.append(at)
-                heappush(self.heap, (at, order, self._on_timer, node))
-        if self._medium.late:
-            self._medium.announce_late_edges()
-        events = station.take_events()
+            if at < node.entries[-1]:
+                node.entries.append(at)
+                heappush(heap, (at, order, self._on_timer, node))
         if events and node.on_events is not None:
             node.on_events(events)
 
@@ -531,7 +560,7 @@ class World:
         deadline = node.deadline
         if deadline <= self.now:
             node.due = NEVER
-            self.run_station(node, deadline)
+            self.run_station(node, deadline, last=True)
         elif node.on_bus:
             if node.due <= self.now:
                 node.due = deadline  # an edge has put it off
