@@ -32,9 +32,10 @@ from dpstack.namespaces import loader
 
 if TYPE_CHECKING:
     from dpstack import blocking, decode, events, gsd, profile, slave, testing
-    from dpstack.api.bus.bus import Bus, open_bus
+    from dpstack.api.bus.bus import Bus
     from dpstack.api.bus.cycles import Cycle
     from dpstack.api.bus.find_baud import BaudReport, find_baud
+    from dpstack.api.bus.opening import open_bus
     from dpstack.api.bus.statistics import BusStats, SlaveStats
     from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
     from dpstack.api.commissioning.commissioning import Commissioning
@@ -175,13 +176,14 @@ gsd
 profile
 slave
 testing
-api.bus.bus Bus open_bus
+api.bus.bus Bus
 api.bus.cycles Cycle
 api.bus.find_baud BaudReport find_baud
 api.bus.virtual run_virtual simulate World IoStation
 api.commissioning.commissioning Commissioning
 api.config.config Config load_config
 api.lists.parameter_list ParameterPlace ParameterValue
+api.bus.opening open_bus
 api.server.virtual_bench VirtualBench
 api.slave.alarms SlaveAlarm
 api.slave.class2 Connection ProcessData ReadDiagnosis

@@ -26,6 +26,7 @@ from dpstack.api import streams as _streams
 from dpstack.api.bus import bus as _bus
 from dpstack.api.bus import find_baud as _find_baud
 from dpstack.api.bus import live as _live
+from dpstack.api.bus import opening as _opening
 from dpstack.api.bus import recording as _recording
 from dpstack.api.bus import sync_freeze as _sync_freeze
 from dpstack.api.bus.driver_choice import is_free_for_process as _is_free_for_process
@@ -77,12 +78,12 @@ ServedSlave = blocking_class(_server.ServedSlave)
 SlaveServer = blocking_class(_server.SlaveServer)
 
 
-@functools.wraps(_bus.open_bus)
+@functools.wraps(_opening.open_bus)
 def _open_bus(config: Any = None, *, slaves: Any = (), **given: Any) -> _bus.Bus:
     slaves = tuple(slaves)
-    bus = _bus.open_bus(config, slaves=slaves, **given)
+    bus = _opening.open_bus(config, slaves=slaves, **given)
     if given.get("world") is None and _is_free_for_process(bus.config):
-        bus = _bus.open_bus(config, slaves=slaves, **given | {"driver": "process"})
+        bus = _opening.open_bus(config, slaves=slaves, **given | {"driver": "process"})
     return bus
 
 

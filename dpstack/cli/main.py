@@ -89,6 +89,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     output.fill()
     try:
         words = sys.argv[1:] if argv is None else argv
+        if words[:1] == ["run"]:
+            from dpstack.api.bus.opening import begin_for_command  # here, as no other command brings a bus process up
+
+            begin_for_command(words[1:])
         return _execute(build_parser(words).parse_args(words))
     except KeyboardInterrupt:
         return _INTERRUPTED

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import functools
 from collections.abc import Iterator
-from importlib import metadata
 from typing import TYPE_CHECKING, Final
 
 from dpstack.errors import ConfigError
 
 if TYPE_CHECKING:
+    from importlib import metadata
+
     from dpstack.profile.drive_profile import DriveProfile
 
 GROUP: Final = "dpstack.drives"
@@ -24,6 +24,8 @@ _given: Final[dict[str, DriveProfile]] = {}
 @functools.cache
 def _points() -> dict[str, metadata.EntryPoint]:
     """The entry points by the name of their drive; nothing is imported yet."""
+    from importlib import metadata  # here, as it takes 10 ms and a bus without drives needs only the group
+
     points = metadata.entry_points(group=GROUP)
     return {point.name: point for point in sorted(points, key=lambda point: (point.name, point.value))}
 
@@ -88,6 +90,8 @@ def find(name: str) -> DriveProfile:
         raise ConfigError(f"drive {name} cannot be loaded: {found}; repair or uninstall that package")
     if found is not None:
         return found
+    import difflib  # here, as most names are right
+
     drives = known()
     near = difflib.get_close_matches(name.lower(), drives, n=3)
     if near:

@@ -7,7 +7,8 @@ from collections.abc import Awaitable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
-from dpstack.api.bus.bus import Bus, SlaveTable, core_of, open_bus
+from dpstack.api.bus.bus import Bus, SlaveTable, core_of
+from dpstack.api.bus.opening import open_bus
 from dpstack.api.bus.virtual import simulate
 from dpstack.api.config.config import Config, load_config, make_config
 from dpstack.api.control.scenario import SimulatedPlant

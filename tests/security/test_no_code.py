@@ -219,6 +219,7 @@ def sources() -> dict[str, str]:
             {
                 "api/recording/parquet.py",
                 "drivers/process/channel.py",
+                "drivers/process/early_start.py",
                 "screen/process.py",
                 "service/host_setup.py",  # the set-up script
                 "web/child.py",

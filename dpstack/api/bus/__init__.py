@@ -1,6 +1,6 @@
 """The ``Bus`` of the public API: opening, plan, cycles, events, statistics, end.
 
-- ``bus``: ``open_bus`` and ``Bus``: opening, modes, slaves, events and the end of a running bus
+- ``bus``: ``Bus``: opening, modes, slaves, events and the end of a running bus
 - ``compose``: Construction of the objects behind a bus: plan, master, station, runtime, drive plugins
 - ``core``: ``BusCore``: the inside of a ``Bus``: beginning and end, events and failures of the machine
 - ``cycles``: ``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange
@@ -10,6 +10,7 @@
 - ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and never sends
 - ``live``: ``bus.live()``: plant, snapshots and events of a bus as one stream
 - ``live_list``: The live list of a port, read by a temporary master, and a configuration skeleton made from it
+- ``opening``: ``open_bus``, and the early start of a bus process
 - ``parts``: Base class of ``BusCore``: the objects behind a bus (created once the baud rate is known), slaves,
   commands, waiting
 - ``plan_checks``: Inputs of the plan from the configuration, and the refusal of impossible cycles

@@ -1,4 +1,4 @@
-"""``open_bus`` and ``Bus``: opening, modes, slaves, events and the end of a running bus."""
+"""``Bus``: opening, modes, slaves, events and the end of a running bus."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.core import BusCore
 from dpstack.api.bus.cycles import Cycle
@@ -14,7 +14,7 @@ from dpstack.api.bus.plan_checks import new_plan_texts
 from dpstack.api.bus.statistics import BusStats, bus_figures
 from dpstack.api.bus.sync_freeze import Group, Groups, send_control
 from dpstack.api.config.bus import BusConfig
-from dpstack.api.config.config import Config, load_config, make_config, slave_config
+from dpstack.api.config.config import Config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.config.table import keys_of
 from dpstack.api.slave.class2 import Class2
@@ -443,54 +443,11 @@ def core_of(bus: Bus) -> BusCore:
     return bus._core
 
 
-def open_bus(
-    config: str | Path | Config | None = None,
-    *,
-    port: str | None = None,
-    baud: int | Literal["auto"] | None = None,
-    address: int | None = None,
-    driver: Literal["auto", "asyncio", "process"] | None = None,
-    slaves: Iterable[SlaveTable] = (),
-    on_event: OnEvent | None = None,
-    join_timeout: float | None = None,
-    world: World | None = None,
-    **bus: object,
-) -> Bus:
-    """A bus from a configuration file (``port``, ``baud``, ``address`` override it), or from arguments alone.
-
-    Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
-    up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
-    ``bus`` further keys of [bus]. ``driver="process"``: the bus runs in a process of its own, which the application
-    cannot hold up (docs/explanation/drivers.md). ``port="virtual"`` simulates the slaves in this process. ``on_event``
-    is called for every event at once; ``world`` joins an existing simulated bus (see :func:`simulate`).
-    ``join_timeout`` in seconds: how long to wait for the token beside other masters (default: two passes over a GAP
-    like this master's, 30 s at least).
-
-    ``baud="auto"``: entering listens for the rate first. Until it is found ``bus.searching`` is true, and what depends
-    on it (``plan``, ``params``, slaves and drives) raises UsageError. After 5 s of silence it gives up: a master that
-    is alone on its bus must give the rate.
-
-    Raises ConfigError here, with "auto" on entering; PortError and BusError on entering.
-    """
-    _check_arguments(config, slaves, on_event, world, bus)
-    if config is None:
-        if baud is None:
-            raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
-        if port is None and world is None:
-            raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
-        own = 2 if address is None else address
-        made = make_config(port or "virtual", baud, own, slaves, bus={"driver": driver, **bus})
-    else:
-        made = config if isinstance(config, Config) else load_config(config)
-        made = made.with_bus(port=port, baud=baud, address=address, driver=driver, **bus).with_slaves(slaves)
-    return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
-
-
-#: the arguments of :func:`open_bus` that are no keys of [bus]
+#: the arguments of :func:`dpstack.open_bus` that are no keys of [bus]
 _OWN_ARGUMENTS: Final = ("config", "slaves", "on_event", "join_timeout", "world")
 
 
-def _check_arguments(config: object, slaves: object, on_event: object, world: object, bus: Iterable[str]) -> None:
+def check_arguments(config: object, slaves: object, on_event: object, world: object, bus: Iterable[str]) -> None:
     """Raises ConfigError for arguments of another type, and for one whose name is not known."""
     if not isinstance(config, (str, os.PathLike, Config, type(None))):
         raise ConfigError(

@@ -156,7 +156,7 @@ def compose(
             tune=tune,
             stack=spec,
             plugins=tuple(order for _, order in orders),
-            preload=_all_plugins() if adds_drives else (),
+            preload=_drives_group() if adds_drives else "",
             cpus=config.bus.cpus,
         )
         view = runtime = remote = ProcessRuntime(setup, on_events, on_failure, on_refused)
@@ -209,10 +209,10 @@ def compose(
     )
 
 
-def _all_plugins() -> tuple[str, ...]:
+def _drives_group() -> str:
     from dpstack.profile import registry  # here, as a bus without drives needs nothing of them
 
-    return tuple(registry.places().values())
+    return registry.GROUP
 
 
 async def _attach_async(attach: Callable[[SlaveConfig], DrivePlugin | None], slave: SlaveConfig) -> DrivePlugin | None:

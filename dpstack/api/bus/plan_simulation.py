@@ -10,7 +10,8 @@ from typing import Final
 
 from msgspec import Struct, field
 
-from dpstack.api.bus.bus import core_of, open_bus
+from dpstack.api.bus.bus import core_of
+from dpstack.api.bus.opening import open_bus
 from dpstack.api.config.config import Config
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.api.slave.slave import Slave

@@ -6,8 +6,9 @@ import dataclasses
 
 from msgspec import structs
 
-from dpstack.api.bus.bus import Bus, core_of, open_bus
+from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.live_list import joined
+from dpstack.api.bus.opening import open_bus
 from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.bus.why import untold
 from dpstack.api.config.config import Config

@@ -117,7 +117,8 @@ class Slave(Sealed, RecordAccess):
     @property
     def found(self) -> Found | None:
         """On a read-only bus the station found at the slave's address: type, ident, state, master."""
-        found = self._bus.view.bus().found
+        view = self._bus.view
+        found = view.bus().found if view.read_only else None
         return None if found is None else found.get(self.address)
 
     @property
@@ -543,12 +544,14 @@ class Slave(Sealed, RecordAccess):
             raise self._late("data exchange", timeout) from None
 
     def _is_ready(self) -> bool:
+        if self.ready_now:  # first: while many slaves come up, this is asked of those that are up at each event
+            return True
         fault = self.fault
         if self.deactivated:
             raise UsageError(f"{self.who} is out of service: activate() it first")
         if self.state is SlaveState.FAULT and fault is not None:
             raise SlaveFault(self.address, f"{self.who}: {fault.text}")
-        return self.ready_now
+        return False
 
     def _late(self, wanted: str, timeout: float | None) -> SlaveTimeout:
         fault = self.fault

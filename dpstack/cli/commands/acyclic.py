@@ -10,9 +10,10 @@ from typing import Any, Final, NamedTuple
 
 from msgspec import structs
 
-from dpstack.api.bus.bus import Bus, open_bus
+from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.events_json import AddressCollision, Event, FaultKind, SlaveFaulted
 from dpstack.api.bus.live_list import joined
+from dpstack.api.bus.opening import open_bus
 from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig

@@ -14,8 +14,9 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from dpstack.api.bus.bus import Bus, core_of, open_bus
+from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.compose import Case
+from dpstack.api.bus.opening import open_bus
 from dpstack.api.bus.virtual import run_virtual
 from dpstack.api.config.config import Config, make_config
 from dpstack.api.control.handlers import control_run

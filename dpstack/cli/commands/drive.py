@@ -9,9 +9,9 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
-from dpstack.api.bus.bus import open_bus
 from dpstack.api.bus.compose import core_of
 from dpstack.api.bus.events_json import DriveEvent, Event, Severity
+from dpstack.api.bus.opening import open_bus
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control import drive_orders as words

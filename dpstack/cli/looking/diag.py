@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 from msgspec import structs
 
-from dpstack.api.bus.bus import Bus, open_bus
+from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.live_list import joined
+from dpstack.api.bus.opening import open_bus
 from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control.remote import reading_through_run

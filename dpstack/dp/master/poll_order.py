@@ -170,13 +170,20 @@ class Turns:
         """
         chosen: SlaveHandler | None = None
         for handler in self._services:
+            if chosen is None:
+                can_replace = True
+            else:  # look on only for a better one: of 32 slaves that come up together, each is asked once a round
+                can_replace = self._last_had_diag and chosen.diag_due
+                if not can_replace and not self.exchanging:
+                    break
+            goes_first = bool(self.exchanging) and handler.under_way
+            if not goes_first and (not can_replace or (chosen is not None and handler.diag_due)):
+                continue
             if not self._is_eligible(handler, now, blocked) or (not room and self.is_long_poll(handler, now)):
                 continue
-            if handler.under_way and self.exchanging:
-                chosen = handler
+            chosen = handler
+            if goes_first:
                 break
-            if chosen is None or (self._last_had_diag and chosen.diag_due and not handler.diag_due):
-                chosen = handler
         if chosen is not None:
             self._last_had_diag = chosen.diag_due
             self._services.remove(chosen)

@@ -19,8 +19,8 @@ from typing import Final
 
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.line.shutdown import ending_signals, signal_name
+from dpstack.drivers.process.early_start import FROM_TERMINALS, WAIT_S
 from dpstack.drivers.process.messages import (
-    FROM_TERMINALS,
     Answer,
     Frames,
     News,
@@ -62,12 +62,14 @@ def main(arguments: list[str]) -> int:
         return 1
     sock = socket.socket(fileno=os.dup(sock_fd))  # a low number, whatever the application has open
     os.close(sock_fd)
-    image = SharedImage(memory_fd)
-    os.close(memory_fd)
     try:
         setup = _set_up(sock)
         if setup is None:
             return 1
+        if not setup.ctrl_z:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTSTP})
+        image = SharedImage(memory_fd)  # not before: an early start comes before the memory has its size
+        os.close(memory_fd)
         if setup.cpus:
             run_on(setup.cpus)
         host = Host(loop, sock, image, setup)
@@ -99,15 +101,25 @@ def _terminated(loop: SelectLoop, hosts: list[Host], number: int) -> None:
 
 
 def _set_up(sock: socket.socket) -> SetUp | None:
-    """The first message; None when the parent is gone."""
+    """The first message; None when the parent is gone, or has no use for a bus process that was started early."""
     frames = Frames(Question)
-    while octets := sock.recv(_CHUNK):
+    sock.settimeout(WAIT_S)
+    while octets := _received(sock):
         for question in frames.feed(octets):
             setup = order_of(question.order)
             if isinstance(setup, SetUp):
                 return setup
             raise BusError("the first message is no set-up")
     return None
+
+
+def _received(sock: socket.socket) -> bytes:
+    try:
+        octets = sock.recv(_CHUNK)
+    except TimeoutError:
+        return b""
+    sock.settimeout(None)
+    return octets
 
 
 if __name__ == "__main__":

@@ -13,22 +13,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Callable
 from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import EndOrder
+from dpstack.drivers.process.early_start import Begun, started
 from dpstack.drivers.process.messages import (
-    FROM_TERMINALS,
     Answer,
     CloseBus,
     Frames,
@@ -132,25 +130,28 @@ class Channel:
         silent = monotonic_ns() - self._image.words[Word.HEARTBEAT]
         return silent if silent > LIMIT_NS else 0
 
-    async def start(self, setup: SetUp, memory: int, image: SharedImage) -> Hello:
-        """Start it with the shared memory behind the descriptor ``memory``, here mapped as ``image``.
+    async def start(self, setup: SetUp, memory: int, image: SharedImage, begun: Begun | None = None) -> Hello:
+        """Start it with the shared memory behind the descriptor ``memory``, here mapped as ``image``; ``begun`` waits
+        for its set-up already.
 
         Raises PortError, ConfigError, BusError.
         """
         self._image = image
         self._loop = loop = asyncio.get_running_loop()
         self._hello = loop.create_future()
+        ctrl_z = callable(signal.getsignal(signal.SIGTSTP))  # it decides when both are stopped, maybe after Clear
         try:
-            ours, theirs = socket.socketpair()
-        except OSError as error:
-            raise not_started(error) from None
-        self._sock = ours
-        try:
-            with theirs:
-                ours.setblocking(False)
-                self._process = _started(theirs.fileno(), memory)
+            if begun is None:
+                ours, theirs = socket.socketpair()
+                self._sock = ours
+                with theirs:
+                    self._process = started(theirs.fileno(), memory)
+            else:
+                ours = self._sock = begun.sock
+                self._process = begun.process
+            ours.setblocking(False)
             self._outbox = Outbox(loop, ours)
-            self._outbox.send(Question(0, named(setup)))
+            self._outbox.send(Question(0, named(structs.replace(setup, ctrl_z=ctrl_z))))
             loop.add_reader(ours.fileno(), self._on_readable)
             async with asyncio.timeout(ns_to_s(START_LIMIT_NS)):
                 return await self._hello
@@ -416,25 +417,3 @@ def not_started(error: OSError) -> BusError:
     """The error where the system has no descriptors, memory or processes left for a bus process."""
     why = error.strerror or str(error)
     return BusError(f'the bus process cannot be started ({why}): raise that limit, or take driver = "asyncio"')
-
-
-def _started(sock: int, memory: int) -> subprocess.Popen[bytes]:
-    """Start the bus process with two inherited file descriptors and the module path of this process.
-
-    Signals of the terminal stay blocked until the bus process has set its handlers. Ctrl-Z stays blocked for good where
-    the application has a handler for it: that decides when both are stopped (by SIGSTOP), for instance after Clear.
-    """
-    blocked = set(FROM_TERMINALS)
-    if callable(signal.getsignal(signal.SIGTSTP)):
-        blocked.add(signal.SIGTSTP)
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, blocked)
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-P", "-m", "dpstack.drivers.process", str(sock), str(memory), str(os.getpid())],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            pass_fds=(sock, memory),
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
-        )
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -31,7 +31,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import at_slaves, signal_name
-from dpstack.drivers.process import channel
+from dpstack.drivers.process import channel, early_start
 from dpstack.drivers.process.messages import (
     CloseBus,
     News,
@@ -137,9 +137,13 @@ class ProcessRuntime:
         if self._channel.pid is not None:
             raise UsageError("the driver is open already")
         self._loop = asyncio.get_running_loop()
+        begun = early_start.take()
         try:
-            memory = make_memory()
+            memory = make_memory(None if begun is None else begun.memory)
         except OSError as error:
+            if begun is not None:
+                begun.sock.close()
+                early_start.end(begun.process)
             raise channel.not_started(error) from None
         try:
             try:
@@ -149,7 +153,7 @@ class ProcessRuntime:
             self._image.words[Word.ROUNDS_WATCHED] = self._on_round is not None
             self._image.words[Word.TAPPED] = self._tap is not None
             self._publish()
-            hello = await self._channel.start(self._setup, memory, self._image)
+            hello = await self._channel.start(self._setup, memory, self._image, begun)
         finally:
             os.close(memory)
             if not self._channel.is_open:

@@ -11,7 +11,6 @@ import contextlib
 import functools
 import inspect
 import json
-import signal
 import socket
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Final, Generic, TypeVar
@@ -45,8 +44,6 @@ _LENGTH: Final = 4
 FULL: Final = 256 * 1024
 _LAST_WORDS_S: Final = 0.5
 _CHUNK: Final = 65_536
-#: signals that a terminal sends to all its processes; the application reacts to them and ends the bus process
-FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 
 #: a class by name, and the fields of one of its objects
 Named = tuple[str, object]
@@ -58,9 +55,11 @@ Named = tuple[str, object]
 class SetUp(Order):
     """The first message: all data that the bus process needs.
 
-    ``preload``: places of plugins that may be attached later (importing takes time that
-    a running bus does not have). ``echo``, ``tune``: as :class:`dpstack.drivers.line.asyncio_runtime.AsyncioRuntime`
-    has them. ``cpus``: the processors of the bus process, empty for all that it may run on.
+    ``preload``: group of entry points whose plugins may be attached later; the bus process imports them while it
+    listens, as a running bus has no time for it. Empty: none. ``ctrl_z``: the application decides about Ctrl-Z, which
+    must not stop the bus process by itself. ``echo``, ``tune``: as
+    :class:`dpstack.drivers.line.asyncio_runtime.AsyncioRuntime` has them. ``cpus``: the processors of the bus process,
+    empty for all that it may run on.
     """
 
     port: str
@@ -70,7 +69,8 @@ class SetUp(Order):
     tune: bool
     stack: StackSpec
     plugins: tuple[AttachPlugin, ...] = ()
-    preload: tuple[str, ...] = ()
+    preload: str = ""
+    ctrl_z: bool = False
     cpus: tuple[int, ...] = ()
 
 

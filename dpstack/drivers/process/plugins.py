@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import importlib
 from collections.abc import Callable, Mapping
 
@@ -51,6 +53,17 @@ def core_at(place: str) -> Callable[..., CyclicPlugin]:
         raise ConfigError(f"plugin {place} makes no cyclic unit: it has no method core()")
     make: Callable[..., CyclicPlugin] = core
     return make
+
+
+def load_all(group: str) -> None:
+    """Import the drive plugins of the entry point group ``group``. Those that cannot be imported are left out: the
+    order that attaches one says why."""
+    from importlib import metadata  # here, as it is not needed where no drive can be added
+
+    for place in sorted(point.value for point in metadata.entry_points(group=group)):
+        with contextlib.suppress(ConfigError):
+            core_at(place)
+    gc.freeze()  # no collection of a running bus looks at modules
 
 
 def load(order: AttachPlugin) -> CyclicPlugin:

@@ -32,15 +32,15 @@ from dpstack.drivers.process.messages import (
     order_of,
     received,
 )
-from dpstack.drivers.process.plugins import AttachPlugin, core_at, load
+from dpstack.drivers.process.plugins import AttachPlugin, load, load_all
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
 from dpstack.drivers.realtime.processors import AwakeProcessors
 from dpstack.drivers.runtime import stopped_by
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import Stack, image_snapshot
 from dpstack.drivers.tap import TAP_PORTION, TAP_SHORT_PAUSE_NS, Tap
-from dpstack.errors import BusError, ConfigError, OrderDropped, UsageError
-from dpstack.fdl.commands import GoOffline
+from dpstack.errors import BusError, OrderDropped, UsageError
+from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NEVER, NS_PER_MS, ms_text
@@ -77,9 +77,6 @@ class Host:
         self._outbox = Outbox(loop, sock)
         self._stack = stack = Stack(setup.stack)
         self._master, self._station = stack.master, stack.station
-        for place in setup.preload:
-            with contextlib.suppress(ConfigError):  # a drive that no slave has; the order that attaches it says why
-                core_at(place)
         for plugin in setup.plugins:
             self._handler_image(plugin.address).plugin = load(plugin)
         self.runtime = SelectRuntime(
@@ -96,6 +93,7 @@ class Host:
         self._ending = Ending(
             loop, self.runtime.command, stack.station, lambda: stack.master.rotation.max_ns, self._finish
         )
+        self._preload = setup.preload
         self._rounds_watched = False
         self._tap: Tap | None = None
         self._tap_goes_on = False  # the next portion is due soon
@@ -190,6 +188,10 @@ class Host:
 
     def _after(self, order: object) -> None:
         """Go on after an order."""
+        if isinstance(order, GoOnline) and self._preload:
+            # the bus listens: octets that arrive meanwhile are read before it acts, so it claims no token too early
+            load_all(self._preload)
+            self._preload = ""
         if isinstance(order, CloseBus):
             if self._has_ended:
                 self._stop()

@@ -177,12 +177,14 @@ class SharedImage:
         self._map.close()
 
 
-def make_memory() -> int:
-    """The file descriptor of fresh memory, all zeros, that no other user may open. Raises OSError.
+def make_memory(empty: int | None = None) -> int:
+    """The file descriptor of fresh memory, all zeros, that no other user may open; ``empty``: a memfd without any yet.
+
+    Raises OSError, and closes ``empty`` then.
 
     All of its pages exist: where the system has none left, the error is here, and not SIGBUS at a later store.
     """
-    fd = os.memfd_create("dpstack", os.MFD_CLOEXEC)
+    fd = os.memfd_create("dpstack", os.MFD_CLOEXEC) if empty is None else empty
     try:
         os.fchmod(fd, 0o600)
         os.posix_fallocate(fd, 0, SIZE)

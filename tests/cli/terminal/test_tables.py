@@ -18,8 +18,9 @@ from property_kit import examples
 from rich.cells import cell_len
 from rich.console import Console
 
-from dpstack.api.bus.bus import core_of, open_bus
+from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.live_list import LiveListResult
+from dpstack.api.bus.opening import open_bus
 from dpstack.cli.commands import demo, ports, scan
 from dpstack.cli.main import main
 from dpstack.cli.terminal import drawing, output

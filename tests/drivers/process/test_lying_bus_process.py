@@ -91,7 +91,7 @@ class Liar:
 @contextlib.asynccontextmanager
 async def opened(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Liar]:
     liar = Liar()
-    monkeypatch.setattr(channel, "_started", liar.start)
+    monkeypatch.setattr(channel, "started", liar.start)
     await liar.runtime.open()
     try:
         yield liar
@@ -155,7 +155,7 @@ async def test_it_is_given_up_at_once(lie: str, monkeypatch: pytest.MonkeyPatch)
 async def test_a_hello_that_is_none_ends_the_start_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     liar = Liar()
     liar.hello = {"answer": {"number": 0, "value": {"port_name": 1}}}
-    monkeypatch.setattr(channel, "_started", liar.start)
+    monkeypatch.setattr(channel, "started", liar.start)
     with pytest.raises(BusError, match="Hello cannot be read"):
         await liar.runtime.open()
     assert liar.code == -9

@@ -294,7 +294,7 @@ class Run:
 def patched(run: Run) -> Iterator[None]:
     """The driver with a stand-in for the bus process, and the time of the loop."""
     with (
-        mock.patch.object(channel, "_started", run.start),
+        mock.patch.object(channel, "started", run.start),
         mock.patch.object(channel, "monotonic_ns", run.loop.now_ns),
         mock.patch.object(client, "monotonic_ns", run.loop.now_ns),
         mock.patch.object(client, "make_memory", make_memory),

@@ -1,0 +1,118 @@
+"""``open_bus``, and the early start of a bus process. What it needs is imported by its call, beside that process."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final, Literal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from dpstack.api.bus.bus import Bus, SlaveTable
+    from dpstack.api.config.config import Config
+    from dpstack.api.streams import OnEvent
+    from dpstack.sim.world import World
+
+_PROCESS: Final = "process"
+_VIRTUAL: Final = "virtual"
+#: a longer configuration file is not read twice
+_LONGEST: Final = 1 << 20
+
+
+def open_bus(
+    config: str | Path | Config | None = None,
+    *,
+    port: str | None = None,
+    baud: int | Literal["auto"] | None = None,
+    address: int | None = None,
+    driver: Literal["auto", "asyncio", "process"] | None = None,
+    slaves: Iterable[SlaveTable] = (),
+    on_event: OnEvent | None = None,
+    join_timeout: float | None = None,
+    world: World | None = None,
+    **bus: object,
+) -> Bus:
+    """A bus from a configuration file (``port``, ``baud``, ``address`` override it), or from arguments alone.
+
+    Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
+    up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
+    ``bus`` further keys of [bus]. ``driver="process"``: the bus runs in a process of its own, which the application
+    cannot hold up (docs/explanation/drivers.md). ``port="virtual"`` simulates the slaves in this process. ``on_event``
+    is called for every event at once; ``world`` joins an existing simulated bus (see :func:`simulate`).
+    ``join_timeout`` in seconds: how long to wait for the token beside other masters (default: two passes over a GAP
+    like this master's, 30 s at least).
+
+    ``baud="auto"``: entering listens for the rate first. Until it is found ``bus.searching`` is true, and what depends
+    on it (``plan``, ``params``, slaves and drives) raises UsageError. After 5 s of silence it gives up: a master that
+    is alone on its bus must give the rate.
+
+    Raises ConfigError here, with "auto" on entering; PortError and BusError on entering.
+    """
+    early = world is None and _begin_early(config, port, driver)
+    try:
+        from dpstack.api.bus.bus import Bus, check_arguments
+        from dpstack.api.config.config import Config, load_config, make_config
+        from dpstack.errors import ConfigError
+
+        check_arguments(config, slaves, on_event, world, bus)
+        if config is None:
+            if baud is None:
+                raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
+            if port is None and world is None:
+                raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
+            own = 2 if address is None else address
+            made = make_config(port or "virtual", baud, own, slaves, bus={"driver": driver, **bus})
+        else:
+            made = config if isinstance(config, Config) else load_config(config)
+            made = made.with_bus(port=port, baud=baud, address=address, driver=driver, **bus).with_slaves(slaves)
+        return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
+    except BaseException:
+        if early:
+            from dpstack.drivers.process import early_start
+
+            early_start.drop()
+        raise
+
+
+def begin_for_command(words: Sequence[str]) -> None:
+    """Start a bus process early where ``dpstack run WORDS`` is going to need one."""
+    driver = next((value for word, value in pairwise(words) if word == "--driver"), None)
+    given = [word.partition("=")[2] for word in words if word.startswith("--driver=")]
+    files = (word for word in words if not word.startswith("-"))
+    any(_begin_early(name, None, given[-1] if given else driver) for name in files)
+
+
+def _begin_early(config: object, port: str | None, driver: str | None) -> bool:
+    """Start the bus process of this configuration, where it needs one. Returns whether it does."""
+    if not _wants_process(config, port, driver):
+        return False
+    from dpstack.drivers.process import early_start  # here, as other buses need nothing of it
+
+    early_start.begin()
+    return True
+
+
+def _wants_process(config: object, port: str | None, driver: str | None) -> bool:
+    """Whether a bus of this configuration, file or object, runs in a process of its own. Without a doubt only: with
+    the driver "auto" its other parts decide, which takes the imports."""
+    if port == _VIRTUAL or driver not in (None, _PROCESS):
+        return False
+    if not isinstance(config, str | os.PathLike):
+        return driver == _PROCESS
+    try:
+        about = os.stat(config)
+        if not stat.S_ISREG(about.st_mode) or about.st_size > _LONGEST:
+            return False
+        with open(config, "rb") as file:
+            octets = file.read(_LONGEST)
+        if driver is None and _PROCESS.encode() not in octets:
+            return False
+        import tomllib  # here, as most files name no driver
+
+        bus = tomllib.loads(octets.decode()).get("bus")
+    except (OSError, ValueError, RecursionError):  # the reader of the configuration says why
+        return False
+    return isinstance(bus, dict) and _PROCESS in (driver, bus.get("driver")) and bus.get("port") != _VIRTUAL
