@@ -23,11 +23,12 @@ from dpstack.fdl.active.admission import Admission
 from dpstack.fdl.active.fcb import FrameCount
 from dpstack.fdl.active.parts import Awaiting
 from dpstack.fdl.active.services import SERVICES, Service, answers
-from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, NONE, USE_TOKEN
+from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
 from dpstack.fdl.codec import request_octets
 from dpstack.fdl.interface import Failure, LinkUser, Request, StationStats
 from dpstack.fdl.telegram import SHORT_ACK, Req, Telegram
 from dpstack.params import BROADCAST
+from dpstack.units import NEVER
 
 #: stands for "no request"; compared by identity
 NO_REQUEST: Final = Request(-1, Req.FDL_STATUS)
@@ -92,8 +93,12 @@ class Exchange(Awaiting):
             self.poll_sent(at)
             return
         if not self._repeats:
-            taken_at, user, stats = self.line.taken_at, self.user, self.stats
-            self._asked = asked = stats.stations.get(request.da) or stats.station(request.da)
+            taken_at, user = self.line.taken_at, self.user
+            try:
+                asked = self.stats.stations[request.da]
+            except KeyError:
+                asked = self.stats.station(request.da)  # its first request
+            self._asked = asked
             asked.requests += 1
             self.garbled = False  # octets before the request are no part of its answer
             if user is not None:
@@ -154,7 +159,11 @@ class Exchange(Awaiting):
         self._candidate = NONE
         if user is not None:
             user.result(request, outcome, now)
-        self.machine.check(now)
+        machine = self.machine  # as check()
+        machine.state = CHECK_ACCESS_TIME
+        machine.row = row = machine.checking
+        machine.deadline = NEVER
+        row[CHECK](NONE, now)
 
     def timeout(self, _: Telegram, now: int) -> None:
         """The slot time is over."""

@@ -158,7 +158,10 @@ class ActiveStation:
             else:
                 line.idle_since = now  # receiving while sending implies sent
                 line.telegram_ended(now)
-            self._process(telegram, now)
+            self.stats.heard += 1  # as _process()
+            if self.wire is not None:
+                self._log_heard(self.wire, telegram, now)
+            machine.telegram(telegram, now)
             return
         exact, pending, decoder = self._times.exact, self._pending, self._decoder
         first_at = -1 if pending else now

@@ -163,9 +163,9 @@ class TokenHold(Parts):
         """Choose the next telegram: high priority once even after T_TH, others within T_TH, then GAP, then token."""
         if not self.membership.leaving:
             window = self.window
-            over = now >= self._until
-            if not over or self._fresh:
-                high_only = over or self._gap_turn
+            in_time = now < self._until
+            if in_time or self._fresh:
+                high_only = self._gap_turn if in_time else True
                 for user in self.users.all:
                     request = user.next_request(now, high_only)
                     if request is None:
@@ -182,7 +182,7 @@ class TokenHold(Parts):
             if self.gap.enabled and self.poll.start(now, self._until):
                 self._fresh = False
                 return
-            if now < window.next_at != NEVER and (not over or self._fresh):
+            if now < window.next_at != NEVER and (in_time or self._fresh):
                 keep_ns = self.times.keep_alone_ns if window.alone else self.times.keep_ns
                 # the user gets the result of an SDN before its last bit: the token cannot go on before this time
                 free_at = max(now, self.line.idle_since + self.line.after_ns)
