@@ -10,9 +10,9 @@ from typing import Final
 from dpstack.text import shortened
 
 PROC: Final = Path("/proc")
-#: the name of the dpstack program, and the module of a bus process, in command lines
+#: the name of the dpstack program, and the package that a bus process is started as (python -m), in command lines
 _OURS: Final = "dpstack"
-_BUS_PROCESS: Final = "dpstack.drivers.process.__main__"
+_BUS_PROCESS: Final = "dpstack.drivers.process"
 #: characters of a command line in a message at most
 _LONGEST: Final = 100
 
@@ -51,8 +51,6 @@ def _lock_holder(info: os.stat_result, proc: Path) -> str | None:
 
 
 def _program(pid: int, proc: Path) -> str:
-    if pid == os.getpid():
-        return f"this program itself (pid {pid})"
     if pid <= 0:
         return "another program"
     words = _command(pid, proc)
@@ -62,6 +60,8 @@ def _program(pid: int, proc: Path) -> str:
             stat = (proc / str(pid) / "stat").read_text(encoding="utf-8", errors="replace")
             pid = int(stat.rpartition(")")[2].split()[1])
             words = _command(pid, proc)
+    if pid == os.getpid():
+        return f"this program itself (pid {pid})"
     name = ""
     with contextlib.suppress(OSError):
         name = (proc / str(pid) / "comm").read_text(encoding="utf-8", errors="replace").strip()

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from far_ends import PtyFarEnd
+from process_kit import SPEC, VALVES, bus_on, octet_slaves, runtime_of
 
 from dpstack.ports.holders import holder_of_path
 
@@ -64,7 +65,7 @@ def test_behind_a_bus_process_the_application_is_named(tmp_path: Path) -> None:
     port.touch()
     program(proc, 41, "python", str(port))
     (proc / "41" / "cmdline").write_text(
-        "\0".join(["python", "-P", "-m", "dpstack.drivers.process.__main__", "12", "7"]) + "\0"
+        "\0".join(["python", "-P", "-m", "dpstack.drivers.process", "12", "13", "7"]) + "\0"
     )
     (proc / "41" / "stat").write_text("41 (python (3)) S 40 41 41 0 -1")
     assert holder_of_path(str(port), proc) == "pid 40"
@@ -73,6 +74,14 @@ def test_behind_a_bus_process_the_application_is_named(tmp_path: Path) -> None:
     assert holder_of_path(str(port), proc) == "`dpstack run plant.toml` (pid 40)"
     (proc / "41" / "stat").write_text("41 (py")
     assert holder_of_path(str(port), proc) == "python (pid 41)"
+
+
+async def test_behind_a_real_bus_process_too() -> None:
+    """Its command line is the one that the system shows for ``python -m``."""
+    with octet_slaves(SPEC) as (path, _):
+        async with bus_on(path, "process", VALVES) as bus:
+            assert runtime_of(bus).pid != os.getpid()
+            assert holder_of_path(path) == f"this program itself (pid {os.getpid()})"
 
 
 def test_the_real_one(far: PtyFarEnd) -> None:
