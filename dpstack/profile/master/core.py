@@ -216,8 +216,9 @@ class DriveCore:
         if access is not None and access.busy and self.online:
             access.step(self._inputs, now)
             self._dirty = True
-        if self._orders.jobs:
-            self._orders.step(now, self.status_word)
+        orders = self._orders
+        if orders.jobs and (now >= orders.due_ns or self.status_word != orders.status):
+            orders.step(now, self.status_word)
         if self._dirty:
             self._build()
         return self._outputs

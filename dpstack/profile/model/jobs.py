@@ -146,9 +146,11 @@ class DriveJobs:
     """The jobs of one drive in order of arrival; each is resumed once a cycle and ends with a result event."""
 
     def __init__(self) -> None:
-        #: the jobs that are not over; :meth:`step` does nothing without one
+        #: the jobs that are not over
         self.jobs: list[DriveJob] = []
-        self._status = 0  # the drive's status word in this cycle
+        #: The drive's status word in the last :meth:`step`. All jobs sleep until :attr:`due_ns`, unless it changes.
+        self.status = 0
+        self.due_ns = 0
         #: set by a job before it yields: it sleeps until this time in ns, or until the status word changes
         self.sleep_until = 0
         self._events: list[dict[str, object]] = []
@@ -160,19 +162,21 @@ class DriveJobs:
                 self._drop(other)
                 self.failed(other.token, CommandError("usage", f"{other.op} was superseded by {job.op}"))
         self.jobs.append(job)
+        self.due_ns = 0
         self._resume(job)
 
     def spawn(self, job: DriveJob) -> None:
         """Add a job of the plugin; it begins with the next cycle."""
         self.jobs.append(job)
+        self.due_ns = 0
 
     def step(self, now: int, status: int) -> None:
         """A cycle at ``now`` (ns); ``status``: the drive's status word."""
-        if self.jobs:
-            self._status = status
-            for job in tuple(self.jobs):
-                if now >= job.due_ns or status != job.status:
-                    self._resume(job)
+        self.status = status
+        for job in tuple(self.jobs):
+            if now >= job.due_ns or status != job.status:
+                self._resume(job)
+        self.due_ns = min((job.due_ns for job in self.jobs), default=0)
 
     def end(self, error: CommandError) -> None:
         """End all jobs, as failed."""
@@ -214,7 +218,7 @@ class DriveJobs:
         try:
             self.sleep_until = 0
             next(job.steps)
-            job.due_ns, job.status = self.sleep_until, self._status
+            job.due_ns, job.status = self.sleep_until, self.status
         except StopIteration as done:
             self.jobs.remove(job)
             if job.token is not None:
