@@ -28,14 +28,20 @@ from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
+from dpstack.profile.master.core import DriveCore
+from dpstack.profile.model.states import State
 from dpstack.profile.registry import find as find_drive
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 _PPO1: Final = bytes((0xF3, 0xF1))
+#: options of a plugin without which the start of its drive is refused
+_OPTIONS: Final = {"demag-dedrive": {"set_412": True}}
 _IDENT: Final = 0x1234
 _FIRST: Final = 3
 _WITHIN: Final = 60 * NS_PER_S
+#: time for drives to start, to have their settings read and to reach the speed
+_SETTLE: Final = 4 * NS_PER_S
 #: CPU time of a simulated second of ten PPO1 drives, in Python loops
 _GOAL: Final = 75_000
 #: no worse than linear: an exchange costs no more with many slaves than with few
@@ -85,9 +91,12 @@ class Plant:
         )
         self._station = station = ActiveStation(params, [self.master])
         self.world.add(station)
+        #: the plugins at the master; none for mirrors
+        self.drives: list[DriveCore] = []
         if profile is not None:
             for address, image in self.master.images.items():
-                image.plugin = profile.core(f"s{address}", "PPO1", simulated=True)
+                image.plugin = core = profile.core(f"s{address}", "PPO1", _OPTIONS.get(profile.name), simulated=True)
+                self.drives.append(core)
         self.world.command(station, GoOnline())
         self.world.command(station, SetMode(Mode.OPERATE))
         handlers = self.master.handlers.values()
@@ -99,7 +108,9 @@ class Plant:
             for token, address in enumerate(addresses):
                 self.world.command(station, DriveCommand(address, "start", {}, 2 * token + 1))
                 self.world.command(station, DriveCommand(address, "speed", {"value": 0.5}, 2 * token + 2))
-        self.world.run_for(NS_PER_S)
+        self.world.run_for(NS_PER_S if profile is None else _SETTLE)
+        if standing := [core.name for core in self.drives if core.state is not State.RUNNING]:
+            raise RuntimeError(f"not every drive runs: {', '.join(standing)} do not")
 
     @property
     def exchanges(self) -> int:
