@@ -116,8 +116,9 @@ class RingBus(KeepsEvents):
         self.drop: Callable[[Sent], bool] = lambda sent: False
         self._heap: list[tuple[int, int, Callable[[], None]]] = []
         self._count = 0
-        self._due: dict[int, int] = {}
-        self.deaf: set[int] = set()
+        # by the station and not by its id, which the next station may get when one is killed
+        self._due: dict[ActiveStation, int] = {}
+        self.deaf: set[ActiveStation] = set()
 
     # --- stations ------------------------------------------------------------------------------------------------
     def master(
@@ -145,12 +146,12 @@ class RingBus(KeepsEvents):
         assert all(type(event.t_ns) is int and 0 <= event.t_ns <= self.now + self.ns(3000) for event in events)
         self.events += events
         if at < NEVER:
-            self._due[id(station)] = at
+            self._due[station] = at
             self.at(max(at, self.now), lambda: self._wake(station, at))
 
     def _wake(self, station: ActiveStation, at: int) -> None:
-        if self._due.get(id(station)) == at:
-            self._due[id(station)] = -1
+        if self._due.get(station) == at:
+            self._due[station] = -1
             self.pump(station)
 
     # --- the wire ------------------------------------------------------------------------------------------------
@@ -181,7 +182,7 @@ class RingBus(KeepsEvents):
         return end
 
     def _hearers(self, station: ActiveStation | None) -> list[ActiveStation]:
-        return [s for s in self.stations if s is not station and id(s) not in self.deaf]
+        return [s for s in self.stations if s is not station and s not in self.deaf]
 
     def _edge(self, sent: Sent, sender: ActiveStation | None) -> None:
         if self.mode == "whole":

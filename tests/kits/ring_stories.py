@@ -179,7 +179,7 @@ class _Story:
                 octets = dice.choice((b"\xdc\x02\x05", b"\xdc\x03\x01", b"\0", b"\x10\x02", bytes(6), b"\xdc\x7f\x7f"))
                 bus.transmit(octets, bus.now, -1)
             case 10:
-                bus.deaf = {id(station)} if station is not None and dice.random() < 0.5 else set()
+                bus.deaf = {station} if station is not None and dice.random() < 0.5 else set()
                 self.tell(f"deaf {len(bus.deaf)}")
             case _:
                 if station is not None:

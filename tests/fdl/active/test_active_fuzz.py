@@ -139,7 +139,7 @@ def test_the_ring_heals(addresses: set[int], seed: int, troubles: list[str]) -> 
             case "join" if gone:
                 bus.master(gone.pop(), hsa=14, gap=1, t_tr=20_000)
             case "deaf":
-                bus.deaf.add(id(victim))
+                bus.deaf.add(victim)
                 bus.at(bus.now + 2 * NS_PER_MS, bus.deaf.clear)
             case _:
                 until = bus.now + rng.randrange(5 * NS_PER_MS)
