@@ -111,12 +111,17 @@ class WireEntry(NamedTuple):
     note: str = ""
 
 
+#: of a :class:`WireEntry`, in its order
+_Fields = tuple[int, int, bytes, str | None, str]
+
+
 class WireLog:
-    """The last ``keep`` transmissions, and a listener for all of them (a capture). Cheap when nobody listens."""
+    """The last ``keep`` transmissions, and a listener for all of them (a capture). Cheap when nobody listens or reads:
+    it is handed the fields of a :class:`WireEntry` and makes the entry for a reader."""
 
     def __init__(self, keep: int = 400, listener: Callable[[WireEntry], None] | None = None) -> None:
         self.keep = keep
-        self._entries: deque[WireEntry] = deque(maxlen=keep)
+        self._entries: deque[_Fields] = deque(maxlen=keep)
         self.listener = listener
 
     @property
@@ -127,15 +132,15 @@ class WireLog:
     def listener(self, listener: Callable[[WireEntry], None] | None) -> None:
         self._listener = listener
         #: appends an entry, dropping the oldest one when full; the deque's own method while nobody listens
-        self.add: Callable[[WireEntry], None] = self._entries.append if listener is None else self._add_and_tell
+        self.add: Callable[[_Fields], None] = self._entries.append if listener is None else self._add_and_tell
 
-    def _add_and_tell(self, entry: WireEntry) -> None:
-        self._entries.append(entry)
+    def _add_and_tell(self, fields: _Fields) -> None:
+        self._entries.append(fields)
         if self._listener is not None:
-            self._listener(entry)
+            self._listener(WireEntry._make(fields))
 
     def __iter__(self) -> Iterator[WireEntry]:
-        return iter(self._entries)
+        return map(WireEntry._make, self._entries)
 
     def __len__(self) -> int:
         return len(self._entries)

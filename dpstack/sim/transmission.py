@@ -17,10 +17,14 @@ from dpstack.phy.uart import flipped
 from dpstack.sim.nodes import Node
 from dpstack.units import BITS_PER_CHAR, NS_PER_S, chars_to_ns
 
-#: The same octets are sent again and again: each telegram is decoded once.
-decoded: Final = lru_cache(1_024)(decode)
 #: the time of so many octets on the wire at a rate, in ns
-duration: Final = lru_cache(4_096)(chars_to_ns)
+_duration: Final = lru_cache(4_096)(chars_to_ns)
+
+
+@lru_cache(1_024)  # the same octets are sent again and again
+def on_wire(octets: bytes, baud: int) -> tuple[Telegram | None, int]:
+    """The telegram that ``octets`` are, None when they are not exactly one, and their time on the wire in ns."""
+    return decode(octets), _duration(len(octets), baud)
 
 
 class Transmission(Struct, eq=False):
@@ -54,16 +58,16 @@ class Transmission(Struct, eq=False):
         """Leave only the first ``octets`` of it on the wire."""
         self.notes.append(f"cut off after {octets} of {len(self.octets)} octets")
         self.octets = self.octets[:octets]
-        self.end_ns = self.start_ns + chars_to_ns(octets, self.baud)
-        self.telegram = decoded(self.octets)
+        self.telegram, lasts = on_wire(self.octets, self.baud)
+        self.end_ns = self.start_ns + lasts
         self.forced = True
 
     def again(self) -> Transmission:
         """Its repetition, which no station sends."""
         start_ns = self.end_ns + (self.repeat_after_ns or 0)
-        end_ns = start_ns + self.end_ns - self.start_ns
-        octets = self.octets
-        tx = Transmission(None, self.sender, octets, self.baud, start_ns, end_ns, decoded(octets), forced=True)
+        telegram, lasts = on_wire(self.octets, self.baud)
+        end_ns = start_ns + lasts
+        tx = Transmission(None, self.sender, self.octets, self.baud, start_ns, end_ns, telegram, forced=True)
         tx.notes.append("repeated")
         return tx
 

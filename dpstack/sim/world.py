@@ -26,8 +26,8 @@ from dpstack.phy.uart import Receiver, waveform
 from dpstack.sim.faults import Faults
 from dpstack.sim.nodes import Node, Nodes
 from dpstack.sim.referee import Referee
-from dpstack.sim.transmission import Heard, Transmission, complete, decoded, duration, garbled, receive
-from dpstack.trace import Event, WireEntry, WireLog
+from dpstack.sim.transmission import Heard, Transmission, complete, garbled, on_wire, receive
+from dpstack.trace import Event, WireLog
 from dpstack.units import NEVER, chars_to_ns, ns_to_s
 
 Callback = Callable[[Any], None]
@@ -43,7 +43,6 @@ _EDGES: Final = 4 << 56
 _NO_ADDRESS: Final = -1
 _STEPWISE: Final = -1  # no event is run before the one that asks for it is over
 _never: Final[Callable[[], bool]] = bool
-_NEW: Final = tuple.__new__  # NamedTuple's own constructor costs twice as much
 
 
 @dataclass(slots=True, eq=False)
@@ -98,33 +97,31 @@ class Medium:
         if node.sending_until > now:
             raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
         baud = node.baud
-        end = now + duration(len(octets), baud)
-        tx = Transmission(node, node.name, octets, baud, now, end, decoded(octets))
-        disturbed = self._faults.armed or node.mute_until > now
-        if disturbed:
-            self._disturb(tx, node, now)
-            end = tx.end_ns
-        node.sending_until = end
-        if end > node.hears_from:
-            node.hears_from = end
-        if disturbed:
-            self._start_or_schedule(tx, now)
-        else:
-            self._begin(tx)
+        telegram, lasts = on_wire(octets, baud)
+        end = now + lasts
+        tx = Transmission(node, node.name, octets, baud, now, end, telegram)
+        if self._faults.armed or node.mute_until > now:
+            return self._transmit_disturbed(tx, node, now)
+        node.sending_until = node.hears_from = end
+        self._begin(tx)
         return end
 
-    def _disturb(self, tx: Transmission, node: Node, now: int) -> None:
-        """Apply the faults of the line to ``tx``, and the silence of its sender."""
+    def _transmit_disturbed(self, tx: Transmission, node: Node, now: int) -> int:
+        """Send ``tx`` with the faults of the line and the silence of its sender; returns its end in ns."""
         if self._faults.armed:
             self._faults.apply(tx)
         if node.mute_until > now:
             tx.lost = True
             tx.notes.append("silenced")
+        node.sending_until = tx.end_ns
+        node.hears_from = max(node.hears_from, tx.end_ns)
+        self._start_or_schedule(tx, now)
+        return tx.end_ns
 
     def inject(self, octets: bytes, baud: int, now: int, sender: str) -> None:
         """Put ``octets`` that no station sends on the line at ``now``."""
-        end = now + duration(len(octets), baud)
-        tx = Transmission(None, sender, octets, baud, now, end, decoded(octets), forced=True)
+        telegram, lasts = on_wire(octets, baud)
+        tx = Transmission(None, sender, octets, baud, now, now + lasts, telegram, forced=True)
         if self._faults.armed:
             self._faults.apply(tx)
         self._start_or_schedule(tx, now)
@@ -241,12 +238,14 @@ class Medium:
         end = tx.end_ns
         whole = tx.whole
         referee = self._referee
-        if referee is not None and not tx.lost:
-            if not whole:
+        if referee is not None:
+            if whole:
+                referee.ended(tx)
+            elif not tx.lost:
                 tx.heard_ns = self._octet_ns
-            referee.ended(tx)
+                referee.ended(tx)
         notes = "; ".join(tx.notes) if tx.notes else ""
-        self._log.add(_NEW(WireEntry, (start, end, tx.octets, tx.sender, notes)))
+        self._log.add((start, end, tx.octets, tx.sender, notes))
         telegram = tx.telegram
         if telegram is None or not whole:
             return
@@ -257,9 +256,8 @@ class Medium:
                 heard.append(node)
                 node.station.telegram(telegram, end)
         run_station = self._world.run_station
-        alone = len(heard) == 1
         for node in heard:
-            run_station(node, node.station.wake_at(), last=alone)
+            run_station(node, node.station.wake_at(), last=node is heard[-1])
 
     def _deliver_octets(self, octets: bytes, rate: int, since: int, *, ports: bool = True, others: bool = True) -> None:
         """Deliver ``octets`` to the stations at ``rate``: to ``ports``, and to all ``others``."""
@@ -523,6 +521,7 @@ class World:
             return
         station = node.station
         heap = self.heap
+        horizon = self._horizon if last else _STEPWISE
         while True:
             now = self.now
             if deadline <= now:
@@ -536,7 +535,7 @@ class World:
             if self._medium.late:
                 self._medium.announce_late_edges()
             events = station.take_events()
-            if not (last and heap and now < deadline < heap[0][0] and deadline <= self._horizon) or events:
+            if not (now < deadline <= horizon and heap and deadline < heap[0][0]) or events:
                 break
             if self._stop():
                 self._stopped = True
