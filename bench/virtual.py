@@ -1,9 +1,9 @@
 """Virtual time: the CPU time of an exchange and of a second of the simulated bus, in Python loops.
 
-Ten PPO1 drives (plugin at the master, simulated drive at the other end, running) at 500 kbit/s are the measure; then
-mirrors, 1 to 100 of them: a telegram must cost the same however many slaves there are. With a Global_Control (SYNC and
-FREEZE) in each round an exchange must cost hardly more where it is for all of the slaves than where it is for one of
-them. The referee watches in all runs.
+Ten PPO1 drives (plugin at the master, simulated drive at the other end) at 500 kbit/s are the measure, standing and
+running; then mirrors, 1 to 100 of them: a telegram must cost the same however many slaves there are. With a
+Global_Control (SYNC and FREEZE) in each round an exchange must cost hardly more where it is for all of the slaves than
+where it is for one of them. The referee watches in all runs.
 """
 
 from __future__ import annotations
@@ -53,12 +53,16 @@ _MEMBERS, _OTHERS = (1,), (2,)
 
 
 class Plant:
-    """A master with ``slaves`` slaves in data exchange and Operate: mirrors, or drives of ``drive`` that run.
+    """A master with ``slaves`` slaves in data exchange and Operate: mirrors, or drives of ``drive``.
+
+    ``running`` False: the drives stand, as their factory settings refuse control by the bus.
 
     ``members``: the number of mirrors that each Global_Control of :meth:`measure_rounds` is for, from the first on.
     """
 
-    def __init__(self, slaves: int, baud: int, drive: str | None = None, *, members: int = 0) -> None:
+    def __init__(
+        self, slaves: int, baud: int, drive: str | None = None, *, members: int = 0, running: bool = True
+    ) -> None:
         self.world = World()
         self._slaves = slaves
         self._orders = 0
@@ -95,7 +99,8 @@ class Plant:
         self.drives: list[DriveCore] = []
         if profile is not None:
             for address, image in self.master.images.items():
-                image.plugin = core = profile.core(f"s{address}", "PPO1", _OPTIONS.get(profile.name), simulated=True)
+                options = _OPTIONS.get(profile.name) if running else None
+                image.plugin = core = profile.core(f"s{address}", "PPO1", options, simulated=True)
                 self.drives.append(core)
         self.world.command(station, GoOnline())
         self.world.command(station, SetMode(Mode.OPERATE))
@@ -108,8 +113,8 @@ class Plant:
             for token, address in enumerate(addresses):
                 self.world.command(station, DriveCommand(address, "start", {}, 2 * token + 1))
                 self.world.command(station, DriveCommand(address, "speed", {"value": 0.5}, 2 * token + 2))
-        self.world.run_for(NS_PER_S if profile is None else _SETTLE)
-        if standing := [core.name for core in self.drives if core.state is not State.RUNNING]:
+        self.world.run_for(_SETTLE if self.drives and running else NS_PER_S)
+        if running and (standing := [core.name for core in self.drives if core.state is not State.RUNNING]):
             raise RuntimeError(f"not every drive runs: {', '.join(standing)} do not")
 
     @property
@@ -150,7 +155,11 @@ def run(argv: Sequence[str]) -> Report:
     args = parser.parse_args(argv)
     report = Report("virtual")
     drives = f"{args.drives} {args.drive}, PPO1"
-    plants = {drives: Plant(args.drives, args.baud, args.drive)}
+    runs = f"{drives}, running"
+    plants = {
+        drives: Plant(args.drives, args.baud, args.drive, running=False),  # as older commits measure them
+        runs: Plant(args.drives, args.baud, args.drive),
+    }
     portion = args.ms * NS_PER_MS
     counts = sorted(set(args.slaves))
     plants |= {_title(n): Plant(n, args.baud) for n in counts}
@@ -167,7 +176,7 @@ def run(argv: Sequence[str]) -> Report:
     for title, plant in plants.items():
         if plant.world.referee is not None:
             plant.world.referee.check()
-        goal = _GOAL if title == drives else None
+        goal = _GOAL if title in (drives, runs) else None
         report.in_loops(f"{title}: CPU time of a simulated second", seconds[title], goal)
         report.in_loops(f"{title}: CPU per exchange, both ends and the wire", costs[title])
     if len(counts) > 1:
