@@ -193,7 +193,7 @@ NEVER_IN_PRODUCT = {"pyprofibus"}
 
 def test_the_bus_process_starts_without_asyncio() -> None:
     heavy = "{'asyncio', 'dpstack.api', 'dpstack.profile'}"
-    program = f"import sys, dpstack.drivers.process.__main__; print(*{heavy} & {{*sys.modules}})"
+    program = f"import sys, dpstack.drivers.process.program; print(*{heavy} & {{*sys.modules}})"
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert told.stdout.split() == []
 

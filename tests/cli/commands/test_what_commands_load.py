@@ -167,7 +167,7 @@ def test_a_run_with_a_bus_process_loads_neither_its_machines_nor_drives() -> Non
     assert preload == "0"
     late = "drivers.stack drivers.line.asyncio_runtime profile"
     assert {f"dpstack.{name}" for name in late.split()}.isdisjoint(names)
-    ours, heavy = loaded("import sys, dpstack.drivers.process.__main__; print('loaded', *sys.modules)")
+    ours, heavy = loaded("import sys, dpstack.drivers.process.program; print('loaded', *sys.modules)")
     assert len(ours) <= 135
     assert "asyncio" not in heavy
 

@@ -113,10 +113,11 @@ import dpstack
 try:
     dpstack.open_bus(**given, driver="process", address=9)
 except dpstack.ConfigError as error:
-    print(json.dumps({"started": len(started), "children": children(), "error": str(error)}))
+    import gc
+    print(json.dumps({"started": len(started), "children": children(), "error": str(error), "gc": gc.isenabled()}))
 """
     found, errors = run(text)
-    assert (found["started"], found["children"]) == (1, [])
+    assert (found["started"], found["children"], found["gc"]) == (1, [], True)
     assert "9" in str(found["error"])
     assert errors == ""
 
