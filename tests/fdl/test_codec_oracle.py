@@ -156,3 +156,13 @@ def test_a_whole_damaged_frame_is_read_alike_in_a_stream(telegram: Telegram, dat
     found = parse(frame, 0, len(frame))
     whole = isinstance(found, Telegram) and claimed(frame, 0, len(frame)) == len(frame)
     assert decode(frame) == decode(bytearray(frame)) == (found if whole else None)
+
+
+def test_answers_with_one_head_are_told_apart() -> None:
+    first, second = (Telegram(Kind.SD2, 2, 9, 0x08, data=data) for data in (b"\x01\x02", b"\x02\x01"))
+    damaged = encode(first)[:7] + b"\x01\x03" + encode(first)[9:]
+    for _ in range(2):
+        assert decode(encode(first)) == first
+        assert decode(damaged) is None
+        assert decode(encode(first)) == first
+        assert decode(encode(second)) == second

@@ -12,8 +12,8 @@ from bench.null_medium import NullBus
 
 EXCHANGES = 400
 #: calls of dpstack's functions in an exchange of Data_Exchange, with the share of the token and of the round's ends;
-#: 58 at commit 364aac1
-MOST_CALLS = 39.5
+#: 59.5 with changing outputs at commit 364aac1, counted by this test's function
+MOST_CALLS = 36.5
 
 
 def calls_of(bus: NullBus) -> Counter[str]:
