@@ -26,7 +26,7 @@ from dpstack.fdl.active.services import SERVICES, Service, answers
 from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
 from dpstack.fdl.codec import request_octets
 from dpstack.fdl.interface import Failure, LinkUser, Request, StationStats
-from dpstack.fdl.telegram import SHORT_ACK, Req, Telegram
+from dpstack.fdl.telegram import FC_FCB, SHORT_ACK, Req, Telegram
 from dpstack.params import BROADCAST
 from dpstack.units import NEVER
 
@@ -129,8 +129,12 @@ class Exchange(Awaiting):
             return
         da = request.da
         self._asked.answers += 1
-        if self._service.counted and self.fcb.answered(da):
-            peers.knows_only_fcv(da, now)
+        if self._service.counted:
+            fcb = self.fcb
+            if fcb.operational[da]:
+                fcb.bits[da] ^= FC_FCB  # as answered()
+            elif fcb.answered(da):
+                peers.knows_only_fcv(da, now)
         if not telegram.data and telegram.empty_le3:
             peers.empty_le3(da, now)
         if self._repeats:
