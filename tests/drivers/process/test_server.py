@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +23,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process import messages as m
+from dpstack.drivers.process import server
 from dpstack.drivers.process.server import Host
 from dpstack.drivers.process.shared_image import Area, Outputs, Picture, SharedImage, Word, make_memory
 from dpstack.fdl.commands import GoOffline, GoOnline
@@ -68,7 +71,7 @@ def test_an_application_that_does_not_read_bounds_the_outbox() -> None:
 class Rig:
     """A bus process's inside in this process: its host on a pty, and the application's end of its socket."""
 
-    def __init__(self, slaves: tuple[SlaveParams, ...] = ()) -> None:
+    def __init__(self, slaves: tuple[SlaveParams, ...] = (), preload: str = "") -> None:
         params = BusParams.preset(1_500_000, address=2, gap=0)
         spec = StackSpec(
             params=params,
@@ -82,7 +85,9 @@ class Rig:
         memory = make_memory()
         self.image = SharedImage(memory)
         os.close(memory)
-        setup = m.SetUp(port="pty", event_char=False, rs485=True, echo=Echo.OFF, tune=False, stack=spec)
+        setup = m.SetUp(
+            port="pty", event_char=False, rs485=True, echo=Echo.OFF, tune=False, stack=spec, preload=preload
+        )
         self.host = Host(self.loop, ours, self.image, setup)
         self.host.open(["no real-time priority"])
         self.got: list[m.News] = []
@@ -340,6 +345,35 @@ def test_an_application_that_found_the_bus_process_silent_gets_the_whole_state_a
     assert news.silence == 7
     assert news.bus is not None
     assert set(news.slaves) == {4}
+
+
+def test_the_drives_that_may_be_added_are_loaded_once_while_the_bus_is_listened_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rig = Rig(preload="dpstack.drives")
+    loaded: list[tuple[str, bool]] = []
+    monkeypatch.setattr(server, "load_all", lambda group: loaded.append((group, rig.host._station.in_ring)))
+    asked(rig, 1, m.TakeOutputs())
+    assert loaded == []  # the application has not gone online
+    asked(rig, 2, GoOnline())
+    assert loaded == [("dpstack.drives", False)]
+    asked(rig, 3, GoOffline())
+    asked(rig, 4, GoOnline())
+    assert len(loaded) == 1
+    rig.close()
+
+
+def test_all_drives_that_are_installed_are_loaded() -> None:
+    program = """
+import sys
+from dpstack.drivers.process.plugins import load_all
+before = set(sys.modules)
+load_all("dpstack.drives")
+from dpstack.profile import registry
+print(registry.GROUP, {place.partition(":")[0] for place in registry.places().values()} <= set(sys.modules) - before)
+"""
+    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["dpstack.drives", "True"]
 
 
 @pytest.mark.parametrize("orders", [(Shutdown(), m.CloseBus()), (GoOffline(), m.CloseBus())], ids=["port", "ring"])
