@@ -139,7 +139,7 @@ class ProcessRuntime:
         self._loop = asyncio.get_running_loop()
         begun = early_start.take()
         try:
-            memory = make_memory(None if begun is None else begun.memory)
+            memory = make_memory() if begun is None else make_memory(begun.memory)
         except OSError as error:
             if begun is not None:
                 begun.sock.close()
