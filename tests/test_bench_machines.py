@@ -69,6 +69,8 @@ def test_virtual_measures_drives_and_mirrors_under_the_referee() -> None:
         "Python calibration",
         "2 demag-dedrive, PPO1: CPU time of a simulated second",
         "2 demag-dedrive, PPO1: CPU per exchange, both ends and the wire",
+        "2 demag-dedrive, PPO1, running: CPU time of a simulated second",
+        "2 demag-dedrive, PPO1, running: CPU per exchange, both ends and the wire",
         "1 mirror: CPU time of a simulated second",
         "1 mirror: CPU per exchange, both ends and the wire",
         "2 mirrors: CPU time of a simulated second",
