@@ -28,9 +28,17 @@ async def wait_through_cancellation(future: asyncio.Future[Any]) -> None:
 
 
 async def run_through_cancellation(doing: Coroutine[Any, Any, T]) -> T:
-    """Do all of ``doing`` in a task of its own, through any number of cancellations; then re-raise the cancellation."""
+    """Do all of ``doing`` in a task of its own, through any number of cancellations; then re-raise the cancellation.
+
+    An error of ``doing`` is then the cause of the cancellation.
+    """
     task = asyncio.ensure_future(doing)
-    await wait_through_cancellation(task)
+    try:
+        await wait_through_cancellation(task)
+    except asyncio.CancelledError as cancelled:
+        if not task.cancelled() and (error := task.exception()) is not None:  # asyncio logs one that nobody looks at
+            raise cancelled from error
+        raise
     return task.result()
 
 
