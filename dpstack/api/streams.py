@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import importlib
 import logging
-import sys
 import time
 import weakref
 from collections import deque
@@ -336,7 +335,11 @@ class Rounds:
             watcher()
 
 
+_loaded_beside: Final[set[str]] = set()
+
+
 async def load_beside(*modules: str) -> None:
     """Import ``modules`` in a thread: in that of the loop an import, which may take 20 ms, would hold up a bus."""
-    if not all(module in sys.modules for module in modules):
+    if not _loaded_beside.issuperset(modules):  # sys.modules has modules, too, that another task is still loading
         await asyncio.to_thread(lambda: [importlib.import_module(module) for module in modules])
+        _loaded_beside.update(modules)
