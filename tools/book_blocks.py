@@ -34,7 +34,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-import pytest
 from sybil import Example, Sybil
 from sybil.parsers.myst import CodeBlockParser
 
@@ -140,14 +139,6 @@ def _set_up(namespace: dict[str, Any]) -> None:
 
 def _tear_down(namespace: dict[str, Any]) -> None:
     namespace["stage"].close()
-
-
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Pages with commands share a process: their programs on ptys run in real time, and need a processor in time."""
-    for item in items:
-        commands = item.path.suffix == ".md" and "```console" in item.path.read_text(encoding="utf-8")
-        item.add_marker(pytest.mark.xdist_group("commands" if commands else item.path.name))
 
 
 pytest_collect_file = Sybil(
