@@ -75,7 +75,7 @@ class Ring(NamedTuple):
 
 
 def ring_of(counted: dict[str, Any], waited: float = 0.0) -> Ring:
-    """What the segment has counted."""
+    """Counters of the segment."""
     return Ring(
         counted["took_ns"],
         counted["ruled_ns"],
@@ -206,7 +206,7 @@ def segment(
 
 
 def counted(process: Process) -> dict[str, Any]:
-    """What the segment has counted since the order "begin"."""
+    """Counters of the segment since the order "begin"."""
     process.order("end")
     answer = process.line(30.0)
     if not answer:

@@ -14,7 +14,6 @@
 - ``parts``: Base class of ``BusCore``: the objects behind a bus (created once the baud rate is known), slaves,
   commands, waiting
 - ``plan_checks``: Inputs of the plan from the configuration, and the refusal of impossible cycles
-- ``plan_simulation``: The plant of a plan in virtual time, with its rotation times, cycles and services
 - ``recording``: ``bus.record()``: process data of each round into files, and the files of ``dpstack run``
 - ``ring_entry``: Joining the token ring of other masters: time limit, failure texts, notices
 - ``shutdown``: The ordered end of a bus: cancellation, signals, finaliser, fork

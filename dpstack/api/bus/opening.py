@@ -1,4 +1,4 @@
-"""``open_bus``, and the early start of a bus process. What it needs is imported by its call, beside that process."""
+"""``open_bus``, and the early start of a bus process. Its call imports the modules of a bus, beside that process."""
 
 from __future__ import annotations
 

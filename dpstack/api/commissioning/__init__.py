@@ -1,6 +1,7 @@
-"""Commissioning: from the stations of a scan to the text of a configuration.
+"""Commissioning: from the stations of a scan to the text of a configuration, and a plan tried out in virtual time.
 
 - ``candidates``: Candidates for a slave that a scan has found: known drives and GSD files with its ident number, best
   first
 - ``commissioning``: ``Commissioning``: match, modules, table, check and toml, with plain data in and out
+- ``plan_simulation``: The plant of a plan in virtual time, with its rotation times, cycles and services
 """

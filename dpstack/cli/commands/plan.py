@@ -18,7 +18,7 @@ from dpstack.errors import ConfigError, UsageError
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
 
 if TYPE_CHECKING:
-    from dpstack.api.bus.plan_simulation import CycleStats, SimulatedPlan
+    from dpstack.api.commissioning.plan_simulation import CycleStats, SimulatedPlan
 
 _PROGRESS: Final = "simulated seconds"
 #: the slowest baud rate for each verdict on the cycle
@@ -113,8 +113,8 @@ def _simulate(config: Config, plan: Plan, seconds: float) -> SimulatedPlan | Non
     if plan.refusals:
         return None
     # here, as the plan itself needs no bus
-    from dpstack.api.bus.plan_simulation import PlanSimulation
     from dpstack.api.bus.virtual import run_virtual
+    from dpstack.api.commissioning.plan_simulation import PlanSimulation
     from dpstack.cli.terminal.signals import StopSignal
 
     async def run() -> SimulatedPlan | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from cli_kit import Cli
 
-from dpstack.api.bus.plan_simulation import PlanSimulation
+from dpstack.api.commissioning.plan_simulation import PlanSimulation
 from dpstack.cli.commands import plan as plan_command
 from dpstack.cli.terminal import drawing
 

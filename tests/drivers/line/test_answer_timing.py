@@ -324,7 +324,7 @@ def test_known_answers_are_learned_anew_now_and_then() -> None:
 
 
 def test_answers_at_times_within_5_ms_are_not_read_later_than_by_listening() -> None:
-    """Who sleeps until the soonest end of four such answers reads the next one 0.7 ms late on average."""
+    """A sleep until the soonest end of four such answers reads the next one 0.7 ms late on average."""
     answers, random, late = AnswerTiming(), Random(1), 0
     for _ in range(4_000):
         answers.sent(REQUEST, 0, 0)
