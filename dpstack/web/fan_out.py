@@ -3,7 +3,8 @@
 The items of the source change one :class:`~dpstack.live.state.LiveState`. Five times a second the fan-out hands the new
 ones to its readers. A page that is up to date gets the same encoded texts as all others. For one that is still reading,
 snapshots are merged and events are kept, up to a number; those beyond it are counted as lost. So a page costs one
-plant, one whole snapshot and :data:`MOST_EVENTS` events at most, however long it does not read.
+plant, one whole snapshot and :data:`MOST_EVENTS` events at most between two answers to it, of which
+:data:`MOST_ANSWERS` wait at most.
 """
 
 from __future__ import annotations
@@ -42,40 +43,41 @@ class Portion:
 
 
 class Reader:
-    """What one page still has to get."""
+    """What one page still has to get, in the order in which it came."""
 
     def __init__(self, first: Portion) -> None:
-        self._portion: Portion | None = first
-        self._merged: Pending | None = None  # instead of the portion, once another one has come
-        self._answers: deque[str] = deque()
+        self._waiting: deque[Portion | Pending | str] = deque((first,))  # texts are answers
+        self._answers = 0  # among them
         self._wake = asyncio.Event()
         self._wake.set()
 
     def put(self, portion: Portion) -> None:
-        """Hand it ``portion``, which is merged with the items that the page has not got yet."""
-        if self._merged is not None:
-            _put_all(self._merged, portion)
-        elif self._portion is not None:
-            self._merged = Pending(MOST_EVENTS)
-            _put_all(self._merged, self._portion)
-            _put_all(self._merged, portion)
-            self._portion = None
+        """Hand it ``portion``, which is merged with the items behind the last answer that the page has not got yet."""
+        last = self._waiting[-1] if self._waiting else None
+        if isinstance(last, Pending):
+            _put_all(last, portion)
+        elif isinstance(last, Portion):
+            merged = self._waiting[-1] = Pending(MOST_EVENTS)
+            _put_all(merged, last)
+            _put_all(merged, portion)
         else:
-            self._portion = portion
+            self._waiting.append(portion)
         self._wake.set()
 
     def say(self, text: str) -> bool:
-        """Send ``text`` behind the items that wait. False where the page has too many answers to read."""
-        if len(self._answers) >= MOST_ANSWERS:
+        """Send ``text`` behind all that waits: a new welcome must not come behind the plant that it announces. False
+        where the page has too many answers to read."""
+        if self._answers >= MOST_ANSWERS:
             return False
-        self._answers.append(text)
+        self._waiting.append(text)
+        self._answers += 1
         self._wake.set()
         return True
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing waits for the page."""
-        return not self._answers and self._portion is None and self._merged is None
+        return not self._waiting
 
     def wake(self) -> None:
         """End the wait of :meth:`take`, also where there is nothing to send."""
@@ -85,15 +87,13 @@ class Reader:
         """Wait for the next messages to the page."""
         await self._wake.wait()
         self._wake.clear()
+        waiting, self._waiting, self._answers = self._waiting, deque(), 0
         texts: list[str] = []
-        merged, self._merged = self._merged, None
-        portion, self._portion = self._portion, None
-        if merged is not None:
-            portion = Portion(_all_of(merged))
-        if portion is not None:
-            texts += portion.texts
-        texts += self._answers
-        self._answers.clear()
+        for one in waiting:
+            if isinstance(one, str):
+                texts.append(one)
+            else:
+                texts += (Portion(_all_of(one)) if isinstance(one, Pending) else one).texts
         return texts
 
 

@@ -72,6 +72,22 @@ async def test_answers_come_behind_the_items_before_them_and_are_bounded() -> No
     assert [reader.say("x") for _ in range(100)].count(True) == 64
 
 
+async def test_items_behind_an_answer_are_not_merged_with_those_before_it() -> None:
+    """Else a page whose loop stood still would be told of a new run behind the plant of that run."""
+    fan_out = FanOut()
+    reader = fan_out.join()
+    await reader.take()
+    for state, welcome in (("offline", "first"), ("data_exchange", "second"), ("offline", None)):
+        for t in (0.1, 0.2, 0.3):
+            fan_out.put(delta(t, state))
+            fan_out.hand_out()
+        assert welcome is None or reader.say(welcome)
+    first, one, second, two, third = await reader.take()
+    assert (one, two) == ("first", "second")
+    assert ["offline" in text for text in (first, second, third)] == [True, False, True]
+    assert all('"t":0.3' in text for text in (first, second, third))
+
+
 async def test_something_else_than_an_item_is_told_once_and_ends_nothing() -> None:
     source = GivenItems([PLANT, WHOLE])
     async with serve(source) as server, page_of(server) as page:
