@@ -55,6 +55,7 @@ MAY: dict[str, set[str]] = {
     "logs": {"text"},
     "web": {"api", "live", "ports", "record"} | PURE_BASE,
     "screen": {"api", "live", "ports", "why"} | PURE_BASE,
+    "bridge": {"live", "record"} | PURE_BASE,
     "cli": {
         "api",
         "capture",
@@ -107,6 +108,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("dpv1/pdu",),
     ("dp", "dpv1"),
     ("record",),
+    ("bridge",),
     ("dp/slave",),
     ("dpv1/slave",),
     ("decode",),

@@ -29,6 +29,12 @@ class Times(TypedDict, total=False):
     max: Required[Number]
 
 
+class Classes(TypedDict, total=False):
+    limits_us: Required[list[Number]]
+    counts: Required[list[Count]]
+    sum_us: Number
+
+
 class Held(TypedDict):
     since: Number
     because: str
@@ -37,7 +43,11 @@ class Held(TypedDict):
 class Field(TypedDict, total=False):
     name: Required[str]
     at: Required[str]
+    type: str | None
+    scale: Number | None
+    offset: Number | None
     unit: str | None
+    dead_band: Number | None
 
 
 class Module(TypedDict, total=False):
@@ -72,7 +82,7 @@ class SlavePlant(TypedDict, total=False):
 
 
 class PlantBody(TypedDict, total=False):
-    started: float
+    started: Number
     port: str | None
     ctl: str | None
     baud: Count | None
@@ -96,6 +106,7 @@ class BusValues(TypedDict, total=False):
     stale: bool | None
     age_ms: Number | None
     histogram: list[tuple[Number, Number]] | None
+    histograms: dict[str, Classes | None] | None
 
 
 class FaultValues(TypedDict, total=False):
@@ -135,6 +146,7 @@ class SlaveValues(TypedDict, total=False):
     held: str | None
     inputs_valid: bool | None
     inputs_age_ms: Number | None
+    inputs_limit_ms: Number | None
     fields: dict[str, Any] | None
     held_fields: dict[str, Any] | None
     fault: FaultValues | None

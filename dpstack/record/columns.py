@@ -232,10 +232,14 @@ class Layout:
 
 def differs(column: Column, before: Cell, now: Cell, dead_band: float) -> bool:
     """Whether ``now`` is another value: of numbers, one outside the dead band around ``before``."""
+    return is_news(before, now, max(column.dead_band, dead_band) if column.type == "number" else 0)
+
+
+def is_news(before: Cell, now: Cell, band: float) -> bool:
+    """Whether ``now`` is another value than ``before``; of numbers one that is more than ``band`` away."""
     if before == now:
         return False
-    band = max(column.dead_band, dead_band)
-    if band and isinstance(before, (int, float)) and isinstance(now, (int, float)) and column.type == "number":
+    if band and isinstance(before, (int, float)) and isinstance(now, (int, float)):
         return not abs(now - before) <= band * _EDGE and not (math.isnan(now) and math.isnan(before))
     return not (isinstance(before, float) and isinstance(now, float) and math.isnan(before) and math.isnan(now))
 

@@ -198,6 +198,7 @@ def _field(column: Column) -> dict[str, Any]:
         "scale": column.scale,
         "offset": column.offset,
         "unit": column.unit,
+        "dead_band": column.dead_band,
     }
 
 

@@ -26,7 +26,7 @@ from dpstack.dp.master.events import (
 )
 from dpstack.dp.master.scanner import Found, StationSeen
 from dpstack.dp.pdu.alarm_blocks import message_dict
-from dpstack.dpv1.master.orders import AlarmRaised, ConnectionOver, StatusTold
+from dpstack.dpv1.master.orders import AlarmDone, AlarmRaised, ConnectionOver, StatusTold
 from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity
@@ -82,8 +82,16 @@ def _kind_and_fields(event: Event) -> tuple[str, dict[str, object]] | None:
         case SlaveDiagnosis(diagnosis=diagnosis, texts=texts):
             return "diagnosis", {"flags": list(diagnosis.flags), "texts": list(texts)}
         case AlarmRaised(alarm=alarm):
-            more = {"sequence": alarm.sequence, "user_ack": alarm.add_ack, "texts": list(event.texts)}
+            more = {
+                "number": event.number,
+                "held": event.held,
+                "sequence": alarm.sequence,
+                "user_ack": alarm.add_ack,
+                "texts": list(event.texts),
+            }
             return "alarm", {**message_dict(alarm), **more}
+        case AlarmDone(number=number, outcome=outcome):
+            return "notice", {"alarm": number, "acknowledged": outcome.failure is None}
         case StatusTold(status=status):
             return "status_message", message_dict(status)
         case SlaveFaulted(fault=fault):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+from bisect import bisect_left
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from time import time
 from typing import Any, Final
@@ -25,7 +26,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.process_data import Field, as_json
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
-from dpstack.drivers.snapshots import BusSnapshot, ImageSnapshot, SlaveSnapshot
+from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot
 from dpstack.errors import UsageError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.live.pending import Pending
@@ -33,7 +34,7 @@ from dpstack.live.state import Item, difference
 from dpstack.record.rows import iso_time
 from dpstack.stats import Histogram
 from dpstack.trace import Event
-from dpstack.units import NS_PER_US, ns_to_s
+from dpstack.units import NS_PER_MS, NS_PER_US, ns_to_s
 
 #: slaves in one step of a snapshot, about 0.2 ms, and the pause between two steps
 _STEP: Final = 8
@@ -48,6 +49,8 @@ _FIGURES_S: Final = 1.0
 _SHORTEST_S: Final = 0.02
 #: classes of the rotation times in a snapshot, at most
 _CLASSES: Final = 40
+#: upper limits in us of the classes of ``histograms``, which stay the same as long as the bus runs
+LIMITS_US: Final = tuple(step * 10**power for power in range(1, 7) for step in (1, 2, 5))
 
 
 class LiveItems:
@@ -262,7 +265,10 @@ class LiveFeed:
         if not self._now["bus"] or at - self._figures_at >= _FIGURES_S:
             self._figures_at = at
             counters = bus.view.counted()
-            values = bus_figures(bus, (), counters).summary() | {"histogram": histogram(counters.rotation)}
+            values = bus_figures(bus, (), counters).summary() | {
+                "histogram": histogram(counters.rotation),
+                "histograms": histograms(counters),
+            }
             del values["slaves"]
         values |= {
             "mode": bus.mode.name.lower(),
@@ -412,6 +418,7 @@ def _field(field: Field) -> dict[str, object]:
         "scale": field.scale,
         "offset": field.offset,
         "unit": field.unit,
+        "dead_band": field.dead_band,
     }
 
 
@@ -455,6 +462,7 @@ class SlaveReader:
         link, drive = bus.view.link.station(slave.address), bus.find_drive(slave.address)
         varying = {
             **inputs_dict(valid, None if age_ns is None else ns_to_s(age_ns)),
+            "inputs_limit_ms": round(limit_ns / NS_PER_MS, 1),
             "drive": None if drive is None else drive_dict(bus, drive),
             "exchanges": image.exchanges,
             "retries": link.retries,
@@ -508,3 +516,20 @@ def histogram(rotation: Histogram) -> list[tuple[float, int]]:
     for ns, count in values:
         counts[(ns - low) // width] = counts.get((ns - low) // width, 0) + count
     return [(round((low + (index + 1) * width) / NS_PER_US, 3), counts[index]) for index in sorted(counts)]
+
+
+def histograms(counters: Counters) -> dict[str, object]:
+    """Durations in classes with fixed limits, which only grow, as monitoring systems want them."""
+    found = {"rotation": counters.rotation, "token": counters.token_rotation, "host": counters.lateness}
+    if counters.cycles.cycle_ns:
+        found["late"] = counters.cycles.late
+    return {name: _in_classes(durations) for name, durations in found.items()}
+
+
+def _in_classes(durations: Histogram) -> dict[str, object]:
+    """``counts`` has one more number than ``limits_us``: that above the last limit."""
+    counts, total_ns = [0] * (len(LIMITS_US) + 1), 0
+    for ns, count in durations.values():
+        counts[bisect_left(LIMITS_US, ns / NS_PER_US)] += count
+        total_ns += ns * count
+    return {"limits_us": list(LIMITS_US), "counts": counts, "sum_us": round(total_ns / NS_PER_US, 3)}
