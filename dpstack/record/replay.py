@@ -24,10 +24,21 @@ _LONGEST_PAUSE_S: Final = 10.0
 _ROWS_AT_ONCE: Final = 500
 #: keys of a live snapshot that no recording has; null in the first one
 _NOT_RECORDED_OF_BUS: Final = (
-    *("mode", "in_ring", "masters", "clear", "rotations", "rotation_us", "token_us", "histogram"),
+    *("mode", "in_ring", "masters", "clear", "rotations", "rotation_us", "token_us", "histogram", "histograms"),
 )
 _NOT_RECORDED_OF_SLAVE: Final = (
-    *("inputs", "outputs", "held", "inputs_age_ms", "held_fields", "fault", "diagnosis", "conspicuous", "alarms"),
+    *(
+        "inputs",
+        "outputs",
+        "held",
+        "inputs_age_ms",
+        "inputs_limit_ms",
+        "held_fields",
+        "fault",
+        "diagnosis",
+        "conspicuous",
+        "alarms",
+    ),
     *("exchanges", "retries", "timeouts", "telegrams", "late", "wrong", "bad", "watchdog_ms", "master", "injected"),
 )
 #: severity of an event about a state

@@ -279,6 +279,7 @@ async def test_replay(suffix: str, tmp_path: Path) -> None:
         "scale": 0.1,
         "offset": 0,
         "unit": "bar",
+        "dead_band": 0,
     }
     snapshots = _of(items, "snapshot")
     assert snapshots[0]["whole"]

@@ -72,7 +72,7 @@ async def test_the_picture_is_that_of_the_devices() -> None:
         assert state.plant is not None
         described = state.plant["slaves"]["8"]
         assert described["inputs"] == [
-            {"name": "level", "type": "i16", "at": "i16@0", "scale": 0.5, "offset": 0, "unit": "bar"}
+            {"name": "level", "type": "i16", "at": "i16@0", "scale": 0.5, "offset": 0, "unit": "bar", "dead_band": 0}
         ]
         assert described["modules"] == [{"name": "", "config": "2111", "inputs": 2, "outputs": 2}]
         summary = bus.stats.summary()

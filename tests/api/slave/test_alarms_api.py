@@ -99,7 +99,7 @@ async def test_the_attributes_of_an_alarm(world: WorldFactory) -> None:
     assert line is not None
     assert line | {"text": ""} == {
         "event": "alarm", "t": 1.0, "address": 9, "name": "rig", "type": 1, "title": "diagnosis alarm", "slot": 3,
-        "specifier": "appears", "data": "11", "number": 1, "held": False, "sequence": 0, "user_ack": True, "texts": [],
+        "specifier": "appears", "data": "11", "number": 1, "held": True, "sequence": 0, "user_ack": True, "texts": [],
         "text": "",
     }  # fmt: skip
 
