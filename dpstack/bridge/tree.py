@@ -108,7 +108,8 @@ class _Branch:
         #: the trouble at that comparison
         self.trouble: tuple[Trouble, Trouble] = (None, None)
         self.now: dict[str, Reading] = {}
-        self.told: dict[str, Reading] = {}
+        #: as given out; None: nothing yet of these nodes, so that values of nodes of the same name are replaced
+        self.told: dict[str, Reading | None] = {}
         self.told_at: dict[str, float] = {}
 
 
@@ -184,7 +185,7 @@ class PlantTree:
         try:
             check_item(item)
         except ValueError as error:
-            return self._remark(str(error))
+            return self._remark(str(error)) + self.tick(now)
         if "plant" in item:
             found += self._take_plant(item["plant"], now)
         elif "snapshot" in item:
@@ -406,7 +407,7 @@ class PlantTree:
         for node in branch.described.nodes:
             here = branch.now[node.id] = self._read(node, branch, trouble)
             told = branch.told[node.id]
-            if here.reason is told.reason and here.note == told.note:
+            if told is not None and here.reason is told.reason and here.note == told.note:
                 if not is_news(told.value, here.value, node.dead_band):
                     continue
                 due = branch.told_at[node.id] + self._statistics_s
@@ -453,7 +454,7 @@ class PlantTree:
 
     def _fill(self, branch: _Branch) -> None:
         branch.now = {node.id: Reading() for node in branch.described.nodes}
-        branch.told = dict(branch.now)
+        branch.told = dict.fromkeys(branch.now)
         branch.told_at = dict.fromkeys(branch.now, -math.inf)
 
     def _end_branch(self, branch: _Branch, why: str) -> Iterable[Change]:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 
 from dpstack.bridge.conditions import MOST_OF_A_SLAVE, Condition
 from dpstack.bridge.nodes import Kind, Node, Source
@@ -152,7 +153,12 @@ _items = st.one_of(
     st.just({"end": {"text": "stopped"}}),
     st.sampled_from([{"snapshot": 1}, {"plant": {}}, {"snapshot": {}, "end": {}}, {"later": 1}, {"plant": []}]),
 )
-_steps = st.lists(st.tuples(st.sampled_from([0.0, 0.1, 0.1, 0.1, 1.0, 3.0]), st.none() | _items), max_size=40)
+_whole = {"snapshot": {"whole": True, "bus": {"stale": False}, "slaves": {"3": HOIST, "8": VALVES}}}
+_waits = st.sampled_from([0.0, 0.1, 0.1, 0.1, 0.1, 1.0, 2.5])
+#: every second stream begins with a plant that is well
+_begin = st.sampled_from([[], [(0.0, {"plant": PLANT}), (0.1, _whole)]])
+_well = st.just({"plant": PLANT}) | st.just(_whole)
+_steps = st.builds(list.__add__, _begin, st.lists(st.tuples(_waits, st.none() | _items | _well), max_size=40))
 
 
 class Subscriber:
@@ -186,6 +192,7 @@ class Subscriber:
                     assert text.isprintable()
 
 
+@examples(150)
 @given(_steps)
 def test_no_value_is_good_where_the_rules_say_otherwise(steps: list[tuple[float, dict[str, Any] | None]]) -> None:
     tree, judge, subscriber, now = PlantTree(), Judge(), Subscriber(), 0.0
@@ -355,6 +362,10 @@ def test_another_run_of_the_bus_begins_with_nothing() -> None:
     up(tree)
     changes = tree.apply({"plant": AGAIN}, 1.0)
     assert [change.slave for change in changes if isinstance(change, Died)] == [3, 8, None]
+    # the nodes have the same names as before: nobody must go on showing their old values
+    assert {one.node.id: one.reading.value for one in changes if isinstance(one, Changed)} == dict.fromkeys(
+        node.id for node in tree.nodes
+    )
     assert reading(tree, "slave/8/input/level") == Reading()
     assert reading(tree, "slave/8/input/level").opcua_status == 0x8032_0000  # BadWaitingForInitialData
 
