@@ -127,11 +127,14 @@ _values = st.fixed_dictionaries(
         "exchanges": st.integers(0, 3),
     },
 )
+#: all is well but for one thing
+_nearly = st.sampled_from([{}, {"inputs_valid": False}, {"inputs_age_ms": 101.0}, {"inputs_age_ms": None}])
+_slave = _nearly.map(lambda one: VALVES | one) | _nearly.map(lambda one: HOIST | one) | _values
 _snapshots = st.builds(
     lambda whole, bus, slaves: {"whole": whole, "bus": bus, "slaves": slaves},
     st.booleans(),
     st.sampled_from([{}, {"stale": False}, {"stale": False}, {"stale": True}, {"mode": "clear", "stale": False}]),
-    st.dictionaries(st.sampled_from(["3", "8", "8", "77", "999"]), st.sampled_from([HOIST, VALVES]) | _values),
+    st.dictionaries(st.sampled_from(["3", "8", "8", "77", "999"]), _slave),
 )
 _events = st.sampled_from(
     [
@@ -158,7 +161,9 @@ _waits = st.sampled_from([0.0, 0.1, 0.1, 0.1, 0.1, 1.0, 2.5])
 #: every second stream begins with a plant that is well
 _begin = st.sampled_from([[], [(0.0, {"plant": PLANT}), (0.1, _whole)]])
 _well = st.just({"plant": PLANT}) | st.just(_whole)
-_steps = st.builds(list.__add__, _begin, st.lists(st.tuples(_waits, st.none() | _items | _well), max_size=40))
+_steps = st.builds(
+    list.__add__, _begin, st.lists(st.tuples(_waits, st.none() | _items | _well), min_size=15, max_size=40)
+)
 
 
 class Subscriber:
