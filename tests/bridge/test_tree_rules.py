@@ -128,7 +128,9 @@ _values = st.fixed_dictionaries(
     },
 )
 #: all is well but for one thing
-_nearly = st.sampled_from([{}, {"inputs_valid": False}, {"inputs_age_ms": 101.0}, {"inputs_age_ms": None}])
+_nearly: st.SearchStrategy[dict[str, Any]] = st.sampled_from(
+    [{}, {"inputs_valid": False}, {"inputs_age_ms": 101.0}, {"inputs_age_ms": None}]
+)
 _slave = _nearly.map(lambda one: VALVES | one) | _nearly.map(lambda one: HOIST | one) | _values
 _snapshots = st.builds(
     lambda whole, bus, slaves: {"whole": whole, "bus": bus, "slaves": slaves},
