@@ -37,7 +37,7 @@ class Condition:
     since: float
     time: float
     count: int = 1
-    #: who acknowledged it
+    #: name of the person or program that acknowledged it
     acked_by: str = ""
 
     @property

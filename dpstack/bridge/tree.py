@@ -82,7 +82,7 @@ class Remark(NamedTuple):
 Change = Changed | Born | Died | Condition | Remark | NodesChanged
 
 
-#: why nothing is good, with a note; None: nothing is in the way
+#: the reason why nothing is good, with a note; None: nothing is in the way
 Trouble = tuple[Reason, str] | None
 
 
@@ -168,7 +168,7 @@ class PlantTree:
         return branch is not None and branch.born
 
     def readings(self, slave: int | None) -> list[tuple[Node, Reading]]:
-        """All nodes of the bus (None) or of a slave with their values: what a birth has to say."""
+        """All nodes of the bus (None) or of a slave with their values: the content of a birth."""
         branch = self._branch(slave)
         return [] if branch is None else [(node, branch.now[node.id]) for node in branch.described.nodes]
 
@@ -181,11 +181,20 @@ class PlantTree:
 
     def apply(self, item: Mapping[str, Any], now: float) -> list[Change]:
         """Take the next item, which came at ``now``. One that is no item changes nothing, and is told once."""
+        return self.apply_all((item,), now)
+
+    def apply_all(self, items: Iterable[Mapping[str, Any]], now: float) -> list[Change]:
+        """Take items that were there together at ``now``. They are judged once, behind the last one: where a program
+        that was stopped finds old items, nobody dies of them to be born again at once."""
+        found = [change for item in items for change in self._take(item, now)]
+        return found + self.tick(now)
+
+    def _take(self, item: Mapping[str, Any], now: float) -> list[Change]:
         found: list[Change] = []
         try:
             check_item(item)
         except ValueError as error:
-            return self._remark(str(error)) + self.tick(now)
+            return self._remark(str(error))
         if "plant" in item:
             found += self._take_plant(item["plant"], now)
         elif "snapshot" in item:
@@ -198,10 +207,10 @@ class PlantTree:
             found += self._remark("events of the bus were lost: alarms among them are not shown")
         elif "end" in item:
             self._end = clean(item["end"]["text"]) or "the bus has ended"
-        return found + self.tick(now)
+        return found
 
     def tick(self, now: float) -> list[Change]:
-        """What has changed by the mere passing of time, or by the last item."""
+        """The changes since the last call that came with the passing of time, or with the items taken."""
         if self._plant is None:
             return []
         trouble = self._bus_trouble(now)
@@ -338,7 +347,7 @@ class PlantTree:
     # --- quality --------------------------------------------------------------------------------------------------
 
     def _bus_trouble(self, now: float) -> Trouble:
-        """Why no value of the bus is good; None: nothing is in the way."""
+        """The reason why no value of the bus is good; None: nothing is in the way."""
         assert self._plant is not None
         if self._end is not None:
             return Reason.ENDED, self._end
@@ -359,7 +368,7 @@ class PlantTree:
         return None
 
     def _slave_trouble(self, branch: _Branch, now: float) -> Trouble:
-        """Why neither process data nor drive of a slave is good, while the bus is."""
+        """The reason why neither process data nor drive of a slave is good, while the bus is."""
         values = branch.values
         if values is None:
             return Reason.WAITING, ""

@@ -82,7 +82,7 @@ class SlavePlant(TypedDict, total=False):
 
 
 class PlantBody(TypedDict, total=False):
-    started: Number
+    started: float
     port: str | None
     ctl: str | None
     baud: Count | None

@@ -33,7 +33,7 @@ def test_names_are_valid_different_and_independent_of_the_order(rule: NameRule, 
         assert not set(name) & set(rule.reserved)
         assert len(name.encode()) <= rule.most
         assert "\0" not in name
-        # who is told of it can find the slave by its key
+        # the line has the key, by which a reader finds the slave
         assert name == given_names[key] or any(repr(name) in line and f"({key})" in line for line in found.changed)
 
 

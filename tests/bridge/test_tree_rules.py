@@ -327,6 +327,17 @@ def test_items_that_have_waited_are_no_fresh_values() -> None:
     assert reading(tree, "slave/8/input/level").quality is Quality.GOOD
 
 
+def test_old_items_that_come_together_with_a_fresh_one_kill_nobody() -> None:
+    tree = PlantTree()
+    up(tree)
+    waiting = [snapshot(1 + step / 10, {"3": HOIST, "8": VALVES | {"exchanges": step}}) for step in range(590)]
+    alarm = {"event": "alarm", "address": 8, "type": 1, "slot": 2, "specifier": "appears", "text": "gone", "t": 1.2}
+    changes = tree.apply_all([*waiting[:300], {"event": alarm}, *waiting[300:]], 59.0)
+    assert not [one for one in changes if isinstance(one, (Born, Died))]
+    assert [one.reading.value for one in changes if isinstance(one, Changed) and "exch" in one.node.id] == [589]
+    assert [one.id for one in changes if isinstance(one, Condition)] == ["slave/8/alarm/1/2"]
+
+
 def test_the_parts_of_a_whole_snapshot_kill_no_slave() -> None:
     tree = PlantTree()
     up(tree)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from bisect import bisect_left
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from time import time
 from typing import Any, Final
@@ -51,6 +50,7 @@ _SHORTEST_S: Final = 0.02
 _CLASSES: Final = 40
 #: upper limits in us of the classes of ``histograms``, which stay the same as long as the bus runs
 LIMITS_US: Final = tuple(step * 10**power for power in range(1, 7) for step in (1, 2, 5))
+_LIMITS_NS: Final = tuple(limit * NS_PER_US for limit in LIMITS_US)
 
 
 class LiveItems:
@@ -519,7 +519,7 @@ def histogram(rotation: Histogram) -> list[tuple[float, int]]:
 
 
 def histograms(counters: Counters) -> dict[str, object]:
-    """Durations in classes with fixed limits, which only grow, as monitoring systems want them."""
+    """Durations in classes whose limits stay, and whose counts never fall, as monitoring systems want them."""
     found = {"rotation": counters.rotation, "token": counters.token_rotation, "host": counters.lateness}
     if counters.cycles.cycle_ns:
         found["late"] = counters.cycles.late
@@ -528,8 +528,5 @@ def histograms(counters: Counters) -> dict[str, object]:
 
 def _in_classes(durations: Histogram) -> dict[str, object]:
     """``counts`` has one more number than ``limits_us``: that above the last limit."""
-    counts, total_ns = [0] * (len(LIMITS_US) + 1), 0
-    for ns, count in durations.values():
-        counts[bisect_left(LIMITS_US, ns / NS_PER_US)] += count
-        total_ns += ns * count
+    counts, total_ns = durations.in_classes(_LIMITS_NS)
     return {"limits_us": list(LIMITS_US), "counts": counts, "sum_us": round(total_ns / NS_PER_US, 3)}
