@@ -9,6 +9,7 @@ to the same state; queues have limits; and right items afterwards are shown as e
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 from typing import Any
@@ -18,7 +19,7 @@ from dpstack.live.state import DEPTH, LiveState
 from dpstack.screen import one_slave, overview
 from dpstack.screen.lines import Line, width_of
 from dpstack.screen.view import SILENT_S, View
-from dpstack.web.fan_out import FanOut
+from dpstack.web.fan_out import FanOut, Reader
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
 
@@ -115,6 +116,17 @@ def draw(view: View, width: int) -> None:
     assert all(width_of(line) <= width for line in lines[:3])
 
 
+def texts_for(reader: Reader) -> list[str]:
+    """The messages that wait for a page. It has not read any: nothing is to be waited for."""
+    with contextlib.closing(reader.take()) as taking:
+        try:
+            taking.send(None)
+        except StopIteration as done:
+            found: list[str] = done.value
+            return found
+    raise AssertionError("the reader waits, and never was given its plant")
+
+
 def run(octets: bytes) -> None:
     script = Cutter(octets)
     items = right_items()
@@ -164,8 +176,7 @@ def run(octets: bytes) -> None:
     fan_out.hand_out()
     for item in view.state.whole():
         LiveState().apply(item)
-    if reader._portion is not None:
-        assert all(isinstance(text, str) for text in reader._portion.texts)
+    assert all(isinstance(text, str) for text in texts_for(reader))
     if how & 2:
         draw(view, width)
     view.now = now + SILENT_S + 1
