@@ -19,7 +19,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.config.table import keys_of
 from dpstack.api.slave.class2 import Class2
 from dpstack.api.slave.slave import Slave, all_ready
-from dpstack.api.streams import EventStream, OnEvent
+from dpstack.api.streams import EventStream, OnEvent, load_beside
 from dpstack.argcheck import Sealed, instance, plain_function
 from dpstack.dp.master.commands import Alive, Mode, SetMode
 from dpstack.dp.master.events import ControlSent, ForcedClear
@@ -335,13 +335,15 @@ class Bus(Sealed):
         ``master``: the address that the master of the slave should have, on a read-only bus (default: the one that it
         names). Raises UsageError for an unknown slave.
         """
+        found = slave if isinstance(slave, Slave) else self.slave(slave)
+        if self.driver != "virtual":  # whose time stands still during an import, but not while a thread works
+            await load_beside("dpstack.api.bus.why", "dpstack.why.story")
         from dpstack.api.bus.why import gather  # here, as most programs never ask
         from dpstack.why.story import tell
 
         def asked(addresses: Iterable[int]) -> Awaitable[tuple[Found, ...]]:
             return self.scan(configs=True, addresses=addresses)
 
-        found = slave if isinstance(slave, Slave) else self.slave(slave)
         return tell(await gather(self._core, found, asked if scan else None, ask=ask, master=master))
 
     def events(self) -> EventStream:

@@ -62,6 +62,7 @@ async def gather(
     ``scan`` is called where nobody, or another device, answers at the address of the slave; None: never.
     """
     own = bus.params.address if master is None else master
+    await _caught_up(bus, slave)
     before = evidence = _evidence(bus, slave, await _history(bus, slave), own)
     if not ask or slave.deactivated or not bus.is_open or bus.runtime.not_running is not None:
         return evidence
@@ -78,6 +79,17 @@ async def gather(
     facts = Facts(evidence)
     lost = not facts.exchanging and (facts.silent_now or facts.garbled_now or facts.wrong_ident is not None)
     return await _scanned(bus, evidence, scan) if scan is not None and lost and _can_ask(bus) else evidence
+
+
+async def _caught_up(bus: BusBase, slave: Slave) -> None:
+    """Wait for the next exchange with a slave whose last one is old, though its master says that it exchanges data: the
+    program may have stood still until now, and the master with it."""
+    if slave.state is not SlaveState.DATA_EXCHANGE or not bus.is_open or bus.runtime.not_running is not None:
+        return
+    before = _evidence(bus, slave, History(), bus.params.address)
+    if before.ring.joined and before.ring.asks and Facts(before).stale:
+        with contextlib.suppress(TimeoutError, DpError):  # it stands still indeed, or has ended meanwhile
+            await bus.until_round(lambda: bus.view.image(slave.setup).input_time != before.exchanged_ns, _WATCH_S)
 
 
 def _counted_since(before: Evidence, now: Evidence) -> Evidence:

@@ -244,7 +244,6 @@ def _why(bus: Bus, args: list[str]) -> LongCommand:
     slave = _slave_of(bus, args[0])
 
     async def tell() -> dict[str, object]:
-        await load_beside("dpstack.api.bus.why", "dpstack.why.story")
         return (await bus.why(slave)).as_dict()
 
     return lambda send: kept_alive(tell(), lambda: {"state": slave.state.value}, send)

@@ -58,11 +58,10 @@ class CauseLines:
             task.add_done_callback(self._tasks.discard)
 
     async def _tell(self, event: SlaveFaulted) -> None:
-        await load_beside(*_WHY)
         with contextlib.suppress(DpError):  # it was removed, or the bus has ended
-            from dpstack.why.story import HEALTHY
-
             story = await self._bus.why(event.address, ask=False)
+            from dpstack.why.story import HEALTHY  # here, as a run without faults never needs it
+
             told = self._told.setdefault(event.address, set())
             if story.first.cause == HEALTHY or story.first.cause in told:
                 return
@@ -81,7 +80,7 @@ class CauseLines:
         found: dict[int, Story] = {}
         missing = [slave for slave in self._bus.slaves if not (slave.ready_now or slave.deactivated)]
         if missing:
-            await load_beside(*_WHY)
+            await load_beside(*_WHY)  # before the time limit
         with contextlib.suppress(TimeoutError, DpError):
             async with asyncio.timeout(_LIMIT_S):
                 for slave in missing:
