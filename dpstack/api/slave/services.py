@@ -99,6 +99,8 @@ class Services:
             event = await future
         finally:
             del self._waiting[order.token]
+            if future.done() and not future.cancelled():
+                future.exception()  # asyncio reports one that nobody has asked for: the order may have failed before
         assert isinstance(event, kinds)
         return event
 

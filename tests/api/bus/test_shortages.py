@@ -222,10 +222,13 @@ def test_a_token_that_was_lost_on_the_way_out_costs_no_clear(monkeypatch: pytest
         stack = core_of(bus).view
         assert isinstance(stack, Stack)
         stack.master.handlers[4].image.plugin = ends_plugin.EXITS.core()
+        waiting = loop.create_task(bus.rotated(None))
         with pytest.raises(SystemExit):
-            loop.run_until_complete(bus.rotated(None))
+            loop.run_until_complete(waiting)
         loop.run_until_complete(asyncio.sleep(0.1))  # many T_TO: the machine does not claim the token it believes in
         loop.run_until_complete(bus.close())
+        with pytest.raises(dpstack.UsageError, match="closed"):
+            waiting.result()
         loop.close()
         assert not bus.end_failed
         eventually(lambda: words[-1] == "clear", "Clear")
