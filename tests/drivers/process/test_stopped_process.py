@@ -186,6 +186,7 @@ async def test_no_public_call_waits_for_a_stopped_bus_process() -> None:
     unwatched: dict[str, object] = {"watchdog_ms": 30_000}
     specs = (fan_octets(), "5:1234:2111:2:2,records=1")
     async with ready_bus(FAN | unwatched, RIG | unwatched, specs=specs) as (bus, _there):
+        await bus.why("fan", ask=False)  # the first one has its modules loaded in a thread, and waits for its start
         with stopped(process_of(bus)):
             with nothing_blocks():
                 used = await use_everything(bus)
