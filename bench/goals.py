@@ -365,10 +365,17 @@ def _alone(commands: Commands, side: Side) -> list[Round]:
     return [(Run({}, between_both), Run(readings, between_both))]
 
 
+def _tell_rows(rows: Sequence[Row], notes: Sequence[str]) -> None:
+    """The rows of one part as progress: a run that is cut off has told those of the parts that were over."""
+    for line in (*_aligned([_HEAD[:-1], *(row.cells[:-1] for row in rows)]), *(f"  {note}" for note in notes)):
+        tell(line)
+
+
 def measure(names: Sequence[str], commit: str, rounds: int) -> GoalTable:
     """The table. Raises ValueError for an unknown commit, RuntimeError when an environment cannot be made.
 
-    A benchmark that fails is a note, and its goals are rows without figures.
+    A benchmark that fails is a note, and its goals are rows without figures. The rows of each part are told as soon as
+    it is over.
     """
     rows: list[Row] = []
     with both_sides(commit) as (sides, notes):
@@ -385,9 +392,12 @@ def measure(names: Sequence[str], commit: str, rounds: int) -> GoalTable:
             busy = 2 * commands.busy_runs > commands.runs
             if busy:
                 of_suite.append(f"other programs had the processors in {commands.busy_runs} of {commands.runs} runs")
-            rows += rows_of(name, suite, taken, judged=not busy)
+            measured = rows_of(name, suite, taken, judged=not busy)
             # figures that only one side has are no loss: the goals name those that count
-            notes += [f"{name}: {note}" for note in of_suite if not note.startswith("only ")]
+            noted = [f"{name}: {note}" for note in of_suite if not note.startswith("only ")]
+            _tell_rows(measured, noted)
+            rows += measured
+            notes += noted
         return GoalTable((sides[0].title, sides[1].title), rounds, rows, list(dict.fromkeys(notes)))
 
 

@@ -303,4 +303,4 @@ def run_in_turn(sides: Sequence[Side], words: Sequence[str]) -> list[Ended]:
 
 def tell(text: str) -> None:
     """Progress, for the one who waits."""
-    print(f"bench: {text}", file=sys.stderr)
+    print(f"bench: {text}", file=sys.stderr, flush=True)

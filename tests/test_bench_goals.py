@@ -130,16 +130,42 @@ def test_the_table_is_text_markdown_and_json() -> None:
     assert second["ratio"] is None
 
 
+class Sides:
+    """Both sides without their environments."""
+
+    def __enter__(self) -> tuple[tuple[Side, Side], list[str]]:
+        return SIDES, []
+
+    def __exit__(self, *_exc: object) -> None:
+        pass
+
+
+def test_a_run_that_is_cut_off_has_told_the_rows_of_the_parts_before(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def takes(commands: Commands, *_words: object) -> list[Round]:
+        if commands.name != "rotation":
+            raise KeyboardInterrupt
+        figure = "500 kbit/s, process: CPU time per exchange to pyprofibus's"
+        return rounds_with([{figure: 0.4}], [{figure: 0.125}])
+
+    monkeypatch.setattr(goals, "both_sides", lambda commit: Sides())
+    monkeypatch.setattr(goals, "rounds_of", takes)
+    with pytest.raises(KeyboardInterrupt):
+        cli.main(["goals", "--only", "paced", "virtual"])
+    told = capsys.readouterr()
+    assert told.out == ""
+    begins, head, asyncio, process, then = told.err.splitlines()
+    assert begins == f"bench: paced: {SUITES['paced'].command}"
+    assert head.split() == ["bench:", "goal", "today", "now", "ratio", "spread"]
+    assert asyncio.endswith("not measured")
+    assert process.endswith("process: at most 0.25  0.4    0.125  0.12   0.12 to 0.12  met")
+    assert then == f"bench: virtual: {SUITES['virtual'].command}"
+
+
 def test_a_benchmark_that_fails_is_a_note_and_its_goals_are_not_measured(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    class Sides:
-        def __enter__(self) -> tuple[tuple[Side, Side], list[str]]:
-            return SIDES, []
-
-        def __exit__(self, *_exc: object) -> None:
-            pass
-
     def fails(*words: object, **_words: object) -> list[Round]:
         if isinstance(notes := words[-1], list):
             notes += ["only the tree as it stands has: another figure", "round 1 was taken again: slaves were lost"]
@@ -149,7 +175,10 @@ def test_a_benchmark_that_fails_is_a_note_and_its_goals_are_not_measured(
     monkeypatch.setattr(goals, "rounds_of", fails)
     monkeypatch.setattr(Commands, "own", fails)
     assert cli.main(["goals", "--only", "paced", "ring", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
+    out, err = capsys.readouterr()
+    assert err.count("not measured") == len(SUITES["paced"].goals) + len(SUITES["ring"].goals)
+    assert "bench:   ring: the wire did not start\n" in err
+    told = json.loads(out)
     assert told["notes"] == [
         "paced: round 1 was taken again: slaves were lost",
         "paced: the wire did not start",
