@@ -51,8 +51,11 @@ class Order:
     type: str | None = None
 
     def words(self, value: Value = None) -> tuple[str, ...]:
-        """Command and arguments for the control socket. Raises ValueError where ``value`` has another type."""
+        """Command and arguments for the control socket. Raises ValueError where ``value`` has another type; an order
+        without an argument takes None and True."""
         if self.type is None:
+            if value is not None and value is not True:
+                raise ValueError(f"{self.name} takes true, not {clean(repr(value))}")
             return self.command
         given = value_of(value.hex() if isinstance(value, bytes) else value, self.type)
         if given is None:

@@ -79,7 +79,15 @@ class Remark(NamedTuple):
     text: str
 
 
-Change = Changed | Born | Died | Condition | Remark | NodesChanged
+class ClockSet(NamedTuple):
+    """The clock of the computer minus that of the stream is now ``offset`` s (0 before the first one): times that were
+    published before are wrong by the difference. The tree does not give this out, as it has no clock; a gateway does.
+    """
+
+    offset: float
+
+
+Change = Changed | Born | Died | Condition | Remark | NodesChanged | ClockSet
 
 
 #: the reason why nothing is good, with a note; None: nothing is in the way
@@ -161,6 +169,16 @@ class PlantTree:
     def orders(self) -> Mapping[str, Order]:
         """The orders that the plant takes, by name. Two with the same name are none: nobody knows which is meant."""
         return self._orders
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the bus has said that it ended."""
+        return self._end is not None
+
+    def time_at(self, now: float) -> float | None:
+        """The time of the stream at ``now`` in s since 1970. None while it is not known: the bus is not alive, or its
+        stream goes by a clock of its own (a simulated bus, a recording)."""
+        return self._started + now - self._delay if self._bus.born and self._delay is not None else None
 
     def is_alive(self, slave: int | None) -> bool:
         """Whether the bus (None) or the slave was born and has not died."""

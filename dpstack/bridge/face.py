@@ -1,0 +1,70 @@
+"""``Face``: one way to publish the tree of a plant, such as MQTT, OPC UA or metrics."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
+from dpstack.bridge.tree import Change, PlantTree
+from dpstack.text import printable, shortened
+from dpstack.trace import Severity
+
+#: takes a remark for the operator of the run
+Tell = Callable[[str, Severity], object]
+
+
+class Face(ABC):
+    """Made before the bus is opened; a :class:`~dpstack.bridge.gateway.Gateway` feeds it.
+
+    ``tree`` is read in :meth:`take` and :meth:`serve`, and changed by the gateway only. ``tell``: for remarks, each one
+    line; the caller leaves out one that repeats the last one. The constructor touches neither network nor disk.
+    """
+
+    #: name of its table of the configuration and of its extra: "mqtt", "opcua", "metrics"
+    name: ClassVar[str]
+
+    def __init__(self, tree: PlantTree, tell: Tell) -> None:
+        self.tree = tree
+        self.tell = tell
+
+    async def open(self) -> None:  # noqa: B027  a face that only connects to others needs none
+        """Take the resources of this computer: a listening socket, a directory. Called once, before the bus is opened.
+
+        Raises DpError in one line, for instance where the port is taken or a file cannot be read; then nothing goes
+        on the bus. It must release what it has taken in :meth:`close`.
+        """
+
+    @abstractmethod
+    def take(self, changes: Sequence[Change]) -> None:
+        """Take changes of the tree. Never waits; its memory is bounded, and what it drops it counts and tells.
+
+        It runs in the loop that may also drive a bus: it keeps what it needs and leaves the work to :meth:`serve`.
+        """
+
+    @abstractmethod
+    async def serve(self) -> None:
+        """Serve until cancelled. A broker or client that is gone is told once and tried again.
+
+        The cancellation is the end of the run, behind the last :meth:`take`: what is still to be sent then (the death
+        of the bus, a farewell) may take :data:`~dpstack.bridge.gateway.END_S` in all. Raises DpError for a
+        configuration that cannot work.
+        """
+
+    def close(self) -> None:  # noqa: B027  a face that only connects to others needs none
+        """Release everything at once, without waiting. Called once at the end, also where :meth:`open` failed."""
+
+
+class Teller:
+    """Passes remarks on with the name of their face in front; one that is the same as the last one is left out."""
+
+    def __init__(self, name: str, tell: Tell) -> None:
+        self._name = name
+        self._tell = tell
+        self._last = ""
+
+    def __call__(self, text: str, severity: Severity) -> None:
+        line = f"{self._name}: {shortened(printable(text), 300)}"
+        if line != self._last:
+            self._last = line
+            self._tell(line, severity)

@@ -1,0 +1,176 @@
+"""``Gateway``: a live stream becomes the tree of a plant, and its changes go to the faces."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import AsyncIterable, Callable, Mapping, Sequence
+from typing import Any, Final
+
+from dpstack.bridge.face import Face, Tell
+from dpstack.bridge.quality import clean
+from dpstack.bridge.tree import Change, ClockSet, PlantTree, Remark
+from dpstack.errors import DpError
+from dpstack.text import printable, shortened, traceback_text
+from dpstack.trace import Severity
+
+#: s between two looks at the time
+TICK_S: Final = 0.5
+#: s that the faces have for their end, all together
+END_S: Final = 3.0
+#: s until a face that goes on in spite of its cancellation is left
+_LAST_S: Final = 0.5
+#: items that wait to be applied together
+MOST_ITEMS: Final = 1000
+#: s by which the clock of the computer may differ from that of the stream
+_SET_S: Final = 1.0
+_LOG: Final = logging.getLogger("dpstack.bridge")
+
+
+class Gateway:
+    """Feeds ``faces`` from ``items``, the live stream of a running bus or a recorded one.
+
+    Nothing that a face does reaches another face or the bus: one that raises ends alone, and is told. ``tell``: takes
+    remarks, each with its severity. ``tree``: that of the faces. ``now``: the clock of the computer in s since 1970,
+    which may be set; times of the tree count by the clock of the stream.
+    """
+
+    def __init__(
+        self,
+        items: AsyncIterable[Mapping[str, Any]],
+        faces: Sequence[Face],
+        *,
+        tree: PlantTree,
+        tell: Tell,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self.tree = tree
+        #: the clock of the computer minus that of the stream in s, as given out
+        self.offset = 0.0
+        self._items = items
+        self._faces = list(faces)
+        self._tell = tell
+        self._now = now
+        self._serving: dict[asyncio.Task[None], Face] = {}
+        self._waiting: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(MOST_ITEMS)
+
+    @property
+    def faces(self) -> tuple[Face, ...]:
+        """The faces that have not ended."""
+        return tuple(self._faces)
+
+    async def run(self) -> None:
+        """Feed the faces until the stream ends; then end them, within about :data:`END_S`.
+
+        A cancellation ends them in the same way; a second one at once. Raises what the stream raises, behind that.
+        """
+        loop = asyncio.get_running_loop()
+        for face in self._faces:
+            task = loop.create_task(face.serve(), name=f"dpstack {face.name}")
+            self._serving[task] = face
+            task.add_done_callback(self._served)
+        reading = loop.create_task(self._read(), name="dpstack gateway: the live stream")
+        try:
+            while not (reading.done() and self._waiting.empty()):
+                self._step(await self._next_items(reading))
+            why = "the live stream has ended"
+            if not reading.cancelled() and reading.exception() is not None:
+                why = f"the live stream has ended by an error: {clean(str(reading.exception()))}"
+            # a bus that has ended has said so itself
+            self._step([] if self.tree.has_ended else [{"end": {"text": why}}])
+            await reading
+        finally:
+            reading.cancel()
+            if reading.done() and not reading.cancelled():
+                reading.exception()  # asyncio reports one that nobody has asked for
+            await self._end()
+
+    # --- the stream -----------------------------------------------------------------------------------------------
+
+    async def _read(self) -> None:
+        async for item in self._items:
+            await self._waiting.put(item)
+
+    async def _next_items(self, reading: asyncio.Task[None]) -> list[Mapping[str, Any]]:
+        """All items that are there; none after :data:`TICK_S` without one."""
+        found: list[Mapping[str, Any]] = []
+        getting = asyncio.ensure_future(self._waiting.get())
+        try:
+            await asyncio.wait((getting, reading), timeout=TICK_S, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            if not getting.cancel():
+                found.append(getting.result())
+        while not self._waiting.empty():
+            found.append(self._waiting.get_nowait())
+        return found
+
+    def _step(self, items: Sequence[Mapping[str, Any]]) -> None:
+        now = asyncio.get_running_loop().time()
+        changes = self.tree.apply_all(items, now)
+        changes += self._compare_clocks(now)
+        for change in changes:
+            if isinstance(change, Remark):
+                self._tell(change.text, Severity.WARNING)
+        if changes:
+            for face in tuple(self._faces):
+                self._hand_over(face, changes)
+
+    def _hand_over(self, face: Face, changes: Sequence[Change]) -> None:
+        try:
+            face.take(changes)
+        except Exception as error:
+            self._report(face, error)
+            self._drop(face)
+            for task, served in self._serving.items():
+                if served is face:
+                    task.cancel()
+
+    def _compare_clocks(self, now: float) -> list[Change]:
+        """Compare the clock of the computer with that of the stream: a computer may begin in 1970, and be set later."""
+        stream = self.tree.time_at(now)
+        if stream is None:
+            return []
+        offset = self._now() - stream
+        if abs(offset - self.offset) <= _SET_S:
+            return []
+        self.offset = offset
+        return [ClockSet(offset)]
+
+    # --- the faces ------------------------------------------------------------------------------------------------
+
+    def _served(self, task: asyncio.Task[None]) -> None:
+        """A face has ended, by itself or with the gateway."""
+        face = self._serving.pop(task)
+        error = None if task.cancelled() else task.exception()
+        serving = face in self._faces
+        self._drop(face)
+        if error is not None:
+            self._report(face, error)
+        elif serving:
+            self._tell(f"{face.name}: it has ended by itself; the bus goes on without it", Severity.ERROR)
+
+    def _drop(self, face: Face) -> None:
+        if face in self._faces:
+            self._faces.remove(face)
+
+    def _report(self, face: Face, error: BaseException) -> None:
+        if isinstance(error, DpError):
+            self._tell(f"{face.name}: {error}", Severity.ERROR)
+            return
+        _LOG.error("%s has ended by a fault\n%s", face.name, traceback_text(error))
+        why = shortened(printable(f"{type(error).__name__}: {error}"), 200)
+        text = f"{face.name}: it has ended by a fault of its program ({why}); the bus goes on without it"
+        self._tell(text, Severity.ERROR)
+
+    async def _end(self) -> None:
+        """Cancel the faces, and wait until they have ended."""
+        self._faces.clear()
+        for limit_s in (END_S, _LAST_S):
+            ending = dict(self._serving)
+            for task in ending:
+                task.cancel()
+            if ending:
+                await asyncio.wait(ending, timeout=limit_s)
+        for face in self._serving.values():
+            self._tell(f"{face.name}: it did not end in time, and was left", Severity.WARNING)

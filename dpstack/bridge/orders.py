@@ -1,0 +1,222 @@
+"""``Orders``: the orders that faces may give to the run, with an allow list, an age, and one at a time a slave."""
+
+from __future__ import annotations
+
+import asyncio
+import difflib
+import time
+from collections import Counter, deque
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Final, Literal, NamedTuple
+
+from dpstack.bridge.face import Tell
+from dpstack.bridge.nodes import Order
+from dpstack.bridge.quality import Value, clean
+from dpstack.bridge.tree import PlantTree
+from dpstack.errors import ConfigError, DpError
+from dpstack.trace import Severity
+
+#: age of an order in s, as long as the configuration does not say otherwise
+MAX_AGE_S: Final = 2.0
+#: orders that wait or are carried out: of one slave
+MOST_OF_A_SLAVE: Final = 16
+#: orders that are remembered, so that none is carried out twice
+_MOST_KNOWN: Final = 1000
+#: s after which an order that has no result counts as refused
+_LONGEST_S: Final = 90.0
+#: s between two remarks about orders that were refused
+_REMARK_S: Final = 1.0
+#: orders that switch a motor off: they wait for no other order, and none that waits is carried out after them
+_HALTS: Final = frozenset({"stop", "quick_stop", "coast"})
+
+
+class OrderResult(NamedTuple):
+    """Result of an order; ``reason``: why it was refused, printable."""
+
+    name: str
+    result: Literal["done", "refused"]
+    reason: str = ""
+
+
+class _RefusedError(Exception):
+    """The order is not carried out; its text is the reason."""
+
+
+class Orders:
+    """Gives orders of ``tree`` to the run: ``carry_out(*words)`` with the words of its control socket.
+
+    ``allow``: names of orders (``valves.lamp``, ``hoist.start``), or all of a slave (``hoist.*``); see
+    :func:`check_allowed`. ``now``: the clock of the computer in s since 1970. ``tell`` takes a remark about each order.
+    """
+
+    def __init__(
+        self,
+        tree: PlantTree,
+        carry_out: Callable[..., Awaitable[object]],
+        allow: Sequence[str],
+        *,
+        now: Callable[[], float] = time.time,
+        max_age_s: float = MAX_AGE_S,
+        tell: Tell | None = None,
+    ) -> None:
+        self._tree = tree
+        self._carry_out = carry_out
+        self._allow = frozenset(allow)
+        self._now = now
+        self._max_age_s = max_age_s
+        self._tell = tell
+        self._known: deque[tuple[str, float]] = deque()
+        self._waiting: Counter[int] = Counter()
+        self._turns: dict[int, asyncio.Lock] = {}
+        #: number of the halts of each slave
+        self._halts: Counter[int] = Counter()
+        self._remark_at = -_REMARK_S
+        self._untold = 0
+
+    @property
+    def allowed(self) -> tuple[Order, ...]:
+        """The orders of the plant that :meth:`give` takes."""
+        return tuple(order for order in self._tree.orders.values() if is_allowed(self._allow, order.name))
+
+    async def give(self, name: str, value: object = None, *, made_at: float | None) -> OrderResult:
+        """Carry out the order ``name`` (``SLAVE.NAME``) with its argument ``value``, and wait for the result.
+
+        ``made_at``: the time of its sender in s since 1970, judged when the order comes and once more right before it
+        is carried out; None where it came over a connection that delivers nothing late. Raises nothing but the
+        cancellation of its caller, which ends the order as far as the run can take it back.
+        """
+        name = clean(name)
+        try:
+            await self._give(name, value, made_at)
+        except _RefusedError as error:
+            result = OrderResult(name, "refused", str(error))
+        except DpError as error:
+            result = OrderResult(name, "refused", clean(str(error)))
+        except Exception as error:  # whatever the run does: the sender gets a result
+            result = OrderResult(name, "refused", clean(f"{type(error).__name__}: {error}"))
+        else:
+            result = OrderResult(name, "done")
+        self._remark(result)
+        return result
+
+    async def _give(self, name: str, value: object, made_at: float | None) -> None:
+        order = self._find(name)
+        self._judge_age(made_at)
+        try:
+            words = order.words(_plain(value))
+        except ValueError as error:
+            raise _RefusedError(str(error)) from None
+        halts_drive = order.command[-1] in _HALTS
+        self._refuse_twice(name, made_at, halts_drive=halts_drive)
+        if halts_drive:
+            self._halts[order.slave] += 1
+            with self._counted(order.slave, spare=MOST_OF_A_SLAVE):
+                await self._carry(words)
+            return
+        halts = self._halts[order.slave]
+        with self._counted(order.slave):
+            async with self._turns.setdefault(order.slave, asyncio.Lock()):
+                if self._find(name) != order:
+                    raise _RefusedError("the configuration of the bus has changed meanwhile")
+                if self._halts[order.slave] != halts:
+                    raise _RefusedError("a later order has stopped the drive meanwhile")
+                self._judge_age(made_at)
+                await self._carry(words)
+
+    async def _carry(self, words: Sequence[str]) -> None:
+        try:
+            async with asyncio.timeout(_LONGEST_S) as limit:
+                await self._carry_out(*words)
+        except TimeoutError:
+            if not limit.expired():
+                raise
+            raise _RefusedError(f"no result after {_LONGEST_S:g} s") from None
+
+    def _find(self, name: str) -> Order:
+        """The order ``name``. Raises _RefusedError for one that is not allowed, or that the plant does not have."""
+        plant = self._tree.plant
+        if plant is None:
+            raise _RefusedError("the bus is not known yet")
+        if plant.get("read_only") is not False:
+            raise _RefusedError("this run is read only: it takes no orders")
+        if not is_allowed(self._allow, name):
+            raise _RefusedError("it is not in allow_commands")
+        order = self._tree.orders.get(name)
+        if order is None:
+            raise _RefusedError("the plant has no such order")
+        return order
+
+    def _judge_age(self, made_at: float | None) -> None:
+        if made_at is None:
+            return
+        age = self._now() - made_at
+        if age > self._max_age_s:
+            raise _RefusedError(
+                f"it is {age:.1f} s old by the clock of this computer; {self._max_age_s:g} s are allowed"
+            )
+        if not age >= -self._max_age_s:
+            raise _RefusedError(f"its time is {-age:.1f} s ahead of the clock of this computer: set the clocks")
+
+    def _refuse_twice(self, name: str, made_at: float | None, *, halts_drive: bool) -> None:
+        if made_at is None:
+            return
+        # an order is refused for its age before it could be given again with the same time
+        oldest = self._now() - 2 * self._max_age_s
+        while self._known and self._known[0][1] < oldest:
+            self._known.popleft()
+        if (name, made_at) in self._known:
+            raise _RefusedError("an order with this name and time was given already")
+        if len(self._known) < _MOST_KNOWN:
+            self._known.append((name, made_at))
+        elif not halts_drive:
+            raise _RefusedError("too many orders have come")
+
+    @contextmanager
+    def _counted(self, slave: int, *, spare: int = 0) -> Iterator[None]:
+        if self._waiting[slave] >= MOST_OF_A_SLAVE + spare:
+            raise _RefusedError("too many orders to this slave wait")
+        self._waiting[slave] += 1
+        try:
+            yield
+        finally:
+            self._waiting[slave] -= 1
+
+    def _remark(self, result: OrderResult) -> None:
+        """Orders that are refused come from outside, at any rate: they are told once a second."""
+        if self._tell is None:
+            return
+        if result.result == "done":
+            self._tell(f"order {result.name}: done", Severity.INFO)
+            return
+        now = asyncio.get_running_loop().time()
+        if now - self._remark_at < _REMARK_S:
+            self._untold += 1
+            return
+        more = f" ({self._untold} more were refused before)" if self._untold else ""
+        self._remark_at, self._untold = now, 0
+        self._tell(f"order {result.name} refused: {result.reason}{more}", Severity.WARNING)
+
+
+def is_allowed(allow: Iterable[str], name: str) -> bool:
+    """Whether the order ``name`` is one of ``allow``, as a name or with all of its slave."""
+    slave, dot, _ = name.rpartition(".")
+    return name in allow or (bool(dot) and f"{slave}.*" in allow)
+
+
+def check_allowed(allow: Sequence[str], orders: Iterable[str]) -> None:
+    """Raises ConfigError for a member of ``allow`` that fits none of ``orders``, with the nearest one."""
+    names = set(orders)
+    known = names | {f"{name.rpartition('.')[0]}.*" for name in names}
+    for pattern in allow:
+        if pattern not in known:
+            near = difflib.get_close_matches(pattern, sorted(known), n=1, cutoff=0.5)
+            todo = f"did you mean {near[0]!r}?" if near else "write SLAVE.OUTPUT, SLAVE.start for a drive, or SLAVE.*"
+            raise ConfigError(f"allow_commands: {clean(pattern)!r} fits no order of this plant; {todo}")
+
+
+def _plain(value: object) -> Value:
+    """``value`` where it is a value of a node. Raises ValueError."""
+    if value is None or isinstance(value, (bool, int, float, str, bytes)):
+        return value
+    raise ValueError(f"a {type(value).__name__} is no value of an order")

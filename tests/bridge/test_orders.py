@@ -1,0 +1,250 @@
+"""Orders of faces: allowed by name, no older than their limit, once, one at a time a slave; the run judges values."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+from api_kit import in_virtual_time
+
+from dpstack.bridge.orders import MOST_OF_A_SLAVE, Orders, check_allowed, is_allowed
+from dpstack.bridge.tree import PlantTree
+from dpstack.errors import ConfigError, UsageError
+from dpstack.trace import Severity
+
+NOW = 1_700_000_000.0
+
+
+def plant(*, read_only: bool = False, names: tuple[str, str] = ("hoist", "valves")) -> dict[str, Any]:
+    lamp = {"name": "lamp", "type": "bool", "at": "bool@0.1"}
+    speed = {"name": "speed", "type": "u8", "at": "u8@1"}
+    slaves = {
+        "3": {"name": names[0], "drive": {"profile": "demag-dedrive"}},
+        "8": {"name": names[1], "outputs": [lamp, speed], "inputs": [lamp | {"name": "level"}]},
+    }
+    return {"plant": {"started": NOW, "baud": 500_000, "read_only": read_only, "slaves": slaves}}
+
+
+class Run:
+    """Carries orders out slowly, and keeps them."""
+
+    def __init__(self, *allow: str, seconds: float = 0.0, read_only: bool = False) -> None:
+        self.tree = PlantTree()
+        self.tree.apply(plant(read_only=read_only), 0.0)
+        self.seconds = seconds
+        self.carried: list[tuple[str, ...]] = []
+        self.at_once = self.most_at_once = 0
+        self.told: list[tuple[str, Severity]] = []
+        self.begun = asyncio.get_running_loop().time()
+        self.orders = Orders(
+            self.tree,
+            self.carry_out,
+            allow,
+            now=self.now,
+            tell=lambda text, severity: self.told.append((text, severity)),
+        )
+
+    def now(self) -> float:
+        return NOW + asyncio.get_running_loop().time() - self.begun
+
+    async def carry_out(self, *words: str) -> None:
+        self.at_once += 1
+        self.most_at_once = max(self.most_at_once, self.at_once)
+        try:
+            await asyncio.sleep(self.seconds)
+            if words == ("set", "8.speed=200"):
+                raise UsageError("valves: speed = 200 is outside 0..100")
+            if words == ("set", "8.speed=201"):
+                raise ZeroDivisionError("\x1b[2J")
+        finally:
+            self.at_once -= 1
+        self.carried.append(words)
+
+    async def reason(self, name: str, value: object = None, *, made_at: float | None = None) -> str:
+        result = await self.orders.give(name, value, made_at=made_at)
+        assert (result.result == "done") == (not result.reason)
+        return result.reason
+
+
+@in_virtual_time
+async def test_only_what_is_listed_is_carried_out() -> None:
+    run = Run("valves.lamp", "hoist.*")
+    assert {one.name for one in run.orders.allowed} == {
+        "valves.lamp",
+        *(f"hoist.{word}" for word in ("start", "stop", "quick_stop", "coast", "acknowledge", "speed")),
+    }
+    assert await run.reason("valves.lamp", True) == ""
+    assert await run.reason("hoist.start") == ""
+    assert await run.reason("hoist.speed", 0.5) == ""
+    assert run.carried == [("set", "8.lamp=on"), ("drive", "3", "start"), ("drive", "3", "speed", "0.5")]
+    for name in ("valves.speed", "valves.*", "hoist", "valves", "", "valves.lamp.on", "\x1b[2J.start"):
+        assert await run.reason(name, 1) == "it is not in allow_commands"
+    assert await run.reason("hoist.level", 1) == "the plant has no such order"
+    assert len(run.carried) == 3
+    assert all(text.isprintable() for text, _ in run.told)
+
+
+@in_virtual_time
+async def test_types_and_ranges_are_judged_by_plant_and_run() -> None:
+    run = Run("valves.*", "hoist.*")
+    assert await run.reason("valves.lamp", "on") == "valves.lamp takes bool, not 'on'"
+    assert await run.reason("valves.speed", -1) == "valves.speed takes u8, not -1"
+    assert await run.reason("valves.speed", [1]) == "a list is no value of an order"
+    assert await run.reason("valves.speed", 200) == "valves: speed = 200 is outside 0..100"
+    assert await run.reason("valves.speed", 201) == "ZeroDivisionError: \\x1b[2J"
+    # a face writes a value to an order without an argument: nothing starts because of false
+    assert await run.reason("hoist.start", False) == "hoist.start takes true, not False"
+    assert await run.reason("hoist.start", True) == ""
+    assert run.carried == [("drive", "3", "start")]
+
+
+@in_virtual_time
+async def test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come() -> None:
+    run = Run("valves.*", seconds=1.5)
+    assert await run.reason("valves.lamp", True, made_at=NOW - 2.1) == (
+        "it is 2.1 s old by the clock of this computer; 2 s are allowed"
+    )
+    assert await run.reason("valves.lamp", True, made_at=NOW + 7) == (
+        "its time is 7.0 s ahead of the clock of this computer: set the clocks"
+    )
+    assert "clock" in await run.reason("valves.lamp", True, made_at=float("nan"))
+    assert "clock" in await run.reason("valves.lamp", True, made_at=float("-inf"))
+    first = asyncio.ensure_future(run.reason("valves.speed", 1, made_at=NOW))
+    second = asyncio.ensure_future(run.reason("valves.speed", 2, made_at=NOW + 0.1))
+    third = asyncio.ensure_future(run.reason("valves.speed", 3, made_at=NOW + 0.2))
+    assert (await first, await second) == ("", "")
+    assert await third == "it is 2.8 s old by the clock of this computer; 2 s are allowed"
+    assert run.carried == [("set", "8.speed=1"), ("set", "8.speed=2")]
+    assert run.most_at_once == 1
+
+
+@in_virtual_time
+async def test_no_order_is_carried_out_twice() -> None:
+    run = Run("valves.*", "hoist.*")
+    for _ in range(3):
+        await run.reason("valves.lamp", True, made_at=NOW - 1)
+    assert (
+        await run.reason("valves.lamp", True, made_at=NOW - 1) == "an order with this name and time was given already"
+    )
+    assert await run.reason("valves.speed", 1, made_at=NOW - 1) == ""
+    assert len(run.carried) == 2
+    # many orders of other times push none of them out
+    for number in range(2000):
+        await run.reason("valves.speed", 1, made_at=NOW + number / 1e6)
+    assert (
+        await run.reason("valves.lamp", True, made_at=NOW - 1) == "an order with this name and time was given already"
+    )
+    assert await run.reason("valves.speed", 5, made_at=NOW + 0.5) == "too many orders have come"
+    assert await run.reason("hoist.stop", made_at=NOW + 0.5) == ""
+    await asyncio.sleep(4.1)
+    assert await run.reason("valves.speed", 6, made_at=NOW + 4.0) == ""
+
+
+@in_virtual_time
+async def test_a_stop_waits_for_nobody_and_nothing_that_waits_comes_after_it() -> None:
+    run = Run("hoist.*", "valves.*", seconds=5.0)
+    start = asyncio.ensure_future(run.reason("hoist.start"))
+    await asyncio.sleep(0.1)
+    speed = asyncio.ensure_future(run.reason("hoist.speed", 1.0))
+    lamp = asyncio.ensure_future(run.reason("valves.lamp", True))
+    await asyncio.sleep(0.1)
+    stop = asyncio.ensure_future(run.reason("hoist.stop"))
+    await asyncio.sleep(0.1)
+    assert run.at_once == 3
+    assert [await one for one in (start, speed, lamp, stop)] == [
+        "",
+        "a later order has stopped the drive meanwhile",
+        "",
+        "",
+    ]
+    assert run.carried == [("drive", "3", "start"), ("set", "8.lamp=on"), ("drive", "3", "stop")]
+
+
+@in_virtual_time
+async def test_orders_that_wait_are_bounded_and_one_slave_holds_up_no_other() -> None:
+    run = Run("hoist.*", "valves.*", seconds=3600.0)
+    given = [asyncio.ensure_future(run.reason("valves.speed", number)) for number in range(100)]
+    await asyncio.sleep(0)
+    refused = [one.result() for one in given if one.done()]
+    assert refused == ["too many orders to this slave wait"] * (100 - MOST_OF_A_SLAVE)
+    assert len(run.told) == 1
+    await asyncio.sleep(1)
+    stopping = asyncio.ensure_future(run.reason("hoist.stop"))
+    await asyncio.sleep(0)
+    assert not stopping.done()
+    begun = run.now()
+    results = [await one for one in given[:MOST_OF_A_SLAVE]]
+    assert results[0] == "no result after 90 s"
+    assert run.now() - begun == pytest.approx(90 * MOST_OF_A_SLAVE, rel=0.01)
+    assert run.at_once == 0
+
+
+@in_virtual_time
+async def test_an_order_whose_sender_has_gone_is_taken_back() -> None:
+    run = Run("valves.*", seconds=5.0)
+    given = [asyncio.ensure_future(run.reason("valves.speed", number)) for number in range(3)]
+    await asyncio.sleep(1)
+    given[0].cancel()
+    given[1].cancel()
+    assert await given[2] == ""
+    assert run.carried == [("set", "8.speed=2")]
+
+
+@in_virtual_time
+async def test_a_configuration_that_changes_meanwhile_is_judged_again() -> None:
+    """While the order waits, the slaves exchange their names."""
+    run = Run("valves.lamp", seconds=1.0)
+    first = asyncio.ensure_future(run.reason("valves.lamp", True))
+    second = asyncio.ensure_future(run.reason("valves.lamp", False))
+    await asyncio.sleep(0.5)
+    changed = plant(names=("valves", "hoist"))
+    changed["plant"]["slaves"]["3"]["outputs"] = [{"name": "lamp", "type": "bool", "at": "bool@0.0"}]
+    run.tree.apply(changed, 1.0)
+    assert await first == ""
+    assert await second == "the configuration of the bus has changed meanwhile"
+    assert run.carried == [("set", "8.lamp=on")]
+
+
+@in_virtual_time
+async def test_a_run_that_only_reads_refuses_all() -> None:
+    run = Run("valves.*", "hoist.*", read_only=True)
+    for name, value in (("valves.lamp", True), ("hoist.stop", None), ("nobody.there", 1)):
+        assert await run.reason(name, value) == "this run is read only: it takes no orders"
+    run.orders = Orders(PlantTree(), run.carry_out, ["valves.*"])
+    assert await run.reason("valves.lamp", True) == "the bus is not known yet"
+    assert run.carried == []
+
+
+@in_virtual_time
+async def test_each_order_is_told_but_a_flood_of_refused_ones_only_now_and_then() -> None:
+    run = Run("valves.lamp")
+    await run.reason("valves.lamp", True)
+    for _ in range(50):
+        await run.reason("valves.speed", 1)
+    await asyncio.sleep(1.0)
+    await run.reason("valves.speed", 1)
+    assert run.told == [
+        ("order valves.lamp: done", Severity.INFO),
+        ("order valves.speed refused: it is not in allow_commands", Severity.WARNING),
+        ("order valves.speed refused: it is not in allow_commands (49 more were refused before)", Severity.WARNING),
+    ]
+
+
+def test_patterns_that_fit_nothing_are_errors_of_the_configuration() -> None:
+    orders = ["valves.lamp", "valves.speed", "hoist.start", "lift.2.start"]
+    check_allowed(["valves.lamp", "hoist.*", "lift.2.*"], orders)
+    for pattern, hint in {
+        "valves.lmap": "did you mean 'valves.lamp'?",
+        "valve.*": "did you mean 'valves.*'?",
+        "*": "write SLAVE.OUTPUT, SLAVE.start for a drive, or SLAVE.*",
+        "lift.*": "did you mean 'lift.2.*'?",
+        "\x1b[2J": "write SLAVE.OUTPUT, SLAVE.start for a drive, or SLAVE.*",
+    }.items():
+        with pytest.raises(ConfigError) as caught:
+            check_allowed([pattern], orders)
+        assert str(caught.value).endswith(f"fits no order of this plant; {hint}")
+        assert str(caught.value).isprintable()
+    assert is_allowed(["lift.2.*"], "lift.2.start")
+    assert not is_allowed(["lift.*"], "lift.2.start")
+    assert not is_allowed([".*"], "start")
