@@ -41,8 +41,8 @@ def test_an_exchange_in_virtual_time_costs_so_many_python_calls(drive: str | Non
     assert calls_an_exchange(plant, lambda: plant.world.run_for(200 * NS_PER_MS)) <= most
 
 
-def test_an_exchange_in_virtual_time_costs_so_many_heap_entries() -> None:
-    # request, answer, the master's slot time; the slave's T_SDR and the master's T_ID1 need none: nothing comes before
+def test_an_exchange_in_virtual_time_costs_hardly_a_heap_entry() -> None:
+    # nothing comes between request, answer, T_SDR and T_ID1; the master's slot time ends in the middle of the answer
     entries = 0
 
     def count(_frame: FrameType, event: str, argument: Any) -> None:
@@ -56,7 +56,7 @@ def test_an_exchange_in_virtual_time_costs_so_many_heap_entries() -> None:
         plant.world.run_for(200 * NS_PER_MS)
     finally:
         sys.setprofile(None)
-    assert entries / (plant.exchanges - before) <= 3.7
+    assert entries / (plant.exchanges - before) <= 0.3
 
 
 def test_a_world_that_runs_does_the_same_as_one_that_steps() -> None:
@@ -67,17 +67,27 @@ def test_a_world_that_runs_does_the_same_as_one_that_steps() -> None:
         stepped.world.step()
         steps += 1
     run.world.run_until(end)
-    answers = [False] * (steps + 1)
+    answers = [False] * steps
     assert not asked.world.run(end, answers.pop)
-    assert len(answers) == 1  # asked after each event, those without a heap entry too
+    telegrams = [entry for entry in run.world.log if entry.start_ns > end - 50 * NS_PER_MS]
+    # asked where a station sends and where its telegram ends; timers that were put off are no events of a run
+    assert 2 * len(telegrams) <= steps - len(answers) <= steps
     assert list(stepped.world.log) == list(run.world.log) == list(asked.world.log)
-    for stop in (1, 2, 3, 5, 8, 13, 21):
-        again = Plant(3, _BAUD)
-        for _ in range(stop):
-            again.world.step()
-        stops = Plant(3, _BAUD)
-        assert stops.world.run(end, [True, *[False] * (stop - 1)].pop)
-        assert (stops.world.now, stops.world.next_at()) == (again.world.now, again.world.next_at())
+    assert stepped.exchanges == run.exchanges == asked.exchanges
+
+
+@pytest.mark.parametrize("stop", [1, 2, 3, 5, 8, 13, 21])
+def test_a_world_that_is_stopped_has_done_what_one_that_steps_does_up_to_this_time(stop: int) -> None:
+    stops, steps = (Plant(3, _BAUD) for _ in range(2))
+    end = stops.world.now + 50 * NS_PER_MS
+    assert stops.world.run(end, [True, *[False] * (stop - 1)].pop)
+    assert stops.world.now < end
+    while steps.world.next_at() <= stops.world.now:
+        steps.world.step()
+    assert list(steps.world.log) == list(stops.world.log)
+    for plant in (stops, steps):
+        plant.world.run_until(end)
+    assert list(steps.world.log) == list(stops.world.log)
 
 
 def test_the_drives_of_the_benchmark_run_at_their_speed() -> None:

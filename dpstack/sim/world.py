@@ -77,6 +77,8 @@ class Medium:
         self.baud = 0
         #: delayed and repeated transmissions; their start edge is announced with the next step of a station
         self.late: list[Transmission] = []
+        #: the transmission begun last, while its end is not among the events to come (:meth:`World.run_station`)
+        self.begun: Transmission | None = None
         self._world = world
         self._heap = world.heap
         self._ticks = world.ticks
@@ -125,6 +127,14 @@ class Medium:
         if self._faults.armed:
             self._faults.apply(tx)
         self._start_or_schedule(tx, now)
+        self.schedule_end()
+
+    def schedule_end(self) -> None:
+        """Put the end of the transmission ``begun`` among the events to come."""
+        tx = self.begun
+        if tx is not None:
+            self.begun = None
+            heappush(self._heap, (tx.end_ns, tx.order, self._on_end, tx))
 
     def cut(self, node: Node, now: int) -> None:
         """End the transmission of ``node``, which is unplugged: no station receives an unfinished octet."""
@@ -140,7 +150,7 @@ class Medium:
         tx.telegram = None
         tx.end_ns = now
         tx.cut = True
-        self._transmission_ended(tx)
+        self.end(tx)
         self._current = None
         if whole and sent:
             self._deliver_octets(sent, tx.baud, tx.start_ns, ports=False)
@@ -150,7 +160,7 @@ class Medium:
         late, self.late = self.late, []
         now = self._world.now
         for tx in late:
-            if self._heap and self._heap[0][0] <= now:
+            if self._heap[0][0] <= now:
                 self._world.schedule(now, _EDGES, self._announce_edge, tx)
             else:
                 self._announce_edge(tx)
@@ -189,14 +199,17 @@ class Medium:
     def _begin_late(self, tx: Transmission) -> None:
         if tx.node is None or tx.node.on_bus:
             self._begin(tx, late=True)
+            self.schedule_end()
 
     def _begin(self, tx: Transmission, *, late: bool = False) -> None:
         """Put ``tx`` on the line now, and announce its start edge after all other events of this instant."""
         self.transmissions += 1
         self.baud = baud = tx.baud
         start = tx.start_ns
-        heap = self._heap
-        heappush(heap, (tx.end_ns, _ENDS + next(self._ticks), self._on_end, tx))
+        tx.order = _ENDS + next(self._ticks)
+        if self.begun is not None:
+            self.schedule_end()
+        self.begun = tx
         before = self._current
         if before is not None and before.end_ns > start:
             self._collide(tx, before)
@@ -210,7 +223,7 @@ class Medium:
                 tx.whole = True
         if late:
             self.late.append(tx)
-        elif heap[0][0] <= start:
+        elif self._heap[0][0] <= start:
             self._world.schedule(start, _EDGES, self._announce_edge, tx)
         else:
             self._announce_edge(tx)
@@ -230,10 +243,16 @@ class Medium:
             self._sample_at_other_rates(tx)
 
     def _transmission_ended(self, tx: Transmission) -> None:
-        """The last bit of ``tx`` is on the line: judge and log it, and deliver it if it is whole."""
-        if tx.ended:
-            return
-        tx.ended = True
+        if not tx.cut:  # cut() has ended it already
+            node = self.end(tx)
+            if node is not None:
+                self._world.run_station(node, node.station.wake_at(), last=True)
+
+    def end(self, tx: Transmission) -> Node | None:
+        """The last bit of ``tx`` is on the line: judge and log it, deliver it if it is whole, and run its hearers.
+
+        The caller runs the last one of them, which it returns; None: no station hears ``tx`` as a telegram.
+        """
         start = tx.start_ns
         end = tx.end_ns
         whole = tx.whole
@@ -248,16 +267,19 @@ class Medium:
         self._log.add((start, end, tx.octets, tx.sender, notes))
         telegram = tx.telegram
         if telegram is None or not whole:
-            return
+            return None
         baud = tx.baud
         heard: list[Node] = []
         for node in self._nodes.hearers[telegram.da]:  # not the sender: it hears only later transmissions
             if node.hears_from <= start and node.baud == baud:
                 heard.append(node)
                 node.station.telegram(telegram, end)
-        run_station = self._world.run_station
+        if not heard:
+            return None
+        last = heard.pop()
         for node in heard:
-            run_station(node, node.station.wake_at(), last=node is heard[-1])
+            self._world.run_station(node, node.station.wake_at())
+        return last
 
     def _deliver_octets(self, octets: bytes, rate: int, since: int, *, ports: bool = True, others: bool = True) -> None:
         """Deliver ``octets`` to the stations at ``rate``: to ``ports``, and to all ``others``."""
@@ -366,8 +388,8 @@ class World:
         self.log = WireLog(keep)
         self.faults = Faults(2 * seed)
         self.referee: Referee | None = Referee(self.log, start_ns) if referee else None
-        #: the events to come, and the numbers that keep their order within a nanosecond
-        self.heap: list[tuple[int, int, Callback, Any]] = []
+        #: the events to come, and the numbers that keep their order within a nanosecond; the last one never comes
+        self.heap: list[tuple[int, int, Callback, Any]] = [(NEVER, 0, _nothing, None)]
         self.ticks = count(1)
         self._nodes = Nodes()
         self._medium = Medium(self, self._nodes, 2 * seed + 1)
@@ -449,29 +471,18 @@ class World:
 
     def next_at(self) -> int:
         """The time of the next event in ns; NEVER when there is none."""
-        heap = self.heap
-        return heap[0][0] if heap else NEVER
+        return self.heap[0][0]
 
     def step(self) -> None:
         """Advance to the next event and run it. Raises UsageError when there is none."""
-        if not self.heap:
+        if self.heap[0][0] == NEVER:
             raise UsageError("nothing will ever happen in this world: no station waits for a time, nothing is sent")
         self.now, _, call, argument = heappop(self.heap)
         call(argument)
 
     def run_until(self, at_ns: int) -> None:
         """Run every event up to and including ``at_ns`` and advance to that time."""
-        heap = self.heap
-        self._horizon = at_ns
-        self._stop = _never
-        try:
-            while heap and heap[0][0] <= at_ns:
-                self.now, _, call, argument = heappop(heap)
-                call(argument)
-        finally:
-            self._horizon = _STEPWISE
-        if at_ns > self.now:
-            self.now = at_ns
+        self.run(at_ns, _never)
 
     def run_for(self, ns: int) -> None:
         """Run every event of the next ``ns`` nanoseconds."""
@@ -483,11 +494,11 @@ class World:
         ``until_ns`` may be NEVER. Returns whether ``stop()`` ended the run.
         """
         heap = self.heap
-        self._horizon = until_ns
+        self._horizon = horizon = min(until_ns, NEVER - 1)
         self._stop = stop
         self._stopped = False
         try:
-            while heap and heap[0][0] <= until_ns:
+            while heap[0][0] <= horizon:
                 self.now, _, call, argument = heappop(heap)
                 call(argument)
                 if self._stopped or stop():
@@ -514,44 +525,97 @@ class World:
     def run_station(self, node: Node, deadline: int, *, last: bool = False) -> None:
         """Run the station if its ``deadline`` is reached, schedule its next one, pass on its events.
 
-        ``last``: the present event does nothing else after this. A next deadline that comes before all other events
-        is then reached at once, without an entry in the heap.
+        ``last``: the present event does nothing else after this. As long as nothing else comes before, the station's
+        next deadline, the end of its transmission and the stations that hear that are then run at once, at their
+        times, without entries in the heap: most exchanges need none.
         """
         if not node.on_bus:
             return
-        station = node.station
         heap = self.heap
+        medium = self._medium
         horizon = self._horizon if last else _STEPWISE
-        while True:
-            now = self.now
-            if deadline <= now:
-                deadline = run_due(station, now, node.transmit)
-            if station.address != node.address or station.baud != node.baud:
-                if station.baud != node.baud:
-                    # the transmission on the wire began before its receiver was at this rate
-                    node.hears_from = max(node.hears_from, now)
-                self._nodes.renew(node)
-            node.deadline = deadline
-            if self._medium.late:
-                self._medium.announce_late_edges()
-            events = station.take_events()
-            if not (now < deadline <= horizon and heap and deadline < heap[0][0]) or events:
-                break
-            if self._stop():
-                self._stopped = True
-                break
-            self.now = deadline
-            node.due = NEVER
-        if deadline < node.due > now:
-            # Call it earlier. It gets a new heap entry only where it has none before that, and later entries stay: a
-            # watchdog that every exchange postpones has one heap entry, not one for each exchange.
-            node.due = at = deadline if deadline > now else now
-            node.order = order = _TIMERS + next(self.ticks)
-            if at < node.entries[-1]:
-                node.entries.append(at)
-                heappush(heap, (at, order, self._on_timer, node))
+        waiting: Node | None = None  # the only station with a deadline that is in the heap only after this
+        try:
+            while True:
+                now = self.now
+                station = node.station
+                if deadline <= now:
+                    deadline = run_due(station, now, node.transmit)
+                if station.address != node.address or station.baud != node.baud:
+                    if station.baud != node.baud:
+                        # the transmission on the wire began before its receiver was at this rate
+                        node.hears_from = max(node.hears_from, now)
+                    self._nodes.renew(node)
+                node.deadline = deadline
+                if medium.late:
+                    medium.announce_late_edges()
+                events = station.take_events()
+                tx = medium.begun
+                if tx is None:
+                    at = deadline
+                else:
+                    at = tx.end_ns
+                    if deadline < node.due:
+                        waiting = self._set_timer(node, waiting)
+                if events or not now < at <= horizon or at >= heap[0][0]:
+                    break
+                if waiting is not None and waiting.due <= at and not self._put_off(waiting, at):
+                    break
+                if self._stop():
+                    self._stopped = True
+                    break
+                self.now = at
+                if tx is None:
+                    if waiting is node:
+                        waiting = None
+                        node.due = NEVER
+                else:
+                    medium.begun = None
+                    hearer = medium.end(tx)
+                    if hearer is None or not hearer.on_bus:
+                        break
+                    node = hearer
+                    deadline = node.station.wake_at()
+            if deadline < node.due:
+                waiting = self._set_timer(node, waiting)
+        finally:
+            medium.schedule_end()
+            if waiting is not None:
+                self._schedule_timer(waiting)
         if events and node.on_events is not None:
             node.on_events(events)
+
+    def _set_timer(self, node: Node, waiting: Node | None) -> Node | None:
+        """The station's deadline is earlier than the time at which it is called: call it earlier.
+
+        Returns the station whose timer is not in the heap yet: ``node``, if no other one is ``waiting`` already.
+        """
+        now = self.now
+        if node.due > now:
+            deadline = node.deadline
+            node.due = deadline if deadline > now else now
+            node.order = _TIMERS + next(self.ticks)
+            if waiting is None or waiting is node:
+                return node
+            self._schedule_timer(node)
+        return waiting
+
+    def _schedule_timer(self, node: Node) -> None:
+        """Put the timer of ``node`` into the heap if it has no entry before that.
+
+        Later entries stay: a watchdog that every exchange postpones has one heap entry, not one for each exchange.
+        """
+        if node.due < node.entries[-1]:
+            node.entries.append(node.due)
+            heappush(self.heap, (node.due, node.order, self._on_timer, node))
+
+    def _put_off(self, node: Node, at: int) -> bool:
+        """Whether an edge has put off the deadline of ``node`` until after ``at``; its timer then follows."""
+        if not node.due < at < node.deadline:
+            return False
+        node.due = node.deadline
+        node.order = _TIMERS + next(self.ticks)
+        return True
 
     # --- inside ---
     def _run_timer(self, node: Node) -> None:
@@ -564,9 +628,7 @@ class World:
             if node.due <= self.now:
                 node.due = deadline  # an edge has put it off
                 node.order = _TIMERS + next(self.ticks)
-            if node.due < node.entries[-1]:  # postponed
-                node.entries.append(node.due)
-                heappush(self.heap, (node.due, node.order, self._on_timer, node))
+            self._schedule_timer(node)
 
     def _node(self, station: BusStation) -> Node:
         node = self._nodes.find(station)
@@ -577,3 +639,7 @@ class World:
 
 def _call(callback: Callable[[], None]) -> None:
     callback()
+
+
+def _nothing(_: object) -> None:
+    raise RuntimeError("an event came that never comes")
