@@ -47,17 +47,22 @@ def _not_connected(octets: bytes, now: int) -> int:
 
 
 class Hearers(dict[int, tuple[Node, ...]]):
-    """The stations that hear a telegram, by its DA: those that hear all, then the addressed ones. Found once."""
+    """The stations that hear a telegram, by its DA: those that hear all, then the addressed ones. Found once.
 
-    def __init__(self, nodes: Nodes) -> None:
+    ``all_addressed`` False: a telegram to all addresses nobody.
+    """
+
+    def __init__(self, nodes: Nodes, *, all_addressed: bool) -> None:
         self._nodes = nodes
+        self._all_addressed = all_addressed
 
     def __missing__(self, da: int) -> tuple[Node, ...]:
         nodes = self._nodes
-        if da == BROADCAST:
-            addressed = [node for same_rate in nodes.by_rate.values() for node in same_rate if not node.hears_all]
-        else:
+        addressed: list[Node] = []
+        if da != BROADCAST:
             addressed = nodes.by_address.get(da, [])
+        elif self._all_addressed:
+            addressed = [node for same_rate in nodes.by_rate.values() for node in same_rate if not node.hears_all]
         self[da] = found = (*nodes.listeners, *addressed)
         return found
 
@@ -73,7 +78,9 @@ class Nodes:
         self.ports: list[Node] = []
         #: the rate of all stations if they have the same one and none is a port, else 0
         self.common_rate = 0
-        self.hearers = Hearers(self)
+        #: the stations that hear a telegram, and those that are told of its start edge
+        self.hearers = Hearers(self, all_addressed=True)
+        self.told = Hearers(self, all_addressed=False)
 
     def __iter__(self) -> Iterator[Node]:
         return iter(list(self._by_station.values()))
@@ -120,6 +127,7 @@ class Nodes:
     def _changed(self) -> None:
         self.common_rate = 0 if self.ports or len(self.by_rate) != 1 else next(iter(self.by_rate))
         self.hearers.clear()
+        self.told.clear()
 
 
 def _drop(index: dict[int, list[Node]], key: int, node: Node) -> None:

@@ -20,7 +20,7 @@ from dpstack.params import BROADCAST, T_SYN, BusParams
 from dpstack.sim.nodes import Node
 from dpstack.sim.transmission import Transmission, receive
 from dpstack.trace import WireEntry, WireLog
-from dpstack.units import bits_to_ns, ns_to_bits
+from dpstack.units import NEVER, bits_to_ns, ns_to_bits
 
 #: first attempt and two repetitions before the successor counts as absent
 PASS_ATTEMPTS: Final = 3
@@ -226,6 +226,15 @@ def _idle_time(times: _Times | None, after: int, waiting: bool, baud: int) -> _I
     return _Idle(bits_to_ns(bits, baud), rule, name, bits)
 
 
+@lru_cache(256)
+def _answer_window(times: _Times | None, baud: int) -> tuple[int, int]:
+    """The time in ns after a request before which no answer may begin, and from which on it is late.
+
+    ``times``: of the master that waits; None: not known.
+    """
+    return bits_to_ns(MIN_TSDR, baud), NEVER if times is None else bits_to_ns(times.t_sl, baud)
+
+
 class Referee:
     """The referee of one wire. ``violations``: those that the test has not allowed; ``allowed``: the others.
 
@@ -364,11 +373,12 @@ class Referee:
             self._add_violation(tx, Rule.UNASKED, text)
             return _ANSWER
         waited = tx.start_ns - end_ns
-        if waited < _ns(MIN_TSDR, tx.baud):
+        times = self._masters.get(sa)
+        least, until = _answer_window(times, tx.baud)
+        if waited < least:
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; min T_SDR is {MIN_TSDR}"
             self._add_violation(tx, Rule.EARLY, text)
-        times = self._masters.get(sa)
-        if times is not None and waited >= _ns(times.t_sl, tx.baud):
+        if times is not None and waited >= until:
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; T_SL of {sa} is {times.t_sl}"
             self._add_violation(tx, Rule.LATE, text)
         return _ANSWER

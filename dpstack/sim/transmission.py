@@ -32,7 +32,7 @@ class Transmission(Struct, eq=False):
 
     ``forced``: a test injected or delayed it, so no station is responsible. ``flips``: inverted bits by octet number
     (see :func:`dpstack.phy.uart.flipped`). ``lost``: it is not on the wire at all. ``whole``: so far it is intact for
-    all receivers at its rate. ``order``: the place of its end among the events of that time. ``heard_ns``: the end of the last readable octet of one that is not whole, set at its
+    all receivers at its rate. ``heard_ns``: the end of the last readable octet of one that is not whole, set at its
     end. ``repeat_after_ns``: it is on the wire again so long after its end; None: once.
     """
 
@@ -50,7 +50,6 @@ class Transmission(Struct, eq=False):
     lost: bool = False
     collided: bool = False
     cut: bool = False
-    order: int = 0
     heard_ns: int = 0
     repeat_after_ns: int | None = None
 

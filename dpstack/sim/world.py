@@ -21,7 +21,7 @@ from typing import Any, Final
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import BusStation
 from dpstack.machine import run_due
-from dpstack.params import BROADCAST, BusParams
+from dpstack.params import BusParams
 from dpstack.phy.uart import Receiver, waveform
 from dpstack.sim.faults import Faults
 from dpstack.sim.nodes import Node, Nodes
@@ -42,7 +42,6 @@ _EDGES: Final = 4 << 56
 
 _NO_ADDRESS: Final = -1
 _STEPWISE: Final = -1  # no event is run before the one that asks for it is over
-_never: Final[Callable[[], bool]] = bool
 
 
 @dataclass(slots=True, eq=False)
@@ -88,6 +87,7 @@ class Medium:
         self._referee = world.referee
         self._rng = Random(seed)
         self._current: Transmission | None = None  # the one on the wire that ends last
+        self._busy_until = 0  # its end
         self._jam: _Jam | None = None
         self._receivers: dict[int, Receiver] = {}  # by rate, of stations at another rate than the sender's
         self._octet_ns = 0  # end of the last octet that was delivered outside of a whole telegram
@@ -102,13 +102,27 @@ class Medium:
         telegram, lasts = on_wire(octets, baud)
         end = now + lasts
         tx = Transmission(node, node.name, octets, baud, now, end, telegram)
-        if self._faults.armed or node.mute_until > now:
-            return self._transmit_disturbed(tx, node, now)
-        node.sending_until = node.hears_from = end
-        self._begin(tx)
+        if (
+            self._faults.armed
+            or node.mute_until > now
+            or self._busy_until > now
+            or baud != self._nodes.common_rate
+            or telegram is None
+        ):
+            return self._transmit_with_care(tx, node, now)
+        # as in _begin(): it is alone on the line, and all stations that hear it get the whole telegram
+        node.sending_until = node.hears_from = self._busy_until = end
+        tx.whole = True
+        self.transmissions += 1
+        self.baud = baud
+        self.begun = self._current = tx
+        if self._heap[0][0] > now:
+            self._announce_edge(tx)
+        else:
+            self._world.schedule(now, _EDGES, self._announce_edge, tx)
         return end
 
-    def _transmit_disturbed(self, tx: Transmission, node: Node, now: int) -> int:
+    def _transmit_with_care(self, tx: Transmission, node: Node, now: int) -> int:
         """Send ``tx`` with the faults of the line and the silence of its sender; returns its end in ns."""
         if self._faults.armed:
             self._faults.apply(tx)
@@ -134,7 +148,7 @@ class Medium:
         tx = self.begun
         if tx is not None:
             self.begun = None
-            heappush(self._heap, (tx.end_ns, tx.order, self._on_end, tx))
+            heappush(self._heap, (tx.end_ns, _ENDS + next(self._ticks), self._on_end, tx))
 
     def cut(self, node: Node, now: int) -> None:
         """End the transmission of ``node``, which is unplugged: no station receives an unfinished octet."""
@@ -152,6 +166,7 @@ class Medium:
         tx.cut = True
         self.end(tx)
         self._current = None
+        self._busy_until = now
         if whole and sent:
             self._deliver_octets(sent, tx.baud, tx.start_ns, ports=False)
 
@@ -168,21 +183,16 @@ class Medium:
     def _announce_edge(self, tx: Transmission) -> None:
         """Announce the start edge of ``tx`` to the stations that hear all and to the addressee.
 
-        An edge brings no deadline forward (:class:`BusStation`), so that no station needs another heap entry.
+        An edge brings no deadline forward (:class:`BusStation`): a station that an edge puts off is asked for its new
+        deadline when the old one is reached.
         """
         if tx.cut:
             return
         start = tx.start_ns
         telegram = tx.telegram
-        da = _NO_ADDRESS if telegram is None or telegram.da == BROADCAST else telegram.da
-        for node in self._nodes.hearers[da]:
-            if node.hears_from <= start:
-                station = node.station
-                if node.hears_all:
-                    station.activity(start)
-                    node.deadline = station.wake_at()
-                elif node.baud == tx.baud:
-                    station.activity(start)
+        for node in self._nodes.told[_NO_ADDRESS if telegram is None else telegram.da]:
+            if node.hears_from <= start and (node.baud == tx.baud or node.hears_all):
+                node.station.activity(start)
 
     # --- the line ---
     def _start_or_schedule(self, tx: Transmission, now: int) -> None:
@@ -206,17 +216,17 @@ class Medium:
         self.transmissions += 1
         self.baud = baud = tx.baud
         start = tx.start_ns
-        tx.order = _ENDS + next(self._ticks)
-        if self.begun is not None:
-            self.schedule_end()
+        self.schedule_end()
         self.begun = tx
         before = self._current
-        if before is not None and before.end_ns > start:
+        if before is not None and self._busy_until > start:
             self._collide(tx, before)
             if tx.end_ns > before.end_ns:
                 self._current = tx
+                self._busy_until = tx.end_ns
         else:
             self._current = tx
+            self._busy_until = tx.end_ns
             if tx.flips or tx.telegram is None or baud != self._nodes.common_rate:
                 self._begin_octets(tx)
             else:
@@ -263,21 +273,21 @@ class Medium:
             elif not tx.lost:
                 tx.heard_ns = self._octet_ns
                 referee.ended(tx)
-        notes = "; ".join(tx.notes) if tx.notes else ""
-        self._log.add((start, end, tx.octets, tx.sender, notes))
+        notes = tx.notes
+        self._log.add((start, end, tx.octets, tx.sender, "; ".join(notes) if notes else ""))
         telegram = tx.telegram
         if telegram is None or not whole:
             return None
         baud = tx.baud
-        heard: list[Node] = []
+        last: Node | None = None
+        others: list[Node] = []
         for node in self._nodes.hearers[telegram.da]:  # not the sender: it hears only later transmissions
             if node.hears_from <= start and node.baud == baud:
-                heard.append(node)
                 node.station.telegram(telegram, end)
-        if not heard:
-            return None
-        last = heard.pop()
-        for node in heard:
+                if last is not None:
+                    others.append(last)
+                last = node
+        for node in others:
             self._world.run_station(node, node.station.wake_at())
         return last
 
@@ -395,7 +405,7 @@ class World:
         self._medium = Medium(self, self._nodes, 2 * seed + 1)
         self._on_timer: Callback = self._run_timer
         self._horizon = _STEPWISE  # a station's deadline up to this time needs no heap entry if it is the next event
-        self._stop: Callable[[], bool] = _never  # asked after each event of :meth:`run`
+        self._stop: Callable[[], bool] | None = None  # asked after each event of :meth:`run`
         self._stopped = False  # it has said yes
 
     def __repr__(self) -> str:
@@ -482,7 +492,7 @@ class World:
 
     def run_until(self, at_ns: int) -> None:
         """Run every event up to and including ``at_ns`` and advance to that time."""
-        self.run(at_ns, _never)
+        self._run(at_ns, None)
 
     def run_for(self, ns: int) -> None:
         """Run every event of the next ``ns`` nanoseconds."""
@@ -493,6 +503,9 @@ class World:
 
         ``until_ns`` may be NEVER. Returns whether ``stop()`` ended the run.
         """
+        return self._run(until_ns, stop)
+
+    def _run(self, until_ns: int, stop: Callable[[], bool] | None) -> bool:
         heap = self.heap
         self._horizon = horizon = min(until_ns, NEVER - 1)
         self._stop = stop
@@ -501,7 +514,7 @@ class World:
             while heap[0][0] <= horizon:
                 self.now, _, call, argument = heappop(heap)
                 call(argument)
-                if self._stopped or stop():
+                if stop is not None and (self._stopped or stop()):
                     return True
         finally:
             self._horizon = _STEPWISE
@@ -531,21 +544,19 @@ class World:
         """
         if not node.on_bus:
             return
+        now = self.now
+        station = node.station
         heap = self.heap
         medium = self._medium
         horizon = self._horizon if last else _STEPWISE
+        stop = self._stop
         waiting: Node | None = None  # the only station with a deadline that is in the heap only after this
         try:
             while True:
-                now = self.now
-                station = node.station
                 if deadline <= now:
                     deadline = run_due(station, now, node.transmit)
                 if station.address != node.address or station.baud != node.baud:
-                    if station.baud != node.baud:
-                        # the transmission on the wire began before its receiver was at this rate
-                        node.hears_from = max(node.hears_from, now)
-                    self._nodes.renew(node)
+                    self._follow(node)
                 node.deadline = deadline
                 if medium.late:
                     medium.announce_late_edges()
@@ -561,10 +572,10 @@ class World:
                     break
                 if waiting is not None and waiting.due <= at and not self._put_off(waiting, at):
                     break
-                if self._stop():
+                if stop is not None and stop():
                     self._stopped = True
                     break
-                self.now = at
+                self.now = now = at
                 if tx is None:
                     if waiting is node:
                         waiting = None
@@ -575,7 +586,8 @@ class World:
                     if hearer is None or not hearer.on_bus:
                         break
                     node = hearer
-                    deadline = node.station.wake_at()
+                    station = node.station
+                    deadline = station.wake_at()
             if deadline < node.due:
                 waiting = self._set_timer(node, waiting)
         finally:
@@ -584,6 +596,13 @@ class World:
                 self._schedule_timer(waiting)
         if events and node.on_events is not None:
             node.on_events(events)
+
+    def _follow(self, node: Node) -> None:
+        """The address or the rate of the station changed."""
+        if node.station.baud != node.baud:
+            # the transmission on the wire began before its receiver was at this rate
+            node.hears_from = max(node.hears_from, self.now)
+        self._nodes.renew(node)
 
     def _set_timer(self, node: Node, waiting: Node | None) -> Node | None:
         """The station's deadline is earlier than the time at which it is called: call it earlier.
@@ -610,24 +629,33 @@ class World:
             heappush(self.heap, (node.due, node.order, self._on_timer, node))
 
     def _put_off(self, node: Node, at: int) -> bool:
-        """Whether an edge has put off the deadline of ``node`` until after ``at``; its timer then follows."""
-        if not node.due < at < node.deadline:
+        """Whether an edge has put off the deadline of ``node``, which was before ``at``, until after ``at``."""
+        if node.due == at:
             return False
-        node.due = node.deadline
+        deadline = node.deadline = node.station.wake_at()
+        if deadline <= at:
+            return False
+        node.due = deadline
         node.order = _TIMERS + next(self.ticks)
         return True
 
     # --- inside ---
     def _run_timer(self, node: Node) -> None:
         node.entries.pop()
+        now = self.now
+        if node.due > now:  # postponed, or set anew
+            if node.on_bus:
+                self._schedule_timer(node)
+            return
         deadline = node.deadline
-        if deadline <= self.now:
+        if deadline <= now:
+            deadline = node.deadline = node.station.wake_at()
+        if deadline <= now:
             node.due = NEVER
             self.run_station(node, deadline, last=True)
         elif node.on_bus:
-            if node.due <= self.now:
-                node.due = deadline  # an edge has put it off
-                node.order = _TIMERS + next(self.ticks)
+            node.due = deadline  # an edge has put it off
+            node.order = _TIMERS + next(self.ticks)
             self._schedule_timer(node)
 
     def _node(self, station: BusStation) -> Node:
