@@ -54,6 +54,7 @@ class Motor:
     limited: bool = field(default=False, init=False)
     _decay: float = field(init=False)
     _at: int | None = field(default=None, init=False)
+    _settled: tuple[float, ...] | None = field(default=None, init=False)  # a step from here changes nothing
 
     def __post_init__(self) -> None:
         self._decay = math.exp(-_STEP_S / (self.slip * self.inertia))
@@ -79,6 +80,7 @@ class Motor:
         if on != self.on or self.braking:
             self.on = on
             self.braking = False
+            self._settled = None
             self.frequency = 0.0
             self.torque = 0.0
             self.limited = False
@@ -88,6 +90,7 @@ class Motor:
         if not self.braking:
             self.switch(True)
             self.braking = True
+            self._settled = None
             self.frequency = 0.0
 
     def advance(self, now: int) -> None:
@@ -102,6 +105,9 @@ class Motor:
         self._at = at + steps * STEP_NS
         if not self.on and not self.speed:  # at rest
             return
+        if self._settled == (self.setpoint, self.frequency, self.speed, self.torque, self.load, self.limit, self.slip):
+            return
+        self._settled = None
         step = self._braked if self.braking else self._driven if self.on else self._coasting
         while steps:
             steps -= 1
@@ -117,9 +123,16 @@ class Motor:
         self.limited = held != wanted
         self.frequency = held
         rest = held - self.slip * self._load(speed)
-        self.speed = speed = rest + (speed - rest) * self._decay
-        self.torque = (held - speed) / self.slip
-        return held == self.setpoint == frequency and abs(rest - speed) < _REST
+        slower = rest + (speed - rest) * self._decay
+        torque = (held - slower) / self.slip
+        if held != self.setpoint or held != frequency:
+            self.speed, self.torque = slower, torque
+            return False
+        if slower == speed and torque == self.torque:  # the same to the last bit, so every further step gives it again
+            self._settled = (held, held, speed, torque, self.load, self.limit, self.slip)
+            return True
+        self.speed, self.torque = slower, torque
+        return abs(rest - slower) < _REST
 
     def _ramped(self, frequency: float) -> float:
         wanted = self.setpoint

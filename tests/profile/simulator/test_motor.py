@@ -93,3 +93,40 @@ def test_switched_on_while_turning_it_starts_near_the_speed() -> None:
     motor.switch(True)
     motor.advance(3 * S + 12 * MS)
     assert abs(motor.frequency - turning) < 0.1
+
+
+def test_a_motor_that_has_settled_does_the_same_as_one_that_integrates_each_step() -> None:
+    # loads, set points and the power stage change while it is at rest to the last bit, and shortly before
+    settling, integrating = started(setpoint=0.5), started(setpoint=0.5)
+    changes: list[dict[str, float]] = [
+        {},
+        {"load": 0.7},
+        {"setpoint": -0.3},
+        {"load": 0.0},
+        {"setpoint": 0.0},
+        {"limit": 0.6},
+    ]
+    now, skipped = 0, 0
+    for number, change in enumerate(changes * 3):
+        for motor in (settling, integrating):
+            for name, value in change.items():
+                setattr(motor, name, value)
+            if number == 9:
+                motor.brake()
+            elif number == 10:
+                motor.switch(False)
+            elif number == 12:
+                motor.switch(True)
+        for _ in range(400 + 700 * (number % 2)):
+            now += 3 * MS
+            integrating._settled = None
+            skipped += settling._settled is not None
+            settling.advance(now)
+            integrating.advance(now)
+            assert (settling.speed, settling.frequency, settling.torque, settling.limited) == (
+                integrating.speed,
+                integrating.frequency,
+                integrating.torque,
+                integrating.limited,
+            )
+    assert skipped > 1_000
