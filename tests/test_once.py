@@ -24,7 +24,7 @@ def test_up_to_a_limit() -> None:
 
 def test_a_slave_that_deviates_in_another_way_each_time_fills_no_log() -> None:
     told: list[Event] = []
-    reports = SlaveReports(SlaveParams(address=4, name="s4", ident=None, config=b"\x10"), told.append, 2)
+    reports = SlaveReports(SlaveParams(address=4, name="s4", ident=None, config=b"\x10"), told.append, 2, set())
     for number in range(1000):
         reports.remark(f"answers Slave_Diag with {number % 500} octets", number)
     texts = [event.message for event in told if isinstance(event, SlaveRemark)]

@@ -133,6 +133,13 @@ class Master(LinkUser):
         self.context.events.clear()
         return events
 
+    def take_changed(self) -> set[int]:
+        """Return and clear the addresses of the slaves whose state, fault, diagnosis or alarm counts have changed since
+        the last call: all slaves at the first one. A removed slave is among them."""
+        changed = self.context.changed.copy()
+        self.context.changed.clear()
+        return changed
+
     def _writable(self, what: str) -> None:
         if self.context.settings.read_only:
             raise UsageError(f"this bus is read-only: {what}; leave read_only out")

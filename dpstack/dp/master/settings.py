@@ -57,6 +57,8 @@ class MasterContext:
         #: in Operate, and to stay there
         self.operates = False
         self.events: list[Event] = []
+        #: addresses of slaves whose state, fault, diagnosis or alarm counts have changed, until somebody takes them
+        self.changed: set[int] = set()
         #: called as a round begins: outputs that it puts into the process image go out in that round
         self.on_begin: Callable[[], None] = lambda: None
         #: gives the addresses of the masters in the token ring, None where they are not known

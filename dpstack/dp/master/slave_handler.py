@@ -70,7 +70,7 @@ class SlaveHandler:
         #: the watchdog time of the slave in ns, 0 when off
         self.watchdog_effective_ns = self._watchdog.ns if self._watchdog else 0
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
-        self.reports = SlaveReports(setup, context.emit, context.params.address)
+        self.reports = SlaveReports(setup, context.emit, context.params.address, context.changed)
         self.plugin_host = PluginHost(self.image, setup, self.reports)
         #: the last bring-ups step by step
         self.bring_ups: BringUps = BringUps() if before is None else before.bring_ups
@@ -384,7 +384,7 @@ class SlaveHandler:
             self._inquiry = (trigger, fault)
             if self.state is SlaveState.WAIT_READY:
                 return
-            self.reports.fault = fault.compared(None)
+            self.reports.keep_fault(fault.compared(None))
         elif fault is not None:
             self.reports.set_fault(fault, now)
         if row.next is not self.state:
@@ -395,6 +395,7 @@ class SlaveHandler:
 
     def _enter(self, state: SlaveState, now: int) -> None:
         was, self.state = self.state, state
+        self.reports.mark_changed()
         if was is SlaveState.DATA_EXCHANGE:
             self._leave_exchange(now, silent=state is SlaveState.OFFLINE)
         elif was is SlaveState.OFFLINE:

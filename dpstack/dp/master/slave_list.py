@@ -129,6 +129,7 @@ class Roster:
         """Begin the farewell of the slave and forget its handler."""
         self._bid_farewell(handler, now, exchanging=handler.state is SlaveState.DATA_EXCHANGE)
         del self._handlers[handler.setup.address]
+        handler.reports.mark_changed()
         self._turns.forget(handler)
         handler.plugin_host.lost(now)
         handler.reports.observer.closed(now)

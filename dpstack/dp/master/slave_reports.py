@@ -67,10 +67,11 @@ class SlaveReports:
 
     ``diagnosis``: the one read last. ``ident``: the ident number that the device must have, None until the first
     diagnosis gives one. ``observer`` reads alarms and status messages of DP-V1 in the diagnoses; ``own``: the master's
-    address.
+    address. The slave's address is put into ``changed`` after each change that the application can see, also of those
+    without an event.
     """
 
-    def __init__(self, setup: SlaveParams, emit: Callable[[Event], None], own: int) -> None:
+    def __init__(self, setup: SlaveParams, emit: Callable[[Event], None], own: int, changed: set[int]) -> None:
         self.fault: Fault | None = None
         self.diagnosis: Diagnosis | None = None
         self.ident = setup.ident
@@ -80,16 +81,28 @@ class SlaveReports:
         self._setup = setup
         self._emit = emit
         self._own = own
+        self._changed = changed
         self._reported = ""
         self._remarks = ReportOnce(_MAX_REMARKS)
+        self.mark_changed()
 
     def event(self, kind: type[SlaveEvent], now: int, **fields: Any) -> None:
         """Report an event of the slave; ``fields``: all besides time, address and name."""
         self._emit(kind(t_ns=now, address=self._setup.address, name=self._setup.name, **fields))
 
+    def mark_changed(self) -> None:
+        """Something that the application can see has changed."""
+        self._changed.add(self._setup.address)
+
+    def keep_fault(self, fault: Fault | None) -> None:
+        """Keep ``fault`` without a report."""
+        if fault != self.fault:
+            self.fault = fault
+            self.mark_changed()
+
     def set_fault(self, fault: Fault, now: int) -> None:
         """Keep ``fault``; report it if it is not the same as the last one."""
-        self.fault = fault
+        self.keep_fault(fault)
         if fault.text != self._reported:
             self._reported = fault.text
             self.event(SlaveFaulted, now, fault=fault)
@@ -107,7 +120,8 @@ class SlaveReports:
 
     def clear(self) -> None:
         """End the fault: the next one is reported even if it is the same."""
-        self.fault, self._reported = None, ""
+        self.keep_fault(None)
+        self._reported = ""
 
     def read_diagnosis(self, octets: bytes, now: int) -> Diagnosis | None:
         """Read the answer to Slave_Diag; None if it is no diagnosis."""
@@ -118,6 +132,7 @@ class SlaveReports:
             return None
         if diagnosis != self.diagnosis:
             self.diagnosis = diagnosis
+            self.mark_changed()
             self.event(SlaveDiagnosis, now, diagnosis=diagnosis, texts=self._setup.block_texts(diagnosis))
         if self.ident is None:
             self.ident = diagnosis.ident

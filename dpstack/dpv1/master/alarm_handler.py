@@ -260,19 +260,19 @@ class AlarmHandler(DiagObserver):
                 except PduError as error:
                     if not self._book.counts.malformed:
                         self._reports.remark(_MALFORMED.format(why=error, octets=block.octets.hex(" ")), now)
-                    self._book.count("malformed")
+                    self._count("malformed")
         return found
 
     def _on_status(self, status: Status, octets: bytes, now: int) -> None:
         if self._statuses.get((status.type, status.slot)) != octets:
             self._statuses[status.type, status.slot] = octets
-            self._book.count("statuses")
+            self._count("statuses")
             self._reports.event(StatusTold, now, status=status)
 
     def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
         kind = kind_of(alarm.type)
         if not self._enabled & ALARMS[kind]:
-            self._book.count("not_enabled")
+            self._count("not_enabled")
             self._reports.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
             return
         key = Key.of(alarm)
@@ -303,7 +303,7 @@ class AlarmHandler(DiagObserver):
         if len(standing) >= self._limit if self._limit else alarm.type in standing:
             self._too_many(now)
         if len(self._open) + len(self._book.untaken) >= MAX_OPEN:
-            self._book.count("dropped")
+            self._count("dropped")
             self._dropped = True
             self._reports.remark(f"raises alarms while {MAX_OPEN} wait to be taken: dropped, not acknowledged", now)
             return
@@ -311,7 +311,7 @@ class AlarmHandler(DiagObserver):
         stage = Stage.HELD if self._book.hold else Stage.WAITING
         self._open[Key.of(alarm)] = OpenAlarm(self._book.number, alarm, octets, stage, doubtful)
         self._settling.raised(alarm)
-        self._book.count("raised")
+        self._count("raised")
         self._reports.event(
             AlarmRaised,
             now,
@@ -322,8 +322,12 @@ class AlarmHandler(DiagObserver):
             texts=texts_beside(diagnosis, alarm, self._setup.texts),
         )
 
+    def _count(self, name: str) -> None:
+        self._book.count(name)
+        self._reports.mark_changed()
+
     def _too_many(self, now: int) -> None:
-        self._book.count("too_many")
+        self._count("too_many")
         agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
         self._reports.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
 
@@ -372,7 +376,7 @@ class AlarmHandler(DiagObserver):
         self._asked = known
         known.stage = Stage.ASKED
         if known.attempts:
-            self._book.count("repeated")
+            self._count("repeated")
         known.attempts += 1
 
     def ended(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
@@ -390,7 +394,7 @@ class AlarmHandler(DiagObserver):
         elif outcome.failure is None or (refused and known.unanswered):
             self._over(known, Outcome(), now)
         elif refused:
-            self._book.count("refused")
+            self._count("refused")
             if self._book.counts.refused == 1:
                 self._reports.remark(_REFUSED.format(why=self._remark_of(outcome)), now)
             self._over(known, outcome, now)
@@ -412,7 +416,7 @@ class AlarmHandler(DiagObserver):
         del self._open[key]
         self._settling.over(key, known.octets, known.doubtful, now)
         if outcome.failure is None:
-            self._book.count("acknowledged")
+            self._count("acknowledged")
         self._done(known, outcome, now)
         if known.shown:
             self._want_diagnosis(now)

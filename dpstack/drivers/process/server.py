@@ -9,7 +9,7 @@ from time import monotonic_ns
 from typing import Final
 
 from dpstack.dp.master.commands import Mode, SendControl, Shutdown
-from dpstack.dp.master.events import DriveEvent
+from dpstack.dp.master.events import DriveEvent, SlaveEvent
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_image import SlaveImage
 from dpstack.drivers.line.last_clear import LastClear
@@ -36,7 +36,7 @@ from dpstack.drivers.process.plugins import AttachPlugin, load, load_all
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
 from dpstack.drivers.realtime.processors import AwakeProcessors
 from dpstack.drivers.runtime import stopped_by
-from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
+from dpstack.drivers.snapshots import BusSnapshot, ImageSnapshot
 from dpstack.drivers.stack import Stack, image_snapshot
 from dpstack.drivers.tap import TAP_PORTION, TAP_SHORT_PAUSE_NS, Tap
 from dpstack.errors import BusError, OrderDropped, UsageError
@@ -104,10 +104,10 @@ class Host:
         self._leaving = False  # the application has begun the end
         self._until: dict[int, int] = {}  # the outputs that were taken or dropped, by address and deadline
         self._silences = 0  # the application's last count of silences (Word.SILENCES) that was answered
-        # sent last
+        # sent or published last
         self._bus: BusSnapshot | None = None
-        self._slaves: dict[int, SlaveSnapshot] = {}
         self._sent_cycle: CycleData | None = None
+        self._published_images: dict[int, ImageSnapshot] = {}
         self._published_drives: dict[int, object] = {}
         self._drives_at = 0  # when they were published
 
@@ -249,8 +249,25 @@ class Host:
             self._publish_drives()
 
     def _publish(self) -> None:
-        slaves = {address: image_snapshot(handler) for address, handler in self._master.handlers.items()}
-        self._image.inputs.write(Picture(self._master.rounds, self._master.rotation.count, slaves))
+        """Publish inputs and outputs of all slaves."""
+        master = self._master
+        self._published_images = {address: image_snapshot(handler) for address, handler in master.handlers.items()}
+        self._image.inputs.write(Picture(master.rounds, master.rotation.count, self._published_images))
+
+    def _publish_for(self, events: list[Event]) -> None:
+        """Publish inputs and outputs as they are at ``events``: anew for their slaves, as an event of one slave says
+        nothing of the others; for all slaves where an event is not of one slave."""
+        master, images = self._master, self._published_images
+        for event in events:
+            if not isinstance(event, SlaveEvent) or event.address not in images:
+                self._publish()
+                return
+            handler = master.handlers.get(event.address)
+            if handler is None:
+                del images[event.address]
+            else:
+                images[event.address] = image_snapshot(handler)
+        self._image.inputs.write(Picture(master.rounds, master.rotation.count, images))
 
     def _publish_drives(self) -> None:
         """Publish the statuses of the drive plugins if one has changed."""
@@ -344,7 +361,10 @@ class Host:
         cleared: bool = False,
     ) -> None:
         """Send events, the changes of the state and an answer. For an application that does not read: later."""
-        self._publish()
+        if events and answer is None:
+            self._publish_for(events)
+        else:
+            self._publish()
         if any(isinstance(event, DriveEvent) for event in events):
             self._publish_drives()
         if self._outbox.full:
@@ -357,7 +377,8 @@ class Host:
         silences = self._image.words[Word.SILENCES]
         if silences != self._silences:  # the application gave the bus up: it gets the whole state anew
             self._silences = news.silence = silences
-            self._bus, self._slaves = None, {}
+            self._bus = None
+            self._master.context.changed.update(self._master.handlers)
         self._add_state(news)
         if events or answer is not None or over is not None or news.silence or news.bus or news.slaves:
             self._outbox.send(news)
@@ -367,10 +388,8 @@ class Host:
         bus = self._stack.bus()
         if bus != self._bus:
             self._bus = news.bus = bus
-        slaves = {address: self._stack.slave(address) for address in self._master.handlers}
-        if slaves != self._slaves:
-            news.slaves = {a: now for a, now in slaves.items() if self._slaves.get(a) != now}
-            self._slaves = slaves
+        changed, known = self._master.take_changed(), self._master.handlers
+        news.slaves = {address: self._stack.slave(address) for address in changed if address in known}
 
     def _send_round(self, cycle: CycleData | None) -> None:
         self._publish_drives()

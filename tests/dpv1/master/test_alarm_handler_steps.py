@@ -50,6 +50,9 @@ class Steps:
             assert kind is StatusTold
             self.told.append(f"{now} status {fields['status'].build().hex()}")
 
+    def mark_changed(self) -> None:
+        pass
+
     def remark(self, message: str, now: int) -> None:
         self.told.append(f"{now} remark {message.split()[0].rstrip(';')}")
 
