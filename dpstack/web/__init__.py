@@ -3,7 +3,6 @@
 It joins the run through its control socket, and never opens a port itself. docs/how-to/web.md has the protocol of the
 WebSocket and the rights.
 
-- ``address``: ``--listen HOST:PORT``, its sockets, and the ``Host`` and ``Origin`` that a request may have
 - ``asks``: Asks of a page (reads), and the table of their handlers
 - ``child``: A ``dpstack run`` as a child process
 - ``fan_out``: The stream of items for any number of pages; merges snapshots for a page that does not read
@@ -16,3 +15,8 @@ WebSocket and the rights.
 - ``server``: The web server: ``serve``
 - ``source``: Sources of items and answers: their base, and given items
 """
+
+from typing import Final
+
+#: the address of the page, where no other is given
+PAGE: Final = "127.0.0.1:8470"

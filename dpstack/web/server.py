@@ -23,8 +23,8 @@ from dpstack import __version__
 from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.errors import DpError, PortError
 from dpstack.record.rows import iso_time
+from dpstack.tcp_address import Listen, Origins, is_local, join
 from dpstack.text import printable
-from dpstack.web.address import Listen, Origins, is_local, join
 from dpstack.web.asks import Asks
 from dpstack.web.fan_out import FanOut, Item, Reader
 from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, Order, answer, encode, parse

@@ -167,4 +167,4 @@ def test_nothing_else_listens_on_a_network() -> None:
         for path in root.rglob("*.py")
         if waiting.search(path.read_text(encoding="utf-8"))
     }
-    assert found == {"web/server.py", "web/address.py", "api/control/server.py"}
+    assert found == {"web/server.py", "tcp_address.py", "api/control/server.py"}

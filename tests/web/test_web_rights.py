@@ -14,8 +14,8 @@ from tls_kit import CERT, EXPIRED, KEY, KEY_WITH_PASSWORD, OTHER_KEY
 from web_kit import PLANT, page_of, stranger
 
 from dpstack.errors import ConfigError, PortError, UsageError
+from dpstack.tcp_address import Listen, Origins, is_local
 from dpstack.web import rights as rights_module
-from dpstack.web.address import Listen, Origins, is_local
 from dpstack.web.rights import Rights, make_rights, read_tokens, tls_context, who_may
 from dpstack.web.server import serve
 from dpstack.web.source import GivenItems

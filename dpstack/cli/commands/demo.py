@@ -30,8 +30,9 @@ from dpstack.cli.terminal.report import Reporter, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import ConfigError, DpError, UsageError
 from dpstack.profile import registry
+from dpstack.tcp_address import Listen
 from dpstack.text import printable
-from dpstack.web.address import DEFAULT, Listen
+from dpstack.web import PAGE
 from dpstack.web.child import Child
 
 _BAUD = 500_000
@@ -55,7 +56,7 @@ def add_to(parser: Parser) -> None:
     parser.value("--baud", "B", f"the rate (default {_BAUD})", type=options.baud, default=_BAUD)
     parser.flag("--fast", "as fast as this computer can, not in real time")
     parser.flag("--web", "serve a page that shows the plant in the browser, and go on until Ctrl-C")
-    parser.value("--listen", "HOST:PORT", f"the address of the page (default {DEFAULT})", default=None)
+    parser.value("--listen", "HOST:PORT", f"the address of the page (default {PAGE})", default=None)
     parser.run_by(execute)
 
 
@@ -63,7 +64,7 @@ def execute(args: argparse.Namespace) -> int:
     """Exit code 0 when every story ended and the measured rotation time is the planned one."""
     if args.web:
         options.require("aiohttp", "dpstack demo --web", "web")
-        Listen.parse(args.listen or DEFAULT)
+        Listen.parse(args.listen or PAGE)
     if args.listen is not None and not args.web:
         raise UsageError("demo: --listen is the address of the page; add --web")
     if args.web and args.fast:
@@ -223,7 +224,7 @@ async def _page(stage: _Stage, args: argparse.Namespace, stop: StopSignal) -> As
         stop.stop()
 
     async with control_run(stage.bus, stage.bus.config.port, stop=stop.stop, kind="demo") as control:
-        words = ("web", "--join", control.name, "--listen", args.listen or DEFAULT, "--json")
+        words = ("web", "--join", control.name, "--listen", args.listen or PAGE, "--json")
         server = Child(words, lambda _: None, note)
         await server.start()
         watching = asyncio.ensure_future(watch())

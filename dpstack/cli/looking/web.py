@@ -14,7 +14,8 @@ from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import UsageError
-from dpstack.web.address import DEFAULT, Listen, is_local
+from dpstack.tcp_address import Listen, is_local
+from dpstack.web import PAGE
 from dpstack.web.rights import make_rights, read_tokens, tls_context, who_may
 from dpstack.web.run_source import RunSource
 from dpstack.web.source import ReplaySource, Source
@@ -27,7 +28,7 @@ def add_to(parser: Parser) -> None:
         "         dpstack web plant.toml --listen 192.168.1.5:8470 --token tokens --control --tls cert.pem key.pem"
     )
     parser.value("config", "CONFIG", "configuration file", nargs="?", type=Path)
-    parser.value("--listen", "HOST:PORT", f"the address of the page (default {DEFAULT})", default=DEFAULT)
+    parser.value("--listen", "HOST:PORT", f"the address of the page (default {PAGE})", default=PAGE)
     parser.flag("--control", "orders may be given on the page; without a run, one can be started there")
     parser.value("--token", "FILE", "only for those with a token of this file, lines NAME TOKEN, mode 0600", type=Path)
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""Addresses: ``--listen HOST:PORT``, the sockets for it, and the ``Host`` and ``Origin`` that a request may have.
+"""Addresses of servers: ``HOST:PORT`` to listen on, its sockets, and the ``Host`` and ``Origin`` of a request.
 
 A page of a stranger's site can make a browser send requests to 127.0.0.1, and can give its own name that address (DNS
 rebinding). So a request has to name this server by an IP address or by a name that is known to be its own, and a
@@ -16,7 +16,6 @@ from typing import Final
 
 from dpstack.errors import PortError, UsageError
 
-DEFAULT: Final = "127.0.0.1:8470"
 _HOST: Final = "127.0.0.1"
 _LISTEN: Final = re.compile(r"(?:(?P<host>\[[0-9a-fA-F:.]+(?:%\w+)?\]|[^:\[\]\s/]+):)?(?P<port>\d{1,5})")
 _HOST_HEADER: Final = re.compile(r"(?P<host>\[[0-9a-fA-F:.]+\]|[^:\[\]\s/@]+)(?::(?P<port>\d{1,5}))?")
@@ -25,25 +24,26 @@ _BACKLOG: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class Listen:
-    """``--listen``, parsed. ``port`` 0: any free one."""
+    """An address to listen on. ``port`` 0: any free one. ``option``: its name in messages."""
 
     host: str
     port: int
+    option: str = "--listen"
 
     @classmethod
-    def parse(cls, text: str) -> Listen:
+    def parse(cls, text: str, option: str = "--listen") -> Listen:
         """``HOST:PORT``, ``[::1]:PORT`` or ``PORT``. Raises UsageError."""
         found = _LISTEN.fullmatch(text)
         if found is None or int(found["port"]) > 0xFFFF:
-            raise UsageError(f"--listen {text!r} is not HOST:PORT; write it as {DEFAULT}, or [::1]:8470")
-        return cls((found["host"] or _HOST).strip("[]"), int(found["port"]))
+            raise UsageError(f"{option} {text!r} is not HOST:PORT; write it as 127.0.0.1:8470, or [::1]:8470")
+        return cls((found["host"] or _HOST).strip("[]"), int(found["port"]), option)
 
     def sockets(self) -> list[socket.socket]:
         """Listening sockets on all addresses of the host. Raises PortError where it has none, or the port is in use."""
         try:
             found = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         except (OSError, UnicodeError) as exc:
-            raise PortError(f"--listen {self.host}: there is no such address ({_reason(exc)})") from None
+            raise PortError(f"{self.option} {self.host}: there is no such address ({_reason(exc)})") from None
         opened: list[socket.socket] = []
         port = self.port
         try:
@@ -61,7 +61,7 @@ class Listen:
             for one in opened:
                 one.close()
             raise PortError(
-                f"--listen {join(self.host, port)}: {_reason(exc)}; give another address with --listen HOST:PORT"
+                f"{self.option} {join(self.host, port)}: {_reason(exc)}; give another address, HOST:PORT"
             ) from None
         return opened
 
