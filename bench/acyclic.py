@@ -174,7 +174,7 @@ def _on_a_pty(report: Report, baud: int, args: argparse.Namespace, kinds: Sequen
         report.measured(f"{title}: the master's share of a processor", cpu, "ratio")
         if cycle_ms is not None:
             for name, cycles in (("without", quiet_cycle), (f"Read of {octets}", loaded_cycle)):
-                missed = [float(Lateness(t.records, cycle_ms).missed) for t in cycles[kind, _SLAVES]]
+                missed = [float(Lateness(t.records, cycle_ms, t.due).missed) for t in cycles[kind, _SLAVES]]
                 report.measured(f"{at}, pty, {kind}, cycle_ms = {cycle_ms:g}, {name}: missed rounds", missed, "")
             services = [fetched(t.records, octets) / t.seconds for t in loaded_cycle[kind, _SLAVES]]
             report.measured(f"{title}, cycle_ms = {cycle_ms:g}: services", services, "1/s", more=True)

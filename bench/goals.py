@@ -152,10 +152,11 @@ SUITES: Final[Mapping[str, Suite]] = {
         "--rounds 4 --seconds 2 --cycles 2 10 --kinds process --apps idle burn",
         [
             Goal(
-                f"late and missed rounds to a bare loop's, {cycle}, {app}",
-                f"process, {cycle}, {app}: late and missed rounds to those of a bare loop",
+                f"late and missed rounds to {loop} loop's, {cycle}, {app}",
+                f"process, {cycle}, {app}: late and missed rounds to those of {loop} loop",
                 1.5,
             )
+            for loop in ("a bare", "an exchanging")
             for cycle in ("2 ms", "10 ms")
             for app in ("idle", "burn")
         ],

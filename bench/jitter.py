@@ -1,14 +1,16 @@
 """Lateness of the rounds of a fixed cycle, beside a program that is idle, blocks for 50 ms, or burns CPU.
 
-The wire notes when the first Data_Exchange of every round arrives. The grid of the rounds is found from them: no round
-begins before its place, so the grid stands behind the longest stretch of the cycle in which none began. Lateness is how
-far a round lies behind its place; places without a round are counted as missed. *Gaps* are pauses of 40 ms and more on
+The wire notes when the first Data_Exchange of every round arrives, and the master tells a due time of its grid (both
+CLOCK_MONOTONIC). Lateness is how far a round lies behind its due time; due times without a round are counted as missed.
+*Gaps* are pauses of 40 ms and more on
 the bus: the kernel takes the processor from real-time processes for about 50 ms in every second when they use more than
 sched_rt_runtime_us, and it shows as one gap a second.
 
-The verdict on the process driver is a ratio: its late and missed rounds, by its own books, to those of a bare loop that
-sleeps on the same grid with the same settings (bench/grid_loop.py), in the same interleaved rounds. ``--settings``
-measures the settings instead: the bus process with all of them, with none, with all but one, and with one alone.
+The verdicts on the process driver are ratios: its late and missed rounds, by its own books, to those of two loops on
+the same grid with the same settings (bench/grid_loop.py), in the same interleaved rounds. The bare loop only sleeps.
+The exchanging loop also exchanges data on a wire of its own after each wake-up: its rounds are made late by the pty and
+the other end of the line, too, so that the difference to it is the bus process alone. ``--settings`` measures the
+settings instead: the bus process with all of them, with none, with all but one, and with one alone.
 """
 
 from __future__ import annotations
@@ -22,10 +24,10 @@ from statistics import median
 from typing import Final, NamedTuple
 
 from bench.machine import realtime
-from bench.masters import APPLICATIONS, DRIVERS, FIRST, GRID_KIND
+from bench.masters import APPLICATIONS, DRIVERS, FIRST, GRID_KIND, NO_PORT, Line
 from bench.records import Record
 from bench.report import Report, Table, quantile
-from bench.rig import Process, Processors, Taken, available, bench, note_disturbance, pinned
+from bench.rig import Process, Processors, Taken, available, bench, note_disturbance, pinned, wire_with
 from bench.settings import SETTINGS, environment
 from dpstack.dp.master.fixed_cycle import tolerance_ns
 
@@ -92,18 +94,22 @@ def _drivers(report: Report, args: argparse.Namespace, where: Processors) -> Non
     cases = [(kind, cycle, app) for kind in kinds for cycle in args.cycles for app in args.apps]
     alone: list[Taken] = []  # a burning program stands in its own bus process's way
     runs: dict[tuple[str, float, str], list[Lateness]] = {case: [] for case in cases}
-    pairs: dict[tuple[float, str], list[tuple[Cycles, Cycles]]] = {}
+    beside: dict[tuple[float, str], list[Beside]] = {}
     for _ in range(args.rounds):
         for (kind, cycle, app), rounds in runs.items():
             with bench(kind, args.slaves, args.baud, where, app=app, cycle_ms=cycle) as running:
                 taken = running.measure(args.seconds)
                 of_bus = Cycles(*running.cycles(args.seconds)) if kind == "process" and app in _COMPARED else None
-            rounds.append(Lateness(taken.records, cycle))
+            rounds.append(Lateness(taken.records, cycle, taken.due))
             if app != "burn":
                 alone.append(taken)
             if of_bus is not None:
                 woke = _wake_ups_of_a_bare_loop(args.seconds, cycle, app, where)
-                pairs.setdefault((cycle, app), []).append((of_bus, cycles_of(woke, cycle)))
+                with wire_with(args.slaves, args.baud, where.wire, paced=True) as (_, port):
+                    line = Line(port, args.baud, args.slaves)
+                    exchanged = _wake_ups_of_a_bare_loop(args.seconds, cycle, app, where, line=line)
+                three = Beside(of_bus, cycles_of(woke, cycle), cycles_of(exchanged, cycle))
+                beside.setdefault((cycle, app), []).append(three)
     note_disturbance(report, alone)
     for (kind, cycle, app), rounds in runs.items():
         _add(report, f"{kind}, {cycle:g} ms, {app}", rounds, kind)
@@ -114,21 +120,37 @@ def _drivers(report: Report, args: argparse.Namespace, where: Processors) -> Non
                 ratios = [b / max(i, 1e-3) for b, i in zip(busy, idle, strict=True)]
                 goal = 2.0 if kind == "process" else None
                 report.measured(f"{kind}, {cycle:g} ms: lateness p99.9, burn to idle", ratios, "ratio", goal)
-    for (cycle, app), both in pairs.items():
-        compare_with_loop(report, f"{cycle:g} ms, {app}", both)
+    for (cycle, app), of_rounds in beside.items():
+        compare_with_loops(report, f"{cycle:g} ms, {app}", of_rounds)
 
 
 # --- beside a bare loop ---
 
 
+class Beside(NamedTuple):
+    """The places of the bus process, of the loop that only sleeps and of the one that exchanges data, in one round."""
+
+    bus: Cycles
+    sleeping: Cycles
+    exchanging: Cycles
+
+
 def _wake_ups_of_a_bare_loop(
-    seconds: float, cycle_ms: float, app: str, where: Processors, env: dict[str, str] | None = None
+    seconds: float,
+    cycle_ms: float,
+    app: str,
+    where: Processors,
+    env: dict[str, str] | None = None,
+    line: Line | None = None,
 ) -> list[tuple[int, int]]:
-    """When a bare loop beside the same application was due, and when it woke up, for ``seconds``; in ns.
+    """When a bare loop beside the same application was due, and when it woke up, for ``seconds``; in ns. With ``line``
+    it exchanges data there after each wake-up.
 
     Raises RuntimeError when it does not start.
     """
-    words = [sys.executable, "-m", "bench.masters", GRID_KIND, "-", "--baud", "0", "--app", app]
+    port, baud, slaves = line or Line(NO_PORT, 0, 0)
+    words = [sys.executable, "-m", "bench.masters", GRID_KIND, port, "--baud", str(baud), "--slaves", str(slaves)]
+    words += ["--app", app]
     process = Process([*words, "--cycle-ms", str(cycle_ms)], where.master, env)
     try:
         if "ready" not in process.line():
@@ -156,25 +178,34 @@ def cycles_of(woke: Sequence[tuple[int, int]], cycle_ms: float) -> Cycles:
     return Cycles(len(woke), late, places - len(woke))
 
 
-def compare_with_loop(report: Report, title: str, pairs: Sequence[tuple[Cycles, Cycles]]) -> None:
-    """Late and missed rounds of the bus process and of the bare loop in the same rounds, and the verdict on the ratio.
-
-    A loop that was never late in a round counts as late once. No goal is judged where the loop's own rounds differ too
-    much.
-    """
-    bus, loop = ([pair[side].percent for pair in pairs] for side in (0, 1))
+def compare_with_loops(report: Report, title: str, rounds: Sequence[Beside]) -> None:
+    """Late and missed rounds of the bus process and of both loops, all in the same rounds; verdicts on the ratios."""
+    bus = [each.bus.percent for each in rounds]
     report.measured(f"process, {title}: late and missed rounds", bus, "%")
-    overruns = [of_bus.overrun_percent for of_bus, _ in pairs]
+    overruns = [each.bus.overrun_percent for each in rounds]
     report.measured(f"process, {title}: of these after a round that was not over in time", overruns, "%")
-    report.measured(f"bare loop, {title}: late and missed rounds", loop, "%")
-    least = [max(of_loop.percent, 100 / max(of_loop.begun + of_loop.left_out, 1)) for _, of_loop in pairs]
-    spread = (max(loop) - min(loop)) / median(least)
+    for name, loops in (("bare", [r.sleeping for r in rounds]), ("exchanging", [r.exchanging for r in rounds])):
+        _compare_with_loop(report, title, name, bus, loops)
+
+
+def _compare_with_loop(report: Report, title: str, name: str, bus: Sequence[float], loops: Sequence[Cycles]) -> None:
+    """``bus``: late and missed rounds in percent.
+
+    One round more or less is chance. So a loop that was never late in a round counts as late once, and the rounds of
+    the loop differ by that which is left when the greatest count is one less and the least one more. Where that is too
+    much, no goal is judged.
+    """
+    loop = [each.percent for each in loops]
+    report.measured(f"{name} loop, {title}: late and missed rounds", loop, "%")
+    once = [100 / max(each.begun + each.left_out, 1) for each in loops]
+    counted = list(map(max, loop, once))
+    spread = max(0.0, max(loop) - min(loop) - 2 * median(once)) / median(counted)
     goal = _GOAL_RATIO if spread <= _STEADY else None
-    name = f"process, {title}: late and missed rounds to those of a bare loop"
-    ratios = [ours / theirs for ours, theirs in zip(bus, least, strict=True)]
-    report.add(name, sum(bus) / sum(least), "ratio", goal, rounds=ratios)
+    figure = f"process, {title}: late and missed rounds to those of {'an' if name == 'exchanging' else 'a'} {name} loop"
+    ratios = [ours / theirs for ours, theirs in zip(bus, counted, strict=True)]
+    report.add(figure, sum(bus) / sum(counted), "ratio", goal, rounds=ratios)
     if goal is None:
-        report.notes.append(f"{name}: no verdict, the rounds of the bare loop differ by {spread:.0%}")
+        report.notes.append(f"{figure}: no verdict, the rounds of this loop differ by {spread:.0%}")
 
 
 # --- the settings ---
@@ -201,7 +232,8 @@ def _settings(report: Report, args: argparse.Namespace, where: Processors) -> No
                     env = environment(without)
                     with bench("process", args.slaves, args.baud, where, app=app, cycle_ms=cycle, env=env) as running:
                         cycles = Cycles(*running.cycles(args.seconds))
-                        lateness = Lateness(running.measure(args.seconds).records, cycle)
+                        taken = running.measure(args.seconds)
+                        lateness = Lateness(taken.records, cycle, taken.due)
                     woke = _wake_ups_of_a_bare_loop(args.seconds, cycle, app, where, env)
                     late_us = [(now - due) / 1000 for due, now in woke]
                     for column, value in (
@@ -223,18 +255,20 @@ def _settings(report: Report, args: argparse.Namespace, where: Processors) -> No
 
 
 class Lateness:
-    """Of the rounds in ``records`` in a cycle of ``cycle_ms``. Raises RuntimeError with fewer than two rounds."""
+    """Of the rounds in ``records`` in a cycle of ``cycle_ms``; ``due``: the due time of any round, in ns.
 
-    def __init__(self, records: Sequence[Record], cycle_ms: float) -> None:
+    Raises RuntimeError with fewer than two rounds.
+    """
+
+    def __init__(self, records: Sequence[Record], cycle_ms: float, due: int) -> None:
         cycle = cycle_ms * 1e6
         begins = [r.read for r in records if r.exchange and r.to == FIRST]
         if len(begins) < 2:
             raise RuntimeError("not two rounds were seen: take more seconds, or a longer cycle")
-        anchor = _phase(begins, cycle)
-        places = [int((begin - anchor) // cycle) for begin in begins]
+        places = [int((begin - due) // cycle) for begin in begins]
         for n in range(len(places) - 2, -1, -1):  # two rounds at one place: the former is more than a cycle late
             places[n] = min(places[n], places[n + 1] - 1)
-        self.late = [begin - anchor - place * cycle for begin, place in zip(begins, places, strict=True)]
+        self.late = [begin - due - place * cycle for begin, place in zip(begins, places, strict=True)]
         self.missed = places[-1] - places[0] + 1 - len(places)
         self.gaps = sum(b.read - a.read >= _GAP_NS for a, b in pairwise(records))
         self.seconds = (records[-1].read - records[0].read) / 1e9
@@ -242,15 +276,6 @@ class Lateness:
     def quantile_us(self, q: float) -> float:
         """Lateness in us."""
         return quantile(self.late, q) / 1000
-
-
-def _phase(begins: Sequence[int], cycle: float) -> float:
-    """Where the grid of the rounds stands: behind the longest stretch of the cycle in which no round began."""
-    first = begins[0]
-    residues = sorted({(begin - first) % cycle for begin in begins})
-    gaps = [b - a for a, b in pairwise([*residues, residues[0] + cycle])]
-    after = (gaps.index(max(gaps)) + 1) % len(residues)
-    return first + residues[after] - cycle * (residues[after] > 0)
 
 
 def _add(report: Report, title: str, rounds: Sequence[Lateness], kind: str) -> None:

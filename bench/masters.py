@@ -3,7 +3,8 @@
 ``asyncio`` and ``process`` are dpstack as a user has it, ``bare`` a loop that writes a request and reads an answer and
 knows no protocol, ``pyprofibus`` the other Python stack. All exchange 12 octets each way with slaves from address 3 on.
 ``bare-ring`` is the bare loop as one of two masters: it waits for its token, and passes it on to ``--other``.
-``grid`` has no line: bench/grid_loop.py sleeps in a process of its own, as the bus process of ``process``.
+``grid``: bench/grid_loop.py sleeps in a process of its own, as the bus process of ``process``; with a port it exchanges
+data, too.
 One JSON line says when all are in data exchange; the end of standard input ends it in order.
 """
 
@@ -25,7 +26,7 @@ import time
 import tty
 from collections.abc import Sequence
 from time import monotonic_ns
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 FIRST: Final = 3
 IDENT: Final = 0x0696
@@ -35,9 +36,12 @@ DRIVERS: Final = ("asyncio", "process")
 KINDS: Final = (*DRIVERS, "bare", "pyprofibus")
 RING_KIND: Final = "bare-ring"
 GRID_KIND: Final = "grid"
+#: in place of the port of ``grid``: its loop only sleeps
+NO_PORT: Final = "-"
 #: what else the program does that the master serves
 APPLICATIONS: Final = ("idle", "block", "burn")
-_OWN: Final = 2
+OWN: Final = 2
+_TOKEN: Final = bytes((0xDC, OWN, OWN))
 #: with a master that has not brought all its slaves up
 _PATIENCE_NS: Final = 60_000_000_000
 _BLOCK_S: Final = 0.05
@@ -48,6 +52,14 @@ _BLOCK_EVERY_S: Final = 0.5
 _TURN_NS: Final = 50_000_000
 _HELD_UP_NS: Final = 20_000_000
 _LONGEST: Final = 5
+
+
+class Line(NamedTuple):
+    """A line on which a loop exchanges data."""
+
+    port: str
+    baud: int
+    slaves: int
 
 
 class Ended(threading.Event):
@@ -113,7 +125,8 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
             _record_by_signals(bus, args.recordings)
         elif args.cycle_ms:
             asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, lambda: _tell_cycles(bus))
-        told(port=args.port, ready=ready, imported=imported, opening=opening, opened=opened, events=events)
+        due = await _due_time(bus) if args.cycle_ms else 0
+        told(port=args.port, ready=ready, imported=imported, opening=opening, opened=opened, events=events, due=due)
         events.clear()
         reading = [asyncio.create_task(_read(slave, args.records)) for slave in bus.slaves if args.records]
         held_up = await application(args.app, ended)
@@ -154,6 +167,12 @@ def _record_by_signals(bus: Any, folder: str) -> None:
 
     loop.add_signal_handler(signal.SIGUSR1, lambda: running.append(bus.record(f"{folder}/r{next(made)}.csv")))
     loop.add_signal_handler(signal.SIGUSR2, end)
+
+
+async def _due_time(bus: Any) -> int:
+    """A due time of the fixed cycle, CLOCK_MONOTONIC in ns: all others are whole cycles away."""
+    cycle = await anext(aiter(bus.cycles()))
+    return int(cycle.t_ns - cycle.late_ns)
 
 
 def _tell_cycles(bus: Any) -> None:
@@ -201,8 +220,11 @@ def _burn(ended: Ended) -> None:
 
 
 def grid_application(args: argparse.Namespace, ended: Ended) -> None:
-    """The same program without a bus: a bare loop sleeps on the grid in a process of its own."""
+    """The same program without a bus: a bare loop sleeps on the grid in a process of its own; with a port it exchanges
+    data there."""
     words = [sys.executable, "-m", "bench.grid_loop", str(args.cycle_ms)]
+    if args.port != NO_PORT:
+        words += [args.port, str(args.baud), str(args.slaves)]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as loop:
         told(ready=monotonic_ns())
         asyncio.run(application(args.app, ended))
@@ -214,7 +236,7 @@ def grid_application(args: argparse.Namespace, ended: Ended) -> None:
 # --- octets only ---
 
 
-def sd2(to: int, fc: int, data: bytes, saps: bytes = b"", own: int = _OWN) -> bytes:
+def sd2(to: int, fc: int, data: bytes, saps: bytes = b"", own: int = OWN) -> bytes:
     """An SD2 telegram of the station ``own``; ``saps``: DSAP, SSAP."""
     mark = 0x80 if saps else 0
     body = bytes((to | mark, own | mark, fc)) + saps + data
@@ -225,32 +247,44 @@ def bare_master(args: argparse.Namespace, ended: Ended) -> None:
     """Write a request, read its answer; on a paced wire the idle times of the rules and the token, nothing else."""
     fd = os.open(args.port, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(fd)
-    bit = 1e9 / args.baud
-    idle = round(args.t_id1 * bit) if args.t_id1 else 0
-    token = bytes((0xDC, _OWN, _OWN))
-    token_ns = round(33 * bit) + idle if idle else 0
-    addresses = [FIRST + n for n in range(args.slaves)]
-    bare_bring_up(fd, addresses, _OWN)
-    rounds = [[sd2(address, fc, bytes(OCTETS)) for address in addresses] for fc in (0x5D, 0x7D)]
+    bare_bring_up(fd, bare_addresses(args.slaves), OWN)
+    rounds = bare_rounds(args.slaves)
     told(ready=monotonic_ns())
-    write, read, clock = os.write, os.read, monotonic_ns
     turn = 0
     while not ended.is_set():
-        for request in rounds[turn]:
-            write(fd, request)
-            got = len(read(fd, 100))
-            while got < 9 + OCTETS:
-                got += len(read(fd, 100))
-            if idle:
-                until = clock() + idle
-                while clock() < until:
-                    pass
+        exchange_round(fd, rounds[turn], args.baud, args.t_id1)
+        turn ^= 1
+
+
+def bare_addresses(slaves: int) -> list[int]:
+    """Addresses of the slaves of a bare loop."""
+    return [FIRST + n for n in range(slaves)]
+
+
+def bare_rounds(slaves: int) -> list[list[bytes]]:
+    """The Data_Exchange requests of two rounds, which take turns (FCB)."""
+    return [[sd2(address, fc, bytes(OCTETS)) for address in bare_addresses(slaves)] for fc in (0x5D, 0x7D)]
+
+
+def exchange_round(fd: int, requests: Sequence[bytes], baud: int, t_id1: int) -> None:
+    """Each request and its answer; with ``t_id1`` (bit times) the idle times of the rules, and the token at the end."""
+    write, read, clock = os.write, os.read, monotonic_ns
+    bit = 1e9 / baud
+    idle = round(t_id1 * bit)
+    for request in requests:
+        write(fd, request)
+        got = len(read(fd, 100))
+        while got < 9 + OCTETS:
+            got += len(read(fd, 100))
         if idle:
-            write(fd, token)
-            until = clock() + token_ns
+            until = clock() + idle
             while clock() < until:
                 pass
-        turn ^= 1
+    if idle:
+        write(fd, _TOKEN)
+        until = clock() + round(33 * bit) + idle
+        while clock() < until:
+            pass
 
 
 def bare_bring_up(fd: int, addresses: Sequence[int], own: int) -> None:
@@ -333,7 +367,7 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
     with contextlib.redirect_stdout(sys.stderr):
         phy = CpPhySerial(port=args.port)
         phy.setConfig(baudrate=args.baud)
-        master = DPM1(phy=phy, masterAddr=_OWN)
+        master = DPM1(phy=phy, masterAddr=OWN)
         gsd = SimpleNamespace(getIdentNumber=lambda: IDENT)
         for n in range(args.slaves):
             # its words are the slave's: input is what the slave takes in
@@ -372,7 +406,7 @@ def main() -> int:
     parser.add_argument("port")
     parser.add_argument("--baud", type=int, required=True)
     parser.add_argument("--slaves", type=int, default=1)
-    parser.add_argument("--address", type=int, default=_OWN)
+    parser.add_argument("--address", type=int, default=OWN)
     parser.add_argument("--first", type=int, default=FIRST, help="address of the first slave")
     parser.add_argument("--hsa", type=int)
     parser.add_argument("--other", type=int, default=0, help="the other master of two bare loops")

@@ -65,7 +65,7 @@ class Noted(NamedTuple):
 class Taken:
     """Result of one measurement of ``seconds``. ``cpu``: CPU time of the master in ns, ``python_loop``: the Python loop
     beside it in ns. ``turns``: turn-arounds in ns, ``token_turns``: those with the token between; ``steps``: instead of
-    both, turn-arounds by steps."""
+    both, turn-arounds by steps. ``due``: a due time of the fixed cycle in ns, 0 without one."""
 
     seconds: float
     exchanges: int
@@ -77,6 +77,7 @@ class Taken:
     token_turns: list[int]
     python_loop: float = 0.0
     steps: Sequence[Noted] = ()
+    due: int = 0
 
     @property
     def cpu_per_exchange(self) -> tuple[float, float]:
@@ -186,7 +187,7 @@ class Bench:
     """One master on one wire, both running, all slaves in data exchange. ``facts`` is what the master told then."""
 
     def __init__(
-        self, kind: str, wire: Process, master: Process, slaves: int, facts: dict[str, object], folder: Path
+        self, kind: str, wire: Process, master: Process, slaves: int, facts: dict[str, Any], folder: Path
     ) -> None:
         self.facts = facts
         self._kind = kind
@@ -227,6 +228,7 @@ class Bench:
             token_turns,
             loop,
             self._steps(since, until),
+            int(self.facts.get("due", 0)),
         )
 
     def cycles(self, seconds: float) -> list[int]:

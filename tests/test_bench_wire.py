@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bench import cycle, jitter, loop, rotation, startup, usb
-from bench.jitter import Cycles, Lateness, cycles_of
+from bench.jitter import Beside, Cycles, Lateness, cycles_of
 from bench.records import Record, pty_share, rotations
 from bench.report import Report
 from bench.rig import MasterFailedError, Taken, bench, one_round, pinned, unavailable
@@ -143,27 +143,33 @@ def begins(*times_ms: float) -> list[Record]:
 
 
 def test_a_late_round_does_not_make_the_next_ones_late() -> None:
-    late = Lateness(begins(0, 10, 20.5, 30, 40.1), 10)
+    late = Lateness(begins(0, 10, 20.5, 30, 40.1), 10, 0)
     assert [round(ns / MS, 3) for ns in late.late] == [0, 0, 0.5, 0, 0.1]
     assert late.missed == 0
 
 
 def test_rounds_that_a_stall_has_swallowed_are_missed_and_a_long_pause_is_a_gap() -> None:
-    late = Lateness(begins(0, 10, 64, 70, 80), 10)
+    late = Lateness(begins(0, 10, 64, 70, 80), 10, 0)
     assert late.missed == 4
     assert late.gaps == 1
     assert late.quantile_us(1.0) == pytest.approx(4_000)
 
 
 def test_a_round_more_than_a_cycle_late_keeps_its_place() -> None:
-    late = Lateness(begins(0, 10, 31, 32, 40, 50), 10)
+    late = Lateness(begins(0, 10, 31, 32, 40, 50), 10, 0)
     assert [round(ns / MS, 3) for ns in late.late] == [0, 0, 11, 2, 0, 0]
     assert late.missed == 0
 
 
 def test_the_first_round_may_be_a_late_one() -> None:
-    late = Lateness(begins(3, 10, 20, 30), 10)
+    late = Lateness(begins(3, 10, 20, 30), 10, 0)
     assert [round(ns / MS, 3) for ns in late.late] == [3, 0, 0, 0]
+
+
+def test_late_rounds_all_over_the_cycle_do_not_move_the_grid() -> None:
+    late = Lateness(begins(*(10 * n + n % 10 for n in range(20)), 209.9), 10, -30 * MS)
+    assert [round(ns / MS, 3) for ns in late.late] == [*range(10), *range(10), 9.9]
+    assert late.missed == 0
 
 
 def words(line: str) -> list[str]:
@@ -257,26 +263,42 @@ def test_the_wake_ups_of_a_bare_loop_are_counted_by_places() -> None:
 
 @pytest.mark.parametrize(
     ("loop_late", "ratio", "goal"),
-    [((10, 12), 1.5, 1.5), ((10, 14), 1.375, None), ((0, 0), 16.5, 1.5)],
-    ids=["the rounds of the loop differ by 18 %", "by 33 %: no verdict", "a loop that was never late"],
+    [((10, 12), 1.5, 1.5), ((10, 15), 1.32, 1.5), ((10, 17), 33 / 27, None), ((0, 0), 16.5, 1.5), ((0, 2), 11.0, 1.5)],
+    ids=["differ by 2 of 11", "5 of 12.5, of which 2 are chance", "7 of 13.5: no verdict", "never late", "by chance"],
 )
-def test_the_verdict_beside_a_bare_loop(loop_late: tuple[int, int], ratio: float, goal: float | None) -> None:
+def test_the_verdict_beside_a_loop(loop_late: tuple[int, int], ratio: float, goal: float | None) -> None:
     report = Report("jitter")
-    ours = [Cycles(990, 5, 10, 3), Cycles(990, 8, 10, 4)]
-    jitter.compare_with_loop(report, "x", [(mine, Cycles(1000, n, 0)) for mine, n in zip(ours, loop_late, strict=True)])
-    (judged,) = [figure for figure in report.figures if figure.name.endswith("to those of a bare loop")]
-    assert judged.value == pytest.approx(ratio)
-    assert judged.goal == goal
+    steady, ours = Cycles(1000, 20, 0), (Cycles(990, 5, 10, 3), Cycles(990, 8, 10, 4))
+    jitter.compare_with_loops(
+        report, "x", [Beside(mine, Cycles(1000, n, 0), steady) for mine, n in zip(ours, loop_late, strict=True)]
+    )
+    found = {
+        figure.name.removeprefix("process, x: late and missed rounds to those of "): figure for figure in report.figures
+    }
+    assert found["a bare loop"].value == pytest.approx(ratio)
+    assert found["a bare loop"].goal == goal
     assert bool(report.notes) is (goal is None)
+    assert found["an exchanging loop"].value == pytest.approx(33 / 40)
+    assert found["an exchanging loop"].goal == 1.5
 
 
-def test_the_bus_process_is_compared_with_a_bare_loop_of_the_same_settings() -> None:
+def test_one_late_round_beside_none_is_chance_and_two_are_not() -> None:
+    for late, met in ((1, True), (2, False)):
+        report = Report("jitter")
+        jitter.compare_with_loops(report, "x", [Beside(Cycles(200, late, 0), Cycles(200, 0, 0), Cycles(200, 0, 0))] * 4)
+        judged = [figure for figure in report.figures if figure.goal is not None]
+        assert [figure.met for figure in judged] == [met] * 2
+
+
+def test_the_bus_process_is_compared_with_loops_of_the_same_settings() -> None:
     report = jitter.run(words("--cycles 10 --apps idle --rounds 1 --seconds 0.3 --kinds process"))
     if unavailable("process", 10.0):
         return
     found = {figure.name: figure for figure in report.figures}
-    assert 0 <= found["bare loop, 10 ms, idle: late and missed rounds"].value <= 100
+    for loop_name in ("bare", "exchanging"):
+        assert 0 <= found[f"{loop_name} loop, 10 ms, idle: late and missed rounds"].value <= 100
     assert "process, 10 ms, idle: late and missed rounds to those of a bare loop" in found
+    assert "process, 10 ms, idle: late and missed rounds to those of an exchanging loop" in found
 
 
 def test_each_setting_can_be_switched_off_alone_and_is_on_alone() -> None:
