@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 from dpstack.dp.pdu.diag_texts import block_texts
@@ -20,6 +21,8 @@ from dpstack.units import NS_PER_MS, NS_PER_US
 #: Min_Slave_Interval counts in 100 us, as GSD files do
 INTERVAL_UNIT: Final = 100 * NS_PER_US
 MAX_WATCHDOG_MS: Final = 650_250
+#: watchdog times whose factors are kept: most slaves of a bus have the same
+_KEPT_FACTORS: Final = 64
 #: parameter -> lowest value, highest value; address 126 is a slave as delivered
 SLAVE_LIMITS: Final = {
     "address": (0, UNADDRESSED),
@@ -183,6 +186,7 @@ def group_mask(groups: tuple[int, ...]) -> int:
     return sum(1 << (g - 1) for g in set(groups))
 
 
+@lru_cache(_KEPT_FACTORS)
 def watchdog_factors(watchdog_ms: int, base_ms: int = 10) -> tuple[int, int]:
     """WD_Fact_1 and WD_Fact_2 whose product x ``base_ms`` is the shortest time not under ``watchdog_ms``
     (1..650250 with 10 ms, 1..65025 with 1 ms).

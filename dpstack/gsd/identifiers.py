@@ -6,6 +6,7 @@ Layouts: docs/reference/protocol.md#identifiers, docs/reference/protocol.md#spec
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 from dpstack.errors import ConfigError
@@ -18,6 +19,8 @@ _GENERAL: Final = 0x30
 #: low nibble of a special one in Chk_Cfg: no manufacturer octets follow, and none are compared
 #: (docs/reference/protocol.md#special-identifiers)
 _NOT_COMPARED: Final = 0x0F
+#: configurations whose lengths are kept: the plan of a bus asks some 40 times for those of each slave
+_KEPT_LENGTHS: Final = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,7 @@ def parse_identifiers(config: bytes) -> list[Identifier]:
     return found
 
 
+@lru_cache(_KEPT_LENGTHS)
 def io_lengths(config: bytes) -> tuple[int, int]:
     """(input octets, output octets) of a whole configuration. Raises ConfigError."""
     identifiers = parse_identifiers(config)

@@ -54,7 +54,7 @@ def open_bus(
     """
     early = world is None and _begin_early(config, port, driver)
     collects = gc.isenabled()
-    gc.disable()  # modules stay: to look for garbage among them takes a tenth of the first call
+    gc.disable()
     try:
         from dpstack.api.bus.bus import Bus, check_arguments
         from dpstack.api.config.config import Config, load_config, make_config
@@ -80,7 +80,16 @@ def open_bus(
         raise
     finally:
         if collects:
+            _make_old()
             gc.enable()
+
+
+def _make_old() -> None:
+    """Have only a full collection look at the objects that there are: modules stay, and the next collection of young
+    objects, which else looks at all that the imports have made, would take as long as a twelfth of the first call."""
+    if not gc.get_freeze_count():  # else the program has frozen objects, and they would not be any longer
+        gc.freeze()
+        gc.unfreeze()
 
 
 def begin_for_command(words: Sequence[str]) -> None:

@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from dpstack.dp.pdu.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Flag, Reaction
 from dpstack.dp.pdu.diag_blocks import Block, split_blocks
-from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, adapted
+from dpstack.dp.pdu.layouts import Numbers
 from dpstack.errors import PduError
 
 #: Fixed octets, and the longest diagnosis.
@@ -20,6 +20,7 @@ FIXED_LEN: Final = 6
 MAX_LEN: Final = 244
 #: Master address of a slave that no master has parameterised.
 NO_MASTER: Final = 255
+_FIXED: Final = Numbers("Slave_Diag", status1=1, status2=1, status3=1, master=1, ident=2)
 
 
 class _Bit:
@@ -57,13 +58,15 @@ class Diagnosis(Struct, frozen=True):
         """
         if not FIXED_LEN <= len(octets) <= MAX_LEN:
             return None
-        return _DIAGNOSIS.parse(octets)
+        status1, status2, status3, master, ident = _FIXED.parse(octets)
+        return cls(status1, status2, status3, None if master == NO_MASTER else master, ident, octets[FIXED_LEN:])
 
     def build(self) -> bytes:
         """The octets. Raises PduError where a value does not fit."""
         if len(self.ext) > MAX_LEN - FIXED_LEN:
             raise PduError(f"Slave_Diag: {len(self.ext)} octets of extended diagnosis, 238 are possible")
-        return _DIAGNOSIS.build(self)
+        master = NO_MASTER if self.master is None else self.master
+        return _FIXED.build(self.status1, self.status2, self.status3, master, self.ident) + self.ext
 
     @property
     def findings(self) -> tuple[Flag, ...]:
@@ -125,20 +128,3 @@ class Diagnosis(Struct, frozen=True):
     freeze = _Bit("freeze_mode")
     sync = _Bit("sync_mode")
     overflow = _Bit("ext_diag_overflow")
-
-
-_DIAGNOSIS: Final = Layout(
-    "Slave_Diag",
-    Diagnosis,
-    "status1" / OCTET,
-    "status2" / OCTET,
-    "status3" / OCTET,
-    "master"
-    / adapted(
-        OCTET,
-        lambda octet: None if octet == NO_MASTER else octet,
-        lambda master: NO_MASTER if master is None else master,
-    ),
-    "ident" / WORD,
-    "ext" / REST,
-)

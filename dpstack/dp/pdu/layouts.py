@@ -1,7 +1,8 @@
 """Layouts of PDUs, declared bit by bit with construct; constants of DP-V1 that layouts and checks share.
 
-construct knows no types and takes some 10 us and more a PDU: it is imported here only, and never runs on the cyclic
-path. Each PDU declares its :class:`Layout` beside the class that it is read into. Layouts:
+construct knows no types, takes some 10 us and more a PDU and 10 ms to load: it is imported here only, at the first use
+of a layout, and never runs on the cyclic path nor while slaves are brought up. The PDUs of the bring-up are made of
+:class:`Numbers`. Each other PDU declares its :class:`Layout` beside the class that it is read into. Layouts:
 docs/reference/protocol.md#slave_diag, docs/reference/protocol.md#set_prm, docs/reference/protocol.md#global_control,
 docs/reference/protocol.md#set_slave_add, docs/reference/protocol.md#alarms,
 docs/reference/protocol.md#functions-of-dp-v1, docs/reference/protocol.md#im.
@@ -9,11 +10,13 @@ docs/reference/protocol.md#functions-of-dp-v1, docs/reference/protocol.md#im.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
-import construct as cs
 from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.errors import PduError
 
@@ -24,38 +27,59 @@ MAX_SLOT: Final = 254
 R = TypeVar("R")
 
 
+class Field(Struct, frozen=True):
+    """A field of a layout, ``"name" / OCTET``. ``"group_mask" / OCTET * "group_ident"``: messages name it
+    ``group_ident``."""
+
+    #: makes it in construct
+    made: Callable[[], Any]
+    #: bits of it, None for all up to the end
+    bits: int | None
+    name: str = ""
+    label: str = ""
+    #: reserved, or always the same
+    is_value: bool = True
+
+    def __rtruediv__(self, name: str) -> Field:
+        return replace(self, name=name, label=name)
+
+    def __mul__(self, label: str) -> Field:
+        return replace(self, label=label)
+
+
 class Layout(Generic[R]):
     """A PDU, declared field by field. ``make`` is called with the value of each field under the name of the field:
     usually a class with the same attributes.
 
     Fields that :func:`fixed` and :func:`ignored` make are not values: they are reserved, or always the same.
-    ``"group_mask" / OCTET * "group_ident"`` names the field as messages shall name it. ``function``: the number of a
-    DP-V1 service, which is the first octet then.
+    ``function``: the number of a DP-V1 service, which is the first octet then.
     """
 
-    def __init__(self, name: str, make: Callable[..., R], *fields: Any, function: int | None = None) -> None:
+    def __init__(self, name: str, make: Callable[..., R], *fields: Field, function: int | None = None) -> None:
         self.name = name
         self.make = make
         self._function = function
         if function is not None:
             fields = ("function" / fixed(8, function), *fields)
-        self._names = {field.name: field.docs or field.name for field in fields}
+        self._all = fields
+        self._names = {field.name: field.label for field in fields}
         #: the names of the values
-        self.fields = tuple(field.name for field in fields if not field.flagbuildnone)
-        self._struct: Any = cs.Bitwise(cs.Struct(*fields))
+        self.fields = tuple(field.name for field in fields if field.is_value)
         #: where each field ends, in bits from the first; REST has no end
         self._ends: dict[str, int] = {}
-        self._is_exact = True
         end = 0
         for field in fields:
-            try:
-                end += field.sizeof()
-            except cs.SizeofError:
-                self._is_exact = False
-            else:
+            if field.bits is not None:
+                end += field.bits
                 self._ends[field.name] = end
+        self._is_exact = len(self._ends) == len(fields)
         #: octets without REST
         self.size = end // 8
+
+    @cached_property
+    def _struct(self) -> Any:
+        cs = _construct()
+        return cs.Bitwise(cs.Struct(*(field.name / field.made() for field in self._all)))
 
     def parse(self, octets: bytes) -> R:
         """Read ``octets``. Raises PduError naming the octet: one is missing, too many, or of another function."""
@@ -77,7 +101,7 @@ class Layout(Generic[R]):
         given = {name: values[name] if name in values else getattr(source, name) for name in self.fields}
         try:
             return bytes(self._struct.build(given))
-        except cs.ConstructError as error:
+        except _construct().ConstructError as error:
             field = str(error.path).rpartition(" -> ")[2]  # "(building) -> ident"
             what = f"{self._names[field]} = {given.get(field)}"
             raise PduError(f"{self.name}: {what} does not fit its octets") from None
@@ -99,44 +123,96 @@ class Pdu(Struct, frozen=True):
         return pdu
 
 
-#: the kinds of fields: ``"name" / OCTET``
-OCTET: Final[Any] = cs.BitsInteger(8)
-WORD: Final[Any] = cs.BitsInteger(16)
-DOUBLE_WORD: Final[Any] = cs.BitsInteger(32)
-REST: Final[Any] = cs.Bytewise(cs.GreedyBytes)
-
-
-def bits(count: int) -> Any:
+def bits(count: int) -> Field:
     """A number of ``count`` bits."""
-    return cs.BitsInteger(count)
+    return Field(lambda: _construct().BitsInteger(count), count)
 
 
-def flags(names: str) -> tuple[Any, ...]:
+def _construct() -> Any:
+    import construct  # here, as most buses use no layout
+
+    return construct
+
+
+#: the kinds of fields: ``"name" / OCTET``
+OCTET: Final = bits(8)
+WORD: Final = bits(16)
+DOUBLE_WORD: Final = bits(32)
+REST: Final = Field(lambda: _construct().Bytewise(_construct().GreedyBytes), None)
+_FLAG: Final = Field(lambda: _construct().Flag, 1)
+
+
+def flags(names: str) -> tuple[Field, ...]:
     """Fields of one bit each, the most significant first."""
-    return tuple(name / cs.Flag for name in names.split())
+    return tuple(name / _FLAG for name in names.split())
 
 
-def octets(count: int) -> Any:
+def octets(count: int) -> Field:
     """``count`` octets as bytes."""
-    return cs.Bytewise(cs.Bytes(count))
+    return Field(lambda: _construct().Bytewise(_construct().Bytes(count)), 8 * count)
 
 
-def array(count: int, field: Any) -> Any:
+def array(count: int, field: Field) -> Field:
     """``count`` times ``field``, as a list."""
-    return cs.Array(count, field)
+    assert field.bits is not None
+    return Field(lambda: _construct().Array(count, field.made()), count * field.bits)
 
 
-def fixed(count: int, value: int = 0) -> Any:
+def fixed(count: int, value: int = 0) -> Field:
     """``count`` bits that are always ``value`` when sent, and may be anything when received."""
-    return cs.Default(cs.BitsInteger(count), value)
+    return _default(bits(count), value)
 
 
-def ignored() -> Any:
+def ignored() -> Field:
     """The octets up to the end: none when sent, anything when received."""
-    return cs.Default(REST, b"")
+    return _default(REST, b"")
 
 
-def adapted(field: Any, read: Callable[[Any], object], write: Callable[[Any], object]) -> Any:
+def _default(field: Field, value: object) -> Field:
+    return Field(lambda: _construct().Default(field.made(), value), field.bits, is_value=False)
+
+
+def adapted(field: Field, read: Callable[[Any], object], write: Callable[[Any], object]) -> Field:
     """``field`` with another value: ``read`` makes it of that on the wire, ``write`` the other way; both may raise
     PduError."""
-    return cs.ExprAdapter(field, lambda value, _: read(value), lambda value, _: write(value))
+
+    def made() -> Any:
+        return _construct().ExprAdapter(field.made(), lambda value, _: read(value), lambda value, _: write(value))
+
+    return Field(made, field.bits)
+
+
+class Numbers:
+    """The first octets of a PDU of the bring-up: unsigned numbers of one or two octets, the greater octet first.
+
+    ``sizes``: the octets of each number, under the name that messages give it. It does what a :class:`Layout` of them
+    does, without construct, which takes longer to load than such a bus to come up.
+    """
+
+    def __init__(self, name: str, **sizes: int) -> None:
+        self.name = name
+        self._codes = {number: ">" + {1: "B", 2: "H"}[size] for number, size in sizes.items()}
+        self._struct = struct.Struct(">" + "".join(code[1] for code in self._codes.values()))
+        self.size = self._struct.size
+        #: the name of each octet
+        self._octets = [number for number, size in sizes.items() for _ in range(size)]
+
+    def parse(self, octets: bytes) -> tuple[int, ...]:
+        """Read the first octets of ``octets``. Raises PduError naming the first one that is missing."""
+        count = len(octets)
+        if count < self.size:
+            where = f"octet {count + 1} ({self._octets[count]})"
+            raise PduError(f"{self.name} ends after {count} octets: {where} is missing")
+        return self._struct.unpack_from(octets)
+
+    def build(self, *numbers: int) -> bytes:
+        """The octets. Raises PduError naming the number that does not fit."""
+        try:
+            return self._struct.pack(*numbers)
+        except struct.error:
+            for (name, code), number in zip(self._codes.items(), numbers, strict=True):
+                try:
+                    struct.pack(code, number)
+                except struct.error:
+                    raise PduError(f"{self.name}: {name} = {number} does not fit its octets") from None
+            raise

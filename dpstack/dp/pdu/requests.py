@@ -7,11 +7,11 @@ docs/reference/protocol.md#global_control, docs/reference/protocol.md#set_slave_
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 from msgspec import Struct
 
-from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, Pdu, adapted, fixed, flags
+from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, Numbers, Pdu, adapted
 from dpstack.errors import PduError
 from dpstack.gsd.identifiers import MAX_USER_PRM
 from dpstack.params import MAX_STATION
@@ -25,6 +25,20 @@ MAX_REM_SLAVE_DATA: Final = 240
 _KEPT_CONTROLS: Final = 64
 #: The watchdog factors while the watchdog is off: the smallest legal ones, because some slaves check them anyway.
 _NO_WATCHDOG: Final = (1, 1)
+_SET_PRM: Final = Numbers("Set_Prm", station_status=1, wd_fact_1=1, wd_fact_2=1, min_tsdr=1, ident=2, group_ident=1)
+#: bits of Station_status
+_LOCK: Final = 0x80
+_UNLOCK: Final = 0x40
+_SYNC_REQ: Final = 0x20
+_FREEZE_REQ: Final = 0x10
+_WD_ON: Final = 0x08
+_GLOBAL_CONTROL: Final = Numbers("Global_Control", control_command=1, group_select=1)
+#: bits of Control_Command
+_SYNC: Final = 0x20
+_UNSYNC: Final = 0x10
+_FREEZE: Final = 0x08
+_UNFREEZE: Final = 0x04
+_CLEAR: Final = 0x02
 
 
 class SetPrm(Struct, frozen=True):
@@ -53,34 +67,28 @@ class SetPrm(Struct, frozen=True):
         if self.watchdog is not None and not all(1 <= factor <= 255 for factor in self.watchdog):
             raise PduError(f"Set_Prm: watchdog factors {self.watchdog} are outside 1..255 (None switches it off)")
         first, second = self.watchdog or _NO_WATCHDOG
-        return _SET_PRM.build(self, wd_on=self.watchdog is not None, wd_fact_1=first, wd_fact_2=second)
+        status = _LOCK * self.lock | _UNLOCK * self.unlock | _SYNC_REQ * self.sync | _FREEZE_REQ * self.freeze
+        status |= _WD_ON * (self.watchdog is not None)
+        return _SET_PRM.build(status, first, second, self.min_tsdr, self.ident, self.group_mask) + self.user_prm
 
     @classmethod
     def parse(cls, octets: bytes) -> SetPrm:
         """Read ``octets``; reserved bits are ignored, factors of 0 are kept as they came. Raises PduError."""
-        prm = _SET_PRM.parse(octets)
-        if len(prm.user_prm) > MAX_USER_PRM:
-            last = SET_PRM_LEN + MAX_USER_PRM
+        status, first, second, min_tsdr, ident, group_mask = _SET_PRM.parse(octets)
+        last = SET_PRM_LEN + MAX_USER_PRM
+        if len(octets) > last:
             raise PduError(f"Set_Prm has {len(octets)} octets, octet {last} is the last possible one")
-        return prm
-
-
-def _set_prm(wd_on: bool, wd_fact_1: int, wd_fact_2: int, **others: Any) -> SetPrm:
-    return SetPrm(watchdog=(wd_fact_1, wd_fact_2) if wd_on else None, **others)
-
-
-_SET_PRM: Final = Layout(
-    "Set_Prm",
-    _set_prm,
-    *flags("lock unlock sync freeze wd_on"),
-    "reserved" / fixed(3),
-    "wd_fact_1" / OCTET,
-    "wd_fact_2" / OCTET,
-    "min_tsdr" / OCTET,
-    "ident" / WORD,
-    "group_mask" / OCTET * "group_ident",
-    "user_prm" / REST,
-)
+        return cls(
+            ident=ident,
+            user_prm=octets[SET_PRM_LEN:],
+            lock=bool(status & _LOCK),
+            unlock=bool(status & _UNLOCK),
+            sync=bool(status & _SYNC_REQ),
+            freeze=bool(status & _FREEZE_REQ),
+            watchdog=(first, second) if status & _WD_ON else None,
+            min_tsdr=min_tsdr,
+            group_mask=group_mask,
+        )
 
 
 class GlobalControl(Struct, frozen=True):
@@ -107,17 +115,26 @@ class GlobalControl(Struct, frozen=True):
         return _parse_control(octets)
 
 
-_GLOBAL_CONTROL: Final = Layout(
-    "Global_Control",
-    GlobalControl,
-    "reserved_high" / fixed(2),
-    *flags("sync unsync freeze unfreeze clear"),
-    "reserved_low" / fixed(1),
-    "group_mask" / OCTET * "group_select",
-)
-# Every slave of a bus reads the same Global_Control again and again; construct takes its time.
-_build_control: Final = lru_cache(_KEPT_CONTROLS)(_GLOBAL_CONTROL.build)
-_parse_control: Final = lru_cache(_KEPT_CONTROLS)(_GLOBAL_CONTROL.parse)
+@lru_cache(_KEPT_CONTROLS)  # all slaves of a bus read the same Global_Control again and again
+def _build_control(control: GlobalControl) -> bytes:
+    command = _SYNC * control.sync | _UNSYNC * control.unsync | _FREEZE * control.freeze
+    command |= _UNFREEZE * control.unfreeze | _CLEAR * control.clear
+    return _GLOBAL_CONTROL.build(command, control.group_mask)
+
+
+@lru_cache(_KEPT_CONTROLS)
+def _parse_control(octets: bytes) -> GlobalControl:
+    command, group_mask = _GLOBAL_CONTROL.parse(octets)
+    if len(octets) > _GLOBAL_CONTROL.size:
+        raise PduError(f"Global_Control has {len(octets)} octets, octet {_GLOBAL_CONTROL.size} is the last one")
+    return GlobalControl(
+        clear=bool(command & _CLEAR),
+        unfreeze=bool(command & _UNFREEZE),
+        freeze=bool(command & _FREEZE),
+        unsync=bool(command & _UNSYNC),
+        sync=bool(command & _SYNC),
+        group_mask=group_mask,
+    )
 
 
 class SetSlaveAdd(Pdu, frozen=True):

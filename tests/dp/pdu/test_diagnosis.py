@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import construct as cs
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, SetBy
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock, split_blocks
@@ -25,6 +29,15 @@ ATTRIBUTES = {
     "sync_mode": "sync",
     "ext_diag_overflow": "overflow",
 }
+#: the oracle
+SLAVE_DIAG: Any = cs.Struct(
+    "status1" / cs.Byte,
+    "status2" / cs.Byte,
+    "status3" / cs.Byte,
+    "master" / cs.Byte,
+    "ident" / cs.Int16ub,
+    "ext" / cs.GreedyBytes,
+)
 BY_MASTER = {"station_non_existent", "invalid_slave_response", "master_lock", "not_present", "deactivated"}
 
 
@@ -52,6 +65,25 @@ def test_a_slave_that_is_ready() -> None:
     assert diagnosis.ext == b""
     assert diagnosis.blocks == ()
     assert diagnosis.texts == ("watches its master",)
+
+
+@given(st.binary(min_size=6, max_size=244))
+def test_a_diagnosis_as_construct_reads_and_builds_it(octets: bytes) -> None:
+    diagnosis, oracle = Diagnosis.parse(octets), SLAVE_DIAG.parse(octets)
+    assert diagnosis is not None
+    if oracle.master == 255:
+        assert diagnosis.master is None
+        diagnosis = replace(diagnosis, master=255)
+    assert {name: getattr(diagnosis, name) for name in Diagnosis.__struct_fields__} == {
+        name: oracle[name] for name in Diagnosis.__struct_fields__
+    }
+    assert diagnosis.build() == SLAVE_DIAG.build(oracle)
+
+
+@pytest.mark.parametrize(("field", "value"), [("status1", 256), ("status2", -1), ("master", 256), ("ident", 0x10000)])
+def test_a_value_that_does_not_fit_is_named(field: str, value: int) -> None:
+    with pytest.raises(PduError, match=f"Slave_Diag: {field} = {value} does not fit its octets"):
+        replace(parse("02 05 00 FF 0C DA"), **{field: value}).build()
 
 
 @pytest.mark.parametrize("name", FLAG)

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import construct as cs
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -117,6 +120,58 @@ def test_every_set_prm_comes_back(prm: SetPrm) -> None:
     assert len(octets) == 7 + len(prm.user_prm)
     assert octets[4:6] == prm.ident.to_bytes(2, "big")
     assert SetPrm.parse(octets) == prm
+
+
+# --- construct as the oracle ------------------------------------------------------------------------------------------
+
+_SET_PRM: Any = cs.Struct(
+    "status"
+    / cs.BitStruct(
+        "lock" / cs.Flag,
+        "unlock" / cs.Flag,
+        "sync" / cs.Flag,
+        "freeze" / cs.Flag,
+        "wd_on" / cs.Flag,
+        "reserved" / cs.Padding(3),
+    ),
+    "watchdog" / cs.Byte[2],
+    "min_tsdr" / cs.Byte,
+    "ident" / cs.Int16ub,
+    "group_mask" / cs.Byte,
+    "user_prm" / cs.GreedyBytes,
+)
+_CONTROL: Any = cs.BitStruct(
+    cs.Padding(2),
+    "sync" / cs.Flag,
+    "unsync" / cs.Flag,
+    "freeze" / cs.Flag,
+    "unfreeze" / cs.Flag,
+    "clear" / cs.Flag,
+    cs.Padding(1),
+    "group_mask" / cs.Octet,
+)
+
+
+@given(st.binary(min_size=7, max_size=244))
+def test_set_prm_as_construct_reads_and_builds_it(octets: bytes) -> None:
+    prm, oracle = SetPrm.parse(octets), _SET_PRM.parse(octets)
+    status = oracle.status
+    assert (prm.lock, prm.unlock, prm.sync, prm.freeze) == (status.lock, status.unlock, status.sync, status.freeze)
+    assert prm.watchdog == (tuple(oracle.watchdog) if status.wd_on else None)
+    assert (prm.min_tsdr, prm.ident, prm.group_mask) == (oracle.min_tsdr, oracle.ident, oracle.group_mask)
+    assert prm.user_prm == oracle.user_prm
+    if 0 not in (prm.watchdog or (1, 1)):
+        oracle.watchdog = prm.watchdog or (1, 1)  # a watchdog that is off has the smallest factors
+        assert prm.build() == _SET_PRM.build(oracle)
+
+
+@given(st.binary(min_size=2, max_size=2))
+def test_global_control_as_construct_reads_and_builds_it(octets: bytes) -> None:
+    control, oracle = GlobalControl.parse(octets), _CONTROL.parse(octets)
+    assert {name: getattr(control, name) for name in GlobalControl.__struct_fields__} == {
+        name: oracle[name] for name in GlobalControl.__struct_fields__
+    }
+    assert control.build() == _CONTROL.build(oracle)
 
 
 @given(st.binary(max_size=300))
