@@ -14,6 +14,7 @@ from dpstack.api.config.config import ECHO, Config, port_of, rate_findings
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.streams import Rounds
 from dpstack.dp.master.settings import MasterSettings, StackSpec
+from dpstack.dp.pdu import layouts
 from dpstack.dp.plan.plan import Plan, make_plan
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.drivers.line.port_latency import patience_of
@@ -168,6 +169,9 @@ def compose(
         view = stack = Stack(spec)
         station = stack.station
         if port is not None:
+            if any(slave.dpv1 is not None for slave in spec.slaves):
+                layouts.load()  # for alarms
+
             from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
             from dpstack.drivers.line.last_clear import LastClear
 

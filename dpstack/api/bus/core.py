@@ -191,6 +191,8 @@ class BusCore(BusBase):
     # --- orders, waiting ----------------------------------------------------------------------------------------------
 
     async def add(self, config: SlaveConfig, setup: SlaveParams) -> Slave:
+        if setup.dpv1 is not None:
+            await self.load_layouts()
         await self.order(AddSlave(setup))
         if self.bench is not None:
             self.bench.add(config)

@@ -17,6 +17,7 @@ from dpstack.api.server.virtual_bench import sim_event_json
 from dpstack.api.streams import LEVELS, OnEvent, Waiters, WallClock, call_on_event, logger_below
 from dpstack.argcheck import Sealed, octets, whole_number
 from dpstack.dp.error_origin import DEVICE_CALL
+from dpstack.dp.pdu import layouts
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status, module_status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
@@ -409,6 +410,7 @@ class SlaveServer(Sealed):
         self._runtimes: list[Runtime] = []
         self._begun_ns = 0
         if opened is not None:
+            layouts.load()
             line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
             runtime: Runtime = AsyncioRuntime(opened, line, self._on_events, on_failure=self._failed)
             self._attach(runtime, *self.slaves)

@@ -11,6 +11,7 @@ from typing import Final, Literal
 from dpstack.api.config.config import AUTO, ECHO, Config, port_of, rate_findings
 from dpstack.api.server.virtual_bench import Bench, SimulatedSlave, rates_of, set_rate, sim_event_json
 from dpstack.api.streams import OnEvent, WallClock, call_on_event
+from dpstack.dp.pdu import layouts
 from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.port_latency import patience_of
@@ -69,6 +70,7 @@ class Simulation(Bench):
                     f"{UNADDRESSED} over the bus; give it one of 0..{MAX_STATION}"
                 )
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        layouts.load()
         self._line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
         for slave in self.slaves:
             slave.faults.connect(partial(self._send_at, slave))

@@ -56,10 +56,12 @@ class Services:
         command: Callable[[object], None],
         order: Callable[[object], Awaitable[None]],
         is_open: Callable[[], bool],
+        load_layouts: Callable[[], Awaitable[None]],
     ) -> None:
         self._command = command
         self._order = order
         self._is_open = is_open
+        self._load_layouts = load_layouts
         self._tokens = itertools.count(1)
         self._waiting: dict[int, tuple[asyncio.Future[Event], tuple[type[Event], ...]]] = {}
         #: class 2 connections by the token that opened them
@@ -77,6 +79,7 @@ class Services:
 
         ``cancel``: the order that is sent when the caller is cancelled (default CancelService).
         """
+        await self._load_layouts()
         try:
             done = await self.answer_to(order, kind)
         except asyncio.CancelledError:

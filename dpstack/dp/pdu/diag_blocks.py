@@ -10,12 +10,10 @@ slave builds its diagnosis from the same blocks.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import Final
 
 from msgspec import Struct
-from msgspec.structs import replace
 
-from dpstack.dp.pdu.layouts import Layout, bits, fixed, flags
 from dpstack.errors import PduError
 
 _DEVICE, _IDENTIFIER, _CHANNEL, _REVISION = range(4)
@@ -94,16 +92,17 @@ class ChannelBlock(Block, frozen=True):
         return f"{self.place()}: {self.cause}"
 
 
-_CHANNEL_LAYOUT: Final[Layout[dict[str, Any]]] = Layout(
-    "channel related diagnosis",
-    dict,
-    "kind" / fixed(2, _CHANNEL),
-    "identifier" / bits(6),
-    *flags("output input"),
-    "channel" / bits(6),
-    "size" / bits(3),
-    "error" / bits(5),
-)
+def _parse_channel(octets: bytes) -> ChannelBlock:
+    module, channel, error = octets
+    return ChannelBlock(
+        octets,
+        identifier=module & 0x3F,
+        input=bool(channel & 0x40),
+        output=bool(channel & 0x80),
+        channel=channel & 0x3F,
+        size=error >> 5,
+        error=error & 0x1F,
+    )
 
 
 class RevisionBlock(Block, frozen=True):
@@ -134,7 +133,7 @@ def split_blocks(ext: bytes) -> tuple[tuple[Block, ...], str | None]:
         elif kind == _REVISION:
             blocks.append(RevisionBlock(octets, value))
         elif left >= _CHANNEL_LEN:
-            blocks.append(ChannelBlock(octets, **_CHANNEL_LAYOUT.parse(octets)))
+            blocks.append(_parse_channel(octets))
         if announced > left:
             return tuple(blocks), f"octet {at + 7} announces a block of {announced} octets, {left} are left"
         at += announced
@@ -216,8 +215,16 @@ def channel_block(
     1..31 and ``size`` 0..7 as in docs/reference/protocol.md#diagnosis-blocks (1 short circuit, 6 line break ..., from
     16 on the maker's). Raises PduError.
     """
-    unbuilt = ChannelBlock(b"", identifier, channel, input, output, size, error)
-    return replace(unbuilt, octets=_CHANNEL_LAYOUT.build(unbuilt))
+    for name, value, most in (
+        ("identifier", identifier, 63),
+        ("channel", channel, 63),
+        ("size", size, 7),
+        ("error", error, 31),
+    ):
+        if not 0 <= value <= most:
+            raise PduError(f"channel related diagnosis: {name} = {value} does not fit its octets")
+    octets = (_CHANNEL << 6 | identifier, output << 7 | input << 6 | channel, size << 5 | error)
+    return ChannelBlock(bytes(octets), identifier, channel, input, output, size, error)
 
 
 def revision_block(revision: int) -> RevisionBlock:

@@ -128,6 +128,11 @@ def bits(count: int) -> Field:
     return Field(lambda: _construct().BitsInteger(count), count)
 
 
+def load() -> None:
+    """Load construct now, where the first use of a layout would come at a time in which there are 10 ms for nothing."""
+    _construct()
+
+
 def _construct() -> Any:
     import construct  # here, as most buses use no layout
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 
 from msgspec import field
 
+from dpstack.dp.pdu import layouts
 from dpstack.dp.process_image import CyclicPlugin
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
@@ -56,13 +57,16 @@ def core_at(place: str) -> Callable[..., CyclicPlugin]:
 
 
 def load_all(group: str) -> None:
-    """Import the drive plugins of the entry point group ``group``. Those that cannot be imported are left out: the
-    order that attaches one says why."""
-    from importlib import metadata  # here, as it is not needed where no drive can be added
+    """Import all that a running bus may need, and then has no time for: construct, for the PDUs of DP-V1, and the drive
+    plugins of the entry point group ``group`` ("": none). Those that cannot be imported are left out: the order that
+    attaches one says why."""
+    layouts.load()
+    if group:
+        from importlib import metadata  # here, as it is not needed where no drive can be added
 
-    for place in sorted(point.value for point in metadata.entry_points(group=group)):
-        with contextlib.suppress(ConfigError):
-            core_at(place)
+        for place in sorted(point.value for point in metadata.entry_points(group=group)):
+            with contextlib.suppress(ConfigError):
+                core_at(place)
     gc.freeze()  # no collection of a running bus looks at modules
 
 

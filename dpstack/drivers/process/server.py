@@ -94,6 +94,7 @@ class Host:
             loop, self.runtime.command, stack.station, lambda: stack.master.rotation.max_ns, self._finish
         )
         self._preload = setup.preload
+        self._has_loaded = False
         self._rounds_watched = False
         self._tap: Tap | None = None
         self._tap_goes_on = False  # the next portion is due soon
@@ -188,10 +189,10 @@ class Host:
 
     def _after(self, order: object) -> None:
         """Go on after an order."""
-        if isinstance(order, GoOnline) and self._preload:
+        if isinstance(order, GoOnline) and not self._has_loaded:
             # the bus listens: octets that arrive meanwhile are read before it acts, so it claims no token too early
             load_all(self._preload)
-            self._preload = ""
+            self._has_loaded = True
         if isinstance(order, CloseBus):
             if self._has_ended:
                 self._stop()

@@ -22,7 +22,10 @@ async def test_the_end_of_the_bus_while_an_order_is_taken_is_one_error() -> None
         services.end(BusError("the bus process has ended"))
         raise BusError("the order was not answered")
 
-    services = Services(lambda _command: None, order, lambda: True)
+    async def load_layouts() -> None:
+        """They are there."""
+
+    services = Services(lambda _command: None, order, lambda: True, load_layouts)
     with pytest.raises(BusError, match="not answered"):
         await services.answer_to(ReadService(services.token(), 4, Service.DIAGNOSIS, None, 1_000_000), ServiceDone)
     gc.collect()

@@ -168,6 +168,58 @@ def test_slaves_come_up_without_construct() -> None:
     assert "construct" not in done.stdout.split()
 
 
+_SERVICE = """
+import asyncio, os, pty, sys, threading
+import dpstack
+class Recorder:
+    threads = []
+    def find_spec(self, name, *others):
+        if name == "construct":
+            self.threads.append(threading.current_thread() is threading.main_thread())
+sys.meta_path.insert(0, Recorder())
+async def main():
+    slaves = [{"address": 9, "ident": 1, "config": "20"}]
+    if sys.argv[1:]:
+        slaves[0] |= {"user_prm": "00 00 00", "dpv1": {}}
+    port = os.ttyname(pty.openpty()[1])
+    async with dpstack.open_bus(port=port, driver="asyncio", baud=500_000, slaves=slaves) as bus:
+        print(*Recorder.threads)
+        try:
+            await bus.class2.diagnosis(9, timeout=0.01)
+        except dpstack.SlaveTimeout:
+            print(*Recorder.threads)
+asyncio.run(main())
+"""
+
+
+def test_the_first_service_loads_construct_beside_the_bus() -> None:
+    done = subprocess.run([sys.executable, "-c", _SERVICE], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["", "False"]
+
+
+def test_a_bus_with_alarms_loads_construct_before_it_begins() -> None:
+    done = subprocess.run([sys.executable, "-c", _SERVICE, "1"], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["True", "True"]
+
+
+_SERVER = """
+import asyncio, os, pty, sys
+import dpstack.slave
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
+async def main():
+    print("construct" in sys.modules)
+    device = MirrorDevice(1, bytes([0x20]))
+    async with dpstack.slave.serve_slave(device, port=os.ttyname(pty.openpty()[1]), baud=500_000, address=9):
+        print("construct" in sys.modules)
+asyncio.run(main())
+"""
+
+
+def test_slaves_on_a_port_load_construct_before_they_answer() -> None:
+    done = subprocess.run([sys.executable, "-c", _SERVER], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "True"]
+
+
 _YOUNG_OBJECTS = """
 import gc, os, pty, sys
 import dpstack
