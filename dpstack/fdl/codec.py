@@ -155,11 +155,12 @@ def _misuse(da: int, sa: int, fc: int) -> ValueError:
 
 
 # --- decoding --------------------------------------------------------------------------------------------------------
-def decode(octets: bytes | bytearray) -> Telegram | None:
-    """The one telegram that ``octets`` are from the first to the last, or None."""
+def decode(octets: bytes | bytearray, likely: PlainFrame | None = None) -> Telegram | None:
+    """The one telegram that ``octets`` are from the first to the last, or None. ``likely``: probably its frame."""
     if type(octets) is not bytes:
         octets = bytes(octets)
-    frame = _plain_frame(octets[:7])
+    head = octets[:7]
+    frame = likely if likely is not None and head == likely.head else _plain_frame(head)
     if frame is None:
         return _decode_other(octets)
     if octets == frame.octets:  # inputs are often those of the last exchange
@@ -257,26 +258,32 @@ def _read_head(head: bytes) -> _Head | Flaw:
     return le, da + sa + fc, da, sa, fc, isinstance(_content(_KIND_SD2, da, sa, fc, b""), Telegram)
 
 
-class _PlainFrame:
-    """An SD2 frame without extension octets: ``size`` in octets, ``check`` the sum of ``da``, ``sa`` and ``fc``.
+#: the telegram of a frame before its first one; compared by identity
+_NO_TELEGRAM: Final = Telegram(Kind.SC, -1, -1)
+
+
+class PlainFrame:
+    """An SD2 frame without extension octets: ``size`` in octets, ``check`` the sum of ``da``, ``sa`` and ``fc``, which
+    are the last of the seven octets of ``head``.
 
     ``octets`` and ``telegram``: the last telegram with this head.
     """
 
-    __slots__ = ("check", "da", "fc", "octets", "sa", "size", "telegram")
+    __slots__ = ("check", "da", "fc", "head", "octets", "sa", "size", "telegram")
 
-    def __init__(self, size: int, check: int, da: int, sa: int, fc: int) -> None:
+    def __init__(self, head: bytes, size: int, check: int, da: int, sa: int, fc: int) -> None:
+        self.head = head
         self.size = size
         self.check = check
         self.da = da
         self.sa = sa
         self.fc = fc
-        self.octets = b""
-        self.telegram = SHORT_ACK  # never read: no frame has the octets b""
+        self.octets: bytes | None = None
+        self.telegram = _NO_TELEGRAM
 
 
 @lru_cache(_KEPT_HEADS)
-def _plain_frame(head: bytes) -> _PlainFrame | None:
+def _plain_frame(head: bytes) -> PlainFrame | None:
     """The frame with the first seven octets ``head``. None for another kind, and where :func:`_read_head` finds a
     flaw."""
     if len(head) < 7 or head[0] != _SD2:
@@ -285,7 +292,21 @@ def _plain_frame(head: bytes) -> _PlainFrame | None:
     if isinstance(found, Flaw):
         return None
     le, check, da, sa, fc, plain = found
-    return _PlainFrame(le + 6, check, da, sa, fc) if plain else None
+    return PlainFrame(head, le + 6, check, da, sa, fc) if plain else None
+
+
+#: stands for "no frame": the first seven octets of a telegram are never these eight
+NO_FRAME: Final = PlainFrame(bytes(8), 0, 0, -1, -1, -1)
+
+
+def plain_frame_of(telegram: Telegram) -> PlainFrame:
+    """The kept frame of ``telegram``; :data:`NO_FRAME` for all but an SD2 with data and without extension octets."""
+    if telegram.kind is not _KIND_SD2 or not telegram.data:
+        return NO_FRAME
+    if not telegram.dsap is telegram.ssap is telegram.dseg is telegram.sseg is None:
+        return NO_FRAME
+    head, _ = _head(telegram.da, telegram.sa, telegram.fc, len(telegram.data), None, None)
+    return _plain_frame(head) or NO_FRAME
 
 
 def _content(kind: Kind, da: int, sa: int, fc: int, body: bytes) -> Telegram | Flaw:

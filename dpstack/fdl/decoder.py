@@ -23,7 +23,7 @@ from typing import Final
 from msgspec import Struct
 from msgspec.structs import asdict
 
-from dpstack.fdl.codec import EMPTY_LE, Flaw, claimed, decode, parse
+from dpstack.fdl.codec import EMPTY_LE, NO_FRAME, Flaw, PlainFrame, claimed, decode, parse
 from dpstack.fdl.telegram import MAX_LE, Kind, Telegram
 from dpstack.units import NEVER
 
@@ -94,9 +94,12 @@ class Decoder:
         self._last = 0  # time of the last octets, valid only while octets are pending or in doubt
         self._between = True  # the last telegram is over: nothing is pending or in doubt
 
-    def whole(self, chunk: bytes) -> Telegram | None:
-        """The telegram that ``chunk`` is, as most reads are; None: :meth:`feed` it."""
-        if not self._between or (telegram := decode(chunk)) is None:
+    def whole(self, chunk: bytes, likely: PlainFrame = NO_FRAME) -> Telegram | None:
+        """The telegram that ``chunk`` is, as most reads are; None: :meth:`feed` it. ``likely``: as :func:`decode`."""
+        if not self._between:
+            return None
+        telegram = likely.telegram if chunk == likely.octets else decode(chunk, likely)
+        if telegram is None:
             return None
         size = len(chunk)
         stats = self.stats

@@ -14,6 +14,7 @@ from dpstack.fdl.codec import (
     decode,
     encode,
     parse,
+    plain_frame_of,
 )
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram, token
 
@@ -156,6 +157,7 @@ def test_a_whole_damaged_frame_is_read_alike_in_a_stream(telegram: Telegram, dat
     found = parse(frame, 0, len(frame))
     whole = isinstance(found, Telegram) and claimed(frame, 0, len(frame)) == len(frame)
     assert decode(frame) == decode(bytearray(frame)) == (found if whole else None)
+    assert decode(frame, plain_frame_of(telegram)) == (found if whole else None)
 
 
 def test_answers_with_one_head_are_told_apart() -> None:

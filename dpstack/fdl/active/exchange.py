@@ -24,7 +24,7 @@ from dpstack.fdl.active.fcb import FrameCount
 from dpstack.fdl.active.parts import Awaiting
 from dpstack.fdl.active.services import SERVICES, Service, answers
 from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
-from dpstack.fdl.codec import request_octets
+from dpstack.fdl.codec import NO_FRAME, PlainFrame, plain_frame_of, request_octets
 from dpstack.fdl.interface import Failure, LinkUser, Request, StationStats
 from dpstack.fdl.telegram import FC_FCB, SHORT_ACK, Req, Telegram
 from dpstack.params import BROADCAST
@@ -44,6 +44,7 @@ class Exchange(Awaiting):
 
     fcb: FrameCount
     admission: Admission
+    #: the user of the last request; None where it is detached
     user: LinkUser | None = None
     request: Request = NO_REQUEST
     #: called with the time of its last bit when the GAP poll is sent (:class:`~dpstack.fdl.active.use_token.GapPoll`)
@@ -54,8 +55,10 @@ class Exchange(Awaiting):
     _asked_da: int = BROADCAST
     _service: Service = SERVICES[NO_REQUEST.function]  # of the current request
     _frame: bytes = b""
+    #: by address: the frame of the last answer to a plain request (counted, without SAPs); whether a telegram answers
+    #: such a request depends on its head only
+    _answers: list[PlainFrame] = field(default_factory=lambda: [NO_FRAME] * 128)
     _candidate: Telegram = NONE  # an answer that is kept back, because it may be late
-    _may_repeat: bool = True
     _repeats: int = 0
     _wrong: bool = False
 
@@ -64,10 +67,13 @@ class Exchange(Awaiting):
         da = request.da
         service = SERVICES[request.function]
         fc = service.fc
+        expected = NO_FRAME
         if service.counted:
             if request.restart:
                 self.fcb.restart(da)
             fc |= self.fcb.bits[da]
+            if request.dsap is None and request.ssap is None:
+                expected = self._answers[da]
         elif service.answered and not request.patient and self.peers.knows(da):
             request = replace(request, patient=True)  # for every user: the silence of a known station is news
         self.user = user
@@ -75,7 +81,6 @@ class Exchange(Awaiting):
         self._service = service
         self.made_at = now
         self._asked_da = da
-        self._may_repeat = True
         self._repeats = 0
         self._wrong = False
         line = self.line
@@ -85,6 +90,7 @@ class Exchange(Awaiting):
         machine = self.machine  # as enter(); its deadline is NEVER already, in Check_Access_Time
         machine.state = USE_TOKEN
         machine.row = machine.using
+        machine.expected = expected
 
     def sent(self, _: Telegram, at: int) -> None:
         """An attempt is sent, or a GAP poll; its last bit is on the line at ``at``."""
@@ -122,9 +128,12 @@ class Exchange(Awaiting):
     def response(self, telegram: Telegram, now: int) -> None:
         """A response to this station, or SC, while it waits for an answer."""
         request, peers = self.request, self.peers
-        if self.line.edge_at < self.early_until or not answers(request, telegram):
+        expected = telegram is self.machine.expected.telegram
+        if self.line.edge_at < self.early_until or not (expected or answers(request, telegram)):
             self._no_answer_to_request(telegram, now)
             return
+        if not expected:
+            self._expect_again(telegram)
         if peers.due and self._keep_back(telegram, now):
             return
         da = request.da
@@ -143,6 +152,12 @@ class Exchange(Awaiting):
             peers.expect_none(da)
         self._finish(telegram, now)
 
+    def _expect_again(self, telegram: Telegram) -> None:
+        """The next plain request to this station has probably an answer with the head of ``telegram``."""
+        request = self.request
+        if self._service.counted and request.dsap is None and request.ssap is None:
+            self._answers[request.da] = plain_frame_of(telegram)
+
     def _keep_back(self, telegram: Telegram, now: int) -> bool:
         """True when ``telegram`` may be a late answer and is kept back for one slot time (see above)."""
         first, peers = self._candidate, self.peers
@@ -152,15 +167,14 @@ class Exchange(Awaiting):
             self._candidate = telegram
             self.machine.deadline = now + self.admission.kept_back_ns()
             return True
+        self._candidate = NONE
         peers.expect_none(self.request.da)  # the candidate answers this request: it is from that station, or SC
         self._count_late(first, now)
         return False
 
     def _finish(self, outcome: Telegram | Failure, now: int) -> None:
         user, request = self.user, self.request
-        self.user = None
         self.request = NO_REQUEST
-        self._candidate = NONE
         if user is not None:
             user.result(request, outcome, now)
         machine = self.machine  # as check()
@@ -175,6 +189,7 @@ class Exchange(Awaiting):
         candidate = self._candidate
         if candidate is not NONE:
             # no second telegram followed: the one kept back is the answer, and no other answer is due
+            self._candidate = NONE
             peers.due.clear()
             self._repeats = 0
             self.response(candidate, now)
@@ -228,13 +243,9 @@ class Exchange(Awaiting):
             self.fcb.given_up(self.request.da)
         self._finish(Failure.ABANDONED, now)
 
-    def stop_repeating(self) -> None:
-        """Do not repeat the current request."""
-        self._may_repeat = False
-
     def _most_repeats(self) -> int:
         request, service = self.request, self._service
-        if not (self._may_repeat and service.answered and request.retry):
+        if self.membership.leaving or not (service.answered and request.retry):
             return 0
         if service.counted and not self.fcb.operational[request.da]:
             return 0  # a first request is not repeated (docs/reference/protocol.md#frame-count-bit)
@@ -248,12 +259,15 @@ class Exchange(Awaiting):
     def abandon(self, now: int) -> None:
         """Drop the queued telegram and the current request; its user gets ABANDONED."""
         user, request = self.user, self.request
-        if request is not NO_REQUEST and (self._repeats or self.line.tx is None) and self._service.counted:
+        if request is NO_REQUEST:  # a GAP poll, or the token
+            self.line.drop()
+            return
+        if (self._repeats or self.line.tx is None) and self._service.counted:
             # it was sent, and the station may have it or not: the FCB of a new request is unknown
             self.peers.expect_late(request, now, self.times.slot_known_ns)
             self.fcb.given_up(request.da)
         self.line.drop()
-        self.user, self.request, self._candidate = None, NO_REQUEST, NONE
+        self.request, self._candidate = NO_REQUEST, NONE
         if user is not None:
             user.result(request, Failure.ABANDONED, now)
             self.users.update_due()

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+from dpstack.fdl.codec import NO_FRAME
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
 from dpstack.params import MAX_STATION
 from dpstack.units import NEVER
@@ -227,6 +228,8 @@ class StateMachine:
         self.checking: tuple[Handler, ...] = ()
         self.using: tuple[Handler, ...] = ()
         self.awaiting_data: tuple[Handler, ...] = ()
+        #: the frame of the likely answer to the last request: its telegram is a response to this station
+        self.expected = NO_FRAME
 
     def bind(self, rows: Rows) -> None:
         """Use ``rows[state][input]`` as handlers."""
@@ -261,6 +264,9 @@ class StateMachine:
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """Classify ``telegram`` for this station and run the handler of that input."""
+        if telegram is self.expected.telegram:
+            self.row[RESPONSE](telegram, now)
+            return
         ts, fc = self.ts, telegram.fc
         if fc >= 0:
             if telegram.sa == ts:

@@ -31,6 +31,7 @@ from dpstack.fdl.active.states import (
     LINE_DOWN,
     NONE,
     OFFLINE,
+    RESPONSE,
     SENT,
     State,
     StateMachine,
@@ -151,7 +152,8 @@ class ActiveStation:
         machine, line = self._machine, self._line
         if machine.state is OFFLINE:
             return
-        telegram = self._decoder.whole(chunk)
+        expected = machine.expected
+        telegram = self._decoder.whole(chunk, expected)
         if telegram is not None:
             if self._times.exact:
                 line.telegram_ended(now, chars_to_ns(len(chunk), self.baud))
@@ -161,7 +163,10 @@ class ActiveStation:
             self.stats.heard += 1  # as _process()
             if self.wire is not None:
                 self._log_heard(self.wire, telegram, now)
-            machine.telegram(telegram, now)
+            if telegram is expected.telegram:
+                machine.row[RESPONSE](telegram, now)  # as StateMachine.telegram()
+            else:
+                machine.telegram(telegram, now)
             return
         exact, pending, decoder = self._times.exact, self._pending, self._decoder
         first_at = -1 if pending else now

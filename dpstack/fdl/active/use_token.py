@@ -162,7 +162,6 @@ class TokenHold(Parts):
     def check(self, _: Telegram, now: int) -> None:
         """Choose the next telegram: high priority once even after T_TH, others within T_TH, then GAP, then token."""
         if not self.membership.leaving:
-            window = self.window
             in_time = now < self._until
             if in_time or self._fresh:
                 high_only = self._gap_turn if in_time else True
@@ -173,7 +172,7 @@ class TokenHold(Parts):
                     if self.guard is not None and (reason := self.guard(request)) is not None:
                         self._refuse(user, request, reason, now)
                         continue
-                    if not (request.cyclic or window.next_at == NEVER or self.admission.admits(request, now)):
+                    if not (request.cyclic or self.window.next_at == NEVER or self.admission.admits(request, now)):
                         user.result(request, Failure.HELD_BACK, now)
                         continue
                     self._fresh = False
@@ -182,6 +181,7 @@ class TokenHold(Parts):
             if self.gap.enabled and self.poll.start(now, self._until):
                 self._fresh = False
                 return
+            window = self.window
             if now < window.next_at != NEVER and (in_time or self._fresh):
                 keep_ns = self.times.keep_alone_ns if window.alone else self.times.keep_ns
                 # the user gets the result of an SDN before its last bit: the token cannot go on before this time
@@ -219,7 +219,6 @@ class TokenHold(Parts):
     def leave(self, _: Telegram, now: int) -> None:
         """Go offline after the current request or pass, without repetitions."""
         self.membership.leaving = True
-        self.exchange.stop_repeating()
 
     def leave_now(self, _: Telegram, now: int) -> None:
         """Go offline at once: drop the queued telegram and pass the token."""

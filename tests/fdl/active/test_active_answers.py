@@ -61,6 +61,18 @@ def test_a_wrong_answer_ends_as_wrong() -> None:
     assert station.stats.stations[3].wrong == 1
 
 
+@pytest.mark.parametrize("mode", ["whole", "octets", "chunk"])
+@pytest.mark.parametrize(
+    "other", [DIAG, Request(3, Req.FDL_STATUS, patient=True), replace(DX, dsap=0), replace(DX, ssap=62)]
+)
+def test_the_octets_of_a_good_answer_answer_no_other_service(other: Request, mode: str) -> None:
+    bus, user, station = bus_with(Slave(), DX, DX, other, DX, mode=mode)
+    bus.run_ms(20)
+    data = Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa\xbb")
+    assert user.outcomes == [data, data, Failure.WRONG, data]
+    assert station.stats.stations[3].wrong >= 1
+
+
 def test_a_garbled_answer_ends_as_garbled() -> None:
     for mode in ("octets", "chunk"):
         bus, user, station = bus_with(Slave(), DX, mode=mode)
