@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from forked_programs import ForkServer
 from hypothesis import is_hypothesis_test
+from lost_errors import no_lost_errors
 from programs import Starter
 from property_kit import register_profiles, soaking
 from support import WorldFactory, wire_log
@@ -51,6 +52,13 @@ def runtime_directory() -> Iterator[str]:
         patch.setenv("XDG_RUNTIME_DIR", path)
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def errors_are_asked_for() -> Iterator[None]:
+    """The last test of a process ends with an error where a task of any test has left one behind."""
+    with no_lost_errors():
+        yield
 
 
 @pytest.fixture

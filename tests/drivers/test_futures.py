@@ -7,6 +7,7 @@ import gc
 from typing import Any
 
 import pytest
+from lost_errors import no_lost_errors
 
 from dpstack.drivers.futures import run_through_cancellation
 
@@ -34,3 +35,16 @@ async def test_an_error_under_a_cancellation_is_its_cause_and_not_reported_as_lo
     del caller, caught, causes
     gc.collect()
     assert reported == []
+
+
+async def test_a_run_of_tests_fails_with_the_errors_that_nobody_asked_for() -> None:
+    async def fails() -> None:
+        raise OSError("nobody asks for it")
+
+    guard = no_lost_errors()
+    guard.__enter__()
+    await asyncio.wait([asyncio.ensure_future(fails())])
+    with pytest.raises(AssertionError, match=r"exception was never retrieved\n.*OSError\('nobody asks for it'\)"):
+        guard.__exit__(None, None, None)
+    with no_lost_errors():
+        await asyncio.gather(fails(), return_exceptions=True)
