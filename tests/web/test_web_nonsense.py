@@ -8,6 +8,7 @@ from typing import Any
 
 import aiohttp
 import pytest
+from far_ends import HANG_S
 from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
@@ -137,7 +138,7 @@ async def test_a_page_may_err_twenty_times_and_others_do_not_notice() -> None:
             assert (await page.ask("nothing"))["ok"] is False
             await page.ws.send_str("{")
             assert (await page.until("refused")) == "too many messages that are none"
-            assert (await page.ws.receive(timeout=5)).type is aiohttp.WSMsgType.CLOSE
+            assert (await page.ws.receive(timeout=HANG_S)).type is aiohttp.WSMsgType.CLOSE
         source.put(delta(1, "set_prm"))
         assert (await other.until("snapshot"))["t"] == 1
 
@@ -161,7 +162,10 @@ async def test_wrong_frames_end_their_own_connection_only(frame: bytes) -> None:
             await page.until("plant")
             connection: Any = page.ws._writer.transport
             connection.write(frame)
-            while (await page.ws.receive(timeout=5)).type not in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED):
+            while (await page.ws.receive(timeout=HANG_S)).type not in (
+                aiohttp.WSMsgType.CLOSE,
+                aiohttp.WSMsgType.CLOSED,
+            ):
                 pass
         source.put(WHOLE)
         assert (await other.until("snapshot"))["t"] == 0.1

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import aiohttp
 import pytest
+from far_ends import HANG_S
 from tls_kit import CERT, EXPIRED, KEY, KEY_WITH_PASSWORD, OTHER_KEY
 from web_kit import PLANT, page_of, stranger
 
@@ -44,7 +45,7 @@ async def test_a_token_gives_its_name_and_a_wrong_one_nothing(unhurried: None) -
             async with page_of(server, token) as page:
                 refused = await page.item()
                 assert list(refused) == ["refused"]
-                assert (await page.ws.receive(timeout=5)).type is aiohttp.WSMsgType.CLOSE
+                assert (await page.ws.receive(timeout=HANG_S)).type is aiohttp.WSMsgType.CLOSE
         async with page_of(server, None) as page:
             assert await page.item() == {"refused": "a token is needed"}
         assert server.pages == 0

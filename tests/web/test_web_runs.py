@@ -58,6 +58,7 @@ class FakeRun:
         self.commands: list[list[str]] = []
         self.over = asyncio.Event()
         self.more: asyncio.Queue[object] = asyncio.Queue()
+        self._followers = 0
         self._plant = {"plant": {**PLANT["plant"], **plant}}
         handlers: dict[str, Handler] = {
             "live": lambda _: self._live,
@@ -66,13 +67,16 @@ class FakeRun:
         self.control = ControlServer("run", "COM7", KINDS["run"], handlers, config=file)
 
     async def _live(self, send: Any) -> None:
-        await send(self._plant)
-        await send(WHOLE)
-        while not self.over.is_set():
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(0.01):
-                    await send(await self.more.get())
-        await send({"end": {"text": "the run was ended"}})
+        self._followers += 1
+        try:
+            await send(self._plant)
+            await send(WHOLE)
+            while (item := await self.more.get()) is not None:
+                await send(item)
+            self.more.put_nowait(None)  # for other followers
+            await send({"end": {"text": "the run was ended"}})
+        finally:
+            self._followers -= 1
 
     async def __aenter__(self) -> FakeRun:
         await self.control.__aenter__()
@@ -80,7 +84,8 @@ class FakeRun:
 
     async def __aexit__(self, *_: object) -> None:
         self.over.set()
-        await asyncio.sleep(0.02)
+        self.more.put_nowait(None)
+        await until(lambda: not self._followers, "its end is told to all who follow it")
         await self.control.__aexit__()
 
 

@@ -7,6 +7,7 @@ import re
 
 import aiohttp
 import pytest
+from far_ends import HANG_S
 from web_kit import PLANT, WHOLE, delta, event, page_of, stranger
 
 from dpstack.web.server import serve
@@ -84,7 +85,7 @@ async def test_the_end_of_the_server_is_told_to_its_pages() -> None:
         await page.until("plant")
         ending = asyncio.ensure_future(server.close())
         assert (await page.until("end"))["text"] == "the web server ends"
-        assert (await page.ws.receive(timeout=5)).type is aiohttp.WSMsgType.CLOSE
+        assert (await page.ws.receive(timeout=HANG_S)).type is aiohttp.WSMsgType.CLOSE
         await ending
 
 
@@ -155,7 +156,7 @@ async def test_a_number_that_json_does_not_have_does_not_cost_the_message() -> N
         await page.until("snapshot")
         fields = {"level": float("nan"), "limits": [float("inf"), 1.5]}
         source.put({"snapshot": {"t": 0.2, "whole": False, "bus": {}, "slaves": {"3": {"fields": fields}}}})
-        message = await page.ws.receive_str(timeout=5)
+        message = await page.ws.receive_str(timeout=HANG_S)
         assert '"fields":{"level":null,"limits":[null,1.5]}' in message
 
 
