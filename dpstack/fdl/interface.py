@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from msgspec import Struct, field
 
@@ -232,6 +232,14 @@ class LinkStats(Struct):
         if stats is None:
             stats = self.stations[address] = StationStats()
         return stats
+
+
+@runtime_checkable
+class TellsMoves(Protocol):
+    """A :class:`BusStation` that calls ``on_move`` when its address or its rate has changed. The medium sets it, and
+    looks at address and rate of all other stations after each of their steps."""
+
+    on_move: Callable[[], None] | None
 
 
 class BusStation(Machine, Protocol):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from dpstack.fdl.interface import BusStation
+from dpstack.fdl.interface import BusStation, TellsMoves
 from dpstack.machine import Transmit
 from dpstack.params import BROADCAST
 from dpstack.trace import Event
@@ -40,6 +40,19 @@ class Node:
         self.order = 0
         self.entries = [NEVER]
         self.transmit: Transmit = _not_connected
+        #: the station's address or rate may have changed
+        self.moved = self._asked = not isinstance(station, TellsMoves)
+        if isinstance(station, TellsMoves):
+            station.on_move = self._note_move
+
+    def _note_move(self) -> None:
+        self.moved = True
+
+    def follow(self) -> bool:
+        """Whether address or rate of the station have changed."""
+        station = self.station
+        self.moved = self._asked
+        return station.address != self.address or station.baud != self.baud
 
 
 def _not_connected(octets: bytes, now: int) -> int:

@@ -555,8 +555,8 @@ class World:
             while True:
                 if deadline <= now:
                     deadline = run_due(station, now, node.transmit)
-                if station.address != node.address or station.baud != node.baud:
-                    self._follow(node)
+                if node.moved and node.follow():
+                    self._renew(node)
                 node.deadline = deadline
                 if medium.late:
                     medium.announce_late_edges()
@@ -597,7 +597,7 @@ class World:
         if events and node.on_events is not None:
             node.on_events(events)
 
-    def _follow(self, node: Node) -> None:
+    def _renew(self, node: Node) -> None:
         """The address or the rate of the station changed."""
         if node.station.baud != node.baud:
             # the transmission on the wire began before its receiver was at this rate

@@ -67,6 +67,8 @@ class ActiveStation:
 
     #: a member of the ring needs every token
     hears_all: Final = True
+    #: never called (TellsMoves): address and rate are fixed
+    on_move: Callable[[], None] | None = None
 
     def __init__(
         self,

@@ -66,6 +66,8 @@ class PassiveReceiver:
         self.decoder = Decoder(stall_ns=0)
         #: counters of the receiver
         self.decoder_stats = self.decoder.stats
+        #: see :class:`~dpstack.fdl.interface.TellsMoves`
+        self.on_move: Callable[[], None] | None = None
 
     def set_params(self, params: BusParams) -> None:
         """Take baud rate and times from ``params``; unfinished telegrams and unsent answers are dropped."""
@@ -76,6 +78,8 @@ class PassiveReceiver:
         self.line.set_params(params)
         self.decoder.stall_ns = self.line.t_stall_ns + self._patience.stall_ns
         self._forget()
+        if self.on_move is not None:
+            self.on_move()
 
     def sent(self, at: int) -> None:
         """The answer leaves the line at ``at``."""
@@ -153,6 +157,8 @@ class PassiveStation(PassiveReceiver):
             raise ConfigError(f"station address {address}: must be 0..{UNADDRESSED}")
         self.address = address
         self._kept_sa = -1
+        if self.on_move is not None:
+            self.on_move()
 
     def set_min_tsdr(self, bits: int) -> None:
         """Min T_SDR in bit times as Set_Prm gives it: 0 keeps the present one, 1..10 count as 11."""
