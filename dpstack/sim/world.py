@@ -110,16 +110,18 @@ class Medium:
             or telegram is None
         ):
             return self._transmit_with_care(tx, node, now)
-        # as in _begin(): it is alone on the line, and all stations that hear it get the whole telegram
+        # as in _begin(): it is alone on the line, and all stations are at its rate and get the whole telegram
         node.sending_until = node.hears_from = self._busy_until = end
         tx.whole = True
         self.transmissions += 1
         self.baud = baud
         self.begun = self._current = tx
-        if self._heap[0][0] > now:
-            self._announce_edge(tx)
-        else:
+        if self._heap[0][0] <= now:
             self._world.schedule(now, _EDGES, self._announce_edge, tx)
+            return end
+        for other in self._nodes.told[telegram.da]:  # as in _announce_edge()
+            if other.hears_from <= now:
+                other.station.activity(now)
         return end
 
     def _transmit_with_care(self, tx: Transmission, node: Node, now: int) -> int:

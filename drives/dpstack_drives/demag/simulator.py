@@ -315,8 +315,9 @@ class DemagDevice(DriveDevice):
         wanted = min(max(self._ramp_hz + additional_hz, -self.f_max), self.f_max)
         self._wanted_hz = wanted
         quick = machine.state is State.QUICK_STOP
-        powered = machine.state in _POWERED and not self._braking
-        if self._braking:
+        braking = self._braking
+        powered = machine.state in _POWERED and not braking
+        if braking:
             motor.brake()
         else:
             motor.switch(powered)
