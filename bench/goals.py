@@ -149,7 +149,8 @@ SUITES: Final[Mapping[str, Suite]] = {
     ),
     "steady": Suite(
         "jitter",
-        "--rounds 4 --seconds 2 --cycles 2 10 --kinds process --apps idle burn",
+        # 2 ms at 1.5 Mbit/s is tight by the plan (a typical rotation takes 70 % of it): misses are to be expected
+        "--rounds 4 --seconds 2 --baud 3000000 --cycles 2 10 --kinds process --apps idle burn",
         [
             Goal(
                 f"late and missed rounds to {loop} loop's, {cycle}, {app}",

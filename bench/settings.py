@@ -36,6 +36,12 @@ def _timers() -> None:
     rights.exact_timers = _nothing
 
 
+def _slice() -> None:
+    from dpstack.drivers.realtime import rights
+
+    _replace(rights, "shorten_slice")
+
+
 def _collection() -> None:
     from dpstack.drivers.realtime.gc_control import Collector
 
@@ -68,6 +74,7 @@ _OFF: Final[Mapping[str, Callable[[], None]]] = {
     "memory": _memory,  # locked
     "priority": _priority,  # niceness before a pty, else SCHED_FIFO
     "timers": _timers,  # a slack of 1 ns
+    "slice": _slice,  # of an ordinary process, short
     "collection": _collection,  # of garbage, outside the cycle
     "spin": _spin,  # for the rest of a sleep
     "awake": _awake,  # /dev/cpu_dma_latency

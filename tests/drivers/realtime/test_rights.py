@@ -16,7 +16,7 @@ from dpstack.drivers.realtime import rights
 from dpstack.drivers.realtime.rights import MEMORY, PRIORITY, Rights, become_real_time
 
 SCRIPT = """
-import ctypes, json, os, resource, sys
+import ctypes, json, os, platform, resource, struct, sys
 from dpstack.drivers.realtime import rights
 as_nobody, priority = int(sys.argv[1]), int(sys.argv[2])
 if priority >= 0:
@@ -29,11 +29,18 @@ child = os.fork()
 if not child:
     os._exit(os.sched_getscheduler(0))
 status = open("/proc/self/status").read()
+number = {"x86_64": 315, "aarch64": 275, "riscv64": 275}.get(platform.machine())  # sched_getattr(2)
+of_process = ctypes.create_string_buffer(48)
+if number is None or ctypes.CDLL(None).syscall(number, 0, of_process, 48, 0):
+    slice_ns = 0
+else:  # sched_runtime: since Linux 6.12 the slice of an ordinary process, before that 0
+    (slice_ns,) = struct.unpack_from("Q", of_process, 24)
 print(json.dumps({
     "notices": notices,
     "fifo": os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO,
     "priority": os.sched_getparam(0).sched_priority,
     "locked": "VmLck:\\t       0 kB" not in status,
+    "slice_ns": slice_ns,
     "slack": ctypes.CDLL(None).prctl(30, 0, 0, 0, 0),
     "of_child": os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]),
 }))
@@ -66,6 +73,11 @@ def test_without_rights_each_refusal_names_a_remedy() -> None:
         assert "--cap-add SYS_NICE" in notice
     assert not found["fifo"]
     assert not found["locked"]
+
+
+def test_without_rights_too_an_ordinary_process_has_the_shortest_slice() -> None:
+    """A kernel before 6.12 knows no slices of processes and tells 0."""
+    assert ask(as_nobody=True, priority=0)["slice_ns"] in {0, 100_000}
 
 
 def test_a_priority_within_the_limit_is_taken() -> None:
@@ -139,8 +151,14 @@ def test_in_front_of_a_pty_it_is_preferred_and_stays_an_ordinary_process(monkeyp
     monkeypatch.setattr(rights, "set_priority", lambda: "not to be asked for")
     monkeypatch.setattr(rights, "lock_memory", lambda: "")
     monkeypatch.setattr(rights, "exact_timers", lambda: "")
+    sliced: list[bool] = []
+    monkeypatch.setattr(rights, "shorten_slice", lambda: sliced.append(True))
     assert become_real_time(pty=True) == []
     assert asked == [(os.PRIO_PROCESS, 0, -20)]
+    assert sliced == [True]
+    monkeypatch.setattr(rights, "is_real_time", lambda: True)
+    assert become_real_time(pty=True) == []
+    assert sliced == [True]  # a real-time process has no slice, and would become an ordinary one
 
     def refuse(*_args: object) -> None:
         raise PermissionError(13, "Permission denied")
