@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
+from msgspec import Struct, structs
+
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
@@ -15,8 +17,7 @@ from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, Options,
 from dpstack.profile.simulator.device import DriveDevice
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OptionSpec:
+class OptionSpec(Struct, frozen=True, kw_only=True):
     """An option: ``default`` fixes the type (bool, float, str); ``low``/``high`` or ``choices`` limit it."""
 
     default: bool | float | str
@@ -89,7 +90,7 @@ class DriveProfile(DriveType):
             self,
             ident=self.ident if params.ident is None else params.ident,
             ident_made_up=self.ident_made_up and params.ident is None,
-            telegrams={telegram.name: replace(telegram, config=params.config, made_up=False)} | others,
+            telegrams={telegram.name: structs.replace(telegram, config=params.config, made_up=False)} | others,
             default_telegram=telegram.name,
             user_prm=params.user_prm,
             baud_rates=baud_rates,

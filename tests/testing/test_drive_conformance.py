@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
+from msgspec import structs
 
 from dpstack.errors import DpError, DriveError, UsageError
 from dpstack.profile import DriveCore, DriveProfile, Options, TelegramSpec, find
@@ -67,7 +68,7 @@ def test_a_class_without_a_drive_says_so() -> None:
 
 
 def test_a_telegram_of_another_length_fails() -> None:
-    spec = dataclasses.replace(FUJI.telegram("PPO3"), name="A", inputs=6)
+    spec = structs.replace(FUJI.telegram("PPO3"), name="A", inputs=6)
 
     class Wrong(Quick):
         profile = dataclasses.replace(FUJI, telegrams={"A": spec}, default_telegram="A")

@@ -11,11 +11,13 @@ import contextlib
 import os
 import signal
 import socket
-import subprocess
 import sys
 import threading
 from time import monotonic
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    import subprocess
 
 #: signals that a terminal sends to all its processes; the application reacts to them and ends the bus process
 FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
@@ -47,6 +49,8 @@ def started(sock: int, memory: int) -> subprocess.Popen[bytes]:
     Signals of the terminal stay blocked until the bus process has set its handlers; Ctrl-Z stays blocked until its
     set-up says whether the application decides about it.
     """
+    import subprocess  # here, as the bus process itself reads only the numbers of this module
+
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {*FROM_TERMINALS, signal.SIGTSTP})
     try:
         return subprocess.Popen(

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
+
+from msgspec import Struct
 
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.params import ParamSpec, ParamTable
 
 
-@dataclass(frozen=True, slots=True)
-class ParamKey:
+class ParamKey(Struct, frozen=True):
     """A parameter as a user names it. ``data_set`` and ``index`` as the drive defines them; ``ram``: not stored."""
 
     name: str | int

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple, Protocol
 
+from msgspec import Struct
+
 from dpstack.profile.channel.base import (
     CycleTimes,
     FindSpec,
@@ -90,8 +92,7 @@ class Pkw(NamedTuple):
         return cls(pke >> 12, pke & 0x7FF, ind, pwe)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PkwDialect:
+class PkwDialect(Struct, frozen=True, kw_only=True):
     """Differences between drives: positive replies allowed to each order, error texts, and the handshake.
 
     ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (as

@@ -7,8 +7,9 @@ channel at a time, so that an order of the application waits for one of them at 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final, Protocol
+
+from msgspec import Struct
 
 from dpstack.profile.channel.base import ParameterChannel, ParamKey
 from dpstack.profile.model.drive_type import CHECK_SETTINGS, TelegramSpec
@@ -21,8 +22,7 @@ _ANSWER_NS: Final = 5 * NS_PER_S
 _NO_ANSWER: Final = "the drive has not yet answered"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
+class Setting(Struct, frozen=True, kw_only=True):
     """A setting of the drive that a plugin relies on.
 
     ``wanted``: the expected setting, for people (``F03 = 60 Hz``). ``keys``: the parameters that tell it. ``differs``

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from msgspec import Struct
+
 from dpstack.errors import ConfigError
 from dpstack.profile.model.jobs import LARGEST
 
@@ -26,8 +28,7 @@ def config_number(what: str, value: object) -> float:
     return value
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TelegramSpec:
+class TelegramSpec(Struct, frozen=True, kw_only=True):
     """A telegram of a drive: identifier octets, octets each way, whether a parameter channel leads.
 
     ``outputs``, ``inputs``: octets of process data behind the parameter channel. ``made_up``: the identifiers are in

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from dpstack.profile.model.words import Word
 
@@ -80,8 +81,7 @@ class Goal(Enum):
     ACK_LOW = "acknowledge, between edges"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ControlTable:
+class ControlTable(Struct, frozen=True, kw_only=True):
     """Everything about a control and a status word that differs between drives, as data.
 
     ``run``: the control word that leads on from each state towards RUNNING. ``steady``: the words of the other

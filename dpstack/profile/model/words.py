@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
+from msgspec import Struct
 
-@dataclass(frozen=True, slots=True)
-class Word:
+
+class Word(Struct, frozen=True):
     """A 16-bit word of named bits, e.g. a control or a status word. ``bits``: name -> bit number 0..15."""
 
     name: str
@@ -36,8 +36,7 @@ class Word:
         return tuple(name for name, bit in sorted(self.bits.items(), key=lambda item: item[1]) if value >> bit & 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Scale:
+class Scale(Struct, frozen=True):
     """A signed field of ``bits`` where ``full`` is ``span`` of ``unit`` (default: 0x4000 = 1.0 of the reference).
 
     The range is what the octets can hold: -200 % .. +199.99 % for N2.

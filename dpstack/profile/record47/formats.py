@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.errors import PduError
 from dpstack.profile.model.params import count_of
@@ -24,8 +25,7 @@ Raw = int | float | bytes
 Value = int | float | str | bytes | bool
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
+class Format(Struct, frozen=True):
     """A format. ``code`` of struct for numbers, "" for plain octets; ``octets`` of one value.
 
     ``string``: all values together are one text or octet string. ``scale``: value of 1 on the wire.

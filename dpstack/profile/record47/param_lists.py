@@ -6,10 +6,11 @@ SIDOOR manual p316. That 0 ends a list and that 981 to 989 among its elements ar
 
 from __future__ import annotations
 
-import dataclasses
 import struct
 from collections.abc import Sequence
 from typing import Final, NamedTuple
+
+from msgspec import structs
 
 from dpstack.errors import PduError
 from dpstack.profile.model.jobs import CommandError
@@ -143,7 +144,7 @@ def read_limits(client: ParameterClient, deadline: int = NEVER) -> Transport[Lim
     """Read PNU 974 and set the client's limits; a drive without it keeps the limits. Raises CommandError."""
     limits = client.limits
     # the drive may take as long for this request
-    client.limits = dataclasses.replace(limits, latency_ns=max(limits.latency_ns, _UNKNOWN_LATENCY))
+    client.limits = structs.replace(limits, latency_ns=max(limits.latency_ns, _UNKNOWN_LATENCY))
     try:
         (found,) = yield from client.read([Item(Address(PNU_LIMITS, 0, 3), width=2)], deadline)
     finally:

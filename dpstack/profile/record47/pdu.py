@@ -10,12 +10,12 @@ construct: the master's end works between two Data_Exchange, 39 parameters a res
 
 from __future__ import annotations
 
-import dataclasses
 import struct
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple, TypeVar
+
+from msgspec import Struct, structs
 
 from dpstack.dpv1.pdu.error_codes import Code, code_text
 from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX, ReadReq, WriteReq
@@ -43,8 +43,7 @@ _NEGATIVE: Final = 0x80
 UNSUPPORTED: Final = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(Struct, frozen=True):
     """Limits of one request and its response (PNU 974, Yaskawa Sigma-7 manual p529).
 
     ``octets``: of either; ``elements`` of an array. ``latency_ns``: the longest time from request to
@@ -139,8 +138,7 @@ class ErrorValue(NamedTuple):
 Result = Values | ErrorValue
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+class Request(Struct, frozen=True):
     """``reference`` 1..255, mirrored by the response; ``object``: axis or drive object; ``values`` of a change."""
 
     reference: int
@@ -170,7 +168,7 @@ class Request:
                 raise PduError(f"record 47: values of {count} parameters announced, there are {len(found)}")
             # an error is no value: without one the server finds the number of values wrong
             values = tuple(Values(number, () if number == ERROR else raws) for number, raws in found)
-            return dataclasses.replace(request, values=values)
+            return structs.replace(request, values=values)
         if len(octets) > end:
             raise PduError(f"record 47: {len(octets) - end} octets too many after {count} addresses")
         return request
@@ -191,8 +189,7 @@ class Request:
         return cls(reference, ident, drive_object, addresses)
 
 
-@dataclass(frozen=True, slots=True)
-class Response:
+class Response(Struct, frozen=True):
     """``id``: that of the request; ``negative``: at least one parameter failed. ``count`` as announced.
 
     ``results``: one for each parameter; none in a positive response to a change.
@@ -271,8 +268,7 @@ def _even(octets: int) -> int:
 ABSENT: Final = frozenset({0, Code.INVALID_INDEX, Code.INVALID_SLOT})
 
 
-@dataclass(frozen=True, slots=True)
-class Pause:
+class Pause(Struct, frozen=True):
     """Send nothing for so many ns."""
 
     ns: int

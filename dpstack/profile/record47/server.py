@@ -14,8 +14,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Final, NamedTuple
+
+from msgspec import Struct, field
 
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import ReadReq
@@ -67,8 +68,7 @@ class ParameterModel(ABC):
         return ErrorValue(errors.NO_TEXT)
 
 
-@dataclass(frozen=True, slots=True)
-class Rules:
+class Rules(Struct, frozen=True):
     """Rules of the server. ``slots``: None for any; ``attributes``: others are answered with error 16 hex.
 
     ``busy_ns``: duration of a request.

@@ -6,8 +6,9 @@ example have PZD5 as long at 759: by its table it is 760, which is taken.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar, Final
+
+from msgspec import Struct
 
 from dpstack.profile import Scale, process_data_map, signed16
 
@@ -27,8 +28,7 @@ _PERCENT_LIMIT: Final = 300
 _AMPERE: Final = 0x2000
 
 
-@dataclass(frozen=True, slots=True)
-class OutPzd:
+class OutPzd(Struct, frozen=True):
     """A word: PZD ``key`` as ``kind``. ``reference_hz`` and ``scaling_current`` (A, 0: not known) scale it."""
 
     octets: ClassVar[int] = 2
@@ -75,8 +75,7 @@ class OutPzd:
                 return Scale(self.name, span=self.reference_hz).decode(raw)
 
 
-@dataclass(frozen=True, slots=True)
-class OutMap:
+class OutMap(Struct, frozen=True):
     """The meanings of PZD3 to PZD6; as text their kinds in order, ``-`` for a word that is not used."""
 
     fields: tuple[OutPzd | None, ...]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
+
+from msgspec import structs
 
 from dpstack.profile import (
     FAULTED,
@@ -53,7 +54,9 @@ _NO_RELEASE: Final = "no hardware release: switch on S1 and one of S2 and S3"
 _STATE_MACHINE, _REMOTE_CONTACTS = 1, 2
 #: The words while 412 is not known to be 1. In mode 2 bits 0 to 7 are contacts: zeros open all of them, S1 (release)
 #: too. Bit 7 alone (S8IND) releases nothing, so a fault that hides the mode can be acknowledged.
-_SILENT: Final = replace(drivecom_states.TABLE, run={}, steady={**dict.fromkeys(Goal, 0x0000), Goal.ACK_HIGH: 0x0080})
+_SILENT: Final = structs.replace(
+    drivecom_states.TABLE, run={}, steady={**dict.fromkeys(Goal, 0x0000), Goal.ACK_HIGH: 0x0080}
+)
 #: states that only control by the state machine has; the other modes show 0x23, 0x27 and 0x08 (11.2.1.1 to 11.2.1.3)
 _OF_STATE_MACHINE: Final = frozenset(
     {State.SWITCH_ON_INHIBITED, State.READY_TO_SWITCH_ON, State.QUICK_STOP, State.FAULT_REACTION}

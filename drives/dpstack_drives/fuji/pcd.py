@@ -7,8 +7,9 @@ o40 to o43 (PNU 915) say what is written, o48 to o51 (PNU 916) what is read: gro
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import ClassVar, Final
+
+from msgspec import Struct
 
 from dpstack.profile import ParameterChannel, ParamKey, Steps
 from dpstack_drives.fuji import table as t
@@ -20,8 +21,7 @@ _BARE: Final = re.compile(r"[0-9A-Fa-f]{4}")
 _PNUS: Final = (("inputs", t.PNU_PCD_READ), ("outputs", t.PNU_PCD_WRITE))
 
 
-@dataclass(frozen=True, slots=True)
-class PcdWord:
+class PcdWord(Struct, frozen=True):
     """A cyclic word: the function code with this assignment (041A)."""
 
     octets: ClassVar[int] = 2
@@ -54,8 +54,7 @@ class PcdWord:
         return raw if spec is None else spec.to_value(raw)
 
 
-@dataclass(frozen=True, slots=True)
-class PcdMap:
+class PcdMap(Struct, frozen=True):
     """Assignments of PCD1 to PCD4, 0 for none; as text the function codes in order, ``-`` for none."""
 
     entries: tuple[int, ...] = ()

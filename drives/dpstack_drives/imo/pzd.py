@@ -11,16 +11,16 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from typing import ClassVar, Final
+
+from msgspec import Struct, structs
 
 from dpstack_drives.imo import table as t
 
 _ANY: Final = 0xFFFF
 
 
-@dataclass(frozen=True, slots=True)
-class Function:
+class Function(Struct, frozen=True):
     """A meaning of a PZD. ``low`` and ``high`` are in ``unit``; on the wire stands value x ``per_unit``.
 
     ``fmax``: the upper limit is the inverter's maximum frequency.
@@ -128,11 +128,10 @@ _EMPTY: Final = "-"
 
 def to_drive(max_hz: float) -> Mapping[int, Function]:
     """:data:`TO_DRIVE` of an inverter with this maximum frequency."""
-    return {n: replace(one, high=max_hz) if one.fmax else one for n, one in TO_DRIVE.items()}
+    return {n: structs.replace(one, high=max_hz) if one.fmax else one for n, one in TO_DRIVE.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class PzdMap:
+class PzdMap(Struct, frozen=True):
     """The functions of PZD2 to PZD12 one way, 0 for an empty one. As text: their names in order, ``-`` for empty."""
 
     numbers: tuple[int, ...]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
@@ -125,8 +124,7 @@ _BUS_VOLTAGE: Final = STATUS.mask("bus_voltage")
 ENABLE_WRITING: Final = CONTROL.mask("enable_writing")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CodeTable(ControlTable):
+class CodeTable(ControlTable, frozen=True, kw_only=True):
     """A control word whose command is a number: what moves after a command that does not run it is coming to rest."""
 
     runs: frozenset[int] = frozenset({Command.FORWARD})

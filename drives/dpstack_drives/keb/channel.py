@@ -14,6 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from msgspec import Struct
+
 from dpstack.profile import (
     CHANNEL_LEN,
     RETRY_NS,
@@ -33,8 +35,7 @@ _FOUR: Final = 0x30
 _ZEROS: Final = bytes(CHANNEL_LEN)
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(Struct, frozen=True):
     """A parameter as it stands in the channel, and what to call it."""
 
     index: int

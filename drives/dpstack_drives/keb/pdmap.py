@@ -6,9 +6,10 @@ Passages: docs/reference/drives/keb-f5.md#process-data-map, docs/reference/drive
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.profile import process_data_map
 from dpstack_drives.keb import table as t
@@ -23,8 +24,7 @@ _LONGEST: Final = 2 * BLOCK
 FORBIDDEN: Final = range(0x231B, 0x2324)
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(Struct, frozen=True):
     """A value: a parameter of the inverter by its index, word or long, and the sets (bit n for set n)."""
 
     index: int
@@ -65,8 +65,7 @@ class Entry:
         return f"{self.index:04X}{':long' if self.long else ''}{f'@{self.sets}' if self.sets != 1 else ''}"
 
 
-@dataclass(frozen=True, slots=True)
-class PdMap:
+class PdMap(Struct, frozen=True):
     """The values of one direction in their order; the first 8 octets are block 1, what follows is block 2."""
 
     fields: tuple[Entry, ...]

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import ClassVar, Final
+
+from msgspec import Struct
 
 from dpstack.profile import ParameterChannel, ParamKey, Steps
 from dpstack_drives.ls import table as t
@@ -43,8 +44,7 @@ def check(entries: tuple[int, ...], most: int, *, written: bool) -> str | None:
     return None
 
 
-@dataclass(frozen=True, slots=True)
-class ParaWord:
+class ParaWord(Struct, frozen=True):
     """A mapped word: the parameter at an address."""
 
     octets: ClassVar[int] = 2
@@ -75,8 +75,7 @@ class ParaWord:
         return raw if spec is None else spec.to_value(raw)
 
 
-@dataclass(frozen=True, slots=True)
-class ParaMap:
+class ParaMap(Struct, frozen=True):
     """The addresses of one way, 0 for a word that carries nothing."""
 
     entries: tuple[int, ...]

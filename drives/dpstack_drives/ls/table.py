@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Final
+
+from msgspec import structs
 
 from dpstack.profile import (
     PARAMETER_ERRORS,
@@ -62,7 +63,7 @@ COPIES: Final = {1: 0, 2: 3, 4: 1, 5: 2, 9: 10}
 #: bit 16 of the plugin's own status word: ACT is not zero. During the ramp of OFF1 the copies look like S2
 TURNING: Final = 0x1_0000
 _BASE: Final = profidrive_states.table(CONTROL, STATUS)
-PROFIDRIVE_TABLE: Final = replace(
+PROFIDRIVE_TABLE: Final = structs.replace(
     _BASE,
     states=StateTable(
         (

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from acyclic_kit import IS_965, MS, READ_965, Wire, octets, talk
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 from property_kit import examples
 
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
@@ -218,4 +217,4 @@ def test_the_servers_request_is_the_manuals() -> None:
     assert server.write_record(1, 47, octets(READ_965)[4:], 0) is None
     assert server.read_record(1, 47, 240, 0) == octets(IS_965)
     assert Request.parse(octets(READ_965)[4:]).addresses == (Address(965),)
-    assert replace(Limits(), octets=20).of_974([240]).octets == 20
+    assert structs.replace(Limits(), octets=20).of_974([240]).octets == 20
