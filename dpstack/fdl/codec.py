@@ -41,6 +41,8 @@ _KIND_SD4: Final = Kind.SD4
 _TAILS: Final = tuple(bytes((check, ED)) for check in range(256))
 #: octets of the longest telegram
 _LONGEST: Final = MAX_LE + 6
+#: octets of an SD2 telegram without extension octets beside its data
+_AROUND_DATA: Final = 9
 #: number of cached heads: 126 stations with both FCB and both directions have 504
 _KEPT_HEADS: Final = 1_024
 
@@ -266,14 +268,15 @@ class PlainFrame:
     """An SD2 frame without extension octets: ``size`` in octets, ``check`` the sum of ``da``, ``sa`` and ``fc``, which
     are the last of the seven octets of ``head``.
 
-    ``octets`` and ``telegram``: the last telegram with this head.
+    ``data_size``: the octets of its data. ``octets`` and ``telegram``: the last telegram with this head.
     """
 
-    __slots__ = ("check", "da", "fc", "head", "octets", "sa", "size", "telegram")
+    __slots__ = ("check", "da", "data_size", "fc", "head", "octets", "sa", "size", "telegram")
 
     def __init__(self, head: bytes, size: int, check: int, da: int, sa: int, fc: int) -> None:
         self.head = head
         self.size = size
+        self.data_size = size - _AROUND_DATA
         self.check = check
         self.da = da
         self.sa = sa

@@ -128,11 +128,13 @@ class Exchange(Awaiting):
     def response(self, telegram: Telegram, now: int) -> None:
         """A response to this station, or SC, while it waits for an answer."""
         request, peers = self.request, self.peers
-        expected = telegram is self.machine.expected.telegram
-        if self.line.edge_at < self.early_until or not (expected or answers(request, telegram)):
+        expected = self.machine.expected
+        as_expected = telegram is expected.telegram
+        if self.line.edge_at < self.early_until or not (as_expected or answers(request, telegram)):
             self._no_answer_to_request(telegram, now)
             return
-        if not expected:
+        # a telegram that came without octets is another object, though its head is the expected one
+        if not as_expected and (telegram.fc != expected.fc or len(telegram.data) != expected.data_size):
             self._expect_again(telegram)
         if peers.due and self._keep_back(telegram, now):
             return
