@@ -43,7 +43,7 @@ _WITHIN: Final = 60 * NS_PER_S
 #: time for drives to start, to have their settings read and to reach the speed
 _SETTLE: Final = 4 * NS_PER_S
 #: CPU time of a simulated second of ten PPO1 drives, in Python loops
-_GOAL: Final = 75_000
+_GOAL: Final = 65_000
 #: no worse than linear: an exchange costs no more with many slaves than with few
 _LINEAR: Final = 1.0
 #: an exchange with a Global_Control to all slaves in each round, to one with a Global_Control to one slave
