@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Iterable, Mapping, Set
 from numbers import Real
@@ -99,6 +98,8 @@ class Sealed:
     def _read_hint(self, name: str) -> str:
         """The end of the message about the unknown attribute ``name``; empty where nothing comes near."""
         known = [key for key in dir(type(self)) if not key.startswith("_")]
+        import difflib  # here, as it is for mistakes
+
         near = difflib.get_close_matches(name, known, n=1, cutoff=0.7)
         return f"; did you mean {near[0]}?" if near else ""
 
@@ -110,6 +111,8 @@ class Sealed:
         if method:
             return f"{self._sealed_name()}: {name} is a method: call it instead of assigning to it"
         settable = [key for key, value in _properties(type(self)).items() if value.fset is not None]
+        import difflib  # here, as it is for mistakes
+
         near = difflib.get_close_matches(name, settable, n=1, cutoff=0.5)
         known = ", ".join(settable)
         hint = f"did you mean {near[0]}?" if near else f"these can be assigned: {known or 'none'}"

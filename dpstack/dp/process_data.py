@@ -8,7 +8,6 @@ scale: its value is then the number in the octets (raw) * scale + offset, in a u
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import re
 import struct
@@ -93,6 +92,8 @@ class Field:
         kind, octet = match["type"].lower(), int(match["octet"])
         base = kind.removesuffix(_LITTLE)
         if base not in TYPES or (base != kind and base not in _NUMBERS):
+            import difflib  # here, as it is for mistakes
+
             near = difflib.get_close_matches(base, TYPES, n=1, cutoff=0.5)
             todo = (
                 f"did you mean {near[0]!r}?" if near else f"known types: {', '.join(TYPES)}; le for the low octet first"
@@ -277,6 +278,8 @@ class NamedValues(dict[str, Value]):
     """Values of fields by name. A name that is none raises UsageError with the nearest one, instead of KeyError."""
 
     def __missing__(self, name: object) -> Value:
+        import difflib  # here, as it is for mistakes
+
         near = difflib.get_close_matches(str(name), self, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(self) or 'none'}"
         raise UsageError(f"no input is called {name!r}; {hint}")

@@ -245,7 +245,7 @@ def test_a_running_bus_loads_only_modules_named_in_the_source() -> None:
     """No command, configuration or octets of others decide about the modules that ``load_beside`` imports."""
     found = {words for text in sources().values() for words in re.findall(r"await load_beside\((.*)\)", text)}
     literal = {word for words in found for word in words.split(", ") if word.startswith('"dpstack.')}
-    assert {word for words in found for word in words.split(", ")} - literal == {"place", "*_WHY"}
+    assert {word for words in found for word in words.split(", ")} - literal == {"place", "*_WHY", '"construct"'}
     assert 'place = f"{__package__}.{module}"' in sources()["dpstack/api/control/handlers.py"]
     by_need = re.findall(r"_by_need\((\S+), (\S+), bus", sources()["dpstack/api/control/handlers.py"])
     assert by_need

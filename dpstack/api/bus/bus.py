@@ -17,7 +17,6 @@ from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import Config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.config.table import keys_of
-from dpstack.api.slave.class2 import Class2
 from dpstack.api.slave.slave import Slave, all_ready
 from dpstack.api.streams import EventStream, OnEvent, load_beside
 from dpstack.argcheck import Sealed, instance, plain_function
@@ -36,6 +35,7 @@ from dpstack.units import baud_text
 if TYPE_CHECKING:
     from dpstack.api.bus.live import LiveStream
     from dpstack.api.bus.recording import BusRecording
+    from dpstack.api.slave.class2 import Class2
     from dpstack.api.slave.drive import Drive
     from dpstack.sim.world import World
     from dpstack.why.story import Story
@@ -49,8 +49,6 @@ class Bus(Sealed):
     With the baud rate "auto" what depends on the rate raises UsageError until the rate is found.
     """
 
-    class2: Class2
-
     def __init__(
         self,
         config: Config,
@@ -61,11 +59,10 @@ class Bus(Sealed):
         watched: bool = True,
         adds_drives: bool = True,
     ) -> None:
-        self._core = core = BusCore(
+        self._core = BusCore(
             config, on_event, join_timeout=join_timeout, world=world, watched=watched, adds_drives=adds_drives
         )
-        #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
-        self.class2 = Class2(core, core.by_address, core.slave)
+        self._class2: Class2 | None = None
         self._seal(Bus)
 
     def __repr__(self) -> str:
@@ -215,6 +212,15 @@ class Bus(Sealed):
     def drive(self, which: str | int) -> Drive:
         """A drive by name or address. Raises UsageError, which lists the drives."""
         return self._core.drive(which)
+
+    @property
+    def class2(self) -> Class2:
+        """The services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address."""
+        if self._class2 is None:
+            from dpstack.api.slave.class2 import Class2  # here, as most programs have no use for it
+
+            self._class2 = Class2(self._core, self._core.by_address, self._core.slave)
+        return self._class2
 
     # --- orders -------------------------------------------------------------------------------------------------
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from dpstack.errors import ConfigError
 from dpstack.text import is_plain, long_escape, printable
+
+if TYPE_CHECKING:
+    import tomllib
 
 #: ("bus", "port") or ("slave", 0, "address"); a table itself is ("bus",) or ("slave", 0)
 Path = tuple[str | int, ...]
@@ -55,6 +57,8 @@ def read_toml(text: str) -> tuple[dict[str, Any], dict[Path, int]]:
     if len(text) > MAX_OCTETS:
         raise TomlError(1, f"the file has more than {MAX_OCTETS // 1_000_000} MB")
     lines = line_numbers(text)
+    import tomllib  # here, as a bus that a program describes has no file
+
     try:
         return tomllib.loads(text), lines
     except tomllib.TOMLDecodeError as error:

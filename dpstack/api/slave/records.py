@@ -13,7 +13,6 @@ from dpstack.argcheck import octets, whole_number
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.pdu.error_codes import AGAIN, Decode
-from dpstack.dpv1.pdu.im import IM_ANSWER, IM_INDEX, RECORDS, Im, Im0, build_call, number_of, parse_answer
 from dpstack.dpv1.pdu.read_write import Function, ReadReq, WriteReq
 from dpstack.dpv1.timeouts import service_timeout
 from dpstack.errors import AcyclicError, PduError, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
@@ -21,6 +20,7 @@ from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.slave.record_parameters import RecordParameters
+    from dpstack.dpv1.pdu.im import Im
 
 T = TypeVar("T")
 #: in seconds: limit for a slave that is not ready for a call, first and longest pause between two tries
@@ -153,6 +153,8 @@ class RecordAccess(abc.ABC):
         If the slave is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel), the call repeats for up to
         2 s, or ``timeout`` where that is shorter.
         """
+        from dpstack.dpv1.pdu.im import IM_ANSWER, IM_INDEX, build_call, parse_answer  # here, as few programs ask
+
         if not 0 <= whole_number("number of I&M", number) <= 4:
             raise UsageError(f"there is no I&M{number}: 0..4")
         what = f"I&M{number} of slot {slot}"
@@ -167,6 +169,8 @@ class RecordAccess(abc.ABC):
 
     async def write_im(self, record: Im, *, slot: int = 0, timeout: float | None = None) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
+        from dpstack.dpv1.pdu.im import IM_INDEX, RECORDS, Im0, build_call, number_of  # here, as few programs write it
+
         if not isinstance(record, RECORDS):
             raise UsageError(f"{record!r} is no I&M record: give Im1(tag_function=...), Im2(date=...), Im3 or Im4")
         if isinstance(record, Im0):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping
 from typing import TypeVar, Unpack
 
@@ -61,6 +60,8 @@ class Slave(Sealed, RecordAccess):
     def _no_attribute(self, name: str, *, method: bool) -> str:
         """Named outputs are items, not attributes."""
         outputs = tuple(self.config.output_fields)
+        import difflib  # here, as it is for mistakes
+
         near = difflib.get_close_matches(name, outputs, n=1, cutoff=0.5)
         if near and not method:
             return f"{self._sealed_name()} has no attribute {name!r}: write slave[{near[0]!r}] = ..."
@@ -68,6 +69,8 @@ class Slave(Sealed, RecordAccess):
 
     def _read_hint(self, name: str) -> str:
         """Named process data are items, not attributes."""
+        import difflib  # here, as it is for mistakes
+
         near = difflib.get_close_matches(name, tuple(self), n=1, cutoff=0.8)
         return f": write slave[{near[0]!r}]" if near else super()._read_hint(name)
 
@@ -429,6 +432,8 @@ class Slave(Sealed, RecordAccess):
             if what == "input":
                 return UsageError(f"{who}: {name} is an output: give the name of an input")
             return UsageError(f"{who}: {name} is an input: only outputs can be set")
+        import difflib  # here, as it is for mistakes
+
         near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(known) or 'none'}"
         return UsageError(f"{who}: no {what} is called {name!r}; {hint}")
