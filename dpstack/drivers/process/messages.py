@@ -284,12 +284,12 @@ def named(thing: object) -> Named:
 
 def order_of(named_order: Named) -> Order:
     """The order that :func:`named` was given. Raises BusError."""
-    return _made(named_order, order_classes())
+    return _made(named_order, order_classes)
 
 
 def event_of(named_event: Named) -> Event:
     """The event that :func:`named` was given. Raises BusError, also for one whose text cannot be made."""
-    event = _made(named_event, event_classes())
+    event = _made(named_event, event_classes)
     try:
         _ = event.text
     except Exception as error:
@@ -297,9 +297,12 @@ def event_of(named_event: Named) -> Event:
     return event
 
 
-def _made(named_thing: Named, classes: Mapping[str, type[T]]) -> T:
+def _made(named_thing: Named, classes: functools._lru_cache_wrapper[dict[str, type[T]]]) -> T:
     name, fields = named_thing
-    kind = classes.get(name)
+    kind = classes().get(name)
+    if kind is None:
+        classes.cache_clear()  # the module of the class may have been loaded since
+        kind = classes().get(name)
     if kind is None:
         raise BusError(f"{name!r} is nothing that bus process and application tell each other")
     return typed(fields, kind)
@@ -307,13 +310,14 @@ def _made(named_thing: Named, classes: Mapping[str, type[T]]) -> T:
 
 @functools.cache
 def order_classes() -> dict[str, type[Order]]:
-    """Every class of orders by name."""
+    """Every class of orders in the modules that are loaded, by name."""
     return {kind.__name__: kind for kind in _below(Order)}
 
 
 @functools.cache
 def event_classes() -> dict[str, type[Event]]:
-    """All classes of events by name, without those that have no text: they are only bases of others."""
+    """All classes of events in the modules that are loaded, by name, without those that have no text: they are only
+    bases of others."""
     found = (kind for kind in _below(Event) if hasattr(kind, "TEMPLATE") or kind._text is not Event._text)
     return {kind.__name__: kind for kind in found}
 

@@ -40,6 +40,7 @@ bus = dpstack.open_bus(**given, driver="process")
 early = children()
 CHANGE
 async def main():
+    asyncio.get_running_loop().slow_callback_duration = 60  # -X dev reports a busy computer
     async with bus:
         print(json.dumps({"early": early, "running": children(), "started": len(started),
                           "modules": [name for name in started[0][1] if name.startswith(("dpstack", "msgspec"))]}))

@@ -160,6 +160,16 @@ def test_every_class_is_found_by_its_name() -> None:
         m.event_of(("SetMode", {"mode": 128}))  # an order is no event
 
 
+def test_a_class_whose_module_is_loaded_after_the_first_message_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    over = ConnectionOver(t_ns=1, connection=3, address=9, server_sap=4, reason="closed")
+    with monkeypatch.context() as patch:
+        patch.setattr(m, "_below", lambda _kind: iter(()))  # nothing is loaded
+        m.event_classes.cache_clear()
+        assert m.event_classes() == {}
+    name, fields = m.named(over)
+    assert m.event_of((name, msgspec.to_builtins(fields))) == over
+
+
 def test_the_octets_are_json_with_a_length_in_front() -> None:
     octets = m.framed(m.Question(3, m.named(AddSlave(SlaveParams(**SETUP)))))
     assert int.from_bytes(octets[:4], "big") == len(octets) - 4
