@@ -111,6 +111,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("dp", "dpv1"),
     ("record",),
     ("bridge",),
+    ("bridge/mqtt",),
     ("dp/slave",),
     ("dpv1/slave",),
     ("decode",),

@@ -1,0 +1,7 @@
+"""A plant as an edge node of Sparkplug B 3.0 over MQTT 5 (extra ``mqtt``).
+
+- ``edge_node``: The edge node: births, data, deaths and commands in their order. Knows no network and no clock
+- ``payload``: Payloads of Sparkplug B: nodes of the tree as metrics, and the metrics of commands
+- ``session_file``: The number of the MQTT session on disk (bdSeq), and the lock against a second gateway
+- ``sparkplug_pb2``: The messages of Sparkplug B, made from sparkplug.proto by tools/make_sparkplug_proto.py
+"""

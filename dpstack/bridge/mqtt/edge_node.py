@@ -1,0 +1,623 @@
+"""The edge node of Sparkplug B 3.0: births, data, deaths and commands of a plant, in their order.
+
+The bus is the edge node, its slaves are the devices. The caller owns the connection, the time and the tree:
+
+- it connects with :meth:`EdgeNode.connect`, says :meth:`~EdgeNode.connected` when the broker has taken connection and
+  subscriptions, and :meth:`~EdgeNode.disconnected` when the connection is gone
+- it hands in changes of the tree (:meth:`~EdgeNode.take`) and messages (:meth:`~EdgeNode.receive`)
+- it asks for the next message whenever it can send one (:meth:`~EdgeNode.next`)
+
+A message is made when it is asked for, with the values of that moment: a slow broker gets fewer of them, and nothing
+waits in memory but the last value of each metric. ``wall``: s since 1970 by the clock of the computer, which may jump;
+``clock``: s by a clock that nobody sets.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum, auto
+from typing import Final, NamedTuple, Protocol
+
+from dpstack.bridge.mqtt.payload import (
+    BDSEQ,
+    DATA_TYPES,
+    LATEST_MS,
+    DataType,
+    Given,
+    MetricKind,
+    Sample,
+    birth,
+    data,
+    device_death,
+    node_death,
+    read_command,
+    value_given,
+)
+from dpstack.bridge.names import SPARKPLUG_ID, SPARKPLUG_METRIC, unique_names
+from dpstack.bridge.nodes import Node, Order
+from dpstack.bridge.quality import BOOL, TEXT, Quality, Reading, Reason, Value
+from dpstack.bridge.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
+from dpstack.errors import ConfigError
+from dpstack.text import printable, shortened
+
+NAMESPACE: Final = "spBv1.0"
+#: sequence numbers are 0 to 255
+_SEQUENCE: Final = 256
+#: s between two births that hosts ask for
+_REBIRTH_S: Final = 1.0
+#: octets of a STATE message
+_MOST_STATE: Final = 1024
+_REBIRTH: Final = "Node Control/Rebirth"
+_LAST_COMMAND: Final = "Last command"
+
+
+class Publish(NamedTuple):
+    """A message for the broker. Quality of service is 0 and it is not retained, but for the will."""
+
+    topic: str
+    payload: bytes
+    qos: int = 0
+
+
+class Disconnect(NamedTuple):
+    """End the connection now; in MQTT 5 with the reason code "Disconnect with Will Message" (0x04)."""
+
+    why: str
+
+
+class Connection(NamedTuple):
+    """What a connection needs. Clean Start is set, and the Session Expiry Interval is 0. ``subscriptions``: topics,
+    each with QoS 1."""
+
+    client_id: str
+    will: Publish
+    subscriptions: tuple[str, ...]
+
+
+class OrderWish(NamedTuple):
+    """An order for the run. ``made_at``: by the clock of its sender, in s since 1970."""
+
+    name: str
+    value: Value
+    made_at: float
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSetup:
+    """The edge node as it is configured. ``primary_host``: births wait for it; empty: none. ``interval_s``: the metrics
+    of a device are published no more often.
+
+    Raises ConfigError for a name that Sparkplug does not permit.
+    """
+
+    group: str
+    node: str
+    primary_host: str = ""
+    interval_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        for key in ("group", "node", "primary_host"):
+            name = getattr(self, key)
+            valid = SPARKPLUG_ID.valid(name)
+            if name != valid and (name or key != "primary_host"):
+                raise ConfigError(f"{key} {printable(name)!r}: MQTT does not permit this name; take {valid!r}")
+
+    def topic(self, kind: str, device: str | None = None) -> str:
+        """The topic of a message of ``kind``, for instance ``NBIRTH``."""
+        return "/".join((NAMESPACE, self.group, kind, self.node, *(() if device is None else (device,))))
+
+    @property
+    def state_topic(self) -> str:
+        """The topic on which the primary host says whether it is online."""
+        return f"{NAMESPACE}/STATE/{self.primary_host}"
+
+
+class Numbers(Protocol):
+    """The numbers of sessions (bdSeq): :class:`dpstack.bridge.mqtt.session_file.SessionFile`."""
+
+    damaged: bool
+
+    def next(self) -> int: ...
+
+
+class Phase(Enum):
+    """Phases of an edge node."""
+
+    OFFLINE = auto()
+    #: the connection is being made
+    CONNECTING = auto()
+    #: the primary host is not online
+    WAITING = auto()
+    ONLINE = auto()
+    #: NDEATH is the next message, then the end of the connection
+    LEAVING = auto()
+
+
+class _Device:
+    """A slave that has had its DBIRTH in this session."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        #: changes that were not published: by id of the node
+        self.pending: dict[str, Reading] = {}
+        self.due = -math.inf
+        #: metrics whose last published quality was not good
+        self.not_good: set[str] = set()
+
+
+class EdgeNode:
+    """``may``: whether an order, by its name, may be given by MQTT. ``tell``: takes a remark for people.
+
+    ``phase``: see :class:`Phase`. ``merged``: values that newer ones replaced before they were published.
+    """
+
+    def __init__(
+        self,
+        setup: NodeSetup,
+        tree: PlantTree,
+        numbers: Numbers,
+        *,
+        may: Callable[[str], bool] = lambda _: False,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.phase = Phase.OFFLINE
+        self.merged = 0
+        self._setup = setup
+        self._tree = tree
+        self._numbers = numbers
+        self._may = may
+        self._tell = tell
+        #: the number of the last session is not known: one session without births comes before the others, so that the
+        #: broker has published the old will when the first births come
+        self._clear_first = numbers.damaged
+        self._number = 0
+        self._seq = 0
+        self._leaving = ""
+        self._death_sent = False
+        # metrics by key: the id of a node; slave/N/order/... of an order without a node, own/... of the edge node
+        self._kinds: dict[str, MetricKind] = {}
+        self._orders: dict[str, Order] = {}
+        #: keys by slave (None: the edge node) and name, and by slave and alias
+        self._keys: dict[tuple[int | None, str | int], str] = {}
+        #: keys of the orders without a node, by slave
+        self._bare_orders: dict[int, list[str]] = {}
+        self._aliases: dict[str, int] = {}
+        self._highest_alias = 0
+        self._device_ids: dict[int, str] = {}
+        self._bus_nodes: list[Node] = []
+        # the session
+        self._node: _Device | None = None
+        self._devices: dict[int, _Device] = {}
+        self._needs_birth = False
+        self._births: dict[int, None] = {}
+        self._deaths: dict[int, str] = {}
+        self._rebirth_asked = False
+        self._born_at = -math.inf
+        # the primary host
+        self._host_time: float | None = None
+        self._host_online = False
+        # commands
+        self._own: dict[str, tuple[Value, str, float]] = {}
+        #: the clock of the computer less that of the stream, in s
+        self._offset = 0.0
+        self._rename()
+
+    # --- the connection -------------------------------------------------------------------------------------------
+
+    def connect(self, wall: float) -> Connection:
+        """Begin a session: its number is on disk when this returns. Raises OSError where it cannot be written."""
+        self.disconnected()
+        self._number = self._numbers.next()
+        self.phase = Phase.CONNECTING
+        self._host_online = False
+        setup = self._setup
+        topics = [setup.topic("NCMD"), setup.topic("DCMD", "+")]
+        if setup.primary_host:
+            topics.append(setup.state_topic)
+        will = Publish(setup.topic("NDEATH"), node_death(self._number, _ms(wall)), qos=1)
+        # neither id has a slash: so two different edge nodes never have the same one
+        return Connection(f"{setup.group}/{setup.node}", will, tuple(topics))
+
+    def connected(self) -> None:
+        """The broker has taken connection and subscriptions."""
+        if self.phase is not Phase.CONNECTING:
+            return
+        if self._clear_first:
+            self._clear_first = False
+            self._leave("the number of the last session is not known: another session begins")
+        elif self._setup.primary_host and not self._host_online:
+            self.phase = Phase.WAITING
+        else:
+            self._begin()
+
+    def disconnected(self) -> None:
+        """The connection is gone, or was not made."""
+        self.phase = Phase.OFFLINE
+        self._end_session()
+
+    def end(self, why: str) -> None:
+        """An ordered end: NDEATH and the end of the connection come next."""
+        if self.phase in (Phase.WAITING, Phase.ONLINE):
+            self._leave(why)
+
+    def _begin(self) -> None:
+        self.phase = Phase.ONLINE
+        self._needs_birth = True
+
+    def _leave(self, why: str) -> None:
+        self.phase, self._leaving, self._death_sent = Phase.LEAVING, why, False
+        self._end_session()
+
+    def _end_session(self) -> None:
+        self._node = None
+        self._devices.clear()
+        self._births.clear()
+        self._deaths.clear()
+        self._needs_birth = self._rebirth_asked = False
+        self._born_at = -math.inf
+
+    # --- the tree -------------------------------------------------------------------------------------------------
+
+    def take(self, changes: Iterable[Change], wall: float) -> None:
+        """Take changes of the tree."""
+        for change in changes:
+            match change:
+                case Changed(node=node, reading=reading):
+                    owner = self._node if node.slave is None else self._devices.get(node.slave)
+                    if owner is not None:
+                        self.merged += node.id in owner.pending
+                        owner.pending[node.id] = reading
+                case Born(slave=None):
+                    self._show("Bus running", True, wall)
+                case Died(slave=None):
+                    self._show("Bus running", False, wall)
+                case Born(slave=slave) if self._node is not None and slave is not None:
+                    self._births[slave] = None
+                case Died(slave=slave) if slave is not None:
+                    self._lose(slave)
+                case NodesChanged():
+                    self._rename()
+                case ClockSet(offset=offset):
+                    self._offset = offset
+                    if self._node is not None:
+                        self._tell("the clock of this computer was set: all values are published again, with new times")
+                        self._needs_birth = True
+
+    def _lose(self, slave: int) -> None:
+        """The DBIRTH of a slave does not hold any more."""
+        device = self._devices.pop(slave, None)
+        if device is not None:
+            self._deaths[slave] = device.name
+        self._births.pop(slave, None)
+
+    def _rename(self) -> None:
+        """Names and aliases of all metrics. A metric keeps its alias; none is given twice."""
+        tree = self._tree
+        slaves = tree.slaves
+        ids = unique_names(SPARKPLUG_ID, [(f"slave {address}", one.name) for address, one in slaves.items()])
+        ids_before, self._device_ids = self._device_ids, {one: ids.names[f"slave {one}"] for one in slaves}
+        for text in ids.changed:
+            self._tell(text)
+        self._kinds, self._orders, self._keys, self._bare_orders = {}, {}, {}, {}
+        known, self._aliases = self._aliases, {}
+        # hosts know the old aliases of a device below its old name
+        other_id = tuple(f"slave/{one}/" for one in slaves if ids_before.get(one) != self._device_ids[one])
+        before = {key: alias for key, alias in known.items() if not key.startswith(other_id)}
+        bus_nodes = [node for node, _ in tree.readings(None)]
+        self._add_nodes(None, bus_nodes, before)
+        for name, type_ in _OWN:
+            self._add(None, f"own/{name}", MetricKind(name, None, DATA_TYPES[type_]), before)
+        self._add(None, "own/bdSeq", BDSEQ, before)
+        for address in slaves:
+            self._add_nodes(address, [node for node, _ in tree.readings(address)], before)
+        for order in tree.orders.values():
+            if self._may(order.name):
+                self._add_order(order, before)
+        for address, device in list(self._devices.items()):
+            if self._device_ids.get(address) != device.name:
+                self._lose(address)
+                if address in self._device_ids:
+                    self._births[address] = None
+        if bus_nodes != self._bus_nodes:
+            self._bus_nodes = bus_nodes
+            self._needs_birth = self._needs_birth or self._node is not None
+
+    def _add_nodes(self, slave: int | None, nodes: Sequence[Node], before: Mapping[str, int]) -> None:
+        names, changed = _metric_names(nodes)
+        for text in changed:
+            self._tell(text)
+        for node in nodes:
+            order = node.order
+            if order is not None and self._tree.orders.get(order.name) == order and self._may(order.name):
+                self._orders[node.id] = order
+            kind = MetricKind(
+                names[node.id],
+                None,
+                DATA_TYPES[node.type],
+                writable=node.id in self._orders,
+                unit=node.unit,
+                low=node.low,
+                high=node.high,
+                text=node.text,
+            )
+            self._add(slave, node.id, kind, before)
+
+    def _add_order(self, order: Order, before: Mapping[str, int]) -> None:
+        """An order without a node of its own: it sets the node that shows it, or gets a metric."""
+        if order.command[0] != "drive":
+            return
+        word = order.command[-1]
+        shown = f"slave/{order.slave}/drive/{_SHOWN_BY.get(word)}"
+        if shown in self._kinds:
+            self._orders[shown] = order
+            self._kinds[shown] = replace(self._kinds[shown], writable=True)
+            return
+        key = f"slave/{order.slave}/order/{word}"
+        kind = MetricKind(f"Commands/{word}", None, DATA_TYPES[order.type or BOOL], writable=True)
+        self._orders[key] = order
+        self._bare_orders.setdefault(order.slave, []).append(key)
+        self._add(order.slave, key, kind, before)
+
+    def _add(self, slave: int | None, key: str, kind: MetricKind, before: Mapping[str, int]) -> None:
+        """Keep a metric. Its alias is that of ``before``, or one that no metric ever had."""
+        alias = before.get(key)
+        if alias is None:
+            alias = self._highest_alias = self._highest_alias + 1
+        self._aliases[key] = alias
+        self._kinds[key] = replace(kind, alias=alias)
+        self._keys[slave, kind.name] = self._keys[slave, alias] = key
+
+    # --- messages out ---------------------------------------------------------------------------------------------
+
+    def next(self, wall: float, clock: float) -> Publish | Disconnect | None:
+        """The next message, or the end of the connection; None: nothing is to be sent now."""
+        if self.phase is Phase.LEAVING:
+            if self._death_sent:
+                return Disconnect(self._leaving)
+            self._death_sent = True
+            return Publish(self._setup.topic("NDEATH"), node_death(self._number, _ms(wall)))
+        if self.phase is not Phase.ONLINE or self._tree.plant is None:
+            return None
+        now_ms = _ms(wall)
+        if self._deaths:
+            slave = next(iter(self._deaths))
+            return Publish(self._setup.topic("DDEATH", self._deaths.pop(slave)), device_death(self._next_seq(), now_ms))
+        if self._rebirth_asked:
+            if clock < self._born_at + _REBIRTH_S:
+                return None
+            self._needs_birth = True
+        if self._needs_birth:
+            return self._node_birth(now_ms, clock)
+        while self._births:
+            slave = next(iter(self._births))
+            del self._births[slave]
+            if self._tree.is_alive(slave) and slave in self._device_ids:
+                return self._device_birth(slave, now_ms, clock)
+        assert self._node is not None
+        for slave_or_none, owner in ((None, self._node), *self._devices.items()):
+            if owner.pending and clock >= owner.due:
+                return self._data(slave_or_none, owner, now_ms, clock)
+        return None
+
+    def due(self, clock: float) -> float:
+        """The time by ``clock`` at which :meth:`next` has a message, if nothing happens before; infinite: none."""
+        if self.phase is Phase.LEAVING:
+            return clock
+        if self.phase is not Phase.ONLINE or self._tree.plant is None:
+            return math.inf
+        if self._deaths or self._births or self._needs_birth:
+            return clock
+        if self._rebirth_asked:
+            return self._born_at + _REBIRTH_S
+        return min((owner.due for owner in self._owners() if owner.pending), default=math.inf)
+
+    def _node_birth(self, now_ms: int, clock: float) -> Publish:
+        self._needs_birth = self._rebirth_asked = False
+        self._born_at = clock
+        self._seq = 0
+        self._node = node = _Device("")
+        node.due = clock + self._setup.interval_s
+        self._devices.clear()
+        self._deaths.clear()
+        self._births = dict.fromkeys(slave for slave in self._device_ids if self._tree.is_alive(slave))
+        for key, value in (("Bus running", self._tree.is_alive(None)), *((name, None) for name, _ in _OWN)):
+            self._own.setdefault(key, (value, "", now_ms / 1000))
+        readings = self._tree.readings(None)
+        samples = [self._sample(node, one.id, reading, now_ms) for one, reading in readings]
+        samples += [self._sample(node, f"own/{name}", self._own_reading(name), now_ms) for name, _ in _OWN]
+        samples.append(Sample(self._kinds["own/bdSeq"], Reading(self._number, Reason.GOOD), now_ms))
+        rebirth = MetricKind(_REBIRTH, None, DataType.BOOLEAN, writable=True, text="true: publish all births again")
+        samples.append(Sample(rebirth, Reading(False, Reason.GOOD), now_ms))
+        return Publish(self._setup.topic("NBIRTH"), birth(samples, self._seq, now_ms))
+
+    def _device_birth(self, slave: int, now_ms: int, clock: float) -> Publish:
+        device = self._devices[slave] = _Device(self._device_ids[slave])
+        device.due = clock + self._setup.interval_s
+        samples = [self._sample(device, one.id, reading, now_ms) for one, reading in self._tree.readings(slave)]
+        for key in self._bare_orders.get(slave, ()):
+            # as Node Control/Rebirth: it is false, and a host writes true
+            reading = Reading(False if self._orders[key].type is None else None, Reason.GOOD)
+            samples.append(Sample(self._kinds[key], reading, now_ms))
+        return Publish(self._setup.topic("DBIRTH", device.name), birth(samples, self._next_seq(), now_ms))
+
+    def _data(self, slave: int | None, owner: _Device, now_ms: int, clock: float) -> Publish:
+        pending, owner.pending = owner.pending, {}
+        owner.due = clock + self._setup.interval_s
+        samples = [self._sample(owner, key, reading, now_ms) for key, reading in pending.items()]
+        kind, device = ("NDATA", None) if slave is None else ("DDATA", owner.name)
+        return Publish(self._setup.topic(kind, device), data(samples, self._next_seq(), now_ms))
+
+    def _sample(self, owner: _Device, key: str, reading: Reading, now_ms: int) -> Sample:
+        told = key in owner.not_good
+        if reading.quality is Quality.GOOD:
+            owner.not_good.discard(key)
+        else:
+            owner.not_good.add(key)
+        if key.startswith("own/"):
+            time_ms = _ms(reading.time)
+        else:
+            time_ms = _ms(reading.time + self._offset) if reading.time else now_ms
+        return Sample(self._kinds[key], reading, min(time_ms, now_ms), told)
+
+    def _owners(self) -> Iterator[_Device]:
+        """Edge node and devices that have had their births in this session."""
+        if self._node is not None:
+            yield self._node
+        yield from self._devices.values()
+
+    def _next_seq(self) -> int:
+        self._seq = (self._seq + 1) % _SEQUENCE
+        return self._seq
+
+    # --- metrics of the edge node itself --------------------------------------------------------------------------
+
+    def _show(self, name: str, value: Value, wall: float) -> None:
+        self._own[name] = (value, "", wall)
+        if self._node is not None:
+            self._node.pending[f"own/{name}"] = self._own_reading(name)
+
+    def _own_reading(self, name: str) -> Reading:
+        value, note, time = self._own[name]
+        return Reading(value, Reason.GOOD if value is not None else Reason.WAITING, time, note)
+
+    # --- messages in ----------------------------------------------------------------------------------------------
+
+    def receive(self, topic: str, payload: bytes, wall: float, *, retained: bool = False) -> Sequence[OrderWish]:
+        """Take a message of the broker; nothing that it may hold raises. Returns orders for the run, whose results
+        :meth:`answer` takes."""
+        setup = self._setup
+        if setup.primary_host and topic == setup.state_topic:
+            self._host_state(payload)
+            return ()
+        if self.phase is not Phase.ONLINE or self._node is None:
+            return ()  # nobody knows a metric before its birth
+        if topic == setup.topic("NCMD"):
+            device = None
+        elif topic.startswith(setup.topic("DCMD", "")):
+            device = topic.rpartition("/")[2]
+        else:
+            return ()
+        try:
+            command = read_command(payload)
+        except ValueError as error:
+            self._refuse("", str(error), wall)
+            return ()
+        wishes: list[OrderWish] = []
+        for given in command.metrics:
+            if device is None and given.name == _REBIRTH:
+                # a rebirth is harmless, so it needs no age
+                self._rebirth_asked = self._rebirth_asked or given.value is True
+                continue
+            try:
+                wishes.append(self._wish(device, given, command.time_ms, retained=retained))
+            except ValueError as error:
+                self._refuse(f"{device}: {given.text}" if device is not None else given.text, str(error), wall)
+        return wishes
+
+    def answer(self, wish: OrderWish, result: str, reason: str, wall: float) -> None:
+        """The result of an order of :meth:`receive`: ``done``, or ``refused`` with the reason."""
+        self._show_result(wish.name, result, reason, wall)
+
+    def _wish(self, device: str | None, given: Given, time_ms: int | None, *, retained: bool) -> OrderWish:
+        """The order that a metric of a command means. Raises ValueError with the reason where there is none."""
+        if retained:
+            raise ValueError("the broker had kept this command: nobody knows how old it is")
+        key, order = self._order_given(device, given)
+        if order is None:
+            raise ValueError("this metric cannot be written")
+        if time_ms is None:
+            raise ValueError("it has no timestamp")
+        return OrderWish(order.name, value_given(given, self._kinds[key].type), time_ms / 1000)
+
+    def _order_given(self, device: str | None, given: Given) -> tuple[str, Order | None]:
+        """The key of the metric, and its order. Raises ValueError for a metric that is in no birth."""
+        slave = next((one for one, born in self._devices.items() if born.name == device), None)
+        if device is not None and slave is None:
+            raise ValueError("this device has had no birth")
+        named = [one for one in (given.name, given.alias) if one is not None]
+        keys = {self._keys.get((slave, one)) for one in named}
+        if not named:
+            raise ValueError("it has neither name nor alias")
+        if len(keys) > 1:
+            raise ValueError("name and alias are not those of one metric")
+        key = keys.pop()
+        if key is None:
+            raise ValueError("there is no such metric")
+        return key, self._orders.get(key)
+
+    def _refuse(self, name: str, reason: str, wall: float) -> None:
+        self._show_result(name or "unknown", "refused", reason, wall)
+
+    def _show_result(self, name: str, result: str, reason: str, wall: float) -> None:
+        for key, text in (("name", name), ("result", result), ("reason", reason)):
+            self._show(f"{_LAST_COMMAND}/{key}", shortened(printable(text), 300), wall)
+
+    # --- the primary host -----------------------------------------------------------------------------------------
+
+    def _host_state(self, payload: bytes) -> None:
+        state = _read_state(payload)
+        host = self._setup.primary_host
+        if state is None:
+            self._tell(f"a STATE message of primary host {host} cannot be read: it is left out")
+            return
+        online, time = state
+        if self._host_time is not None and time < self._host_time:
+            self._tell(f"a STATE message of primary host {host} is older than the last one: it is left out")
+            return
+        self._host_time, self._host_online = time, online
+        if online and self.phase is Phase.WAITING:
+            self._begin()
+        elif not online and self.phase is Phase.ONLINE:
+            self._tell(f"primary host {host} is offline: births wait for it")
+            self._leave("the primary host is offline")
+
+
+#: metrics of the edge node itself, besides those of the bus
+_OWN: Final = (
+    ("Bus running", BOOL),
+    (f"{_LAST_COMMAND}/name", TEXT),
+    (f"{_LAST_COMMAND}/result", TEXT),
+    (f"{_LAST_COMMAND}/reason", TEXT),
+)
+
+
+#: the quantity of a drive that shows an order to it
+_SHOWN_BY: Final = {"speed": "setpoint"}
+
+
+def _metric_names(nodes: Sequence[Node]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Names of metrics by id of the node: the path of the node, each level valid; and the changed ones, told."""
+    names: dict[str, str] = {}
+    changed: list[str] = []
+    folders: dict[tuple[str, ...], list[Node]] = {}
+    for node in nodes:
+        folders.setdefault(node.path[:-1], []).append(node)
+    for folder, inside in folders.items():
+        found = unique_names(SPARKPLUG_METRIC, [(node.id, node.path[-1]) for node in inside])
+        changed += found.changed
+        above = [SPARKPLUG_METRIC.valid(level) for level in folder]
+        names |= {id_: "/".join((*above, name)) for id_, name in found.names.items()}
+    return names, tuple(changed)
+
+
+def _read_state(payload: bytes) -> tuple[bool, float] | None:
+    """``online`` and ``timestamp`` of a STATE message; None for anything else."""
+    if len(payload) > _MOST_STATE:
+        return None
+    try:
+        state = json.loads(payload)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(state, dict):
+        return None
+    online, time = state.get("online"), state.get("timestamp")
+    if not isinstance(online, bool) or isinstance(time, bool) or not isinstance(time, (int, float)):
+        return None
+    return (online, time) if 0 <= time <= LATEST_MS else None
+
+
+def _ms(seconds: float) -> int:
+    return min(max(0, round(seconds * 1000)), LATEST_MS)

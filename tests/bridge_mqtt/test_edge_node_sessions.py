@@ -1,0 +1,298 @@
+"""Sessions of the edge node, case by case: numbers, births, intervals, names, clocks."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+
+import pytest
+from edge_node_rig import PLANT, VALVES, Rig
+
+from dpstack.bridge.mqtt.edge_node import NodeSetup, Phase
+from dpstack.errors import ConfigError
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    rig = Rig(tmp_path)
+    rig.give_plant()
+    rig.connect()
+    rig.pump()
+    return rig
+
+
+def kinds(rig: Rig) -> list[tuple[str, str | None]]:
+    return [(kind, device) for kind, device, _ in rig.host.messages]
+
+
+def phase(rig: Rig) -> Phase:
+    return rig.node.phase
+
+
+def test_births_come_in_order_and_data_when_they_change(rig: Rig) -> None:
+    assert kinds(rig) == [("NBIRTH", None), ("DBIRTH", "hoist"), ("DBIRTH", "valves")]
+    rig.values["8"]["fields"]["level"] = 20.0
+    rig.wait(1.0)
+    rig.pump()
+    assert kinds(rig)[3:] == [("DDATA", "valves")]
+    (found,) = rig.host.messages[-1][2].metrics
+    assert found.value(10) == 20.0
+    rig.wait(5.0)
+    rig.pump()
+    assert len(rig.host.messages) == 4
+    rig.close()
+
+
+def test_a_change_goes_out_at_once_and_the_next_ones_an_interval_later(rig: Rig) -> None:
+    rig.wait(1.0)
+    rig.pump()
+    count = len(rig.host.messages)
+    for level in (20.0, 30.0, 40.0):
+        rig.values["8"]["fields"]["level"] = level
+        rig.wait(0.1)
+        rig.pump()
+    assert [one[2].metrics[0].value(10) for one in rig.host.messages[count:]] == [20.0]
+    assert rig.node.due(rig.clock) == pytest.approx(rig.clock + 0.8)
+    assert rig.node.merged == 1
+    rig.wait(0.8)
+    rig.pump()
+    assert [one[2].metrics[0].value(10) for one in rig.host.messages[count:]] == [20.0, 40.0]
+    assert rig.node.due(rig.clock) == math.inf
+    rig.close()
+
+
+def test_the_sequence_wraps_behind_255(rig: Rig) -> None:
+    for number in range(600):
+        rig.values["8"]["fields"]["count"] = number % 100
+        rig.wait(1.0)
+        assert rig.pump() == 1
+    seqs = [payload.seq for _, _, payload in rig.host.messages]
+    assert seqs == [number % 256 for number in range(603)]
+    rig.close()
+
+
+def test_a_rebirth_has_the_same_session_number_and_comes_at_most_once_a_second(rig: Rig) -> None:
+    first = rig.host.number
+    count = len(rig.host.messages)
+    for _ in range(50):
+        rig.rebirth()
+    rig.values["8"]["fields"]["level"] = 77.0
+    rig.give_values()
+    rig.pump()
+    assert len(rig.host.messages) == count  # no data meanwhile
+    rig.wait(1.0)
+    rig.pump()
+    assert kinds(rig)[count:] == [("NBIRTH", None), ("DBIRTH", "hoist"), ("DBIRTH", "valves")]
+    assert rig.host.number == first
+    assert rig.host.metric("Inputs/level", "valves").value == 77.0
+    rig.close()
+
+
+def test_a_new_session_has_the_next_number_also_behind_a_restart(rig: Rig) -> None:
+    assert rig.host.number == 0
+    rig.cut()
+    rig.connect()
+    rig.pump()
+    assert rig.host.number == 1
+    rig.kill()
+    rig.connect()
+    rig.pump()
+    assert rig.host.number == 2
+    rig.check()
+    rig.close()
+
+
+def test_without_a_known_number_the_first_session_has_no_births(tmp_path: Path) -> None:
+    """It makes the broker publish the will of the last session, whatever its number was, before there are births."""
+    (tmp_path / "bdseq").write_text("?")
+    rig = Rig(tmp_path)
+    rig.give_plant()
+    old = Rig(tmp_path / "old")
+    for _ in range(2):
+        will = old.node.connect(old.wall).will  # number 1, as that of the first births here
+    rig.wills.append(will)
+    rig.connect()
+    rig.pump()
+    assert kinds(rig) == [("NDEATH", None)] * 3  # the old will; ours; that of the broker
+    assert rig.node.phase is Phase.OFFLINE
+    rig.connect()
+    rig.pump()
+    assert rig.host.number == 1
+    rig.check()
+    rig.close()
+    old.close()
+
+
+def test_nothing_is_sent_before_the_plant_is_known(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.connect()
+    assert rig.pump() == 0
+    rig.give_plant()
+    rig.pump()
+    rig.check()
+    rig.close()
+
+
+def test_an_ordered_end_publishes_the_death(rig: Rig) -> None:
+    count = len(rig.host.messages)
+    rig.node.end("stopped")
+    rig.pump()
+    assert kinds(rig)[count:] == [("NDEATH", None), ("NDEATH", None)]  # the broker publishes the will, too
+    assert not rig.host.online
+    rig.close()
+
+
+def test_the_primary_host_stops_and_starts_births(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, primary_host="scada")
+    rig.give_plant()
+    rig.connect()
+    assert rig.connection is not None
+    assert rig.connection.subscriptions[-1] == "spBv1.0/STATE/scada"
+    rig.pump()
+    assert rig.host.messages == []
+    rig.state(online=False, time_ms=1000)
+    rig.pump()
+    assert rig.connection is not None  # it waits in this connection
+    rig.state(online=True, time_ms=1000)
+    rig.pump()
+    rig.check()
+    rig.state(online=False, time_ms=999)
+    assert phase(rig) is Phase.ONLINE
+    assert "older than the last one" in rig.told[-1]
+    rig.state(online=False, time_ms=1000)
+    rig.pump()
+    assert kinds(rig)[-2:] == [("NDEATH", None), ("NDEATH", None)]
+    assert "primary host scada is offline" in rig.told[-1]
+    rig.connect()
+    rig.pump()
+    assert phase(rig) is Phase.WAITING
+    rig.state(online=True, time_ms=2000)
+    rig.pump()
+    assert rig.host.number == 1
+    rig.check()
+    rig.close()
+
+
+def test_state_that_comes_before_the_subscription_is_confirmed_counts(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, primary_host="scada")
+    rig.give_plant()
+    rig.node.connect(rig.wall)
+    rig.receive("spBv1.0/STATE/scada", b'{"online": true, "timestamp": 5}')
+    rig.node.connected()
+    assert rig.node.phase is Phase.ONLINE
+    rig.close()
+
+
+def test_what_a_host_said_in_an_earlier_connection_does_not_count(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, primary_host="scada")
+    rig.give_plant()
+    rig.connect()
+    rig.state(online=True, time_ms=1000)
+    rig.pump()
+    rig.cut()
+    rig.connect()
+    rig.pump()
+    assert phase(rig) is Phase.WAITING
+    rig.state(online=True, time_ms=1000)  # the broker keeps it
+    rig.pump()
+    rig.check()
+    rig.close()
+
+
+def test_other_nodes_of_the_bus_give_a_new_birth_of_the_edge_node(rig: Rig) -> None:
+    """A fixed cycle has statistics of its own."""
+    count = len(rig.host.messages)
+    rig.plant["plan"] = {"cycle_us": 2000}
+    rig.plant["started"] += 500.0
+    rig.stream = 0.0
+    rig.give_plant()
+    rig.pump()
+    assert kinds(rig)[count:][-3:] == [("NBIRTH", None), ("DBIRTH", "hoist"), ("DBIRTH", "valves")]
+    assert rig.host.metric("Statistics/missed").value is None
+    rig.check()
+    rig.close()
+
+
+def test_a_slave_that_dies_before_its_birth_is_published_has_neither(rig: Rig) -> None:
+    for state in ("offline", "data_exchange", "offline"):
+        rig.values["8"]["state"] = state
+        rig.give_values()
+    count = len(rig.host.messages)
+    rig.pump()
+    assert kinds(rig)[count:][:1] == [("DDEATH", "valves")]
+    assert ("DBIRTH", "valves") not in kinds(rig)[count:]
+    rig.close()
+
+
+# --- names --------------------------------------------------------------------------------------------------------
+
+
+def test_names_that_mqtt_does_not_permit_are_changed_and_told(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    valves = copy.deepcopy(PLANT["slaves"]["8"])
+    valves["name"] = "valves/+#."
+    valves["inputs"][0]["name"] = "level/#1"
+    rig.plant["slaves"] = {"8": valves, "9": valves | {"name": "VALVES___."}}
+    rig.values = {"8": VALVES | {"fields": {"level/#1": 1.0}}, "9": VALVES}
+    rig.give_plant()
+    rig.connect()
+    rig.pump()
+    assert rig.host.alive == {"valves___.", "VALVES___. slave 9"}
+    assert rig.host.metric("Inputs/level__1", "valves___.").value == 1.0
+    assert any("Sparkplug does not permit this name" in one for one in rig.told)
+    assert any("another one has this name" in one for one in rig.told)
+    rig.close()
+
+
+@pytest.mark.parametrize(("key", "name"), [("group", "a/b"), ("node", "+"), ("group", ""), ("primary_host", "#")])
+def test_a_group_node_or_host_that_mqtt_does_not_permit_is_refused(key: str, name: str) -> None:
+    group, node, host = (name if one == key else "x" for one in ("group", "node", "primary_host"))
+    with pytest.raises(ConfigError, match=f"{key} .*MQTT does not permit this name; take"):
+        NodeSetup(group, node, host)
+
+
+def test_a_new_configuration_gives_births_to_what_is_new_and_to_nothing_else(rig: Rig) -> None:
+    aliases = {one.name: alias for alias, one in rig.host.devices["hoist"].items()}
+    count = len(rig.host.messages)
+    rig.plant["slaves"]["8"]["inputs"].append({"name": "flow", "type": "u16", "at": "u16@4"})
+    rig.plant["slaves"]["11"] = {"name": "pump", "watchdog_ms": 10}
+    rig.values["11"] = rig.values["8"]
+    rig.give_plant()
+    rig.pump()
+    assert kinds(rig)[count:] == [("DDEATH", "valves"), ("DBIRTH", "valves"), ("DBIRTH", "pump")]
+    assert {one.name: alias for alias, one in rig.host.devices["hoist"].items()} == aliases
+    rig.settle()
+    rig.check()
+    rig.close()
+
+
+def test_a_slave_that_gets_the_name_of_another_dies_and_is_born_under_the_new_one(rig: Rig) -> None:
+    rig.plant["slaves"]["1"] = {"name": "valves", "watchdog_ms": 10}
+    rig.values["1"] = rig.values["8"]
+    rig.give_plant()
+    rig.pump()
+    assert rig.host.alive == {"hoist", "valves", "valves slave 8"}
+    rig.close()
+
+
+# --- clocks -------------------------------------------------------------------------------------------------------
+
+
+def test_a_clock_that_is_set_gives_new_births_with_the_right_times(rig: Rig) -> None:
+    """As a computer that begins in 1970 and hears the time later."""
+    stream_began = rig.wall
+    rig.wait(1.0)
+    rig.pump()
+    count = len(rig.host.messages)
+    for seconds in (10_000.0, -20_000.0):
+        rig.offset += seconds
+        rig.wait(1.0)
+        rig.pump()
+        assert kinds(rig)[count:].count(("NBIRTH", None)) == 1
+        count = len(rig.host.messages)
+        shown = rig.host.metric("Inputs/limit", "valves").timestamp
+        assert 0 <= rig.wall * 1000 - shown < 1100
+    assert rig.wall < stream_began
+    assert "the clock of this computer was set" in rig.told[-1]
+    rig.close()
