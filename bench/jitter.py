@@ -265,7 +265,9 @@ class Lateness:
         begins = [r.read for r in records if r.exchange and r.to == FIRST]
         if len(begins) < 2:
             raise RuntimeError("not two rounds were seen: take more seconds, or a longer cycle")
-        places = [int((begin - due) // cycle) for begin in begins]
+        # the wire may read a request before the write has returned to the master, which takes the time then
+        early = tolerance_ns(round(cycle))
+        places = [int((begin - due + early) // cycle) for begin in begins]
         for n in range(len(places) - 2, -1, -1):  # two rounds at one place: the former is more than a cycle late
             places[n] = min(places[n], places[n + 1] - 1)
         self.late = [begin - due - place * cycle for begin, place in zip(begins, places, strict=True)]

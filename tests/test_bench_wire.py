@@ -167,8 +167,14 @@ def test_the_first_round_may_be_a_late_one() -> None:
 
 
 def test_late_rounds_all_over_the_cycle_do_not_move_the_grid() -> None:
-    late = Lateness(begins(*(10 * n + n % 10 for n in range(20)), 209.9), 10, -30 * MS)
-    assert [round(ns / MS, 3) for ns in late.late] == [*range(10), *range(10), 9.9]
+    late = Lateness(begins(*(10 * n + n % 9 for n in range(18))), 10, -30 * MS)
+    assert [round(ns / MS, 3) for ns in late.late] == [*range(9), *range(9)]
+    assert late.missed == 0
+
+
+def test_a_round_that_the_wire_reads_just_before_it_was_due_keeps_its_place() -> None:
+    late = Lateness(begins(0, 9.95, 20, 30.5), 10, 0)
+    assert [round(ns / MS, 3) for ns in late.late] == [0, -0.05, 0, 0.5]
     assert late.missed == 0
 
 
