@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
     from dpstack.api.commissioning.commissioning import Commissioning
     from dpstack.api.config.config import Config, load_config
+    from dpstack.api.faces.publishing import publish
     from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue
     from dpstack.api.server.virtual_bench import VirtualBench
     from dpstack.api.slave.alarms import SlaveAlarm
@@ -161,6 +162,7 @@ __all__ = [
     "load_config",
     "open_bus",
     "profile",
+    "publish",
     "run_virtual",
     "simulate",
     "slave",
@@ -182,6 +184,7 @@ api.bus.find_baud BaudReport find_baud
 api.bus.virtual run_virtual simulate World IoStation
 api.commissioning.commissioning Commissioning
 api.config.config Config load_config
+api.faces.publishing publish
 api.lists.parameter_list ParameterPlace ParameterValue
 api.bus.opening open_bus
 api.server.virtual_bench VirtualBench

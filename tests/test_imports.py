@@ -49,7 +49,8 @@ MAY: dict[str, set[str]] = {
     "sim": DP | {"machine", "decode"},
     "ports": PURE_BASE | {"phy"},
     "drivers": DP | {"ports", "machine", "sim"},
-    "api": DP | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live", "why"},
+    "api": DP
+    | {"drivers", "ports", "sim", "profile", "capture", "decode", "monitor", "record", "live", "why", "bridge"},
     "blocking": {"api", "errors"},
     "wireshark": {"api", "capture"} | PURE_BASE,
     "service": PURE_BASE,
@@ -146,6 +147,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("api/commissioning",),
     ("api/control",),
     ("api/listen",),
+    ("api/faces",),
     ("blocking", "screen", "wireshark", "web", "testing"),
     ("cli/terminal",),
     ("cli",),

@@ -4,6 +4,7 @@
 - ``commissioning/``: Commissioning: from the stations of a scan to the text of a configuration
 - ``config/``: Configurations: a TOML file or a dict, checked key by key
 - ``control/``: Orders to running programs over a Unix socket with JSON lines
+- ``faces/``: The faces of a running bus, which publish its plant: made from tables, fed, ended
 - ``listen/``: Listening to a bus without sending: on an own port, or through the program that holds it
 - ``lists/``: Parameter lists in files: dumped from a drive or device, loaded, compared
 - ``recording/``: Files of a running bus: recordings of process data, logs of events, written by threads

@@ -192,11 +192,13 @@ def slave_of(address: int, plant: Mapping[str, Any], *, writable: bool, room: in
     own = f"slave/{address}"
     nodes = [*_own_nodes(own, address, read_only=not writable, dpv1=plant.get("dpv1") is True)]
     orders: list[Order] = []
+    drive = plant.get("drive")
     taken: set[str] = set()
     left_out = 0
     for source, key, group in ((Source.INPUT, "inputs", "Inputs"), (Source.OUTPUT, "outputs", "Outputs")):
         for number, given in enumerate(plant.get(key) or ()):
-            node = _field_node(own, address, name, source, group, given, writable=writable)
+            # the outputs of a drive are made by its plugin
+            node = _field_node(own, address, name, source, group, given, writable=writable and drive is None)
             if node is None or node.keys[-1] in taken or number >= MOST_FIELDS or room <= 0:
                 left_out += 1
                 continue
@@ -205,7 +207,6 @@ def slave_of(address: int, plant: Mapping[str, Any], *, writable: bool, room: in
             nodes.append(node)
             if node.order is not None:
                 orders.append(node.order)
-    drive = plant.get("drive")
     if drive is not None:
         nodes += _drive_nodes(own, address)
         if writable:

@@ -379,7 +379,8 @@ class PlantTree:
             return Reason.SEARCHING, ""
         if self._bus.values is None:
             return Reason.WAITING, ""
-        if self._silent_process or self._bus.values.get("stale") is True:
+        # a bus that is not open yet is offline, too
+        if self._silent_process or self._bus.values.get("stale") is True or self._bus.values.get("mode") == "offline":
             return Reason.BUS_STALE, ""
         if self._bus.awaited is not None and now - self._bus.awaited > self._silent_s:
             return Reason.STREAM_SILENT, ""

@@ -199,7 +199,8 @@ async def test_a_configuration_that_changes_meanwhile_is_judged_again() -> None:
     second = asyncio.ensure_future(run.reason("valves.lamp", False))
     await asyncio.sleep(0.5)
     changed = plant(names=("valves", "hoist"))
-    changed["plant"]["slaves"]["3"]["outputs"] = [{"name": "lamp", "type": "bool", "at": "bool@0.0"}]
+    lamp = {"name": "lamp", "type": "bool", "at": "bool@0.0"}
+    changed["plant"]["slaves"]["3"] = {"name": "valves", "outputs": [lamp]}
     run.tree.apply(changed, 1.0)
     assert await first == ""
     assert await second == "the configuration of the bus has changed meanwhile"

@@ -73,6 +73,8 @@ class Judge:
         self.slaves: dict[int, dict[str, Any]] = {}
         self.ended = self.process_silent = False
         self.last_snapshot = -1e9
+        #: the next values of the bus are whole
+        self.begins = True
 
     def see(self, item: dict[str, Any], now: float) -> None:
         if "plant" in item:
@@ -81,9 +83,13 @@ class Judge:
                 self.bus, self.slaves, self.last_snapshot = {}, {}, -1e9
             self.slaves = {int(one): self.slaves.get(int(one), {}) for one in item["plant"]["slaves"]}
             self.ended = self.process_silent = False
+            self.begins = True
         if "snapshot" in item and self.plant is not None:
             self.last_snapshot = now
-            self.bus |= item["snapshot"]["bus"]
+            self.begins = self.begins or item["snapshot"]["whole"]
+            if item["snapshot"]["bus"]:
+                self.bus = ({} if self.begins else self.bus) | item["snapshot"]["bus"]
+                self.begins = False
             for address, values in item["snapshot"]["slaves"].items():
                 if int(address) in self.slaves:
                     self.slaves[int(address)] |= values
@@ -98,7 +104,7 @@ class Judge:
         """Necessary for a good value, by the rules alone."""
         if self.plant is None or self.ended or self.process_silent or self.plant["baud"] is None:
             return False
-        if not 0 <= now - self.last_snapshot <= SILENT_S or self.bus.get("stale"):
+        if not 0 <= now - self.last_snapshot <= SILENT_S or self.bus.get("stale") or self.bus.get("mode") == "offline":
             return False
         if node.source is Source.MASTER:
             return True
@@ -135,7 +141,12 @@ _slave = _nearly.map(lambda one: VALVES | one) | _nearly.map(lambda one: HOIST |
 _snapshots = st.builds(
     lambda whole, bus, slaves: {"whole": whole, "bus": bus, "slaves": slaves},
     st.booleans(),
-    st.sampled_from([{}, {"stale": False}, {"stale": False}, {"stale": True}, {"mode": "clear", "stale": False}]),
+    st.sampled_from(
+        [
+            *({}, {"stale": False}, {"stale": False}, {"stale": True}, {"mode": "clear", "stale": False}),
+            *({"mode": "offline", "stale": False}, {"mode": "operate"}),
+        ]
+    ),
     st.dictionaries(st.sampled_from(["3", "8", "8", "77", "999"]), _slave),
 )
 _events = st.sampled_from(
@@ -305,6 +316,16 @@ def test_reasons_of_a_slave(values: dict[str, Any], reason: Reason, dies: bool) 
     assert reading(tree, "slave/8/state").quality is Quality.GOOD  # the master knows that
     assert [change.slave for change in changes if isinstance(change, Died)] == ([8] if dies else [])
     assert reading(tree, "slave/3/drive/speed").quality is Quality.GOOD
+
+
+def test_a_bus_that_is_not_open_yet_is_not_born() -> None:
+    tree = PlantTree()
+    tree.apply({"plant": PLANT}, 0.0)
+    changes = tree.apply(snapshot(0.1, {"8": VALVES}, whole=True, bus={"stale": False, "mode": "offline"}), 0.1)
+    assert not [one for one in changes if isinstance(one, Born)]
+    assert reading(tree, "bus/mode").reason is Reason.BUS_STALE
+    changes = tree.apply(snapshot(0.2, {"8": {}}, bus={"mode": "clear"}), 0.2)
+    assert [one for one in changes if isinstance(one, Born)] == [Born(None), Born(8)]
 
 
 def test_a_slave_that_the_stream_leaves_out_gets_stale() -> None:

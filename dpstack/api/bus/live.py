@@ -21,6 +21,7 @@ from dpstack.api.bus.statistics import bus_figures, clear_since, diagnosis_dict,
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import when_dropped
+from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.process_data import Field, as_json
@@ -271,7 +272,7 @@ class LiveFeed:
             }
             del values["slaves"]
         values |= {
-            "mode": bus.mode.name.lower(),
+            "mode": (bus.mode if bus.was_opened else Mode.OFFLINE).name.lower(),
             "in_ring": ring.in_ring,
             "masters": sorted(ring.las),
             "clear": clear_since(bus) or None,
@@ -369,6 +370,7 @@ def _slave_plant(slave: Slave) -> dict[str, object]:
             "reference_rpm": options.get("reference_rpm"),
         }
     return {
+        **named_values(config),
         "name": slave.name,
         "address": slave.address,
         "ident": _ident(slave),
@@ -383,9 +385,18 @@ def _slave_plant(slave: Slave) -> dict[str, object]:
         "groups": list(params.groups),
         "dpv1": params.dpv1 is not None,
         "every": params.every,
+        "drive": drive,
+    }
+
+
+def named_values(config: SlaveConfig) -> dict[str, object]:
+    """The keys of a slave of the plant that say which values it has by name: ``name``, ``inputs``, ``outputs``, and
+    ``drive``, here without its facts."""
+    return {
+        "name": config.name,
         "inputs": [_field(field) for field in config.input_fields.fields.values()],
         "outputs": [_field(field) for field in config.output_fields.fields.values()],
-        "drive": drive,
+        "drive": None if config.profile is None else {},
     }
 
 

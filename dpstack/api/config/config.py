@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import structs
 
@@ -33,6 +33,9 @@ from dpstack.ports.base import VIRTUAL
 from dpstack.text import octets_text
 from dpstack.units import baud_text
 
+if TYPE_CHECKING:
+    from dpstack.api.config.faces import FaceConfig
+
 #: keys of [bus] that are bus parameters
 _PARAMETERS: Final = ("t_sl", "t_tr", "gap", "hsa", "max_retry", "address")
 #: the key ``echo`` as the drivers want it
@@ -46,6 +49,8 @@ class Config:
     bus: BusConfig
     slaves: tuple[SlaveConfig, ...]
     source: Source = field(repr=False, compare=False)
+    #: the tables of the faces that publish the plant, by name
+    faces: Mapping[str, FaceConfig] = field(default_factory=dict)
 
     def with_bus(self, **changes: object) -> Config:
         """A copy with other bus settings, checked again; None leaves a setting as it is."""
@@ -229,11 +234,14 @@ def check_config(
     bus: BusConfig | None = None
     slaves: list[SlaveConfig] = []
     entries: object = []
+    faces: Mapping[str, FaceConfig] = {}
     try:
         top = Table(source, (), data, name)
-        for key in data:
-            if key not in ("bus", "slave"):
-                raise source.error((key,), f"unknown table or key {key!r}", "a configuration has [bus] and [[slave]]")
+        others = {key: table for key, table in data.items() if key not in ("bus", "slave")}
+        if others:
+            from dpstack.api.config.faces import read_faces  # here, as most configurations have none
+
+            faces = read_faces(source, others)
         if "bus" not in top:
             raise source.error((), "no [bus] table", "add [bus] with port and baud")
         bus = read_bus(source, data["bus"])
@@ -253,7 +261,7 @@ def check_config(
             errors.append(error)
     if bus is None or errors:
         return None, errors
-    config = Config(bus=bus, slaves=tuple(slaves), source=source)
+    config = Config(bus=bus, slaves=tuple(slaves), source=source, faces=faces)
     errors += [source.error(*conflict) for conflict in itertools.islice(_conflicts(config), most)]
     return config, errors
 

@@ -71,14 +71,18 @@ def parse_order(word: str, texts: Sequence[str]) -> Order:
 
 def drive_order(bus: Bus, args: list[str]) -> LongCommand:
     """``NAME ORDER [ARG]...`` to a drive of a run. A client that closes the connection cancels the order."""
+    drive, order = find_order(bus, args)
+    return lambda send: kept_alive(carry_out(drive, order), lambda: {"status": drive.status.as_dict()}, send)
+
+
+def find_order(bus: Bus, args: Sequence[str]) -> tuple[Drive, Order]:
+    """The drive and the order of ``NAME ORDER [ARG]...``. Raises UsageError, and BusError while it is not known."""
     if bus.searching:
         raise BusError(f"{SEARCHING}: the drives are known once it is found")
     if bus.config.bus.read_only:
         raise BusError("this run is read only: it gives no drive an order; end it and run without read_only")
     name, word, *texts = args
-    drive = bus.drive(number_or_name(name))
-    order = parse_order(word, texts)
-    return lambda send: kept_alive(carry_out(drive, order), lambda: {"status": drive.status.as_dict()}, send)
+    return bus.drive(number_or_name(name)), parse_order(word, texts)
 
 
 async def carry_out(drive: Drive, order: Order) -> dict[str, Any]:

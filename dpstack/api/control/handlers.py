@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from msgspec import structs
@@ -88,6 +88,21 @@ def _by_need(module: str, name: str, bus: Bus, **options: bool) -> Handler:
         return result
 
     return carry_out
+
+
+async def carry_out_order(bus: Bus, words: Sequence[str]) -> None:
+    """Carry out an order of a face, ``set`` or ``drive`` with its arguments, as the control server does. Raises
+    UsageError, and the errors of the order."""
+    command, *args = words
+    if command == "set":
+        await _set(bus, args)
+        return
+    if command != "drive":
+        raise UsageError(f"a face gives no order {command!r}")
+    place = f"{__package__}.drive_orders"
+    await load_beside(place)
+    orders = sys.modules[place]
+    await orders.carry_out(*orders.find_order(bus, args))
 
 
 def run_feed(bus: Bus) -> TapFeed:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+from collections.abc import AsyncIterator
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -134,7 +135,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         control = control_run(bus, config.port, feed, stop=stop.stop)
         # before a bus process is started
         suspension = stack.enter_context(Suspension(bus, partial(_ctl_name, bus, control)))
-        async with reachable(control, quiet=True) as unreachable:
+        async with reachable(control, quiet=True) as unreachable, _faces(bus, stop):
             if report is not None:
                 report.begin(bus, feed)
             await stop.or_done(_open(bus, control))
@@ -192,6 +193,23 @@ def _report(config: Config, args: argparse.Namespace) -> RunReport | None:
     from dpstack.api.listen.report_file import RunReport  # here, as most runs write none
 
     return RunReport(args.report, config)
+
+
+@contextlib.asynccontextmanager
+async def _faces(bus: Bus, stop: StopSignal) -> AsyncIterator[None]:
+    """The faces that the configuration names. They begin before the bus, and end after it."""
+    if not bus.config.faces:
+        yield
+        return
+    from dpstack.api.faces.publishing import Publishing  # here, as most runs have none
+
+    publishing = Publishing(bus, bus.config.faces, lambda: stop.hurried)
+    try:
+        async with publishing:
+            yield
+    finally:
+        for text in publishing.remarks:
+            output.warn(text)
 
 
 def _screen(

@@ -1,0 +1,190 @@
+"""``publish``: the faces of a bus, which publish its plant, from beginning to end."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from functools import partial
+from importlib.util import find_spec
+from types import TracebackType
+from typing import Final
+
+from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.bus.live import LiveStream, named_values
+from dpstack.api.config.faces import FaceConfig, read_faces
+from dpstack.api.config.table import Source
+from dpstack.api.control.handlers import carry_out_order
+from dpstack.api.faces.kinds import KINDS, Parts
+from dpstack.api.streams import LEVELS, load_beside
+from dpstack.bridge.face import Face, Teller
+from dpstack.bridge.gateway import END_S, TICK_S, Gateway
+from dpstack.bridge.nodes import slave_of
+from dpstack.bridge.orders import Orders, check_allowed
+from dpstack.bridge.tree import PlantTree
+from dpstack.errors import UsageError
+from dpstack.live.state import Item
+from dpstack.text import printable
+from dpstack.trace import Severity
+
+#: s between two snapshots for the faces
+_INTERVAL_S: Final = 0.2
+#: s that the faces have where the user is in a hurry
+_HURRIED_S: Final = 0.5
+#: s between two looks whether the user is in a hurry
+_LOOK_S: Final = 0.1
+#: remarks that are kept until the bus is open
+_MOST_REMARKS: Final = 100
+_SOURCE: Final = "faces"
+_LOG: Final = logging.getLogger("dpstack.bridge")
+
+
+def publish(bus: Bus, **tables: Mapping[str, object]) -> Publishing:
+    """Publish the plant of ``bus`` by its faces, within ``async with publish(bus):``.
+
+    The faces are those of its configuration file, or of ``tables``: mappings with the keys of the table of that name
+    (docs/reference/configuration.md). They run in the event loop of the program, read the live stream, and never delay
+    the bus where it has a process of its own. A face that fails ends alone; a notice of the bus tells it. Leaving the
+    block ends them, which takes 4 s at most.
+
+    Raises ConfigError here; on entering UsageError where the package of an extra is missing, and PortError or
+    ConfigError where a face cannot begin.
+    """
+    made = read_faces(Source("publish"), tables) if tables else bus.config.faces
+    if not made:
+        raise UsageError("publish: no face is given: add a table to the configuration, for instance [metrics]")
+    return Publishing(bus, made)
+
+
+class Publishing:
+    """The faces of a bus; an async context manager. Made by :func:`dpstack.publish`.
+
+    It may be entered before the bus is opened: so a face that cannot begin is known before anything goes on the bus.
+    """
+
+    def __init__(self, bus: Bus, tables: Mapping[str, FaceConfig], hurried: Callable[[], bool] | None = None) -> None:
+        self._bus = bus
+        self._tables = dict(tables)
+        self._hurried = hurried or (lambda: False)
+        self._tree = PlantTree()
+        self._faces: list[Face] = []
+        self._stream: LiveStream | None = None
+        self._gateway: Gateway | None = None
+        self._running: asyncio.Task[None] | None = None
+        self._has_told = False
+        self._untold: list[tuple[str, Severity]] = []
+        #: remarks that came when the bus had ended, or never was open
+        self.remarks: list[str] = []
+
+    @property
+    def faces(self) -> tuple[str, ...]:
+        """The names of the faces that serve at this moment."""
+        return () if self._gateway is None else tuple(face.name for face in self._gateway.faces)
+
+    async def __aenter__(self) -> Publishing:
+        kinds = {name: KINDS[name] for name in self._tables}
+        for name, kind in kinds.items():
+            for package in kind.needs:
+                if find_spec(package) is None:
+                    raise UsageError(f"[{name}] needs {package}: pip install 'dpstack[{name}]'")
+        try:
+            await load_beside(*(kind.module for kind in kinds.values()))
+        except ImportError as error:
+            names = ",".join(self._tables)
+            raise UsageError(f"a face cannot be loaded ({error}): pip install 'dpstack[{names}]'") from None
+        try:
+            for name, kind in kinds.items():
+                tell = Teller(name, self._tell)
+                parts = Parts(self._tree, tell, partial(self._orders, tell))
+                self._faces.append(kind.make(self._tables[name], parts))
+            for face in self._faces:
+                await face.open()
+            self._stream = self._bus.live(_INTERVAL_S)
+            self._gateway = Gateway(self._items(self._stream), self._faces, tree=self._tree, tell=self._tell)
+        except BaseException:
+            self._release()
+            raise
+        self._running = asyncio.create_task(self._gateway.run(), name="dpstack gateway")
+        self._running.add_done_callback(self._ended)
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        task, loop = self._running, asyncio.get_running_loop()
+        assert task is not None
+        limit = loop.time() + END_S + 2 * TICK_S
+        try:
+            # the end of a bus is on its way through the stream: the faces publish it before they end
+            if self._bus.is_open or not core_of(self._bus).was_opened:
+                task.cancel()
+            while not (task.done() or self._hurried() or loop.time() > limit):
+                await asyncio.wait((task,), timeout=_LOOK_S)
+        finally:
+            task.cancel()
+            await asyncio.wait((task,), timeout=_HURRIED_S)
+            self._release()
+
+    def _release(self) -> None:
+        """Close the faces and the stream, whatever happens."""
+        if self._stream is not None:
+            self._stream.close()
+        for face in self._faces:
+            try:
+                face.close()
+            except Exception as error:
+                self._tell(f"{face.name}: {type(error).__name__}: {error}", Severity.WARNING)
+        self.remarks += [text for text, severity in self._untold if severity is not Severity.INFO]
+        self._untold.clear()
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self._tell(f"all faces have ended by a fault ({type(error).__name__}: {error})", Severity.ERROR)
+
+    # --- items and remarks ----------------------------------------------------------------------------------------
+
+    async def _items(self, stream: LiveStream) -> AsyncIterator[Item]:
+        async for item in stream:
+            if self._bus.is_open and not self._has_told:
+                self._has_told = True
+                self._tell_where_they_run()
+            yield item
+
+    def _tell_where_they_run(self) -> None:
+        if self._bus.driver == "asyncio":
+            names = ", ".join(self._tables)
+            todo = 'with driver = "process" in [bus] they cannot delay it'
+            self._tell(f"{names}: in the event loop of the bus; {todo}", Severity.INFO)
+        self._tell_untold()
+
+    def _tell(self, text: str, severity: Severity) -> None:
+        """Publish a remark as a notice of the bus; before its start it waits, after its end it goes to the log."""
+        text = printable(text)
+        if self._bus.is_open:
+            self._tell_untold()
+            core_of(self._bus).notice(_SOURCE, text, severity)
+        elif core_of(self._bus).was_opened:
+            _LOG.log(LEVELS[severity], "%s", text)
+            self.remarks.append(text)
+        elif len(self._untold) < _MOST_REMARKS:
+            self._untold.append((text, severity))
+
+    def _tell_untold(self) -> None:
+        untold, self._untold = self._untold, []
+        for text, severity in untold:
+            core_of(self._bus).notice(_SOURCE, text, severity)
+
+    # --- orders ---------------------------------------------------------------------------------------------------
+
+    def _orders(self, tell: Teller, allow: Sequence[str], max_age_s: float) -> Orders:
+        bus = self._bus
+        plants = ((slave.address, named_values(slave)) for slave in bus.config.slaves)
+        check_allowed(
+            allow, (order.name for at, plant in plants for order in slave_of(at, plant, writable=True).orders)
+        )
+
+        async def carry_out(*words: str) -> None:
+            await carry_out_order(bus, words)
+
+        return Orders(self._tree, carry_out, allow, max_age_s=max_age_s, tell=tell)

@@ -1,0 +1,267 @@
+"""Faces beside a simulated bus: whatever they do, the bus goes on and its outputs keep their safe end."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import probe_face
+import pytest
+from api_kit import in_virtual_time, slave_in
+from probe_face import ProbeFace
+from support import WorldFactory
+
+import dpstack
+from dpstack.api.bus.bus import core_of
+from dpstack.api.config.config import parse_config
+from dpstack.api.faces.kinds import KINDS, FaceKind
+from dpstack.api.faces.publishing import Publishing
+from dpstack.bridge.nodes import slave_of
+from dpstack.bridge.tree import Born
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
+from dpstack.errors import ConfigError, PortError, UsageError
+from dpstack.sim.world import World
+from dpstack.trace import Notice
+
+VALVES: dict[str, object] = {
+    "name": "valves",
+    "address": 9,
+    "ident": 0x1234,
+    "config": "21 11",
+    "safe": "11 00",
+    "inputs": {"level": "i16@0"},
+    "outputs": {"lamp": "bool@0.1", "target": {"at": "u8@1", "scale": 0.5, "unit": "bar"}},
+}
+PUMP: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "PPO1"}
+
+
+@pytest.fixture(autouse=True)
+def probe() -> Iterator[None]:
+    probe_face.register()
+    yield
+    probe_face.forget()
+
+
+def notices(bus: dpstack.Bus) -> list[str]:
+    events = core_of(bus).past_events()
+    return [one.message for one in events if isinstance(one, Notice) and one.source == "faces"]
+
+
+class Plant:
+    """A bus with a slave that keeps the outputs that it gets."""
+
+    def __init__(self, world: World) -> None:
+        self.outputs: list[bytes] = []
+        description = SlaveDescription(ident=0x1234, configs=(bytes.fromhex("21 11"),))
+        _, self.app = slave_in(world, DpSlave(description, self._exchange), 9)
+        self.bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[VALVES], world=world)
+
+    def _exchange(self, outputs: bytes, elapsed: int) -> bytes:
+        self.outputs.append(outputs)
+        return outputs
+
+    async def operate(self) -> None:
+        await self.bus.operate()
+        await self.bus.ready()
+        self.bus.slave(9).outputs = b"\x77\x77"
+        await asyncio.sleep(0.5)
+
+    def ended_safely(self) -> bool:
+        assert b"\x77\x77" in self.outputs
+        return b"\x11\x00" in self.outputs[-3:] and self.app.clear and not self.bus.is_open
+
+
+@pytest.mark.parametrize("fails", ["no", "take", "serve", "end", "close"])
+@pytest.mark.parametrize("how", ["end", "exception", "cancelled", "outside"])
+@in_virtual_time
+async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFactory, fails: str, how: str) -> None:
+    plant = Plant(world())
+
+    async def inside() -> None:
+        async with plant.bus, dpstack.publish(plant.bus, probe={"fails": fails}):
+            await use()
+
+    async def around() -> None:
+        """As `dpstack run` does: the faces begin before the bus, and end after it."""
+        async with dpstack.publish(plant.bus, probe={"fails": fails}), plant.bus:
+            await use()
+
+    async def use() -> None:
+        await plant.operate()
+        if how == "exception":
+            raise ZeroDivisionError("of the program")
+        if how == "cancelled":
+            await asyncio.sleep(1000)
+
+    task = asyncio.ensure_future(around() if how == "outside" else inside())
+    if how == "cancelled":
+        await asyncio.sleep(2)
+        task.cancel()
+    await asyncio.wait((task,))
+    kinds = {"exception": ZeroDivisionError, "cancelled": asyncio.CancelledError}
+    if how == "cancelled":
+        assert task.cancelled()
+    else:
+        assert type(task.exception()) is kinds.get(how, type(None))
+    assert plant.ended_safely()
+    [face] = ProbeFace.made
+    assert face.course[:2] == ["open", "serve"]
+    assert face.course[-1] == "close"
+    told = [text for text in notices(plant.bus) if "fault" in text]
+    if fails in ("take", "serve"):
+        assert told == [
+            f"probe: it has ended by a fault of its program (ZeroDivisionError: {fails}); the bus goes on without it"
+        ]
+    else:
+        assert told == []
+        # the end of the bus reaches a face that ends after it
+        assert face.course[2] == ("last: Died 9, Died None" if how == "outside" else "last: Born None, Born 9")
+
+
+@in_virtual_time
+async def test_somebody_in_a_hurry_does_not_wait_for_faces(world: WorldFactory) -> None:
+    plant, loop = Plant(world()), asyncio.get_running_loop()
+    hurried: list[float] = []
+    table = probe_face.ProbeConfig(fails="end")
+    async with Publishing(plant.bus, {"probe": table}, lambda: bool(hurried)), plant.bus:
+        await plant.operate()
+        loop.call_later(1.0, lambda: hurried.append(loop.time()))
+    assert hurried
+    assert loop.time() - hurried[0] < 0.7
+    assert plant.ended_safely()
+
+
+@in_virtual_time
+async def test_values_go_out_and_orders_come_back(world: WorldFactory) -> None:
+    allowed = {"allow_commands": ["valves.*"]}
+    plant = Plant(world())
+    async with plant.bus as bus, dpstack.publish(bus, probe=allowed) as faces:
+        await plant.operate()
+        [face] = ProbeFace.made
+        assert faces.faces == ("probe",)
+        assert face.lives == [Born(None), Born(9)]
+        outside = "slave 9 (valves): target = 999.0 is outside 0.0..127.5 bar (u8, scale 0.5, offset 0)"
+        orders = (("valves.lamp", True), ("valves.target", 7.5), ("valves.target", 999.0), ("pump.stop", 1))
+        given = [await face.orders.give(name, value, made_at=None) for name, value in orders]
+        assert [(one.result, one.reason) for one in given] == [
+            ("done", ""),
+            ("done", ""),
+            ("refused", outside),
+            ("refused", "it is not in allow_commands"),
+        ]
+        await asyncio.sleep(0.5)
+        assert plant.outputs[-1] == bytes([0x77 | 2, 15])
+        # the value comes back from the bus, and is no echo of the order
+        assert face.values("slave/9/output/target")[-1] == 7.5
+    assert [text for text in notices(bus) if "order" in text] == [
+        "probe: order valves.lamp: done",
+        "probe: order valves.target: done",
+        f"probe: order valves.target refused: {outside}",
+    ]
+    assert face.lives == [Born(None), Born(9)]
+
+
+@in_virtual_time
+async def test_orders_to_a_drive() -> None:
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+        await bus.operate()
+        await bus.ready()
+        async with dpstack.publish(bus, probe={"allow_commands": ["pump.*"]}):
+            await asyncio.sleep(0.5)
+            [face] = ProbeFace.made
+            for name, value in (("pump.start", None), ("pump.speed", 0.25)):
+                assert (await face.orders.give(name, value, made_at=None)).reason == ""
+            await bus.drive("pump").reached()
+            assert bus.drive("pump").status.running
+            assert (await face.orders.give("pump.speed", 77.0, made_at=None)).result == "refused"
+            assert (await face.orders.give("pump.stop", True, made_at=None)).reason == ""
+            await asyncio.sleep(0.5)
+            assert not bus.drive("pump").status.running
+            assert face.values("slave/6/drive/running")[-1] is False
+
+
+async def test_a_bus_that_cannot_be_opened_ends_its_faces() -> None:
+    bus = dpstack.open_bus(port="/dev/there-is-none", baud=500_000, slaves=[VALVES], driver="asyncio")
+    with pytest.raises(PortError):
+        await _open_beside_faces(bus)
+    [face] = ProbeFace.made
+    assert face.lives == []
+    assert face.course == ["open", "serve", "last: ", "close"]
+
+
+async def _open_beside_faces(bus: dpstack.Bus) -> None:
+    async with dpstack.publish(bus, probe={}):
+        await asyncio.sleep(0.05)
+        await bus.open()
+
+
+@in_virtual_time
+async def test_what_cannot_begin_is_an_error_before_anything_is_sent(world: WorldFactory) -> None:
+    w = world()
+    plant = Plant(w)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(PortError, match=rf"^\[probe\] port {port}: Address already in use; give another one$"):
+            async with dpstack.publish(plant.bus, probe={"port": port}), plant.bus:
+                raise AssertionError("it must not begin")
+    assert ProbeFace.made[-1].course == ["open", "close"]
+    with pytest.raises(ConfigError, match=r"'valves\.lmap' fits no order of this plant; did you mean 'valves\.lamp'\?"):
+        async with dpstack.publish(plant.bus, probe={"allow_commands": ["valves.lmap"]}), plant.bus:
+            raise AssertionError("it must not begin")
+    KINDS["probe"] = FaceKind("probe_face", ("no_such_package",), ProbeFace)
+    with pytest.raises(UsageError, match=r"^\[probe\] needs no_such_package: pip install 'dpstack\[probe\]'$"):
+        async with dpstack.publish(plant.bus, probe={}), plant.bus:
+            raise AssertionError("it must not begin")
+    KINDS["probe"] = FaceKind("no_such_module", (), ProbeFace)
+    with pytest.raises(UsageError, match=r"^a face cannot be loaded \(No module named 'no_such_module'\): pip install"):
+        async with dpstack.publish(plant.bus, probe={}), plant.bus:
+            raise AssertionError("it must not begin")
+    with pytest.raises(UsageError, match="no face is given"):
+        dpstack.publish(plant.bus)
+    with pytest.raises(ConfigError, match=r"publish: unknown table or key 'prob'; did you mean 'probe'\?"):
+        dpstack.publish(plant.bus, prob={})
+    assert list(w.log) == []
+
+
+@in_virtual_time
+async def test_remarks_wait_for_the_bus(world: WorldFactory) -> None:
+    plant = Plant(world())
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    async with dpstack.publish(plant.bus, probe={"port": port}):
+        await asyncio.sleep(0.3)
+        assert notices(plant.bus) == []
+        async with plant.bus:
+            await plant.operate()
+            assert notices(plant.bus) == [f"probe: on port {port}", "probe: born None", "probe: born 9"]
+
+
+def test_tables_of_faces_are_read_with_the_configuration() -> None:
+    plant = '[bus]\nport = "virtual"\nbaud = 500000\n'
+    config = parse_config(plant + "[probe]\nport = 1234\n")
+    assert config.faces == {"probe": probe_face.ProbeConfig(port=1234)}
+    assert config.with_bus(address=7).faces == config.faces
+    assert parse_config(plant).faces == {}
+    for text, error in {
+        "[probe]\nprot = 1": "config:5: [probe]: unknown key 'prot'; did you mean 'port'?",
+        "[probe]\nport = 99999": "config:5: [probe]: port = 99999 is outside 0..65535; correct it or leave it out",
+        "probe = 7": "config:1: [probe] must be a table; write [probe] on a line of its own",
+        "[prob]": "config:4: unknown table or key 'prob'; did you mean 'probe'?",
+        "[xyz]": "config:4: unknown table or key 'xyz'; a configuration has [bus], [[slave]], [probe]",
+    }.items():
+        with pytest.raises(ConfigError) as caught:
+            parse_config(plant + text if text[0] == "[" else text + "\n" + plant)
+        assert str(caught.value) == error
+
+
+def test_drives_and_their_outputs() -> None:
+    """The outputs of a drive are made by its plugin: its orders stand for them."""
+    hoist: dict[str, Any] = {"name": "hoist", "outputs": [{"name": "speed", "type": "i16", "at": "i16@0"}], "drive": {}}
+    found = slave_of(3, hoist, writable=True)
+    assert [one.command for one in found.orders if one.name == "hoist.speed"] == [("drive", "3", "speed")]

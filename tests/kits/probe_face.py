@@ -1,0 +1,97 @@
+"""A face for tests: keeps what it gets, and fails when and as its table says. :func:`register` makes it known to the
+readers of configurations."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+from dpstack.api.config.faces import FACES, FaceConfig, read_names
+from dpstack.api.config.table import Key
+from dpstack.api.faces.kinds import KINDS, FaceKind, Parts
+from dpstack.bridge.face import Face
+from dpstack.bridge.orders import Orders
+from dpstack.bridge.tree import Born, Change, Changed, Died
+from dpstack.errors import PortError
+from dpstack.trace import Severity
+
+
+class ProbeConfig(FaceConfig, frozen=True, kw_only=True):
+    fails: str = ""
+    log: str = ""
+    port: Annotated[int, Key(0, 65535)] = 0
+    allow_commands: Annotated[tuple[str, ...], Key(read=read_names)] = ()
+
+
+class ProbeFace(Face):
+    name: ClassVar[str] = "probe"
+    made: ClassVar[list[ProbeFace]] = []
+
+    def __init__(self, config: ProbeConfig, parts: Parts) -> None:
+        super().__init__(parts.tree, parts.tell)
+        self.orders: Orders = parts.orders(config.allow_commands, 2.0)
+        self.config = config
+        self.changes: list[Change] = []
+        self.course: list[str] = []
+        self.listening: socket.socket | None = None
+        ProbeFace.made.append(self)
+
+    async def open(self) -> None:
+        self.course.append("open")
+        if self.config.port:
+            self.listening = socket.socket()
+            try:
+                self.listening.bind(("127.0.0.1", self.config.port))
+            except OSError as error:
+                raise PortError(f"[probe] port {self.config.port}: {error.strerror}; give another one") from None
+            self.tell(f"on port {self.config.port}", Severity.INFO)
+
+    def take(self, changes: Sequence[Change]) -> None:
+        self.changes += changes
+        for one in changes:
+            if isinstance(one, Born):
+                self.tell(f"born {one.slave}", Severity.INFO)
+        if self.config.fails == "take" and self.lives:
+            raise ZeroDivisionError("take")
+
+    async def serve(self) -> None:
+        self.course.append("serve")
+        if self.config.fails == "serve":
+            await asyncio.sleep(0.4)
+            raise ZeroDivisionError("serve")
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self.course.append("last: " + ", ".join(f"{type(one).__name__} {one.slave}" for one in self.lives[-2:]))
+            if self.config.fails == "end":
+                await asyncio.Event().wait()
+
+    def close(self) -> None:
+        self.course.append("close")
+        if self.listening is not None:
+            self.listening.close()
+        if self.config.log:
+            Path(self.config.log).write_text("\n".join(self.course), encoding="utf-8")
+        if self.config.fails == "close":
+            raise ZeroDivisionError("close")
+
+    @property
+    def lives(self) -> list[Born | Died]:
+        return [one for one in self.changes if isinstance(one, (Born, Died))]
+
+    def values(self, id_: str) -> list[Any]:
+        return [one.reading.value for one in self.changes if isinstance(one, Changed) and one.node.id == id_]
+
+
+def register() -> None:
+    FACES["probe"] = ProbeConfig
+    KINDS["probe"] = FaceKind("probe_face", (), ProbeFace)
+
+
+def forget() -> None:
+    FACES.pop("probe", None)
+    KINDS.pop("probe", None)
+    ProbeFace.made.clear()
