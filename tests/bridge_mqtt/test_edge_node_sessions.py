@@ -109,8 +109,7 @@ def test_without_a_known_number_the_first_session_has_no_births(tmp_path: Path) 
     rig = Rig(tmp_path)
     rig.give_plant()
     old = Rig(tmp_path / "old")
-    for _ in range(2):
-        will = old.node.connect(old.wall).will  # number 1, as that of the first births here
+    will = old.node.connect(1, old.wall).will  # the number of the first births here
     rig.wills.append(will)
     rig.connect()
     rig.pump()
@@ -177,7 +176,7 @@ def test_the_primary_host_stops_and_starts_births(tmp_path: Path) -> None:
 def test_state_that_comes_before_the_subscription_is_confirmed_counts(tmp_path: Path) -> None:
     rig = Rig(tmp_path, primary_host="scada")
     rig.give_plant()
-    rig.node.connect(rig.wall)
+    rig.node.connect(0, rig.wall)
     rig.receive("spBv1.0/STATE/scada", b'{"online": true, "timestamp": 5}')
     rig.node.connected()
     assert rig.node.phase is Phase.ONLINE

@@ -93,7 +93,13 @@ class Rig:
             self.numbers.close()  # a process that is killed loses its lock
         self.numbers = SessionFile(self.folder)
         self.tree = PlantTree()
-        self.node = EdgeNode(self.setup, self.tree, self.numbers, may=self.may, tell=self.told.append)
+        self.node = EdgeNode(
+            self.setup,
+            self.tree,
+            allowed=lambda: [one for one in self.tree.orders if self.may(one)],
+            tell=self.told.append,
+            clear_first=self.numbers.damaged,
+        )
 
     def close(self) -> None:
         assert self.numbers is not None
@@ -134,7 +140,8 @@ class Rig:
 
     def connect(self) -> None:
         """The broker takes over: it publishes the will of an older connection with this client id first."""
-        self.connection = self.node.connect(self.wall)
+        assert self.numbers is not None
+        self.connection = self.node.connect(self.numbers.next(), self.wall)
         self.publish_wills()
         self.wills.append(self.connection.will)
         assert self.connection.will.qos == 1

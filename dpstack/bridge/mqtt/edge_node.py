@@ -16,10 +16,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from dpstack.bridge.mqtt.payload import (
     BDSEQ,
@@ -115,14 +115,6 @@ class NodeSetup:
         return f"{NAMESPACE}/STATE/{self.primary_host}"
 
 
-class Numbers(Protocol):
-    """The numbers of sessions (bdSeq): :class:`dpstack.bridge.mqtt.session_file.SessionFile`."""
-
-    damaged: bool
-
-    def next(self) -> int: ...
-
-
 class Phase(Enum):
     """Phases of an edge node."""
 
@@ -149,7 +141,9 @@ class _Device:
 
 
 class EdgeNode:
-    """``may``: whether an order, by its name, may be given by MQTT. ``tell``: takes a remark for people.
+    """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
+    ``clear_first``: the number of the last session is not known. So one session without births comes before the
+    others: the broker has published the old will when the first births come.
 
     ``phase``: see :class:`Phase`. ``merged``: values that newer ones replaced before they were published.
     """
@@ -158,21 +152,18 @@ class EdgeNode:
         self,
         setup: NodeSetup,
         tree: PlantTree,
-        numbers: Numbers,
         *,
-        may: Callable[[str], bool] = lambda _: False,
-        tell: Callable[[str], None] = lambda _: None,
+        allowed: Callable[[], Collection[str]] = tuple,
+        tell: Callable[[str], object] = lambda _: None,
+        clear_first: bool = False,
     ) -> None:
         self.phase = Phase.OFFLINE
         self.merged = 0
         self._setup = setup
         self._tree = tree
-        self._numbers = numbers
-        self._may = may
+        self._allowed = allowed
         self._tell = tell
-        #: the number of the last session is not known: one session without births comes before the others, so that the
-        #: broker has published the old will when the first births come
-        self._clear_first = numbers.damaged
+        self._clear_first = clear_first
         self._number = 0
         self._seq = 0
         self._leaving = ""
@@ -207,10 +198,10 @@ class EdgeNode:
 
     # --- the connection -------------------------------------------------------------------------------------------
 
-    def connect(self, wall: float) -> Connection:
-        """Begin a session: its number is on disk when this returns. Raises OSError where it cannot be written."""
+    def connect(self, number: int, wall: float) -> Connection:
+        """Begin the session ``number`` (bdSeq), which is on disk already (:mod:`dpstack.bridge.mqtt.session_file`)."""
         self.disconnected()
-        self._number = self._numbers.next()
+        self._number = number
         self.phase = Phase.CONNECTING
         self._host_online = False
         setup = self._setup
@@ -302,20 +293,20 @@ class EdgeNode:
         for text in ids.changed:
             self._tell(text)
         self._kinds, self._orders, self._keys, self._bare_orders = {}, {}, {}, {}
+        allowed = {name: tree.orders[name] for name in self._allowed() if name in tree.orders}
         known, self._aliases = self._aliases, {}
         # hosts know the old aliases of a device below its old name
         other_id = tuple(f"slave/{one}/" for one in slaves if ids_before.get(one) != self._device_ids[one])
         before = {key: alias for key, alias in known.items() if not key.startswith(other_id)}
         bus_nodes = [node for node, _ in tree.readings(None)]
-        self._add_nodes(None, bus_nodes, before)
+        self._add_nodes(None, bus_nodes, before, allowed)
         for name, type_ in _OWN:
             self._add(None, f"own/{name}", MetricKind(name, None, DATA_TYPES[type_]), before)
         self._add(None, "own/bdSeq", BDSEQ, before)
         for address in slaves:
-            self._add_nodes(address, [node for node, _ in tree.readings(address)], before)
-        for order in tree.orders.values():
-            if self._may(order.name):
-                self._add_order(order, before)
+            self._add_nodes(address, [node for node, _ in tree.readings(address)], before, allowed)
+        for order in allowed.values():
+            self._add_order(order, before)
         for address, device in list(self._devices.items()):
             if self._device_ids.get(address) != device.name:
                 self._lose(address)
@@ -325,13 +316,15 @@ class EdgeNode:
             self._bus_nodes = bus_nodes
             self._needs_birth = self._needs_birth or self._node is not None
 
-    def _add_nodes(self, slave: int | None, nodes: Sequence[Node], before: Mapping[str, int]) -> None:
+    def _add_nodes(
+        self, slave: int | None, nodes: Sequence[Node], before: Mapping[str, int], allowed: Mapping[str, Order]
+    ) -> None:
         names, changed = _metric_names(nodes)
         for text in changed:
             self._tell(text)
         for node in nodes:
             order = node.order
-            if order is not None and self._tree.orders.get(order.name) == order and self._may(order.name):
+            if order is not None and allowed.get(order.name) == order:
                 self._orders[node.id] = order
             kind = MetricKind(
                 names[node.id],
