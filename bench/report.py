@@ -237,6 +237,8 @@ def _rounded(value: float) -> float:
 
 
 def quantile(values: Sequence[float], q: float) -> float:
-    """The value at or above which a share ``q`` of ``values`` lies (nearest rank)."""
+    """The value at or above which a share ``q`` of ``values`` lies (nearest rank). Raises ValueError without values."""
     ordered = sorted(values)
+    if not ordered:
+        raise ValueError("a round has no values: this computer was too busy; measure again, or in longer rounds")
     return ordered[min(len(ordered) - 1, max(0, round(q * len(ordered)) - 1))]

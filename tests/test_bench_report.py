@@ -14,7 +14,7 @@ from bench import compare as comparing
 from bench.__main__ import BENCHMARKS, main
 from bench.compare import Verdict, compare, load_report, save
 from bench.plot import PlotError, plot
-from bench.report import Report, report_of
+from bench.report import Report, quantile, report_of
 from bench.rig import Taken, note_disturbance
 
 #: what every report says of the machine
@@ -211,3 +211,8 @@ def test_a_plot_has_a_bar_for_every_figure_and_a_panel_for_every_unit(
     plot(report, tmp_path / "x.svg")
     assert [args[:2] for name, args, _ in calls if name == "barh"] == [(["a", "b"], [1.5, 3.0]), (["per_s"], [5.0])]
     assert [args for name, args, _ in calls if name == "savefig"] == [(tmp_path / "x.svg",)]
+
+
+def test_a_round_without_values_is_told() -> None:
+    with pytest.raises(ValueError, match="too busy; measure again"):
+        quantile([], 0.5)

@@ -155,7 +155,7 @@ def shorten_slice() -> bool:
     Linux (since 6.6) lets a program that computes without end finish its slice although this process has woken up,
     whatever its niceness, unless the slice of this process is the shorter one (since 6.12; an older kernel ignores the
     request). No right is needed. Beside such a program on the same processor a wake-up waited for 47 us on average,
-    with the short slice for 8 us; 34 % of the rounds of a fixed cycle of 2 ms were late or missed, then 10 %.
+    with the short slice for 8 us (docs/explanation/real-time.md).
     """
     number = _SYS_SCHED_SETATTR.get(os.uname().machine)
     if number is None or sys.maxsize < 1 << 32:

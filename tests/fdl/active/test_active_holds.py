@@ -350,6 +350,20 @@ def test_an_order_to_leave_stops_repetitions_and_passes_the_token() -> None:
     assert station._peers.due == {}
 
 
+def test_a_station_that_stays_after_all_repeats_its_request() -> None:
+    slave = Slave(DX_ANSWER, None, DX_ANSWER)
+    bus, user, station = bus_with(slave, DX, DX)
+    while len(slave.heard) < 2:
+        bus.run_bits(1)
+    bus.command(station, GoOffline())
+    bus.command(station, GoOnline())
+    bus.run_ms(5)
+    assert len(slave.heard) == 3
+    assert slave.heard[2] == slave.heard[1]
+    assert user.outcomes[1] is not Failure.NO_ANSWER
+    assert not bus.events_of(RingLeft)
+
+
 @pytest.mark.parametrize("online", [True, False])
 def test_a_line_that_comes_back_starts_the_station_only_if_it_was_online(online: bool) -> None:
     bus, _, station = bus_with(Slave(), DX)
