@@ -55,12 +55,16 @@ class Plant:
 
     def __init__(self, world: World) -> None:
         self.outputs: list[bytes] = []
+        #: when the safe values came, by the clock of the loop
+        self.safe_at = 0.0
         description = SlaveDescription(ident=0x1234, configs=(bytes.fromhex("21 11"),))
         _, self.app = slave_in(world, DpSlave(description, self._exchange), 9)
         self.bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[VALVES], world=world)
 
     def _exchange(self, outputs: bytes, elapsed: int) -> bytes:
         self.outputs.append(outputs)
+        if outputs == b"\x11\x00" and b"\x77\x77" in self.outputs and not self.safe_at:
+            self.safe_at = asyncio.get_running_loop().time()
         return outputs
 
     async def operate(self) -> None:
@@ -78,7 +82,7 @@ class Plant:
 @pytest.mark.parametrize("how", ["end", "exception", "cancelled", "outside"])
 @in_virtual_time
 async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFactory, fails: str, how: str) -> None:
-    plant = Plant(world())
+    plant, loop, left_at = Plant(world()), asyncio.get_running_loop(), 0.0
 
     async def inside() -> None:
         async with plant.bus, dpstack.publish(plant.bus, probe={"fails": fails}):
@@ -90,7 +94,9 @@ async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFact
             await use()
 
     async def use() -> None:
+        nonlocal left_at
         await plant.operate()
+        left_at = loop.time()
         if how == "exception":
             raise ZeroDivisionError("of the program")
         if how == "cancelled":
@@ -99,6 +105,7 @@ async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFact
     task = asyncio.ensure_future(around() if how == "outside" else inside())
     if how == "cancelled":
         await asyncio.sleep(2)
+        left_at = loop.time()
         task.cancel()
     await asyncio.wait((task,))
     kinds = {"exception": ZeroDivisionError, "cancelled": asyncio.CancelledError}
@@ -107,6 +114,7 @@ async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFact
     else:
         assert type(task.exception()) is kinds.get(how, type(None))
     assert plant.ended_safely()
+    assert plant.safe_at - left_at < (0.1 if how == "outside" or fails != "end" else 1.2)
     [face] = ProbeFace.made
     assert face.course[:2] == ["open", "serve"]
     assert face.course[-1] == "close"

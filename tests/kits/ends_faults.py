@@ -11,10 +11,11 @@ import resource
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import ends_plugin
+import probe_face
 from ends_programs import LONG_S, Ways
 from far_ends import until
 
@@ -95,6 +96,39 @@ class Faults(Ways):
             await self.goes_on(bus)
 
         self.run(then)
+
+    # --- faces, which begin before the bus and end after it ---
+    def a_face_raises(self) -> None:
+        async def then(bus: dpstack.Bus) -> None:
+            probe_face.ProbeFace.made[-1].breaks = True
+            await until(lambda: not self.publishing.faces, "the end of the face")
+            await self.goes_on(bus)
+
+        self.publish("no", then)
+
+    def a_face_never_ends(self) -> None:
+        async def nothing(_: dpstack.Bus) -> None:
+            pass
+
+        self.publish("end", nothing)
+
+    def a_face_never_ends_and_an_exception(self) -> None:
+        async def fails(_: dpstack.Bus) -> None:
+            raise ZeroDivisionError
+
+        self.publish("end", fails)
+
+    def publish(self, fails: str, then: Callable[[dpstack.Bus], Awaitable[object]]) -> None:
+        probe_face.register()
+
+        async def main() -> None:
+            bus = self.bus()
+            self.publishing = dpstack.publish(bus, probe={"fails": fails})
+            async with self.publishing, bus:
+                await self.live(bus)
+                await then(bus)
+
+        asyncio.run(main())
 
     # --- exceptions in callbacks of the user: the bus goes on ---
     def in_a_reader(self) -> None:

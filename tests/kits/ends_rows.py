@@ -414,6 +414,11 @@ WAYS: Final = {
         "sys_exit_in_on_event": "`sys.exit()` in `on_event`",
         "a_defect": "in the protocol machine (a defect of dpstack)",
     },
+    "face": {
+        "a_face_raises": "it fails",
+        "a_face_never_ends": "it does not end, and the block ends",
+        "a_face_never_ends_and_an_exception": "it does not end, and an exception leaves the block",
+    },
     "cancellation": {
         "cancelled_once": "once",
         "cancelled_many_times": "1000 times, one every 0.1 ms",

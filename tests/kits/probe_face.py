@@ -36,6 +36,8 @@ class ProbeFace(Face):
         self.config = config
         self.changes: list[Change] = []
         self.course: list[str] = []
+        #: fail at the next changes
+        self.breaks = False
         self.listening: socket.socket | None = None
         ProbeFace.made.append(self)
 
@@ -54,7 +56,7 @@ class ProbeFace(Face):
         for one in changes:
             if isinstance(one, Born):
                 self.tell(f"born {one.slave}", Severity.INFO)
-        if self.config.fails == "take" and self.lives:
+        if self.breaks or (self.config.fails == "take" and self.lives):
             raise ZeroDivisionError("take")
 
     async def serve(self) -> None:

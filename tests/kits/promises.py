@@ -130,6 +130,27 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "web/test_web_runs.py::test_the_web_server_opens_no_port_and_only_this_computer_reaches_it",
         "web/test_web_runs.py::test_a_run_that_the_server_started_ends_with_it_and_a_joined_one_goes_on",
     ),
+    "G1": (
+        "bridge/test_orders.py::test_only_what_is_listed_is_carried_out",
+        "bridge/test_orders.py::test_a_run_that_only_reads_refuses_all",
+        "bridge/test_publishing.py::test_what_cannot_begin_is_an_error_before_anything_is_sent",
+    ),
+    "G2": (
+        "bridge/test_orders.py::test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come",
+        "bridge/test_orders.py::test_no_order_is_carried_out_twice",
+        "bridge/test_orders.py::test_a_stop_waits_for_nobody_and_nothing_that_waits_comes_after_it",
+    ),
+    "G3": (
+        "bridge/test_orders.py::test_types_and_ranges_are_judged_by_plant_and_run",
+        "bridge/test_orders.py::test_orders_that_wait_are_bounded_and_one_slave_holds_up_no_other",
+        "bridge/test_publishing.py::test_values_go_out_and_orders_come_back",
+    ),
+    "G4": (
+        "bridge/test_publishing.py::test_outputs_keep_their_safe_end_whatever_a_face_does",
+        "bridge/test_gateway.py::test_faces_that_fail_in_every_way_end_alone",
+        "bridge/test_gateway.py::test_a_face_that_never_ends_is_left",
+    ),
+    "G5": ("cli/commands/test_what_commands_load.py::test_a_run_loads_what_it_uses",),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",
         "api/server/test_inputs_over_time.py::test_code_needs_a_word_for_it",
