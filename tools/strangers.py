@@ -38,6 +38,10 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "zsh": "zsh",
     "fish": "fish",
     "systemd-analyze": "systemd",
+    "mosquitto": "mosquitto",
+    "mosquitto_sub": "mosquitto-clients",
+    "mosquitto_pub": "mosquitto-clients",
+    "openssl": "openssl",
 }
 #: Python packages of the extra ``strangers`` whose module has another name
 MODULES: Final[Mapping[str, str]] = {"ipython": "IPython", "python-pcapng": "pcapng"}

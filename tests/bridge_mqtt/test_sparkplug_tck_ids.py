@@ -99,7 +99,7 @@ NOT_HERE: Final[dict[str, str]] = {
         principles-persistence-clean-session-311 payloads-ndeath-will-message-publisher-disconnect-mqtt311
     """,
     "the configuration gives group and node; a second gateway with the same ones is refused on one computer "
-    "(test_session_file.py), and told where a broker shows it (test_mqtt_face.py)": """
+    "(test_session_file.py), and told where a broker shows it (tests/strangers/test_mosquitto.py)": """
         intro-edge-node-id-uniqueness topic-structure-namespace-unique-edge-node-descriptor
         payloads-nbirth-edge-node-descriptor
     """,

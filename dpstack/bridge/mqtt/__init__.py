@@ -1,5 +1,7 @@
 """A plant as an edge node of Sparkplug B 3.0 over MQTT 5 (extra ``mqtt``).
 
+- ``broker``: Address, TLS, user and password of the broker; the folder for the state of an edge node
+- ``client``: The face of MQTT over one connection to a broker, with aiomqtt
 - ``edge_node``: The edge node: births, data, deaths and commands in their order. Knows no network and no clock
 - ``payload``: Payloads of Sparkplug B: nodes of the tree as metrics, and the metrics of commands
 - ``session_file``: The number of the MQTT session on disk (bdSeq), and the lock against a second gateway

@@ -1,0 +1,341 @@
+"""The face of MQTT: an edge node of Sparkplug B over one connection to a broker, with aiomqtt.
+
+One task sends, one reads. A broker that is slow, stopped or gone costs neither memory nor time of others: values that
+change meanwhile replace one another in the edge node, and each call has a limit.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import random
+import ssl
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Final
+
+import aiomqtt
+from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from dpstack.bridge.face import Face, Tell
+from dpstack.bridge.mqtt.broker import Broker
+from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, EdgeNode, NodeSetup, OrderWish
+from dpstack.bridge.mqtt.payload import MOST_OCTETS
+from dpstack.bridge.mqtt.session_file import SessionFile
+from dpstack.bridge.orders import Orders
+from dpstack.bridge.tree import Change, PlantTree
+from dpstack.text import printable
+from dpstack.trace import Severity
+
+#: s for the TCP connection with TLS, and for each answer of the broker
+CONNECT_S: Final = 5.0
+ANSWER_S: Final = 5.0
+#: s for the farewell at the end of the run
+_FAREWELL_S: Final = 2.0
+#: s until the next try: the first, and the longest; each is up to half longer or shorter, so that a thousand gateways
+#: do not come back together
+_PAUSE_S: Final = 1.0
+_LONGEST_PAUSE_S: Final = 30.0
+#: s after another client took the connection over, and the number of sessions ended early that look like it
+_TAKEN_OVER_PAUSE_S: Final = 60.0
+_TAKEN_OVER_AFTER: Final = 4
+#: a session that lasted so many s was a good one
+_GOOD_S: Final = 30.0
+#: messages that wait to be read
+_MOST_WAITING: Final = 100
+#: orders that wait for their result
+_MOST_ORDERS: Final = 256
+#: reason codes of MQTT 5 (2.4)
+_DISCONNECT_WITH_WILL: Final = 0x04
+_TAKEN_OVER: Final = 0x8E
+
+
+class _Inbox(asyncio.Queue[aiomqtt.Message]):
+    """Messages that wait to be read. One for which there is no room is counted."""
+
+    lost = 0
+
+    def put_nowait(self, item: aiomqtt.Message) -> None:
+        if self.full():
+            self.lost += 1
+        else:
+            super().put_nowait(item)
+
+
+class _LastError(logging.Handler):
+    """The last error that the library logs: why a socket was lost, for instance by a certificate of ours that has
+    expired, which the broker says behind the handshake."""
+
+    text = ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.text = record.getMessage()
+
+
+class MqttFace(Face):
+    """``folder``: for the number of the session (:func:`dpstack.bridge.mqtt.broker.state_folder`). ``orders``: None:
+    hosts may give no orders. ``again_s``: s until the first new try."""
+
+    name: ClassVar[str] = "mqtt"
+
+    def __init__(
+        self,
+        tree: PlantTree,
+        tell: Tell,
+        *,
+        broker: Broker,
+        setup: NodeSetup,
+        folder: Path,
+        orders: Orders | None = None,
+        again_s: float = _PAUSE_S,
+    ) -> None:
+        super().__init__(tree, tell)
+        self._broker = broker
+        self._setup = setup
+        self._folder = folder
+        self._orders = orders
+        self._again_s = again_s
+        self._tls: ssl.SSLContext | None = None
+        self._numbers: SessionFile | None = None
+        self._node: EdgeNode | None = None
+        self._wake = asyncio.Event()
+        self._was_connected = False
+        self._last_error = _LastError(logging.ERROR)
+        self._giving: set[asyncio.Task[None]] = set()
+        #: messages of the broker that were too many at once
+        self.lost = 0
+
+    async def open(self) -> None:
+        """Read the certificates, take the folder. Raises ConfigError."""
+        self._tls = await asyncio.to_thread(self._broker.tls_context)
+        self._numbers = numbers = await asyncio.to_thread(SessionFile, self._folder)
+        if numbers.damaged:
+            self.tell(
+                f"the number of the last session in {self._folder} is damaged: one session without values comes first",
+                Severity.WARNING,
+            )
+        self._node = EdgeNode(
+            self._setup,
+            self.tree,
+            allowed=self._allowed,
+            tell=lambda text: self.tell(text, Severity.WARNING),
+            clear_first=numbers.damaged,
+        )
+
+    def _allowed(self) -> frozenset[str]:
+        return frozenset() if self._orders is None else frozenset(order.name for order in self._orders.allowed)
+
+    def take(self, changes: Sequence[Change]) -> None:
+        if self._node is not None:
+            self._node.take(changes, time.time())
+            self._wake.set()
+
+    async def serve(self) -> None:
+        loop = asyncio.get_running_loop()
+        failed = ended_early = 0
+        while True:
+            began, self._was_connected, self._last_error.text = loop.time(), False, ""
+            try:
+                end = await self._session()
+            except (aiomqtt.MqttError, OSError, ValueError) as error:
+                early = loop.time() - began < _GOOD_S
+                failed = failed + 1 if early else 0
+                ended_early = ended_early + 1 if early and self._was_connected else 0
+                pause = min(self._again_s * 2 ** min(failed, 10), _LONGEST_PAUSE_S)
+                # not every broker says that a connection was taken over
+                if _is_taken_over(error) or ended_early >= _TAKEN_OVER_AFTER:
+                    pause = _TAKEN_OVER_PAUSE_S * self._again_s
+                    self.tell(
+                        f"the broker ends each session soon: another gateway seems to have the same group "
+                        f"{self._setup.group!r} and node {self._setup.node!r}; give one of them another node",
+                        Severity.ERROR,
+                    )
+                else:
+                    why = self._last_error.text or _text_of(error)
+                    self.tell(f"broker {self._place}: {printable(why)}; it is tried again", Severity.WARNING)
+            else:
+                failed, ended_early, pause = 0, 0, self._again_s
+                self.tell(f"the session has ended: {end.why}", Severity.INFO)
+            await asyncio.sleep(pause * random.uniform(0.5, 1.5))
+
+    def close(self) -> None:
+        for task in self._giving:
+            task.cancel()
+        if self._numbers is not None:
+            self._numbers.close()
+
+    @property
+    def _place(self) -> str:
+        return f"{self._broker.host}:{self._broker.port}"
+
+    # --- a session ------------------------------------------------------------------------------------------------
+
+    async def _session(self) -> Disconnect:
+        """One connection from its begin to its end. Returns where the edge node ends it; raises MqttError, OSError."""
+        node, numbers = self._node, self._numbers
+        assert node is not None
+        assert numbers is not None, "open() comes first"
+        number = await asyncio.to_thread(numbers.next)
+        connection = node.connect(number, time.time())
+        client = self._client(connection)
+        try:
+            await _connect(client)
+            for topic in connection.subscriptions:
+                for code in await client.subscribe(topic, qos=1):
+                    if isinstance(code, ReasonCode) and code.is_failure:
+                        raise aiomqtt.MqttError(f"it refuses the subscription of {topic}: {code}")
+            node.connected()
+            self._was_connected = True
+            self.tell(f"connected to {self._place}", Severity.INFO)
+            return await self._exchange(node, client)
+        finally:
+            node.disconnected()
+            self._count_lost(client)
+            await _close(client)
+
+    async def _exchange(self, node: EdgeNode, client: aiomqtt.Client) -> Disconnect:
+        sending = asyncio.create_task(self._send(node, client), name="dpstack mqtt: sending")
+        reading = asyncio.create_task(self._read(node, client), name="dpstack mqtt: reading")
+        tasks = (sending, reading)
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        except asyncio.CancelledError:
+            sending.cancel()
+            await asyncio.wait((sending,))
+            await self._say_farewell(node, client)
+            raise
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+        if not reading.cancelled() and (error := reading.exception()) is not None:
+            raise error  # it knows why the connection has ended
+        return sending.result()
+
+    async def _send(self, node: EdgeNode, client: aiomqtt.Client) -> Disconnect:
+        loop = asyncio.get_running_loop()
+        while True:
+            message = node.next(time.time(), loop.time())
+            if isinstance(message, Disconnect):
+                return message
+            if message is not None:
+                await client.publish(message.topic, message.payload, qos=message.qos, retain=False)
+                await asyncio.sleep(0)  # births of many slaves: others have their turn between
+                continue
+            self._wake.clear()
+            due = node.due(loop.time())
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(min(due, loop.time() + 3600)):
+                    await self._wake.wait()
+
+    async def _read(self, node: EdgeNode, client: aiomqtt.Client) -> None:
+        async for message in client.messages:
+            payload = message.payload if isinstance(message.payload, bytes) else b""
+            wishes = node.receive(str(message.topic), payload, time.time(), retained=message.retain)
+            for wish in wishes:
+                self._give(node, wish)
+            self._wake.set()
+
+    async def _say_farewell(self, node: EdgeNode, client: aiomqtt.Client) -> None:
+        node.end("the run has ended")
+        with contextlib.suppress(TimeoutError, aiomqtt.MqttError, OSError):
+            async with asyncio.timeout(_FAREWELL_S):
+                await self._send(node, client)
+
+    def _give(self, node: EdgeNode, wish: OrderWish) -> None:
+        if len(self._giving) >= _MOST_ORDERS:
+            node.answer(wish, "refused", "too many orders wait", time.time())
+            return
+        task = asyncio.create_task(self._carry_out(node, wish), name=f"dpstack mqtt: {wish.name}")
+        self._giving.add(task)
+        task.add_done_callback(self._giving.discard)
+
+    async def _carry_out(self, node: EdgeNode, wish: OrderWish) -> None:
+        assert self._orders is not None, "without orders no metric can be written"
+        result = await self._orders.give(wish.name, wish.value, made_at=wish.made_at)
+        node.answer(wish, result.result, result.reason, time.time())
+        self._wake.set()
+
+    def _count_lost(self, client: aiomqtt.Client) -> None:
+        lost = getattr(client._queue, "lost", 0)
+        if lost:
+            self.lost += lost
+            self.tell(
+                f"{lost} messages of the broker came faster than they could be read: they are lost", Severity.WARNING
+            )
+
+    def _client(self, connection: Connection) -> aiomqtt.Client:
+        broker = self._broker
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.SessionExpiryInterval = 0
+        properties.ReceiveMaximum = _MOST_WAITING
+        properties.MaximumPacketSize = 2 * MOST_OCTETS
+        # its own log is for its authors; errors are told
+        logger = logging.Logger("dpstack mqtt", logging.ERROR)
+        logger.addHandler(self._last_error)
+        client = aiomqtt.Client(
+            broker.host,
+            broker.port,
+            username=broker.user or None,
+            password=broker.password or None,
+            logger=logger,
+            identifier=connection.client_id,
+            queue_type=_Inbox,
+            protocol=aiomqtt.ProtocolVersion.V5,
+            will=aiomqtt.Will(connection.will.topic, connection.will.payload, connection.will.qos, retain=False),
+            timeout=ANSWER_S,
+            keepalive=broker.keepalive_s,
+            clean_start=True,
+            max_queued_incoming_messages=_MOST_WAITING,
+            properties=properties,
+            tls_context=self._tls,
+        )
+        client._client.connect_timeout = CONNECT_S
+        return client
+
+
+async def _connect(client: aiomqtt.Client) -> None:
+    """Connect. TCP and TLS block a thread: a cancellation leaves it alone, and closes later what it opens."""
+    connecting = asyncio.ensure_future(client.__aenter__())
+    try:
+        await asyncio.shield(connecting)
+    except asyncio.CancelledError:
+        connecting.add_done_callback(lambda _: connecting.cancelled() or connecting.exception())
+        connecting.add_done_callback(lambda _: client._client._sock_close())
+        raise
+
+
+async def _close(client: aiomqtt.Client) -> None:
+    """End a connection, whatever its state: DISCONNECT with "Disconnect with Will Message" where it still works
+    (tck-id-payloads-ndeath-will-message-publisher-disconnect-mqtt50), then the socket."""
+    paho, gone = client._client, client._disconnected
+    if not gone.done() and paho.is_connected():
+        code = ReasonCode(PacketTypes.DISCONNECT, identifier=_DISCONNECT_WITH_WILL)
+        if paho.disconnect(code) == MQTTErrorCode.MQTT_ERR_SUCCESS:
+            await asyncio.wait((gone,), timeout=1.0)
+    paho._sock_close()
+    for future in (gone, client._connected):
+        if future.done() and not future.cancelled():
+            future.exception()  # asyncio reports one that nobody has asked for
+
+
+def _is_taken_over(error: BaseException) -> bool:
+    cause: BaseException | None = error
+    while cause is not None:
+        code = getattr(cause, "rc", None)
+        if isinstance(code, ReasonCode) and code.value == _TAKEN_OVER:
+            return True
+        cause = cause.__cause__
+    return False
+
+
+def _text_of(error: BaseException) -> str:
+    """The reason of an error of the connection; a text of the libraries, which hold no secrets."""
+    cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
+    code = getattr(cause, "rc", None)
+    return str(code) if isinstance(code, ReasonCode) else str(cause) or type(error).__name__

@@ -1,0 +1,132 @@
+"""The keys of a broker: addresses, TLS, secrets that stand in no text, and folders for any name."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from pathlib import Path
+
+import pytest
+from tls_kit import CERT, KEY, KEY_WITH_PASSWORD, OTHER_KEY
+
+from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
+from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.tree import PlantTree
+from dpstack.errors import ConfigError
+from dpstack.trace import Severity
+
+
+@pytest.mark.parametrize(
+    ("url", "place"),
+    [
+        ("mqtt://plant.example", ("plant.example", 1883)),
+        ("mqtts://plant.example/", ("plant.example", 8883)),
+        ("mqtt://[::1]:1999", ("::1", 1999)),
+    ],
+)
+def test_addresses(url: str, place: tuple[str, int]) -> None:
+    broker = Broker(url=url)
+    assert (broker.host, broker.port) == place
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("plant.example", "write mqtt://HOST:PORT"),
+        ("http://plant.example", "write mqtt://HOST:PORT"),
+        ("mqtt://plant.example:99999", "write mqtt://HOST:PORT"),
+        ("mqtt://[::1", "write mqtt://HOST:PORT"),
+        ("mqtt://plant.example/x", "write mqtt://HOST:PORT"),
+        ("mqtt://me:sesame@plant.example", "user and password have keys of their own"),
+    ],
+)
+def test_an_address_that_is_none_is_refused_and_no_text_holds_a_password(url: str, text: str) -> None:
+    with pytest.raises(ConfigError, match=text) as caught:
+        Broker(url=url)
+    assert "sesame" not in str(caught.value)
+    assert "sesame" not in repr(Broker(url="mqtt://a", user="me", password="sesame"))
+
+
+def test_combinations_that_cannot_be(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="need TLS"):
+        Broker(url="mqtt://a", ca=tmp_path)
+    with pytest.raises(ConfigError, match="cert and key go together"):
+        Broker(url="mqtts://a", cert=tmp_path)
+    with pytest.raises(ConfigError, match="a password needs a user"):
+        Broker(url="mqtt://a", password="sesame")
+
+
+def test_certificates_that_cannot_be_used_are_told(tmp_path: Path) -> None:
+    for name, text in (("cert", CERT), ("key", KEY), ("other", OTHER_KEY), ("locked", KEY_WITH_PASSWORD), ("no", "?")):
+        (tmp_path / name).write_text(text)
+
+    def context(*, ca: str = "cert", cert: str = "cert", key: str = "key") -> object:
+        return Broker(url="mqtts://a", ca=tmp_path / ca, cert=tmp_path / cert, key=tmp_path / key).tls_context()
+
+    assert context() is not None
+    assert Broker(url="mqtt://a").tls_context() is None
+    for wrong in ({"ca": "no"}, {"ca": "none"}, {"key": "other"}, {"key": "locked"}, {"cert": "no"}):
+        with pytest.raises(ConfigError, match=r"PEM file that fits|No such file"):
+            context(**wrong)
+
+
+def test_passwords_come_from_the_environment_or_from_a_file_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SECRET", "sesame")
+    file = tmp_path / "password"
+    file.write_bytes("öffne dich\r\nmore\n".encode())
+    file.chmod(0o600)
+    assert read_password("SECRET", None) == "sesame"
+    assert read_password("", file) == "öffne dich"
+    assert read_password("", None) == ""
+    with pytest.raises(ConfigError, match="give one of them"):
+        read_password("SECRET", file)
+    with pytest.raises(ConfigError, match="the environment has no variable"):
+        read_password("NO_SUCH", None)
+    file.chmod(0o640)
+    with pytest.raises(ConfigError, match="others can read or change it: `chmod 600") as caught:
+        read_password("", file)
+    assert "dich" not in str(caught.value)
+    file.chmod(0o600)
+    for octets in (b"", b"\n", b"\xff", b"x" * 5000):
+        file.write_bytes(octets)
+        with pytest.raises(ConfigError, match="its first line has no password"):
+            read_password("", file)
+    os.mkfifo(tmp_path / "fifo", 0o600)
+    for name in ("fifo", "none"):
+        with pytest.raises(ConfigError, match=r"is no file|No such file"):
+            read_password("", tmp_path / name)
+
+
+def test_every_edge_node_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_STATE_HOME", "/state")
+    assert state_folder("plant 1", "node") == Path("/state/dpstack/plant 1.node")
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/dpstack:/other")
+    assert state_folder("..", "..") == Path("/var/lib/dpstack/%2E%2E.%2E%2E")
+    assert state_folder("a.b", "c") != state_folder("a", "b.c")
+
+
+async def test_a_broker_that_is_not_there_is_told_once_in_a_row_and_the_end_waits_for_nobody(tmp_path: Path) -> None:
+    told: list[tuple[str, Severity]] = []
+    face = MqttFace(
+        PlantTree(),
+        lambda text, severity: told.append((text, severity)),
+        broker=Broker(url="mqtt://127.0.0.1:1"),
+        setup=NodeSetup("group", "node"),
+        folder=tmp_path,
+        again_s=0.001,
+    )
+    await face.open()
+    serving = asyncio.create_task(face.serve())
+    while len(told) < 3:  # noqa: ASYNC110  the face tells nobody else
+        await asyncio.sleep(0.01)
+    serving.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await serving
+    face.close()
+    assert len({text for text, _ in told}) == 1
+    assert "Connection refused; it is tried again" in told[0][0]
+    assert int((tmp_path / "bdseq").read_text()) >= 2  # each try has a number of its own

@@ -1,0 +1,459 @@
+"""The face of MQTT against mosquitto and its own clients: births, wills, restarts, commands, TLS.
+
+A subscriber is mosquitto_sub; what it gets is judged by a host that knows only the specification.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from edge_node_rig import GROUP, HOIST, NODE, PLANT, VALVES, metric
+from sparkplug_host import Host, tag
+
+from dpstack.bridge.face import Tell
+from dpstack.bridge.mqtt.broker import Broker
+from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.orders import Orders
+from dpstack.bridge.tree import PlantTree
+from dpstack.trace import Severity
+
+pytestmark = pytest.mark.strangers
+
+LONGEST_S = 30.0
+
+
+class Mosquitto:
+    """A broker on a free port. ``lines``: of its configuration, besides the listener."""
+
+    def __init__(self, folder: Path, *lines: str, anonymous: bool = True) -> None:
+        self.folder = folder
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = int(free.getsockname()[1])
+        config = [
+            f"listener {self.port} 127.0.0.1",
+            f"allow_anonymous {str(anonymous).lower()}",
+            "log_type all",
+            *lines,
+        ]
+        if os.geteuid() == 0:
+            config.append("user root")  # else it becomes a user who may not read the folder
+        (folder / "mosquitto.conf").write_text("\n".join(config) + "\n")
+        self.log = folder / "mosquitto.log"
+        self.program: subprocess.Popen[bytes] | None = None
+        self.start()
+
+    def start(self) -> None:
+        with self.log.open("ab") as log:
+            self.program = subprocess.Popen(
+                ["mosquitto", "-c", str(self.folder / "mosquitto.conf")], stdout=log, stderr=log, cwd=self.folder
+            )
+        wait_for(self.listens)
+
+    def listens(self) -> bool:
+        with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
+            return True
+        assert self.program is not None
+        assert self.program.poll() is None, self.log.read_text()
+        return False
+
+    def kill(self, number: int = signal.SIGKILL) -> None:
+        assert self.program is not None
+        self.program.send_signal(number)
+        if number in (signal.SIGKILL, signal.SIGTERM):
+            self.program.wait(LONGEST_S)
+
+    def clients(self, program: str, *options: str) -> list[str]:
+        return [program, "-h", "127.0.0.1", "-p", str(self.port), "-V", "5", *options]
+
+
+class Subscriber:
+    """mosquitto_sub with a host behind it. ``retained``: flags of what came."""
+
+    def __init__(self, broker: Mosquitto, *options: str) -> None:
+        self.host = Host(GROUP, NODE)
+        self.flags: set[str] = set()
+        self.broken: BaseException | None = None
+        self.program = subprocess.Popen(
+            broker.clients("mosquitto_sub", "-t", f"spBv1.0/{GROUP}/#", "-q", "1", "-F", "%r %q %x %t", *options),
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    async def follow(self) -> None:
+        assert self.program.stdout is not None
+        while line := await asyncio.to_thread(self.program.stdout.readline):
+            retained, qos, octets, topic = line.rstrip("\n").split(" ", 3)
+            self.flags.add(retained)
+            if topic.split("/")[2] in ("NCMD", "DCMD"):
+                continue
+            try:
+                self.host.feed(topic, bytes.fromhex(octets), qos=int(qos) if "DEATH" in topic else 0)
+            except BaseException as error:
+                self.broken = error
+                raise
+
+    def kinds(self) -> list[str]:
+        return [kind for kind, _, _ in self.host.messages]
+
+    def end(self) -> None:
+        self.program.kill()
+        self.program.wait()
+        assert self.program.stdout is not None
+        self.program.stdout.close()
+
+
+def wait_for(found: Callable[[], object]) -> None:
+    end = time.monotonic() + LONGEST_S
+    while not found():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+class Plant:
+    """A tree with two slaves, fed by the test, and a face on it."""
+
+    def __init__(self, folder: Path, broker: Broker, *, primary_host: str = "", orders: bool = True) -> None:
+        self.told: list[str] = []
+        self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
+        self.plant = PLANT | {"started": time.time()}
+        self.tree = PlantTree()
+        self.carried_out: list[tuple[str, ...]] = []
+        tell: Tell = self.tell
+        self.face = MqttFace(
+            self.tree,
+            tell,
+            broker=broker,
+            setup=NodeSetup(GROUP, NODE, primary_host, interval_s=0.05),
+            folder=folder / "state",
+            orders=Orders(self.tree, self.carry_out, ["valves.lamp", "valves.speed"]) if orders else None,
+            again_s=0.1,
+        )
+        self.began = time.monotonic()
+
+    def tell(self, text: str, severity: Severity) -> None:
+        self.told.append(text)
+
+    async def carry_out(self, *words: str) -> None:
+        self.carried_out.append(words)
+        if words[1] == "8.lamp=on":
+            self.values["8"]["fields"]["lamp"] = True
+
+    async def feed(self) -> None:
+        self.face.take(self.tree.apply({"plant": self.plant}, time.monotonic()))
+        while True:
+            now = time.monotonic()
+            body = {
+                "t": now - self.began,
+                "whole": True,
+                "bus": {"stale": False, "mode": "operate"},
+                "slaves": copy.deepcopy(self.values),
+            }
+            self.face.take(self.tree.apply({"snapshot": body}, now))
+            await asyncio.sleep(0.05)
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        await self.face.open()
+        tasks = [asyncio.create_task(self.feed()), asyncio.create_task(self.face.serve())]
+        try:
+            yield
+        finally:
+            for task in tasks:
+                task.cancel()
+            ends = await asyncio.gather(*tasks, return_exceptions=True)
+            self.face.close()
+            assert [type(one) for one in ends] == [asyncio.CancelledError] * 2, ends
+
+    async def until(self, found: Callable[[], object]) -> None:
+        try:
+            async with asyncio.timeout(LONGEST_S):
+                while not found():  # noqa: ASYNC110  tells nobody of its changes
+                    await asyncio.sleep(0.02)
+        except TimeoutError:
+            raise AssertionError(self.told) from None
+
+
+@asynccontextmanager
+async def following(broker: Mosquitto, *options: str) -> AsyncIterator[Subscriber]:
+    subscriber = Subscriber(broker, *options)
+    task = asyncio.create_task(subscriber.follow())
+    await asyncio.sleep(0.5)  # mosquitto_sub says nothing when it has subscribed
+    try:
+        yield subscriber
+    finally:
+        subscriber.end()
+        await asyncio.gather(task, return_exceptions=True)
+        assert subscriber.broken is None, subscriber.broken
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Mosquitto]:
+    made = Mosquitto(tmp_path)
+    yield made
+    made.kill()
+
+
+def plain(broker: Mosquitto) -> Broker:
+    return Broker(url=f"mqtt://127.0.0.1:{broker.port}", keepalive_s=2)
+
+
+async def test_births_data_and_an_ordered_end(tmp_path: Path, broker: Mosquitto) -> None:
+    plant = Plant(tmp_path, plain(broker))
+    async with following(broker) as subscriber:
+        host = subscriber.host
+        async with plant.running():
+            await plant.until(lambda: host.alive == {"hoist", "valves"})
+            assert host.number == 0
+            plant.values["8"]["fields"]["level"] = 99.0
+            await plant.until(lambda: host.metric("Inputs/level", "valves").value == 99.0)
+            plant.values["8"]["state"] = "offline"
+            await plant.until(lambda: host.alive == {"hoist"})
+            plant.values["8"]["state"] = "data_exchange"
+            await plant.until(lambda: host.alive == {"hoist", "valves"})
+        await plant.until(lambda: not host.online)
+        # ours, and that of the broker: DISCONNECT has the reason code 0x04
+        await plant.until(lambda: subscriber.kinds()[-2:] == ["NDEATH", "NDEATH"])
+        assert subscriber.flags == {"0"}
+    log = broker.log.read_text()
+    assert f"as {GROUP}/{NODE} (p5, c1, k2" in log  # MQTT 5, clean start, keep alive
+    assert "(r0, q1)" in log  # the will
+    assert f"spBv1.0/{GROUP}/DCMD/{NODE}/+ (QoS 1)" in log
+
+
+KILLED = """
+import asyncio, sys
+from pathlib import Path
+sys.path[:0] = {path!r}
+from test_mosquitto import Plant
+from dpstack.bridge.mqtt.broker import Broker
+async def main():
+    plant = Plant(Path({folder!r}), Broker(url={url!r}, keepalive_s=2))
+    async with plant.running():
+        await asyncio.sleep(60)
+asyncio.run(main())
+"""
+
+
+async def test_sigkill_of_the_gateway_gives_its_will_and_the_next_number(tmp_path: Path, broker: Mosquitto) -> None:
+    text = KILLED.format(path=sys.path, folder=str(tmp_path), url=plain(broker).url)
+    async with following(broker) as subscriber:
+        host = subscriber.host
+        for number in range(3):
+            gateway = await asyncio.create_subprocess_exec(sys.executable, "-c", text, cwd=Path(__file__).parent)
+            wait_until = Plant(tmp_path / "unused", plain(broker)).until
+            await wait_until(lambda: len(host.alive) == 2)
+            assert host.number == number
+            gateway.kill()
+            await gateway.wait()
+            await wait_until(lambda: not host.online)
+        assert subscriber.kinds().count("NDEATH") == 3
+
+
+async def test_the_broker_is_killed_and_comes_back(tmp_path: Path, broker: Mosquitto) -> None:
+    plant = Plant(tmp_path, plain(broker))
+    async with plant.running():
+        await plant.until(lambda: f"connected to 127.0.0.1:{broker.port}" in plant.told)
+        for number in range(1, 3):
+            broker.kill()
+            await plant.until(lambda: "it is tried again" in plant.told[-1])
+            broker.start()
+            async with following(broker) as subscriber:
+                host = subscriber.host
+                await run(rebirth(broker))
+                await plant.until(lambda: len(host.alive) == 2)  # noqa: B023
+                assert host.number is not None
+                assert host.number >= number
+                host.lose_broker()
+
+
+def rebirth(broker: Mosquitto) -> list[str]:
+    path = broker.folder / "rebirth"
+    path.write_bytes(tag(1, round(time.time() * 1000)) + tag(2, metric("Node Control/Rebirth", boolean=True)))
+    return broker.clients("mosquitto_pub", "-t", f"spBv1.0/{GROUP}/NCMD/{NODE}", "-f", str(path))
+
+
+async def test_a_broker_that_stops_costs_nothing_and_gets_births_again(tmp_path: Path, broker: Mosquitto) -> None:
+    plant = Plant(tmp_path, plain(broker))
+    async with plant.running(), following(broker, "-k", "600") as subscriber:
+        host = subscriber.host
+        await plant.until(lambda: len(host.alive) == 2)
+        broker.kill(signal.SIGSTOP)
+        stopped = time.monotonic()
+        slowest = 0.0
+        while "it is tried again" not in plant.told[-1]:
+            assert time.monotonic() < stopped + LONGEST_S
+            began = time.monotonic()
+            plant.values["8"]["fields"]["count"] = int(began * 50) % 100
+            await asyncio.sleep(0.01)
+            slowest = max(slowest, time.monotonic() - began)
+        assert slowest < 2.0  # the loop goes on
+        broker.kill(signal.SIGCONT)
+        await plant.until(lambda: host.online and (host.number or 0) >= 1 and len(host.alive) == 2)
+
+
+async def run(command: list[str]) -> None:
+    await asyncio.to_thread(subprocess.run, command, check=True, timeout=LONGEST_S, capture_output=True)
+
+
+async def command(broker: Mosquitto, device: str, *metrics: bytes, age: float = 0.0) -> None:
+    path = broker.folder / "command"
+    path.write_bytes(tag(1, round((time.time() - age) * 1000)) + b"".join(tag(2, one) for one in metrics))
+    topic = f"spBv1.0/{GROUP}/DCMD/{NODE}/{device}"
+    await run(broker.clients("mosquitto_pub", "-q", "1", "-t", topic, "-f", str(path)))
+
+
+async def test_commands(tmp_path: Path, broker: Mosquitto) -> None:
+    plant = Plant(tmp_path, plain(broker))
+    async with plant.running(), following(broker) as subscriber:
+        host = subscriber.host
+        await plant.until(lambda: len(host.alive) == 2)
+
+        async def result(name: str, reason: str) -> None:
+            await plant.until(lambda: reason in host.metric("Last command/reason").value)
+            assert host.metric("Last command/name").value == name
+
+        await command(broker, "valves", metric("Outputs/lamp", boolean=True))
+        await plant.until(lambda: host.metric("Outputs/lamp", "valves").value is True)
+        await plant.until(lambda: host.metric("Last command/result").value == "done")
+        assert plant.carried_out == [("set", "8.lamp=on")]
+        await command(broker, "valves", metric("Outputs/speed", whole=256))
+        await result("valves.speed", "valves.speed takes u8, not 256")
+        await command(broker, "valves", metric("Outputs/speed", text="fast"))
+        await result("valves: 'Outputs/speed'", "its value is no UINT8")
+        await command(broker, "valves", metric("Outputs/pump", boolean=True))
+        await result("valves: 'Outputs/pump'", "there is no such metric")
+        await command(broker, "hoist", metric("Drive/setpoint", double=0.5))
+        await result("hoist: 'Drive/setpoint'", "this metric cannot be written")
+        await command(broker, "valves", metric("Outputs/speed", whole=1), age=3.0)
+        await result("valves.speed", "s old by the clock of this computer")
+        await command(broker, "valves", metric("Outputs/speed", whole=1), age=-3600.0)
+        await result("valves.speed", "ahead of the clock of this computer")
+        path = broker.folder / "command"
+        await command(broker, "valves", metric("Outputs/speed", whole=7))
+        topic = f"spBv1.0/{GROUP}/DCMD/{NODE}/valves"
+        await run(broker.clients("mosquitto_pub", "-q", "1", "-t", topic, "-f", str(path)))
+        await result("valves.speed", "an order with this name and time was given already")
+        assert plant.carried_out == [("set", "8.lamp=on"), ("set", "8.speed=7")]
+        path.write_bytes(bytes(1_000_000))
+        await run(broker.clients("mosquitto_pub", "-t", topic, "-f", str(path)))
+        path.write_bytes(b"\xff" * 100)
+        await run(broker.clients("mosquitto_pub", "-t", topic, "-f", str(path)))
+        await result("unknown", "the payload is no Sparkplug B payload")
+        assert host.number == 0  # one session for all that
+
+
+async def test_the_primary_host(tmp_path: Path, broker: Mosquitto) -> None:
+    async def state(text: str) -> None:
+        topic = "spBv1.0/STATE/scada"
+        await run(broker.clients("mosquitto_pub", "-r", "-q", "1", "-t", topic, "-m", text))
+
+    plant = Plant(tmp_path, plain(broker), primary_host="scada")
+    async with plant.running(), following(broker) as subscriber:
+        host = subscriber.host
+        await plant.until(lambda: f"connected to 127.0.0.1:{broker.port}" in plant.told)
+        await state('{"online": false, "timestamp": 1000}')
+        await asyncio.sleep(0.5)
+        assert host.messages == []
+        await state('{"online": true, "timestamp": 1000}')
+        await plant.until(lambda: len(host.alive) == 2)
+        await state('{"online": false, "timestamp": 1000}')
+        await plant.until(lambda: not host.online)
+        await asyncio.sleep(0.5)
+        assert not host.online
+        await state('{"online": true, "timestamp": 2000}')
+        await plant.until(lambda: len(host.alive) == 2)
+        assert (host.number or 0) >= 1
+
+
+async def test_two_gateways_with_one_node_are_told(tmp_path: Path, broker: Mosquitto) -> None:
+    one, other = Plant(tmp_path / "1", plain(broker)), Plant(tmp_path / "2", plain(broker))
+    async with one.running():
+        await one.until(lambda: f"connected to 127.0.0.1:{broker.port}" in one.told)
+        async with other.running():
+            await one.until(lambda: any("give one of them another node" in text for text in one.told))
+
+
+# --- TLS and users ------------------------------------------------------------------------------------------------
+
+
+def certificates(folder: Path, *, days: int = 2) -> None:
+    """A CA, and certificates for the broker and a client."""
+
+    def openssl(*words: str) -> None:
+        subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
+
+    openssl("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", "ca.key", "-out", "ca.pem", "-days", "2",
+            "-subj", "/CN=a test")  # fmt: skip
+    (folder / "names").write_text("subjectAltName=IP:127.0.0.1\n")
+    for name, valid in (("broker", 2), ("client", 2), ("expired", -1)):
+        openssl("req", "-newkey", "rsa:2048", "-nodes", "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj",
+                f"/CN={name}")  # fmt: skip
+        openssl("x509", "-req", "-in", f"{name}.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-out",
+                f"{name}.pem", "-days", str(valid), "-extfile", "names")  # fmt: skip
+
+
+# where the handshake fails, paho leaves its socket to the garbage collection
+@pytest.mark.filterwarnings("ignore:Exception ignored in. <ssl.SSLSocket:pytest.PytestUnraisableExceptionWarning")
+async def test_tls_with_user_password_and_client_certificate(tmp_path: Path) -> None:
+    certificates(tmp_path)
+    await run(["mosquitto_passwd", "-b", "-c", str(tmp_path / "users"), "gateway", "sesame opens"])
+    os.chmod(tmp_path / "users", 0o644)
+    lines = [
+        "cafile ca.pem",
+        "certfile broker.pem",
+        "keyfile broker.key",
+        "require_certificate true",
+        "password_file users",
+    ]
+    broker = Mosquitto(tmp_path, *lines, anonymous=False)
+    url = f"mqtts://127.0.0.1:{broker.port}"
+
+    def made(name: str = "client", password: str = "sesame opens", ca: Path | None = tmp_path / "ca.pem") -> Broker:
+        cert, key = tmp_path / f"{name}.pem", tmp_path / f"{name}.key"
+        return Broker(url=url, ca=ca, user="gateway", password=password, cert=cert, key=key)
+
+    options = [
+        "--cafile",
+        "ca.pem",
+        "--cert",
+        "client.pem",
+        "--key",
+        "client.key",
+        "-u",
+        "gateway",
+        "-P",
+        "sesame opens",
+    ]
+    options = [str(tmp_path / one) if one.endswith((".pem", ".key")) else one for one in options]
+    try:
+        plant = Plant(tmp_path / "good", made())
+        async with following(broker, *options) as subscriber, plant.running():
+            await plant.until(lambda: len(subscriber.host.alive) == 2)
+        for number, (wrong, text) in enumerate(
+            [
+                (made(password="wrong secret"), "Not authorized"),
+                (made("expired"), "certificate expired"),
+                (made(ca=None), "certificate verify failed"),
+            ]
+        ):
+            plant = Plant(tmp_path / str(number), wrong)
+            async with plant.running():
+                await plant.until(lambda: plant.told)  # noqa: B023
+            assert text in plant.told[0]
+            assert "secret" not in " ".join(plant.told)
+    finally:
+        broker.kill()
