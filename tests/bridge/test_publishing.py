@@ -134,7 +134,7 @@ async def test_somebody_in_a_hurry_does_not_wait_for_faces(world: WorldFactory) 
     plant, loop = Plant(world()), asyncio.get_running_loop()
     hurried: list[float] = []
     table = probe_face.ProbeConfig(fails="end")
-    async with Publishing(plant.bus, {"probe": table}, lambda: bool(hurried)), plant.bus:
+    async with Publishing(plant.bus, {"probe": table}, hurried=lambda: bool(hurried)), plant.bus:
         await plant.operate()
         loop.call_later(1.0, lambda: hurried.append(loop.time()))
     assert hurried
@@ -261,7 +261,7 @@ def test_tables_of_faces_are_read_with_the_configuration() -> None:
         "[probe]\nport = 99999": "config:5: [probe]: port = 99999 is outside 0..65535; correct it or leave it out",
         "probe = 7": "config:1: [probe] must be a table; write [probe] on a line of its own",
         "[prob]": "config:4: unknown table or key 'prob'; did you mean 'probe'?",
-        "[xyz]": "config:4: unknown table or key 'xyz'; a configuration has [bus], [[slave]], [probe]",
+        "[xyz]": "config:4: unknown table or key 'xyz'; a configuration has [bus], [[slave]], [mqtt], [probe]",
     }.items():
         with pytest.raises(ConfigError) as caught:
             parse_config(plant + text if text[0] == "[" else text + "\n" + plant)

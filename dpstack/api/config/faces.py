@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from typing import Final
+from typing import Annotated, Final
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from dpstack.api.config.table import Key, Source, Table, keys_of
 
@@ -19,12 +19,52 @@ def read_names(table: Table, name: str, _: Key) -> object:
     return tuple(value)
 
 
+def _file(table: Table, name: str, _: Key) -> object:
+    """Reader of the name of a file, relative to the configuration."""
+    return str(table.folder / table.text(name))
+
+
 class FaceConfig(Struct, frozen=True, kw_only=True):
     """Base class of the tables."""
 
 
+class MqttConfig(FaceConfig, frozen=True, kw_only=True):
+    """The keys of [mqtt], as docs/reference/configuration.md has them.
+
+    url: the broker: `"mqtt://HOST:PORT"`, or with TLS `"mqtts://HOST:PORT"`. Left out: it must be given
+    group: the Sparkplug group. Left out: it must be given
+    node: the edge node; each program that publishes a bus needs one of its own. Left out: the name of the computer
+    primary_host: the Sparkplug host without which nothing is published. Left out: births wait for nobody
+    allow_commands: the [orders](bridge.md#orders) that hosts may give: `"valves.lamp"`, `"hoist.start"`, `"hoist.*"`
+    command_max_age_s: the greatest difference between the time of an order and the clock of this computer
+    interval_ms: the values of a device are published no more often
+    ca: certificates (PEM) by which that of the broker is judged. Left out: those of the system
+    cert: the certificate (PEM) of this program. Left out: none
+    key: the key (PEM) of `cert`. Left out: none
+    user: the user at the broker. Left out: none
+    password_env: the environment variable that has the password. Left out: none
+    password_file: the file that has the password in its first line, mode 0600. Left out: none
+    keepalive_s: the broker takes this program for gone after one and a half times this time without a message
+    """
+
+    url: str
+    group: str
+    node: str = ""
+    primary_host: str = ""
+    allow_commands: Annotated[tuple[str, ...], Key(read=read_names)] = ()
+    command_max_age_s: Annotated[float, Key(0.1, 3600, "s")] = 2
+    interval_ms: Annotated[int, Key(10, 3_600_000)] = 1000
+    ca: Annotated[str, Key(read=_file)] = ""
+    cert: Annotated[str, Key(read=_file)] = ""
+    key: Annotated[str, Key(read=_file)] = ""
+    user: str = ""
+    password_env: str = ""
+    password_file: Annotated[str, Key(read=_file)] = ""
+    keepalive_s: Annotated[int, Key(1, 3600)] = 10
+
+
 #: the class of each table by its name, which is that of its face
-FACES: Final[dict[str, type[FaceConfig]]] = {}
+FACES: Final[dict[str, type[FaceConfig]]] = {"mqtt": MqttConfig}
 
 
 def read_face(source: Source, name: str, data: object) -> FaceConfig:
@@ -36,7 +76,11 @@ def read_face(source: Source, name: str, data: object) -> FaceConfig:
         todo = f"did you mean {near[0]!r}?" if near else f"a configuration has [bus], [[slave]]{faces}"
         raise source.error((name,), f"unknown table or key {name!r}", todo)
     table = Table(source, (name,), data, f"[{name}]")
-    return FACES[name](**table.read(keys_of(FACES[name])))
+    found = table.read(keys_of(FACES[name]))
+    for field in structs.fields(FACES[name]):
+        if field.required and field.name not in found:
+            table.fail(None, f"no {field.name}", f"add the key {field.name}")
+    return FACES[name](**found)
 
 
 def read_faces(source: Source, tables: Mapping[str, object]) -> dict[str, FaceConfig]:

@@ -1,14 +1,20 @@
 """The faces that there are, by the name of their table: module, package of the extra, and maker of each.
 
-A face is loaded only where a table asks for it.
+A face is loaded only where a table asks for it. A new one has a table in :mod:`dpstack.api.config.faces`, a row here,
+an extra of its name in pyproject.toml, and its keys in docs/reference/configuration.md
+(``tools/make_config_docs.py``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from socket import gethostname
 from typing import Any, Final, NamedTuple
 
+from dpstack.api.config.faces import MqttConfig
 from dpstack.bridge.face import Face, Tell
+from dpstack.bridge.names import SPARKPLUG_ID
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
 
@@ -31,4 +37,27 @@ class FaceKind(NamedTuple):
     make: Callable[[Any, Parts], Face]
 
 
-KINDS: Final[dict[str, FaceKind]] = {}
+def _mqtt(config: MqttConfig, parts: Parts) -> Face:
+    from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
+    from dpstack.bridge.mqtt.client import MqttFace
+    from dpstack.bridge.mqtt.edge_node import NodeSetup
+
+    broker = Broker(
+        url=config.url,
+        ca=Path(config.ca) if config.ca else None,
+        cert=Path(config.cert) if config.cert else None,
+        key=Path(config.key) if config.key else None,
+        user=config.user,
+        password=read_password(config.password_env, Path(config.password_file) if config.password_file else None),
+        keepalive_s=config.keepalive_s,
+    )
+    node = config.node or SPARKPLUG_ID.valid(gethostname())
+    setup = NodeSetup(config.group, node, config.primary_host, config.interval_ms / 1000)
+    orders = parts.orders(config.allow_commands, config.command_max_age_s) if config.allow_commands else None
+    folder = state_folder(config.group, node)
+    return MqttFace(parts.tree, parts.tell, broker=broker, setup=setup, folder=folder, orders=orders)
+
+
+KINDS: Final[dict[str, FaceKind]] = {
+    "mqtt": FaceKind("dpstack.bridge.mqtt.client", ("aiomqtt", "google.protobuf"), _mqtt),
+}

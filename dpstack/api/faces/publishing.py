@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib.util import find_spec
 from types import TracebackType
@@ -22,7 +23,7 @@ from dpstack.bridge.gateway import END_S, TICK_S, Gateway
 from dpstack.bridge.nodes import slave_of
 from dpstack.bridge.orders import Orders, check_allowed
 from dpstack.bridge.tree import PlantTree
-from dpstack.errors import UsageError
+from dpstack.errors import ConfigError, UsageError
 from dpstack.live.state import Item
 from dpstack.text import printable
 from dpstack.trace import Severity
@@ -52,10 +53,11 @@ def publish(bus: Bus, **tables: Mapping[str, object]) -> Publishing:
     Raises ConfigError here; on entering UsageError where the package of an extra is missing, and PortError or
     ConfigError where a face cannot begin.
     """
-    made = read_faces(Source("publish"), tables) if tables else bus.config.faces
+    source = Source("publish") if tables else bus.config.source
+    made = read_faces(source, tables) if tables else bus.config.faces
     if not made:
-        raise UsageError("publish: no face is given: add a table to the configuration, for instance [metrics]")
-    return Publishing(bus, made)
+        raise UsageError("publish: no face is given: add a table to the configuration, for instance [mqtt]")
+    return Publishing(bus, made, source)
 
 
 class Publishing:
@@ -64,9 +66,18 @@ class Publishing:
     It may be entered before the bus is opened: so a face that cannot begin is known before anything goes on the bus.
     """
 
-    def __init__(self, bus: Bus, tables: Mapping[str, FaceConfig], hurried: Callable[[], bool] | None = None) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        tables: Mapping[str, FaceConfig],
+        source: Source | None = None,
+        *,
+        hurried: Callable[[], bool] | None = None,
+    ) -> None:
         self._bus = bus
         self._tables = dict(tables)
+        #: of the tables, for messages
+        self._source = source or bus.config.source
         self._hurried = hurried or (lambda: False)
         self._tree = PlantTree()
         self._faces: list[Face] = []
@@ -98,7 +109,8 @@ class Publishing:
             for name, kind in kinds.items():
                 tell = Teller(name, self._tell)
                 parts = Parts(self._tree, tell, partial(self._orders, tell))
-                self._faces.append(kind.make(self._tables[name], parts))
+                with self._blaming(name):
+                    self._faces.append(kind.make(self._tables[name], parts))
             for face in self._faces:
                 await face.open()
             self._stream = self._bus.live(_INTERVAL_S)
@@ -145,6 +157,16 @@ class Publishing:
         error = None if task.cancelled() else task.exception()
         if error is not None:
             self._tell(f"all faces have ended by a fault ({type(error).__name__}: {error})", Severity.ERROR)
+
+    @contextlib.contextmanager
+    def _blaming(self, name: str) -> Iterator[None]:
+        """Turn a ConfigError about a value into one with its place; its text begins with the key."""
+        try:
+            yield
+        except ConfigError as error:
+            what, _, todo = str(error).partition("; ")
+            key = what.partition(" ")[0].rstrip(":")
+            raise self._source.error((name, key), f"[{name}]: {what}", todo or "correct it") from None
 
     # --- items and remarks ----------------------------------------------------------------------------------------
 

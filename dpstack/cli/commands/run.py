@@ -203,7 +203,7 @@ async def _faces(bus: Bus, stop: StopSignal) -> AsyncIterator[None]:
         return
     from dpstack.api.faces.publishing import Publishing  # here, as most runs have none
 
-    publishing = Publishing(bus, bus.config.faces, lambda: stop.hurried)
+    publishing = Publishing(bus, bus.config.faces, hurried=lambda: stop.hurried)
     try:
         async with publishing:
             yield
