@@ -42,6 +42,8 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "mosquitto_sub": "mosquitto-clients",
     "mosquitto_pub": "mosquitto-clients",
     "openssl": "openssl",
+    "node": "nodejs",
+    "npm": "npm",
 }
 #: Python packages of the extra ``strangers`` whose module has another name
 MODULES: Final[Mapping[str, str]] = {"ipython": "IPython", "python-pcapng": "pcapng"}

@@ -208,3 +208,12 @@ def test_garbage_is_a_command_or_refused(octets: bytes) -> None:
         for wanted in DataType:
             with contextlib.suppress(ValueError):
                 assert isinstance(value_given(given_, wanted), (bool, int, float, str, bytes))
+
+
+def test_the_page_has_every_type() -> None:
+    page = (make_sparkplug_proto.ROOT / "docs" / "reference" / "sparkplug.md").read_text(encoding="utf-8")
+    written: dict[str, str] = {}
+    for line in page.partition("| type of Sparkplug |")[2].partition("\n\n")[0].splitlines()[2:]:
+        ours, theirs = (cell.strip().removesuffix(", scaled values").split(", ") for cell in line.strip("|").split("|"))
+        written |= dict(zip(ours, theirs, strict=True))
+    assert written == {name: type_.name.title().replace("Uint", "UInt") for name, type_ in DATA_TYPES.items()}

@@ -314,14 +314,17 @@ async def _close(client: aiomqtt.Client) -> None:
     """End a connection, whatever its state: DISCONNECT with "Disconnect with Will Message" where it still works
     (tck-id-payloads-ndeath-will-message-publisher-disconnect-mqtt50), then the socket."""
     paho, gone = client._client, client._disconnected
+    code = None
     if not gone.done() and paho.is_connected():
         code = ReasonCode(PacketTypes.DISCONNECT, identifier=_DISCONNECT_WITH_WILL)
-        if paho.disconnect(code) == MQTTErrorCode.MQTT_ERR_SUCCESS:
+    try:
+        if code is not None and paho.disconnect(code) == MQTTErrorCode.MQTT_ERR_SUCCESS:
             await asyncio.wait((gone,), timeout=1.0)
-    paho._sock_close()
-    for future in (gone, client._connected):
-        if future.done() and not future.cancelled():
-            future.exception()  # asyncio reports one that nobody has asked for
+    finally:
+        paho._sock_close()
+        for future in (gone, client._connected):
+            if future.done() and not future.cancelled():
+                future.exception()  # asyncio reports one that nobody has asked for
 
 
 def _is_taken_over(error: BaseException) -> bool:
