@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import copy
+import json
 import os
 import signal
 import socket
@@ -457,3 +458,64 @@ async def test_tls_with_user_password_and_client_certificate(tmp_path: Path) -> 
             assert "secret" not in " ".join(plant.told)
     finally:
         broker.kill()
+
+
+# --- dpstack run with the table [mqtt] ---
+
+RUN = """[bus]
+port = "virtual"
+baud = 500000
+
+[[slave]]
+name = "valves"
+address = 8
+ident = 0x1234
+config = "21 11"
+outputs = {{ lamp = "bool@0.1", speed = "u8@1" }}
+
+[mqtt]
+url = "mqtt://127.0.0.1:{port}"
+group = "{group}"
+node = "{node}"
+interval_ms = 50
+allow_commands = ["valves.lamp"]
+"""
+
+
+async def until(found: Callable[[], object]) -> None:
+    async with asyncio.timeout(LONGEST_S):
+        while not found():  # noqa: ASYNC110  told by another program
+            await asyncio.sleep(0.02)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+async def test_a_run_publishes_its_plant_and_takes_the_orders_that_are_listed(
+    tmp_path: Path, broker: Mosquitto, number: signal.Signals
+) -> None:
+    plant = tmp_path / "plant.toml"
+    plant.write_text(RUN.format(port=broker.port, group=GROUP, node=NODE), encoding="utf-8")
+    environment = os.environ | {"XDG_STATE_HOME": str(tmp_path / "state"), "XDG_RUNTIME_DIR": str(tmp_path)}
+    words = (sys.executable, "-m", "dpstack", "run", str(plant), "--json", "--log", str(tmp_path / "log.jsonl"))
+    async with following(broker) as subscriber:
+        host = subscriber.host
+        run = await asyncio.create_subprocess_exec(
+            *words, env=environment, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE
+        )
+        await until(lambda: host.alive == {"valves"})
+        assert host.metric("Outputs/lamp", "valves").value is False
+        await command(broker, "valves", metric("Outputs/lamp", boolean=True))
+        await until(lambda: host.metric("Outputs/lamp", "valves").value is True)
+        await until(lambda: host.metric("Last command/result").value == "done")
+        await command(broker, "valves", metric("Outputs/speed", whole=1))
+        await until(lambda: "written" in host.metric("Last command/reason").value)
+        run.send_signal(number)
+        _, err = await run.communicate()
+        await until(lambda: not host.online)
+    assert (run.returncode, err) == (0 if number is signal.SIGTERM else -number, b"")
+    if number is signal.SIGTERM:
+        kinds = subscriber.kinds()
+        assert "DDEATH" in kinds[-3:], kinds
+        told = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+        texts = [line["text"] for line in told if line["text"].startswith("faces: mqtt")]
+        assert texts[0] == f"faces: mqtt: connected to 127.0.0.1:{broker.port}"
+        assert "faces: mqtt: order valves.lamp: done" in texts
