@@ -54,7 +54,12 @@ DATA_TYPES: Final[Mapping[str, DataType]] = {
     FLOAT: DataType.DOUBLE,
     COUNT: DataType.UINT64,
     **{f"i{bits}": DataType[f"INT{bits}"] for bits in (8, 16, 32, 64)},
-    **{f"u{bits}": DataType[f"UINT{bits}"] for bits in (8, 16, 32, 64)},
+    "u8": DataType.UINT8,
+    "u16": DataType.UINT16,
+    # UInt32 is int_value by the specification, and long_value for many hosts, the libraries of Tahu among them: one of
+    # both would read nothing or another number. All read UInt64
+    "u32": DataType.UINT64,
+    "u64": DataType.UINT64,
 }
 _SIGNED: Final = frozenset({DataType.INT8, DataType.INT16, DataType.INT32, DataType.INT64})
 _WHOLE: Final = _SIGNED | {DataType.UINT8, DataType.UINT16, DataType.UINT32, DataType.UINT64}
