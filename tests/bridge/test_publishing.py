@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import probe_face
 import pytest
 from api_kit import in_virtual_time, slave_in
+from far_ends import until
 from probe_face import ProbeFace
+from process_kit import SPEC, Driver, bus_on, octet_slaves
+from process_kit import VALVES as PTY_VALVES
 from support import WorldFactory
 
 import dpstack
@@ -191,8 +194,9 @@ async def test_orders_to_a_drive() -> None:
             assert face.values("slave/6/drive/running")[-1] is False
 
 
-async def test_a_bus_that_cannot_be_opened_ends_its_faces() -> None:
-    bus = dpstack.open_bus(port="/dev/there-is-none", baud=500_000, slaves=[VALVES], driver="asyncio")
+@pytest.mark.parametrize("baud", [500_000, "auto"])
+async def test_a_bus_that_cannot_be_opened_ends_its_faces(baud: int | Literal["auto"]) -> None:
+    bus = dpstack.open_bus(port="/dev/there-is-none", baud=baud, slaves=[VALVES], driver="asyncio")
     with pytest.raises(PortError):
         await _open_beside_faces(bus)
     [face] = ProbeFace.made
@@ -234,6 +238,26 @@ async def test_what_cannot_begin_is_an_error_before_anything_is_sent(world: Worl
     with pytest.raises(ConfigError, match=r"publish: unknown table or key 'prob'; did you mean 'probe'\?"):
         dpstack.publish(plant.bus, prob={})
     assert list(w.log) == []
+
+
+@pytest.mark.parametrize("driver", ["asyncio", "process"])
+async def test_faces_of_a_bus_on_a_port(driver: Driver) -> None:
+    """Both drivers at the octet slaves of a pty; where the loop is shared, a remark says so once."""
+    with octet_slaves(SPEC) as (path, there):
+        bus = bus_on(path, driver, PTY_VALVES | {"outputs": {"speed": "u8@0"}})
+        async with dpstack.publish(bus, probe={"allow_commands": ["valves.speed"]}), bus:
+            [face] = ProbeFace.made
+            await bus.operate()
+            await bus.ready(30)
+            await until(lambda: Born(4) in face.lives, "the birth of the slave")
+            assert (await face.orders.give("valves.speed", 0x5A, made_at=None)).reason == ""
+            await until(lambda: there.slaves[4].outputs[:1] == b"\x5a", "the output at the slave")
+            await until(lambda: face.values("slave/4/output/speed")[-1] == 0x5A, "the output in the tree")
+        assert face.course[2] == "last: Died 4, Died None"
+        # safe values, then Clear
+        assert (there.slaves[4].outputs, there.slaves[4].control) == (bytes(2), b"\x02\x00")
+        where = 'probe: in the event loop of the bus; with driver = "process" in [bus] they cannot delay it'
+        assert notices(bus).count(where) == (driver == "asyncio")
 
 
 @in_virtual_time
