@@ -111,7 +111,9 @@ class Medium:
         ):
             return self._transmit_with_care(tx, node, now)
         # as in _begin(): it is alone on the line, and all stations are at its rate and get the whole telegram
-        node.sending_until = node.hears_from = self._busy_until = end
+        node.sending_until = self._busy_until = end
+        if node.hears_from < end:  # else it is deaf for longer
+            node.hears_from = end
         tx.whole = True
         self.transmissions += 1
         self.baud = baud
@@ -455,8 +457,12 @@ class World:
         self.pump_station(node, b"")
 
     def poke(self, station: BusStation) -> None:
-        """Pump the station after a change from outside (its address, its application)."""
-        self.pump_station(self._node(station), b"")
+        """Pump the station after a change from outside (its address, the deadline of its application)."""
+        node = self._node(station)
+        poke: Callable[[], None] | None = getattr(station, "poke", None)
+        if poke is not None:  # a passive station keeps the deadline of its application
+            poke()
+        self.pump_station(node, b"")
 
     def silence(self, station: BusStation, for_ns: int, *, deaf: bool = False) -> None:
         """Keep all octets of the station off the wire for ``for_ns``; ``deaf``: it receives none either."""

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import pytest
-from bus_kit import SimBus, mirror
+from bus_kit import IDENT, PPO1, SimBus, mirror
 from fire_kit import make_ring
+from slave_kit import make_slave
 from support import MS, S, WorldFactory
 
 from dpstack.dp.master.events import SlaveState
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.params import BusParams
 from dpstack.sim.referee import Rule
 from dpstack.trace import WireEntry
-from dpstack.units import BAUD_RATES, bits_to_ns
+from dpstack.units import BAUD_RATES, NEVER, bits_to_ns
 
 P500 = BusParams.preset(500_000, address=2, hsa=20)
 
@@ -158,3 +160,22 @@ def test_lost_tokens_are_passed_again(world: WorldFactory, seed: int) -> None:
     ring.world.run_for(S)
     assert ring.whole
     assert sum(station.stats.token_retries for station in ring.masters.values()) >= 20
+
+
+def test_a_poke_brings_the_deadline_of_a_device_forward(world: WorldFactory) -> None:
+    ticks: list[int] = []
+
+    class Ticking(MirrorDevice):
+        def tick(self, now: int) -> None:
+            ticks.append(now)
+            self.due_at = NEVER
+
+    device = Ticking(IDENT, PPO1)
+    w = world()
+    slave = make_slave(5, device, P500)
+    w.add(slave)
+    w.run_for(MS)
+    device.due_at = 3 * MS
+    w.poke(slave)
+    w.run_for(9 * MS)
+    assert ticks == [3 * MS]

@@ -1,0 +1,122 @@
+"""The short ways of the simulated medium against the long ones: the same wire log, events and violations.
+
+Long ways: a fault that hits no transmission sends each of them through the code for faults; single steps take every
+event through the heap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bus_kit import SimBus, mirror
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from support import MS, Dummy
+
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+from dpstack.trace import WireEntry
+
+P500 = BusParams.preset(500_000, address=2, hsa=6)
+SLAVES = (5, 6)
+#: FDL status request 2 -> 5, its first octets, SC
+INJECTED = (bytes.fromhex("10 05 02 49 50 16"), bytes.fromhex("10 05 02"), b"\xe5")
+
+#: what happens, station, duration in us; then so many us pass
+Step = tuple[str, int, int, int]
+STEPS = st.lists(
+    st.tuples(
+        st.sampled_from(("deaf", "mute", "plug", "move", "twin", "inject", "outputs", "mode", "pass")),
+        st.integers(0, 2),
+        st.integers(1, 30_000),
+        st.integers(1, 6_000),
+    ),
+    max_size=8,
+)
+Run = Callable[[World, int], None]
+
+
+def run(world: World, until: int) -> None:
+    world.run_until(until)
+
+
+def single_steps(world: World, until: int) -> None:
+    while world.next_at() <= until:
+        world.step()
+    world.run_until(until)
+
+
+class Story:
+    """A master with two slaves, to which ``steps`` happen; ``careful``: each transmission goes the long way."""
+
+    def __init__(self, run: Run, *, careful: bool) -> None:
+        self.world = world = World(seed=1)
+        self.log: list[WireEntry] = []
+        world.log.listener = self.log.append
+        if careful:
+            world.faults.drop(lambda _: False, times=None)
+        self.run = run
+        self.bus = SimBus(world, P500, SLAVES)
+        self.unplugged: set[int] = set()
+        self.has_twin = False
+        run(world, 150 * MS)
+
+    def tell(self, steps: list[Step]) -> list[object]:
+        world = self.world
+        for name, number, lasts_us, passes_us in steps:
+            self.change(name, number, lasts_us * 1_000)
+            self.run(world, world.now + passes_us * 1_000)
+        self.run(world, world.now + 20 * MS)
+        assert world.referee is not None
+        return [self.log, self.bus.events, world.referee.violations, world.now]
+
+    def change(self, name: str, number: int, lasts: int) -> None:
+        world, bus = self.world, self.bus
+        address = SLAVES[number % len(SLAVES)]
+        slave = bus.slaves[address]
+        is_there = address not in self.unplugged
+        match name:
+            case "deaf" | "mute" if number == len(SLAVES) or is_there:
+                world.silence(bus.station if number == len(SLAVES) else slave, lasts, deaf=name == "deaf")
+            case "plug" if is_there:
+                world.remove(slave)
+                self.unplugged.add(address)
+            case "plug":
+                world.add(slave)
+                self.unplugged.remove(address)
+            case "move" if is_there:
+                slave.set_address(9 if slave.address == address else address)
+                world.poke(slave)
+            case "twin" if not self.has_twin:
+                self.has_twin = True
+                world.add(mirror(address, P500, t_sdr=12))
+            case "inject":
+                world.inject(INJECTED[number], baud=P500.baud)
+            case "outputs":
+                for image in bus.master.images.values():
+                    image.outputs = bytes([lasts & 0xFF]) * image.output_len
+            case "mode":
+                bus.send(SetMode((Mode.OPERATE, Mode.CLEAR, Mode.STOP)[number]))
+
+
+@given(steps=STEPS)
+@example(steps=[("deaf", 0, 20_000, 100), ("mute", 0, 1, 20_000)])
+@settings(max_examples=15, deadline=None)
+def test_short_and_long_ways_give_the_same_log(steps: list[Step]) -> None:
+    short = Story(run, careful=False).tell(steps)
+    assert Story(run, careful=True).tell(steps) == short
+    assert Story(single_steps, careful=False).tell(steps) == short
+
+
+def test_a_deaf_station_stays_deaf_after_it_has_sent() -> None:
+    world = World(referee=False)
+    station = Dummy(5, plan=[(2 * MS, INJECTED[0])])
+    world.add(station)
+    world.silence(station, 10 * MS, deaf=True)
+    world.silence(station, MS)  # it may send again, and still receives nothing
+    world.call_at(5 * MS, lambda: world.inject(INJECTED[0]))
+    world.call_at(11 * MS, lambda: world.inject(INJECTED[0]))
+    world.run_until(20 * MS)
+    assert [entry.note for entry in world.log] == ["", "", ""]
+    assert len(station.heard) == 1
