@@ -109,6 +109,32 @@ def test_every_edge_node_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch
     assert state_folder("a.b", "c") != state_folder("a", "b.c")
 
 
+async def test_without_room_for_the_number_no_session_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    face = MqttFace(
+        PlantTree(),
+        lambda text, severity: told.append(text),
+        broker=Broker(url="mqtt://127.0.0.1:1"),
+        setup=NodeSetup("group", "node"),
+        folder=tmp_path,
+        again_s=0.001,
+    )
+    await face.open()
+
+    def full(fd: int, octets: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("dpstack.bridge.mqtt.session_file.os.write", full)
+        serving = asyncio.create_task(face.serve())
+        while not told:  # noqa: ASYNC110  the face tells nobody else
+            await asyncio.sleep(0.01)
+        serving.cancel()
+        await asyncio.wait((serving,))
+    face.close()
+    assert f"the number of the session cannot be written in {tmp_path}: No space left on device" in told[0]
+
+
 async def test_a_broker_that_is_not_there_is_told_once_in_a_row_and_the_end_waits_for_nobody(tmp_path: Path) -> None:
     told: list[tuple[str, Severity]] = []
     face = MqttFace(

@@ -180,7 +180,10 @@ class MqttFace(Face):
         node, numbers = self._node, self._numbers
         assert node is not None
         assert numbers is not None, "open() comes first"
-        number = await asyncio.to_thread(numbers.next)
+        try:
+            number = await asyncio.to_thread(numbers.next)
+        except OSError as error:
+            raise OSError(f"the number of the session cannot be written in {self._folder}: {error.strerror}") from None
         connection = node.connect(number, time.time())
         client = self._client(connection)
         try:
