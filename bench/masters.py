@@ -91,7 +91,7 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
     table: dict[str, Any] = {"ident": IDENT, "config": CONFIG.hex(" ")}
     if args.records:
         table |= {"dpv1": True, "user_prm": "00 00 00"}
-    if args.recordings:
+    if args.recordings or args.faces:
         table |= {"inputs": _named("in"), "outputs": _named("out")}
     tables = [{"name": f"s{n}", "address": args.first + n} | table for n in range(args.slaves)]
     keys: dict[str, Any] = {"driver": args.kind}
@@ -123,6 +123,8 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         ready = monotonic_ns()
         if args.recordings:
             _record_by_signals(bus, args.recordings)
+        elif args.faces:
+            _publish_by_signals(bus, json.loads(args.faces))
         elif args.cycle_ms:
             asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, lambda: _tell_cycles(bus))
         due = await _due_time(bus) if args.cycle_ms else 0
@@ -217,6 +219,32 @@ def _burn(ended: Ended) -> None:
     number = 1
     while not ended.is_set():
         number = number * 1_103_515_245 % 2_147_483_647
+
+
+def _publish_by_signals(bus: Any, tables: dict[str, Any]) -> None:
+    """SIGUSR1 begins the faces of ``tables``, SIGUSR2 ends them."""
+    from dpstack import publish
+
+    loop = asyncio.get_running_loop()
+    ends: list[asyncio.Event] = []
+    tasks: set[asyncio.Task[None]] = set()
+
+    async def published(end: asyncio.Event) -> None:
+        async with publish(bus, **tables):
+            await end.wait()
+
+    def begin() -> None:
+        ends.append(asyncio.Event())
+        task = loop.create_task(published(ends[-1]))
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
+
+    def end() -> None:
+        while ends:
+            ends.pop().set()
+
+    loop.add_signal_handler(signal.SIGUSR1, begin)
+    loop.add_signal_handler(signal.SIGUSR2, end)
 
 
 def grid_application(args: argparse.Namespace, ended: Ended) -> None:
@@ -415,6 +443,7 @@ def main() -> int:
     parser.add_argument("--records", type=int, default=0, help="octets of the records read without end, 0: none")
     parser.add_argument("--t-id1", type=int, default=0, help="of the bare loop, in bit times; 0: without any pause")
     parser.add_argument("--recordings", metavar="FOLDER", help="named values, recorded there from SIGUSR1 to SIGUSR2")
+    parser.add_argument("--faces", metavar="JSON", help="tables of faces, which publish from SIGUSR1 to SIGUSR2")
     parser.add_argument("--control", action="store_true", help="with a control socket")
     parser.add_argument("--app", choices=APPLICATIONS, default="idle")
     args = parser.parse_args()

@@ -51,10 +51,10 @@ def _at(report: Report, kind: str, baud: int, args: argparse.Namespace, where: P
     with bench(kind, args.slaves, baud, where, paced=baud <= _PACED, gap=0, recording=True) as running:
         for number in range(args.rounds):
             for order in ("off", "on") if number % 2 else ("on", "off"):
-                running.record(on=order == "on")
+                running.switch(on=order == "on")
                 time.sleep(_SETTLE_S)
                 slices[order].append(running.cpu_slices(args.seconds))
-        running.record(on=False)
+        running.switch(on=False)
         waited = running.measure(args.seconds)
     title = f"{baud_text(baud)}, {kind}"
     for name, place in (("", 0), (" of the bus's own process", 1))[: 2 if kind == "process" else 1]:

@@ -260,8 +260,8 @@ class Bench:
         took = [_cpu_of(pid) - cpu for pid, cpu in zip(pids, before, strict=True)]
         return sum(took), sum(took[1:] or took), exchanges
 
-    def record(self, *, on: bool) -> None:
-        """Have a master with ``recording`` begin one, or end it."""
+    def switch(self, *, on: bool) -> None:
+        """Have a master begin its recording or its faces, or end them."""
         os.kill(self._master.pid, signal.SIGUSR1 if on else signal.SIGUSR2)
 
     def opened_at(self) -> int:
@@ -370,6 +370,7 @@ def bench(
     control: bool = False,
     recording: bool = False,
     env: dict[str, str] | None = None,
+    more: Sequence[str] = (),
 ) -> Iterator[Bench]:
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
@@ -378,7 +379,8 @@ def bench(
     ``steps``: by steps;
     ``ident``: what the slaves are, of which the masters believe IDENT. ``records``: the master reads records of so many
     octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has. ``recording``:
-    its slaves have named values, and :meth:`Bench.record` makes it keep them. ``env``: of a master without a probe.
+    its slaves have named values, and :meth:`Bench.switch` makes it keep them. ``env``: of a master without a probe.
+    ``more``: further words of its command line.
     """
     refused = unavailable(kind, cycle_ms)
     if refused:
@@ -388,7 +390,7 @@ def bench(
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpstack-bench-")))
         wire, port = stack.enter_context(wire_with(slaves, baud, where.wire, paced=paced, adapter=adapter, ident=ident))
         words = [sys.executable, "-m", "bench.masters", kind, port, "--baud", str(baud), "--slaves", str(slaves)]
-        words += ["--app", app]
+        words += ["--app", app, *more]
         if gap is not None:
             words += ["--gap", str(gap)]
         if records:
