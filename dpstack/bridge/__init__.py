@@ -3,6 +3,7 @@
 The tree reads no clock, no file and no network: the caller gives items and the time. Only ``gateway`` waits. Protocol
 libraries are not needed. docs/explanation/bridge.md has the rules.
 
+- ``metrics/``: Prometheus metrics and health over HTTP
 - ``mqtt/``: MQTT 5 with Sparkplug B 3.0: the bus as an edge node, its slaves as devices
 - ``conditions``: Diagnoses, faults and alarms as conditions that are active, acknowledged, retained
 - ``face``: The base class of a face, which publishes the tree

@@ -23,6 +23,8 @@ class Face(ABC):
 
     #: name of its table of the configuration and of its extra: "mqtt", "opcua", "metrics"
     name: ClassVar[str]
+    #: changes that it dropped, as nobody took them in time
+    dropped: int = 0
 
     def __init__(self, tree: PlantTree, tell: Tell) -> None:
         self.tree = tree

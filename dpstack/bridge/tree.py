@@ -185,6 +185,13 @@ class PlantTree:
         branch = self._branch(slave)
         return branch is not None and branch.born
 
+    def trouble(self, slave: int | None) -> Trouble:
+        """The reason why values of the bus (None), or process data of a slave, are not good, as judged last."""
+        branch = self._branch(slave)
+        if branch is None or self._plant is None:
+            return Reason.WAITING, ""
+        return branch.trouble[0] if slave is None else branch.trouble[0] or branch.trouble[1]
+
     def readings(self, slave: int | None) -> list[tuple[Node, Reading]]:
         """All nodes of the bus (None) or of a slave with their values: the content of a birth."""
         branch = self._branch(slave)

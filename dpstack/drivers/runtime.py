@@ -142,6 +142,10 @@ class Runtime(Protocol):
         """What the port is called in messages and JSON."""
 
     @property
+    def pid(self) -> int | None:
+        """The process id of the bus process; None without one, and while there is none."""
+
+    @property
     def paced(self) -> bool:
         """True where octets take their time on a wire (or the virtual one), False on plain ptys and sockets."""
 

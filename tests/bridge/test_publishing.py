@@ -285,7 +285,8 @@ def test_tables_of_faces_are_read_with_the_configuration() -> None:
         "[probe]\nport = 99999": "config:5: [probe]: port = 99999 is outside 0..65535; correct it or leave it out",
         "probe = 7": "config:1: [probe] must be a table; write [probe] on a line of its own",
         "[prob]": "config:4: unknown table or key 'prob'; did you mean 'probe'?",
-        "[xyz]": "config:4: unknown table or key 'xyz'; a configuration has [bus], [[slave]], [mqtt], [probe]",
+        "[xyz]": "config:4: unknown table or key 'xyz'; a configuration has [bus], [[slave]], [mqtt], [metrics], "
+        "[probe]",
     }.items():
         with pytest.raises(ConfigError) as caught:
             parse_config(plant + text if text[0] == "[" else text + "\n" + plant)

@@ -151,6 +151,19 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "bridge/test_gateway.py::test_a_face_that_never_ends_is_left",
     ),
     "G5": ("cli/commands/test_what_commands_load.py::test_a_run_loads_what_it_uses",),
+    "G6": (
+        "bridge_metrics/test_metrics_server.py::test_a_request_that_is_none_is_refused_and_the_next_is_served",
+        "bridge_metrics/test_metrics_server.py::test_an_address_that_others_reach_is_told_and_takes_every_host",
+        "bridge_metrics/test_metrics_rules.py::test_the_table_of_the_configuration",
+    ),
+    "G7": (
+        "bridge_metrics/test_metrics_server.py::test_a_request_that_is_none_is_refused_and_the_next_is_served",
+        "bridge_metrics/test_metrics_server.py::test_silent_clients_lose_their_place_and_a_thousand_are_bounded",
+    ),
+    "G8": (
+        "bridge_metrics/test_metrics_rules.py::test_hostile_and_equal_names_become_labels_that_are_different",
+        "bridge_metrics/test_metrics_rules.py::test_causes_and_classes_of_a_hostile_stream_are_bounded",
+    ),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",
         "api/server/test_inputs_over_time.py::test_code_needs_a_word_for_it",

@@ -9,6 +9,7 @@ from typing import Annotated, Final
 from msgspec import Struct, structs
 
 from dpstack.api.config.table import Key, Source, Table, keys_of
+from dpstack.errors import UsageError
 
 
 def read_names(table: Table, name: str, _: Key) -> object:
@@ -63,8 +64,32 @@ class MqttConfig(FaceConfig, frozen=True, kw_only=True):
     keepalive_s: Annotated[int, Key(1, 3600)] = 10
 
 
+def read_listen(table: Table, name: str, _: Key) -> object:
+    """Reader of an address to listen on: ``HOST:PORT``, ``[::1]:PORT`` or ``PORT``."""
+    from dpstack.tcp_address import Listen  # here, as most configurations have no face
+
+    value = table.raw(name)
+    try:
+        if not isinstance(value, str):
+            raise UsageError(f"{name} = {value!r} is no text")
+        Listen.parse(value, name)
+    except UsageError as error:
+        table.fail(name, str(error), 'write for instance "127.0.0.1:9464"')
+    return value
+
+
+class MetricsConfig(FaceConfig, frozen=True, kw_only=True):
+    """The keys of [metrics].
+
+    listen: address and port of `/metrics`, `/healthz` and `/readyz`, see [metrics.md](metrics.md); without
+        a host this computer alone reaches it
+    """
+
+    listen: Annotated[str, Key(read=read_listen)] = "127.0.0.1:9464"
+
+
 #: the class of each table by its name, which is that of its face
-FACES: Final[dict[str, type[FaceConfig]]] = {"mqtt": MqttConfig}
+FACES: Final[dict[str, type[FaceConfig]]] = {"mqtt": MqttConfig, "metrics": MetricsConfig}
 
 
 def read_face(source: Source, name: str, data: object) -> FaceConfig:

@@ -12,7 +12,7 @@ from pathlib import Path
 from socket import gethostname
 from typing import Any, Final, NamedTuple
 
-from dpstack.api.config.faces import MqttConfig
+from dpstack.api.config.faces import MetricsConfig, MqttConfig
 from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.names import SPARKPLUG_ID
 from dpstack.bridge.orders import Orders
@@ -21,11 +21,15 @@ from dpstack.bridge.tree import PlantTree
 
 class Parts(NamedTuple):
     """The parts of the gateway that a face is made with. ``orders``: makes the gate of its orders, from its
-    ``allow_commands`` and ``command_max_age_s``; raises ConfigError for a name that fits no order of the plant."""
+    ``allow_commands`` and ``command_max_age_s``; raises ConfigError for a name that fits no order of the plant.
+    ``faces``: name, whether it serves, and number of dropped changes of each face; ``bus_pid``: the process id of the
+    bus process, None without one."""
 
     tree: PlantTree
     tell: Tell
     orders: Callable[[Sequence[str], float], Orders]
+    faces: Callable[[], Sequence[tuple[str, bool, int]]]
+    bus_pid: Callable[[], int | None]
 
 
 class FaceKind(NamedTuple):
@@ -58,6 +62,15 @@ def _mqtt(config: MqttConfig, parts: Parts) -> Face:
     return MqttFace(parts.tree, parts.tell, broker=broker, setup=setup, folder=folder, orders=orders)
 
 
+def _metrics(config: MetricsConfig, parts: Parts) -> Face:
+    from dpstack.bridge.metrics.face import MetricsFace  # these here, as most programs have no metrics
+    from dpstack.tcp_address import Listen
+
+    listen = Listen.parse(config.listen, "[metrics] listen")
+    return MetricsFace(parts.tree, parts.tell, listen, faces=parts.faces, bus_pid=parts.bus_pid)
+
+
 KINDS: Final[dict[str, FaceKind]] = {
     "mqtt": FaceKind("dpstack.bridge.mqtt.client", ("aiomqtt", "google.protobuf"), _mqtt),
+    "metrics": FaceKind("dpstack.bridge.metrics.face", ("prometheus_client",), _metrics),
 }

@@ -108,7 +108,7 @@ class Publishing:
         try:
             for name, kind in kinds.items():
                 tell = Teller(name, self._tell)
-                parts = Parts(self._tree, tell, partial(self._orders, tell))
+                parts = Parts(self._tree, tell, partial(self._orders, tell), self._face_states, self._bus_pid)
                 with self._blaming(name):
                     self._faces.append(kind.make(self._tables[name], parts))
             for face in self._faces:
@@ -140,6 +140,13 @@ class Publishing:
             task.cancel()
             await asyncio.wait((task,), timeout=_HURRIED_S)
             self._release()
+
+    def _face_states(self) -> list[tuple[str, bool, int]]:
+        serving = self.faces
+        return [(face.name, face.name in serving, face.dropped) for face in self._faces]
+
+    def _bus_pid(self) -> int | None:
+        return core_of(self._bus).runtime.pid if self._bus.is_open else None
 
     def _release(self) -> None:
         """Close the faces and the stream, whatever happens."""

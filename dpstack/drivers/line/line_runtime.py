@@ -132,6 +132,10 @@ class LineRuntime(ABC):
         self._put: Callable[[bytes], bool] = port.write  # or what copies sent octets, too
 
     @property
+    def pid(self) -> int | None:
+        return None
+
+    @property
     def port_name(self) -> str:
         """Name of the port (of a pty made here: the path of its other end, once it is open)."""
         return self._port.name

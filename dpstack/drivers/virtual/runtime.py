@@ -75,6 +75,10 @@ class VirtualRuntime(ActsAtOnce):
         return "the simulated bus was stopped by a defect in dpstack" if failed else None
 
     @property
+    def pid(self) -> int | None:
+        return None
+
+    @property
     def behind_ns(self) -> int:
         """How far bus time has fallen behind real time since the opening (ns); 0 in unpaced virtual time."""
         clockwork = self._clockwork

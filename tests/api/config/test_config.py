@@ -115,7 +115,7 @@ def test_ident_asked_for_and_made_up() -> None:
 #: texts without a sound [bus] table, or with tables in conflict: the beginning of the one line of each
 BAD: list[tuple[str, str]] = [
     ("", "1: no [bus] table; add [bus] with port and baud"),
-    (BUS + "[[slaves]]\n", "4: unknown table or key 'slaves'; a configuration has [bus] and [[slave]]"),
+    (BUS + "[[slaves]]\n", "4: unknown table or key 'slaves'; did you mean 'slave'?"),
     (BUS + "[slave]\naddress = 3\n", "4: [slave] must be [[slave]]; write two brackets: there may be"),
     ("bus = 3\n", "1: [bus] must be a table; write [bus] on a line of its own"),
     ("[bus\n", "1: not valid TOML at column 5: Expected ']' at the end of a table declaration; correct"),

@@ -1,0 +1,218 @@
+"""The metrics of this moment, from the tree of the plant, as families of ``prometheus_client``.
+
+Of a dead bus there is nothing but ``dpstack_bus_up`` 0: its other series end, and with them those of its slaves. No
+last value is given out that nobody has confirmed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
+from prometheus_client.core import Metric as Family
+
+from dpstack.bridge.conditions import Level
+from dpstack.bridge.metrics import table
+from dpstack.bridge.metrics.health import stream_comes
+from dpstack.bridge.metrics.processes import usage_of
+from dpstack.bridge.metrics.table import COUNTER, GAUGE, Metric
+from dpstack.bridge.names import PROMETHEUS_LABEL, Names, unique_names
+from dpstack.bridge.quality import FLOAT, Reason, value_of
+from dpstack.bridge.tree import EXCHANGING, PlantTree
+
+#: causes of damage of one slave or of the bus: a decoder has 15, and an adapter some of its own
+_MOST_CAUSES: Final = 24
+_CAUSE: Final = re.compile(r"[a-z][a-z0-9_]{0,30}")
+_OTHER: Final = "other"
+#: classes of a histogram
+_MOST_CLASSES: Final = 64
+_US: Final = 1e6
+_MS: Final = 1e3
+
+
+#: name of a face, whether it has not ended, number of changes that it dropped
+FaceState = tuple[str, bool, int]
+
+
+class Collector:
+    """The metrics of ``tree``. ``faces``: all faces; ``bus_pid``: process id of the
+    bus process, None without one; ``version``: that of dpstack."""
+
+    def __init__(
+        self,
+        tree: PlantTree,
+        *,
+        faces: Callable[[], Sequence[FaceState]] = tuple,
+        bus_pid: Callable[[], int | None] = lambda: None,
+        version: str = "",
+    ) -> None:
+        #: answers of the server by HTTP status, and connections that it refused
+        self.requests: Counter[int] = Counter()
+        self.refused = 0
+        self._tree = tree
+        self._faces = faces
+        self._bus_pid = bus_pid
+        self._version = version
+        self._names = Names({}, ())
+
+    def name_slaves(self) -> tuple[str, ...]:
+        """Name the slaves anew, after their nodes have changed. Returns a line for each name that was changed."""
+        slaves = self._tree.slaves.items()
+        self._names = unique_names(PROMETHEUS_LABEL, ((f"slave {at}", one.name) for at, one in slaves))
+        return self._names.changed
+
+    def families(self) -> list[Family]:
+        """All families that have series at this moment, in the order of the table."""
+        families = _Families()
+        tree = self._tree
+        alive = tree.is_alive(None)
+        families.add(table.BUS_UP, alive)
+        families.add(table.STREAM_UP, stream_comes(tree))
+        families.add(table.STREAM_LOST, tree.lost)
+        if alive:
+            self._add_bus(families, tree.values(None))
+            for address, described in tree.slaves.items():
+                name = self._names.names.get(f"slave {address}", described.name)
+                self._add_slave(families, address, (str(address), PROMETHEUS_LABEL.valid(name)))
+        for name, serves, dropped in self._faces():
+            families.add(table.FACE_UP, serves, name)
+            families.add(table.FACE_DROPPED, dropped, name)
+        for code, count in sorted(self.requests.items()):
+            families.add(table.REQUESTS, count, str(code))
+        families.add(table.REFUSED, self.refused)
+        _add_process(families, "run", os.getpid())
+        _add_process(families, "bus", self._bus_pid())
+        families.add(table.BUILD, 1, self._version)
+        return families.all()
+
+    def _add_bus(self, families: _Families, values: Mapping[str, Any]) -> None:
+        plant = self._tree.plant or {}
+        about = (PROMETHEUS_LABEL.valid(_text(plant.get(key))) for key in table.BUS_INFO.labels)
+        families.add(table.BUS_INFO, 1, *about)
+        for mode in table.MODES:
+            families.add(table.BUS_MODE, values.get("mode") == mode, mode)
+        families.add(table.BUS_IN_RING, values.get("in_ring"))
+        masters = values.get("masters")
+        families.add(table.BUS_MASTERS, len(masters) if isinstance(masters, list) else None)
+        families.add(table.BUS_CLEAR, bool(values.get("clear")))
+        families.add(table.SLAVES, len(self._tree.slaves))
+        plan = plant.get("plan")
+        rotation = plan.get("rotation_us") if isinstance(plan, Mapping) else None
+        if isinstance(rotation, Mapping):
+            for case in ("min", "typical", "max"):
+                families.add(table.BUS_PLANNED, _scaled(rotation.get(case), _US), case)
+        histograms = values.get("histograms") or {}
+        for key, metric in table.BUS_HISTOGRAMS.items():
+            families.add_histogram(metric, histograms.get(key))
+        for key, metric in table.BUS_COUNTERS.items():
+            families.add(metric, values.get(key))
+        for cause, count in _causes(values.get("bad")):
+            families.add(table.BUS_DAMAGED, count, cause)
+        families.add(table.BUS_COUNTERS_AGE, _scaled(values.get("age_ms"), _MS))
+
+    def _add_slave(self, families: _Families, address: int, labels: tuple[str, str]) -> None:
+        tree, values = self._tree, self._tree.values(address)
+        trouble = tree.trouble(address)
+        reason = None if trouble is None else trouble[0]
+        state = values.get("state")
+        if reason in (Reason.NOT_SENT, Reason.WAITING) or state not in table.STATES:
+            state = "unknown"
+        for one in table.STATES:
+            families.add(table.SLAVE_STATE, one == state, *labels, one)
+        exchanging = state == EXCHANGING
+        families.add(table.EXCHANGING, exchanging, *labels)
+        families.add(table.INPUTS_VALID, trouble is None, *labels)
+        if exchanging:
+            families.add(table.INPUTS_AGE, _scaled(values.get("inputs_age_ms"), _MS), *labels)
+        if state == "unknown":
+            return
+        families.add(table.WATCHDOG, _scaled(values.get("watchdog_ms"), _MS), *labels)
+        families.add(table.FAULT, values.get("fault") is not None, *labels)
+        families.add(table.DIAGNOSIS, bool(values.get("conspicuous")), *labels)
+        active = Counter(one.level for one in tree.conditions.of(address) if one.active)
+        for level in table.LEVELS:
+            families.add(table.CONDITIONS, active[Level[level.upper()]], *labels, level)
+        for key, metric in table.SLAVE_COUNTERS.items():
+            families.add(metric, values.get(key), *labels)
+        for cause, count in _causes(values.get("bad")):
+            families.add(table.SLAVE_DAMAGED, count, *labels, cause)
+
+
+class _Families:
+    """Families by metric. A value that is no number is left out."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, Any] = {}
+
+    def add(self, metric: Metric, value: object, *labels: str) -> None:
+        number = float(value) if isinstance(value, bool) else value_of(value, FLOAT)
+        if isinstance(number, float) and (number >= 0 or metric.kind == GAUGE):
+            self._family(metric).add_metric(labels, number)
+
+    def add_histogram(self, metric: Metric, given: object) -> None:
+        """Add a histogram as the live stream has it: ``counts`` has one number more than ``limits_us``."""
+        if not isinstance(given, Mapping):
+            return
+        limits, counts, total = given.get("limits_us"), given.get("counts"), given.get("sum_us")
+        if not isinstance(limits, list) or not isinstance(counts, list) or len(counts) != len(limits) + 1:
+            return
+        if len(limits) > _MOST_CLASSES or limits != sorted(set(limits)):
+            return
+        buckets, sum_ = [], 0
+        for limit, count in zip([*map(_bucket, limits), "+Inf"], counts, strict=True):
+            sum_ += count
+            buckets.append((limit, sum_))
+        self._family(metric).add_metric((), buckets, _scaled(total, _US))
+
+    def all(self) -> list[Family]:
+        return [self._made[metric.name] for metric in table.METRICS if metric.name in self._made]
+
+    def _family(self, metric: Metric) -> Any:
+        made = self._made.get(metric.name)
+        if made is None:
+            kinds = {COUNTER: CounterMetricFamily, GAUGE: GaugeMetricFamily}
+            made = kinds.get(metric.kind, HistogramMetricFamily)(metric.name, metric.text, labels=metric.labels)
+            self._made[metric.name] = made
+        return made
+
+
+def _add_process(families: _Families, process: str, pid: int | None) -> None:
+    usage = None if pid is None else usage_of(pid)
+    if usage is None:
+        return
+    families.add(table.CPU, usage.cpu_s, process)
+    families.add(table.MEMORY, usage.resident, process)
+    families.add(table.OPEN_FDS, usage.open_fds, process)
+    families.add(table.MAX_FDS, usage.max_fds, process)
+    families.add(table.START, usage.started, process)
+
+
+def _causes(given: object) -> Iterator[tuple[str, int]]:
+    """Counts of damage by cause; those that have no plain name, or are too many, together."""
+    found: Counter[str] = Counter()
+    for cause, count in _items(given):
+        plain = _CAUSE.fullmatch(cause) is not None and len(found) < _MOST_CAUSES
+        found[cause if plain else _OTHER] += count
+    return iter(found.items())
+
+
+def _items(given: object) -> Iterable[tuple[str, int]]:
+    return sorted(given.items()) if isinstance(given, Mapping) else ()
+
+
+def _bucket(limit_us: float) -> str:
+    """The label ``le``, in seconds."""
+    return repr(limit_us / _US)
+
+
+def _scaled(given: object, divisor: float) -> float | None:
+    found = value_of(given, FLOAT)
+    return found / divisor if isinstance(found, float) else None
+
+
+def _text(given: object) -> str:
+    return str(given) if isinstance(given, (str, int)) else ""

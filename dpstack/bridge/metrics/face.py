@@ -1,0 +1,130 @@
+"""The face of the table ``[metrics]``: an HTTP server with ``/metrics``, ``/healthz`` and ``/readyz``."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator, Sequence
+from http import HTTPStatus
+from importlib.metadata import PackageNotFoundError, version
+from typing import ClassVar, Final
+
+from prometheus_client import generate_latest
+from prometheus_client.core import Metric as Family
+from prometheus_client.registry import Collector as OneFamily
+
+from dpstack.bridge.face import Face, Tell
+from dpstack.bridge.metrics.collector import Collector, FaceState
+from dpstack.bridge.metrics.health import Health, liveness, readiness
+from dpstack.bridge.metrics.http_server import Answer, HttpServer
+from dpstack.bridge.tree import Change, NodesChanged, PlantTree
+from dpstack.tcp_address import Listen, Origins, is_local, join
+from dpstack.trace import Severity
+
+#: s for which a text is given out again: the live stream of the faces brings no news more often
+FRESH_S: Final = 0.2
+
+
+class MetricsFace(Face):
+    """``listen``: the address of the server. See :class:`Collector` for ``faces`` and ``bus_pid``."""
+
+    name: ClassVar[str] = "metrics"
+
+    def __init__(
+        self,
+        tree: PlantTree,
+        tell: Tell,
+        listen: Listen,
+        *,
+        faces: Callable[[], Sequence[FaceState]] = tuple,
+        bus_pid: Callable[[], int | None] = lambda: None,
+    ) -> None:
+        super().__init__(tree, tell)
+        self.collector = Collector(tree, faces=faces, bus_pid=bus_pid, version=_version())
+        #: (host, port) on which it listens, once it is open
+        self.address: tuple[str, int] | None = None
+        self._listen = listen
+        self._server: HttpServer | None = None
+        self._rendering = asyncio.Lock()
+        self._text = b""
+        self._text_until = 0.0
+
+    async def open(self) -> None:
+        sockets = self._listen.sockets()
+        host, port = sockets[0].getsockname()[:2]
+        self.address = host, port
+        local = is_local(sockets)
+        self._server = HttpServer(
+            {
+                "/metrics": self._metrics,
+                "/healthz": lambda: _health(liveness(self.tree)),
+                "/readyz": lambda: _health(readiness(self.tree)),
+            },
+            sockets,
+            origins=Origins((), port, secure=False) if local else None,
+            count=self._count,
+            refused=self._refuse,
+        )
+        await self._server.begin()
+        more = "" if local else "; other computers reach it, without TLS and password"
+        self.tell(f"http://{join(host, port)}/metrics{more}", Severity.INFO if local else Severity.WARNING)
+
+    def take(self, changes: Sequence[Change]) -> None:
+        if any(isinstance(change, NodesChanged) for change in changes):
+            for line in self.collector.name_slaves():
+                self.tell(line, Severity.WARNING)
+
+    async def serve(self) -> None:
+        await asyncio.Event().wait()
+
+    def close(self) -> None:
+        if self._server is not None:
+            self._server.end()
+
+    def _count(self, status: HTTPStatus) -> None:
+        self.collector.requests[status.value] += 1
+
+    def _refuse(self) -> None:
+        self.collector.refused += 1
+
+    async def _metrics(self) -> Answer:
+        """The text for Prometheus. All who ask within :data:`FRESH_S` get the same one."""
+        loop = asyncio.get_running_loop()
+        async with self._rendering:
+            if loop.time() >= self._text_until:
+                try:
+                    self._text = await rendered(self.collector.families())
+                except Exception as error:
+                    self.tell(f"a defect, please report it: {type(error).__name__}: {error}", Severity.ERROR)
+                    return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, b"a defect, see the log of the run\n")
+                self._text_until = loop.time() + FRESH_S
+            return Answer(HTTPStatus.OK, self._text)
+
+
+async def rendered(families: Sequence[Family]) -> bytes:
+    """``families`` in the text format of Prometheus. Behind each one the loop goes on: it may drive a bus."""
+    parts = []
+    for family in families:
+        parts.append(generate_latest(_One(family)))
+        await asyncio.sleep(0)
+    return b"".join(parts)
+
+
+class _One(OneFamily):
+    def __init__(self, family: Family) -> None:
+        self._family = family
+
+    def collect(self) -> Iterator[Family]:
+        yield self._family
+
+
+def _version() -> str:
+    """The version of dpstack; empty where it is not installed."""
+    try:
+        return version("dpstack")
+    except PackageNotFoundError:
+        return ""
+
+
+async def _health(health: Health) -> Answer:
+    status = HTTPStatus.OK if health.good else HTTPStatus.SERVICE_UNAVAILABLE
+    return Answer(status, health.text.encode())

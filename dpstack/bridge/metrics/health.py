@@ -1,0 +1,68 @@
+"""``/healthz`` and ``/readyz``: whether the stream of the bus comes, and whether all slaves are in data exchange."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from dpstack.bridge.quality import Reason, clean
+from dpstack.bridge.tree import EXCHANGING, PlantTree
+from dpstack.text import printable
+
+#: reasons for which no value of the stream is of this moment
+_NO_STREAM: Final = frozenset({Reason.WAITING, Reason.STREAM_SILENT, Reason.STREAM_LATE, Reason.ENDED})
+_DEACTIVATED: Final = "deactivated"
+
+
+class Health(NamedTuple):
+    """``text``: lines for people, printable, each with its end."""
+
+    good: bool
+    text: str
+
+
+def stream_comes(tree: PlantTree) -> bool:
+    """Whether the live stream of the bus comes, and in time."""
+    trouble = tree.trouble(None)
+    return trouble is None or trouble[0] not in _NO_STREAM
+
+
+def liveness(tree: PlantTree) -> Health:
+    """``/healthz``: this process answers, and the live stream of the bus comes."""
+    if stream_comes(tree):
+        return Health(True, "the live stream of the bus comes\n")
+    trouble = tree.trouble(None)
+    assert trouble is not None
+    return Health(False, f"{_line(*trouble)}\n")
+
+
+def readiness(tree: PlantTree) -> Health:
+    """``/readyz``: the bus operates (on a bus that is read only: its master is in the ring), and all slaves are in data
+    exchange, but those that were taken out of service by order."""
+    trouble = tree.trouble(None)
+    if trouble is not None:
+        return Health(False, f"{_line(*trouble)}\n")
+    values = tree.values(None)
+    lines = []
+    if tree.plant is not None and tree.plant.get("read_only") is True:
+        if values.get("in_ring") is not True:
+            lines.append("the master is not in the token ring")
+    elif values.get("mode") != "operate":
+        lines.append(f"the master is in {clean(values.get('mode')) or 'an unknown mode'}, not in operate")
+    served = 0
+    for address, described in tree.slaves.items():
+        slave = tree.values(address)
+        if slave.get("state") == _DEACTIVATED:
+            continue
+        served += 1
+        if not tree.is_alive(address):
+            trouble = tree.trouble(address)
+            state = clean(slave.get("state")) or "unknown"
+            why = _line(*trouble) if trouble is not None and state == EXCHANGING else state
+            lines.append(f"slave {address} ({printable(described.name)}) is not in data exchange: {why}")
+    if lines:
+        return Health(False, "".join(f"{line}\n" for line in lines))
+    return Health(True, f"the bus operates; in data exchange: all slaves ({served})\n")
+
+
+def _line(reason: Reason, note: str) -> str:
+    return printable(f"{reason.text}: {note}" if note else reason.text)

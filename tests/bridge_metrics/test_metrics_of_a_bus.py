@@ -1,0 +1,134 @@
+"""The metrics of a simulated bus in virtual time, read back by the parser of others and held against the wire log."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from typing import Any
+
+from api_kit import bench_of, in_virtual_time, slave_in
+from metrics_kit import Scrape, scrape
+from support import WorldFactory
+from wire_truth import truth_of
+
+import dpstack
+from dpstack.api.faces.publishing import Publishing
+from dpstack.bridge.metrics.face import MetricsFace
+from dpstack.bridge.metrics.health import liveness, readiness
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
+
+VALVES: dict[str, Any] = {"name": "valves", "address": 9, "ident": 0x1234, "config": "21 11"}
+DESCRIPTION = SlaveDescription(ident=0x1234, configs=(bytes.fromhex("21 11"),))
+NINE = {"address": "9", "slave": "valves"}
+
+
+def face_of(publishing: Publishing) -> MetricsFace:
+    [face] = publishing._faces
+    assert isinstance(face, MetricsFace)
+    return face
+
+
+@contextlib.asynccontextmanager
+async def published(bus: dpstack.Bus) -> AsyncIterator[MetricsFace]:
+    async with bus, dpstack.publish(bus, metrics={"listen": "127.0.0.1:0"}) as publishing:
+        yield face_of(publishing)
+
+
+async def settled(face: MetricsFace) -> Scrape:
+    """A scrape behind the next counters, which the stream brings once a second."""
+    await asyncio.sleep(1.3)
+    return await scrape(face)
+
+
+@in_virtual_time
+async def test_counters_and_histograms_are_those_of_the_wire(world: WorldFactory) -> None:
+    here = world(keep=1_000_000)
+    station, _ = slave_in(here, DpSlave(DESCRIPTION, lambda outputs, elapsed: outputs), 9)
+    # no watchdog, and 15 repetitions: it stays in data exchange while it is silent for a moment
+    bus = dpstack.open_bus(port="virtual", baud=500_000, max_retry=7, slaves=[VALVES], world=here)
+    async with published(bus) as face:
+        await bus.operate()
+        await bus.ready()
+        before = await settled(face)
+        assert before("dpstack_slave_retries_total", **NINE) == 0
+        here.silence(station, 2_000_000)
+        await asyncio.sleep(0.5)
+        await bus.stop()
+        seen = await settled(face)
+        truth = truth_of(here.log)
+        assert seen("dpstack_slave_retries_total", **NINE) == truth.repetitions[9] + truth.repeated_polls[9] > 0
+        assert seen("dpstack_bus_retries_total") == truth.repetitions[9] + truth.repeated_polls[9]
+        # without the polls of the GAP, Request FDL Status, which are no requests of the DP master
+        polls = sum(entry.octets[:4] == bytes.fromhex("10 09 02 49") for entry in here.log)
+        counted = truth.requests[9] + truth.answers[9] - 2 * polls
+        assert seen("dpstack_slave_telegrams_total", **NINE) == counted
+        # tokens go on in Stop: of all telegrams until the last counters
+        assert 0 <= truth.telegrams - seen("dpstack_bus_telegrams_total") < 0.1 * truth.telegrams
+        rotations = seen("dpstack_bus_rotation_seconds_count")
+        assert rotations == seen("dpstack_bus_rotation_seconds_bucket", le="+Inf") > 100
+        assert rotations <= truth.answers[9]
+        buckets = [
+            (float(dict(labels)["le"]), count)
+            for labels, count in seen.of("dpstack_bus_rotation_seconds_bucket").items()
+        ]
+        counts = [count for _, count in sorted(buckets)]
+        assert counts == sorted(counts)
+        # the mean of a rotation is that of the wire: about 2.5 s of rounds
+        mean = seen("dpstack_bus_rotation_seconds_sum") / rotations
+        assert seen("dpstack_bus_planned_rotation_seconds", case="min") <= mean
+        assert mean <= seen("dpstack_bus_planned_rotation_seconds", case="max")
+
+
+@in_virtual_time
+async def test_a_slave_that_goes_has_no_value_that_looks_fresh() -> None:
+    bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[VALVES])
+    async with published(bus) as face:
+        await bus.operate()
+        await bus.ready()
+        seen = await settled(face)
+        assert seen("dpstack_bus_up") == seen("dpstack_stream_up") == 1
+        assert seen("dpstack_bus_mode", mode="operate") == 1
+        assert seen("dpstack_slave_state", **NINE, state="data_exchange") == 1
+        assert sum(seen.of("dpstack_slave_state").values()) == 1
+        assert seen("dpstack_slave_in_data_exchange", **NINE) == seen("dpstack_slave_inputs_valid", **NINE) == 1
+        assert seen("dpstack_slave_inputs_age_seconds", **NINE) < 0.1
+        assert readiness(face.tree) == (True, "the bus operates; in data exchange: all slaves (1)\n")
+        bench_of(bus).power(9, False)
+        seen = await settled(face)
+        assert seen("dpstack_bus_up") == 1
+        assert seen("dpstack_slave_in_data_exchange", **NINE) == seen("dpstack_slave_inputs_valid", **NINE) == 0
+        assert seen("dpstack_slave_state", **NINE, state="data_exchange") == 0
+        assert seen("dpstack_slave_fault", **NINE) == 1
+        assert seen("dpstack_slave_conditions_active", **NINE, level="error") == 1
+        assert not seen.has("dpstack_slave_inputs_age")
+        assert seen("dpstack_slave_timeouts_total", **NINE) > 0
+        assert liveness(face.tree).good
+        good, text = readiness(face.tree)
+        assert not good
+        assert text.startswith("slave 9 (valves) is not in data exchange: ")
+        await bus.clear()
+        await asyncio.sleep(0.5)
+        assert "the master is in clear, not in operate\n" in readiness(face.tree).text
+
+
+@in_virtual_time
+async def test_of_a_dead_bus_nothing_but_its_death_is_left() -> None:
+    bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[VALVES])
+    publishing = dpstack.publish(bus, metrics={"listen": "127.0.0.1:0"})
+    async with publishing:
+        face = face_of(publishing)
+        assert not liveness(face.tree).good
+        assert not readiness(face.tree).good
+        async with bus:
+            await bus.operate()
+            await bus.ready()
+            assert (await settled(face)).has("dpstack_slave_exchanges")
+        await asyncio.sleep(0.1)
+        seen = await scrape(face)
+        assert seen("dpstack_bus_up") == seen("dpstack_stream_up") == 0
+        assert not seen.has("dpstack_slave_")
+        assert {name for name, _ in seen.series if name.startswith("dpstack_bus_")} == {"dpstack_bus_up"}
+        assert liveness(face.tree).text.startswith("the bus has ended")
+        assert readiness(face.tree).text.startswith("the bus has ended")

@@ -1,0 +1,225 @@
+"""The HTTP server of the metrics over real sockets: right requests, hostile ones, a port that is taken."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.client
+import random
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+
+import pytest
+from metrics_kit import FINE, Bench, ask, plant, read, request, snapshot
+
+from dpstack.bridge.metrics import http_server
+from dpstack.bridge.metrics.face import MetricsFace
+from dpstack.bridge.metrics.http_server import MOST_CONNECTIONS, MOST_OCTETS, MOST_OF_ONE
+from dpstack.errors import PortError
+from dpstack.tcp_address import Listen
+
+
+@contextlib.asynccontextmanager
+async def serving() -> AsyncIterator[tuple[MetricsFace, int]]:
+    face = Bench(plant("valves"), snapshot(1.0, FINE)).face
+    await face.open()
+    try:
+        assert face.address is not None
+        yield face, face.address[1]
+    finally:
+        face.close()
+
+
+def served(test: Callable[[MetricsFace, int], Awaitable[None]]) -> None:
+    async def run() -> None:
+        async with serving() as (face, port):
+            await test(face, port)
+
+    asyncio.run(run())
+
+
+async def until(condition: Callable[[], object]) -> None:
+    async with asyncio.timeout(30):
+        while not condition():  # noqa: ASYNC110  a server has no event for a place that is free
+            await asyncio.sleep(0.02)
+
+
+def status_of(answer: bytes) -> int:
+    assert answer.startswith(b"HTTP/1.1 "), answer[:100]
+    return int(answer[9:12])
+
+
+def test_the_pages_by_the_client_of_the_standard_library() -> None:
+    async def test(face: MetricsFace, port: int) -> None:
+        def get(path: str, method: str = "GET") -> tuple[int, str | None, bytes]:
+            link = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+            link.request(method, path)
+            answer = link.getresponse()
+            found = answer.status, answer.getheader("Content-Type"), answer.read()
+            link.close()
+            return found
+
+        status, kind, body = await asyncio.to_thread(get, "/metrics")
+        assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
+        assert read(body)("dpstack_bus_up") == 1
+        assert (await asyncio.to_thread(get, "/metrics?collect[]=x"))[2] == body
+        assert (await asyncio.to_thread(get, "/metrics", "HEAD"))[::2] == (200, b"")
+        assert await asyncio.to_thread(get, "/healthz") == (200, kind, b"the live stream of the bus comes\n")
+        assert (await asyncio.to_thread(get, "/readyz"))[0] == 200
+        face.tree.tick(100.0)
+        assert (await asyncio.to_thread(get, "/healthz"))[0] == 503
+        assert (await asyncio.to_thread(get, "/readyz"))[0] == 503
+        assert face.collector.requests == {200: 5, 503: 2}
+
+    served(test)
+
+
+OWN = request("/healthz")
+
+
+@pytest.mark.parametrize(
+    ("octets", "status"),
+    [
+        (request("/healthz", "POST"), 405),
+        (request("/healthz", "BREW"), 405),
+        (request("/nothing"), 404),
+        (request("/../etc/passwd"), 404),
+        (b"GET /healthz\r\n\r\n", 400),
+        (b"GET http://127.0.0.1/healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", 400),
+        (b"GET /healthz HTTP/2.0\r\nHost: 127.0.0.1\r\n\r\n", 400),
+        (b"GET /healthz HTTP/1.1\r\n\r\n", 400),
+        (b"GET /health\x00z HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", 400),
+        (b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nbad line\r\n\r\n", 400),
+        (b"GET /healthz HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n", 400),
+        (b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX: a\nb\r\n\r\n", 400),
+        (b"\r\n\r\n", 400),
+        (bytes(range(256)) + b"\r\n\r\n", 400),
+        (b"GET /" + b"x" * 3000 + b" HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", 400),
+        (b"x" * (MOST_OCTETS + 1), 431),
+        (b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 5000, 431),
+        (request("/healthz", headers={"Host": "evil.example:80"}), 421),
+        (request("/healthz", headers={"Host": "evil.example"}), 421),
+    ],
+)
+def test_a_request_that_is_none_is_refused_and_the_next_is_served(octets: bytes, status: int) -> None:
+    async def test(_: MetricsFace, port: int) -> None:
+        assert status_of(await ask(port, octets, whole=False)) == status
+        assert status_of(await ask(port, OWN)) == 200
+
+    served(test)
+
+
+def test_pipelined_requests_and_a_body_get_one_answer() -> None:
+    async def test(face: MetricsFace, port: int) -> None:
+        own = request("/healthz")
+        answer = await ask(port, own * 5)
+        assert answer.count(b"HTTP/1.1") == 1
+        assert b"Connection: close\r\n" in answer
+        answer = await ask(port, request("/metrics") + b"x" * 1_000_000)
+        assert status_of(answer) == 200
+        assert read(answer.partition(b"\r\n\r\n")[2])("dpstack_bus_up") == 1
+        assert face.collector.requests == {200: 2}
+
+    served(test)
+
+
+def test_silent_clients_lose_their_place_and_a_thousand_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_server, "LONGEST_S", 1.5)
+
+    async def test(face: MetricsFace, port: int) -> None:
+        server = face._server
+        assert server is not None
+        own = request("/healthz")
+        links = []
+        for number in range(1000):
+            link = socket.socket()
+            link.setblocking(False)
+            with contextlib.suppress(OSError):
+                await asyncio.get_running_loop().sock_connect(link, ("127.0.0.1", port))
+            links.append(link)
+            assert len(server.open) <= MOST_OF_ONE <= MOST_CONNECTIONS, number
+        await until(lambda: face.collector.refused >= 1000 - MOST_OF_ONE)
+        assert len(server.open) == MOST_OF_ONE
+        # the first ones said nothing, and are gone when their time is over
+        await until(lambda: not server.open)
+        assert not server._of
+        assert status_of(await ask(port, own)) == 200
+        for link in links:
+            link.close()
+
+    served(test)
+
+
+def test_those_who_ask_together_get_one_text() -> None:
+    async def test(face: MetricsFace, port: int) -> None:
+        own = request()
+        made: list[int] = []
+        families = face.collector.families
+
+        def counted() -> object:
+            made.append(1)
+            return families()
+
+        face.collector.families = counted  # type: ignore[method-assign,assignment]
+        answers = await asyncio.gather(*(ask(port, own) for _ in range(10)))
+        assert [status_of(one) for one in answers] == [200] * 10
+        assert len(made) < 5  # one for each 0.2 s
+
+    served(test)
+
+
+def test_a_defect_is_told_and_the_next_page_is_served() -> None:
+    async def test(face: MetricsFace, port: int) -> None:
+        face.collector.families = lambda: [][0]  # type: ignore[method-assign]
+        assert status_of(await ask(port, request())) == 500
+        assert status_of(await ask(port, request("/healthz"))) == 200
+
+    served(test)
+
+
+def test_random_octets_never_reach_the_handler_of_the_loop() -> None:
+    chance = random.Random(21)
+    troubles: list[object] = []
+
+    async def test(face: MetricsFace, port: int) -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: troubles.append(context))
+        for _ in range(100):
+            octets = bytearray(request().replace(b"PORT", str(port).encode()))
+            for _ in range(chance.randrange(4)):
+                octets[chance.randrange(len(octets))] = chance.randrange(256)
+            answer = await ask(port, bytes(octets[: chance.randrange(len(octets) + 40)]))
+            assert not answer or status_of(answer) in (200, 400, 404, 405, 421, 431)
+        server = face._server
+        assert server is not None
+        await until(lambda: not server.open)
+
+    served(test)
+    assert troubles == []
+
+
+def test_a_port_that_is_taken_is_one_clear_line() -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        face = Bench().face
+        face._listen = Listen("127.0.0.1", port, "[metrics] listen")
+        with pytest.raises(PortError, match=rf"\[metrics\] listen 127.0.0.1:{port}: .*in use; give another address"):
+            asyncio.run(face.open())
+        face.close()
+
+
+def test_an_address_that_others_reach_is_told_and_takes_every_host() -> None:
+    async def run() -> None:
+        bench = Bench(plant("valves"), snapshot(1.0, FINE))
+        bench.face._listen = Listen("0.0.0.0", 0, "listen")
+        await bench.face.open()
+        try:
+            assert bench.face.address is not None
+            assert [line for line in bench.told if "other computers reach it, without TLS and password" in line]
+            answer = await ask(bench.face.address[1], request("/healthz", headers={"Host": "plant-7.example"}))
+            assert status_of(answer) == 200
+        finally:
+            bench.face.close()
+
+    asyncio.run(run())
