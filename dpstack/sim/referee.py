@@ -13,6 +13,8 @@ from enum import Enum
 from functools import lru_cache
 from typing import Final, NamedTuple
 
+from msgspec import Struct
+
 from dpstack.errors import DpError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, UNANSWERED, Kind, Telegram
@@ -189,8 +191,8 @@ _TOKEN: Final = 4
 _GARBAGE: Final = 5  # octets that are no telegram
 
 
-class _Times(NamedTuple):
-    """A master's own times in bit times."""
+class _Times(Struct, frozen=True, eq=False):
+    """A master's own times in bit times. Two are never equal: as a key of a cache they cost no hash of their values."""
 
     t_sl: int
     t_id1: int

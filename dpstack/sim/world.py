@@ -96,27 +96,23 @@ class Medium:
     # --- sending ---
     def transmit(self, node: Node, octets: bytes, now: int) -> int:
         """``node`` puts ``octets`` on the line at ``now``; returns the end of the last bit in ns."""
-        if node.sending_until > now:
-            raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
         baud = node.baud
         telegram, lasts = on_wire(octets, baud)
         end = now + lasts
-        tx = Transmission(node, node.name, octets, baud, now, end, telegram)
         if (
             self._faults.armed
+            or node.hears_from > now  # it is deaf, or sends already
             or node.mute_until > now
             or self._busy_until > now
             or baud != self._nodes.common_rate
             or telegram is None
         ):
-            return self._transmit_with_care(tx, node, now)
+            return self._transmit_with_care(Transmission(node, node.name, octets, baud, now, end, telegram), node, now)
         # as in _begin(): it is alone on the line, and all stations are at its rate and get the whole telegram
-        node.sending_until = self._busy_until = end
-        if node.hears_from < end:  # else it is deaf for longer
-            node.hears_from = end
-        tx.whole = True
+        node.sending_until = node.hears_from = self._busy_until = end
         self.transmissions += 1
         self.baud = baud
+        tx = Transmission(node, node.name, octets, baud, now, end, telegram, whole=True)
         self.begun = self._current = tx
         if self._heap[0][0] <= now:
             self._world.schedule(now, _EDGES, self._announce_edge, tx)
@@ -128,6 +124,8 @@ class Medium:
 
     def _transmit_with_care(self, tx: Transmission, node: Node, now: int) -> int:
         """Send ``tx`` with the faults of the line and the silence of its sender; returns its end in ns."""
+        if node.sending_until > now:
+            raise RuntimeError(f"station {node.name} sends {tx.octets.hex(' ')} while it is still sending")
         if self._faults.armed:
             self._faults.apply(tx)
         if node.mute_until > now:
@@ -269,18 +267,17 @@ class Medium:
         """
         start = tx.start_ns
         end = tx.end_ns
-        whole = tx.whole
+        telegram = tx.telegram if tx.whole else None
         referee = self._referee
         if referee is not None:
-            if whole:
+            if telegram is not None:
                 referee.ended(tx)
             elif not tx.lost:
                 tx.heard_ns = self._octet_ns
                 referee.ended(tx)
         notes = tx.notes
         self._log.add((start, end, tx.octets, tx.sender, "; ".join(notes) if notes else ""))
-        telegram = tx.telegram
-        if telegram is None or not whole:
+        if telegram is None:
             return None
         baud = tx.baud
         last: Node | None = None
@@ -575,7 +572,12 @@ class World:
                 else:
                     at = tx.end_ns
                     if deadline < node.due:
-                        waiting = self._set_timer(node, waiting)
+                        if waiting is None and deadline > now:  # as in _set_timer()
+                            waiting = node
+                            node.due = deadline
+                            node.order = _TIMERS + next(self.ticks)
+                        else:
+                            waiting = self._set_timer(node, waiting)
                 if events or not now < at <= horizon or at >= heap[0][0]:
                     break
                 if waiting is not None and waiting.due <= at and not self._put_off(waiting, at):

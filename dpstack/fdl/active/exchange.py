@@ -129,12 +129,17 @@ class Exchange(Awaiting):
         """A response to this station, or SC, while it waits for an answer."""
         request, peers = self.request, self.peers
         expected = self.machine.expected
-        as_expected = telegram is expected.telegram
+        # a telegram that came without octets is another object; with the expected head it is the answer, too
+        as_expected = telegram is expected.telegram or (
+            len(telegram.data) == expected.data_size
+            and telegram.fc == expected.fc
+            and telegram.sa == request.da
+            and telegram.dsap is telegram.ssap is None
+        )
         if self.line.edge_at < self.early_until or not (as_expected or answers(request, telegram)):
             self._no_answer_to_request(telegram, now)
             return
-        # a telegram that came without octets is another object, though its head is the expected one
-        if not as_expected and (telegram.fc != expected.fc or len(telegram.data) != expected.data_size):
+        if not as_expected:
             self._expect_again(telegram)
         if peers.due and self._keep_back(telegram, now):
             return

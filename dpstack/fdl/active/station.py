@@ -205,9 +205,13 @@ class ActiveStation:
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram (see BusStation)."""
-        if self._machine.state is not OFFLINE:
+        machine = self._machine
+        if machine.state is not OFFLINE:
             self._line.telegram_ended(now)
-            self._process(telegram, now)
+            self.stats.heard += 1  # as _process()
+            if self.wire is not None:
+                self._log_heard(self.wire, telegram, now)
+            machine.telegram(telegram, now)
 
     def _process(self, telegram: Telegram, now: int) -> None:
         self.stats.heard += 1
