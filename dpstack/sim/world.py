@@ -578,7 +578,7 @@ class World:
                             node.order = _TIMERS + next(self.ticks)
                         else:
                             waiting = self._set_timer(node, waiting)
-                if events or not now < at <= horizon or at >= heap[0][0]:
+                if events or at <= now or at > horizon or at >= heap[0][0]:
                     break
                 if waiting is not None and waiting.due <= at and not self._put_off(waiting, at):
                     break

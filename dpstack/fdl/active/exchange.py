@@ -129,18 +129,19 @@ class Exchange(Awaiting):
         """A response to this station, or SC, while it waits for an answer."""
         request, peers = self.request, self.peers
         expected = self.machine.expected
-        # a telegram that came without octets is another object; with the expected head it is the answer, too
-        as_expected = telegram is expected.telegram or (
-            len(telegram.data) == expected.data_size
-            and telegram.fc == expected.fc
-            and telegram.sa == request.da
-            and telegram.dsap is telegram.ssap is None
-        )
-        if self.line.edge_at < self.early_until or not (as_expected or answers(request, telegram)):
+        if self.line.edge_at < self.early_until or not (
+            telegram is expected.telegram
+            # a telegram that came without octets is another object; with the expected head it is the answer, too
+            or (
+                len(telegram.data) == expected.data_size
+                and telegram.fc == expected.fc
+                and telegram.sa == request.da
+                and telegram.dsap is telegram.ssap is None
+            )
+            or self._answers_with_another_head(telegram)
+        ):
             self._no_answer_to_request(telegram, now)
             return
-        if not as_expected:
-            self._expect_again(telegram)
         if peers.due and self._keep_back(telegram, now):
             return
         da = request.da
@@ -159,11 +160,15 @@ class Exchange(Awaiting):
             peers.expect_none(da)
         self._finish(telegram, now)
 
-    def _expect_again(self, telegram: Telegram) -> None:
-        """The next plain request to this station has probably an answer with the head of ``telegram``."""
+    def _answers_with_another_head(self, telegram: Telegram) -> bool:
+        """Whether ``telegram`` answers the request. The next plain request to this station has probably an answer with
+        the same head."""
         request = self.request
+        if not answers(request, telegram):
+            return False
         if self._service.counted and request.dsap is None and request.ssap is None:
             self._answers[request.da] = plain_frame_of(telegram)
+        return True
 
     def _keep_back(self, telegram: Telegram, now: int) -> bool:
         """True when ``telegram`` may be a late answer and is kept back for one slot time (see above)."""
