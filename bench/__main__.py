@@ -105,7 +105,7 @@ def main(argv: list[str] | None = None) -> int:
 def run(name: str, argv: list[str]) -> Report:
     """The report of one benchmark with its own options. Raises ValueError for one that does not exist."""
     if name not in BENCHMARKS:
-        raise ValueError(f"no benchmark {name!r}; there are: {', '.join(BENCHMARKS)}")
+        raise ValueError(f"no benchmark {name!r}; there are: {', '.join(BENCHMARKS)}; and the commands compare, goals")
     report: Report = importlib.import_module(BENCHMARKS[name][0]).run(argv)
     return report.finished()
 

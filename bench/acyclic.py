@@ -15,6 +15,7 @@ from typing import Final
 from bench.acyclic_plant import LENGTHS, Answers, Load, Plant, Seen, setups
 from bench.jitter import Lateness
 from bench.masters import DRIVERS
+from bench.options import count, duration
 from bench.records import fetched, rotations
 from bench.report import Report, quantile
 from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
@@ -50,8 +51,8 @@ def run(argv: Sequence[str]) -> Report:
     parser.add_argument("--cycles", type=int, default=198, help="of one measurement in virtual time")
     parser.add_argument("--pty-bauds", type=int, nargs="*", default=_PTY_BAUDS)
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS, help="on the pty")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of one measurement on the pty")
-    parser.add_argument("--rounds", type=int, default=5, help="on the pty, all kinds in turn; medians are reported")
+    parser.add_argument("--seconds", type=duration, default=2.0, help="of one measurement on the pty")
+    parser.add_argument("--rounds", type=count, default=5, help="on the pty, all kinds in turn; medians are reported")
     args = parser.parse_args(argv)
     report = Report("acyclic")
     for baud in args.bauds:

@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple, cast
 import construct as c
 
 from bench.calibration import Beside
+from bench.options import count
 from bench.report import Report
 from dpstack.fdl.codec import decode, encode, encode_token, request_octets
 from dpstack.fdl.telegram import SHORT_ACK, Kind
@@ -174,7 +175,7 @@ def run(argv: Sequence[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench codec")
     parser.add_argument("--loops", type=int, default=1_000, help="calls a round")
-    parser.add_argument("--rounds", type=int, default=15, help="interleaved")
+    parser.add_argument("--rounds", type=count, default=15, help="interleaved")
     args = parser.parse_args(argv)
     found, notes = subjects()
     report = Report("codec", notes=notes)

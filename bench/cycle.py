@@ -16,6 +16,7 @@ from typing import Final
 
 from bench.calibration import PIPE, calibrate
 from bench.masters import DRIVERS, KINDS
+from bench.options import count, duration, slaves
 from bench.report import Report, quantile
 from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
 from dpstack.params import BusParams
@@ -32,9 +33,9 @@ _CPU_GOALS: Final = {"asyncio": 100.0, "process": 120.0}
 def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench cycle")
-    parser.add_argument("--slaves", type=int, nargs="*", default=[1, 4, 16, 64])
-    parser.add_argument("--seconds", type=float, default=0.7, help="of one measurement")
-    parser.add_argument("--rounds", type=int, default=9, help="of all kinds in turn; medians are reported")
+    parser.add_argument("--slaves", type=slaves, nargs="*", default=[1, 4, 16, 64])
+    parser.add_argument("--seconds", type=duration, default=0.7, help="of one measurement")
+    parser.add_argument("--rounds", type=count, default=9, help="of all kinds in turn; medians are reported")
     parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     args = parser.parse_args(argv)
     report = Report("cycle")

@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 from bench.calibration import PYTHON, Speeds, speeds
 from bench.commits import Side
 from bench.masters import DRIVERS
+from bench.options import count
 from bench.paired import SIDES, Pair, Reading, Round, Run, between, interval, pairs_of
 from bench.report import duration_text
 from bench.rounds import Commands, LacksError, Plan, both_sides, rounds_of, tell
@@ -408,12 +409,10 @@ def main(argv: list[str], *, as_json: bool) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench goals", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--commit", default=TODAY, metavar="OLD", help="the old commit (default: %(default)s)")
     parser.add_argument("--only", nargs="+", choices=SUITES, default=list(SUITES), help="these goals only")
-    parser.add_argument("--rounds", type=int, default=_ROUNDS, help="of each (default: %(default)s)")
+    parser.add_argument("--rounds", type=count, default=_ROUNDS, help="of each (default: %(default)s)")
     parser.add_argument("--markdown", action="store_true", help="a table for a page")
     parser.add_argument("--list", action="store_true", help="what would be run, and the goals")
     args = parser.parse_args(argv)
-    if args.rounds < 1:
-        raise ValueError("--rounds: 1 at least")
     if args.list:
         for name in args.only:
             print(f"{name:<8} {SUITES[name].command}")

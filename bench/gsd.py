@@ -12,6 +12,7 @@ from functools import partial
 from typing import Final
 
 from bench.calibration import Beside
+from bench.options import count
 from bench.report import Report
 from dpstack.gsd.parser import parse_gsd
 from tools.make_gsd_set import FILES, make_set
@@ -25,7 +26,7 @@ def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench gsd")
     parser.add_argument("--files", type=int, default=FILES)
-    parser.add_argument("--rounds", type=int, default=5, help="medians are reported")
+    parser.add_argument("--rounds", type=count, default=5, help="medians are reported")
     args = parser.parse_args(argv)
     made = [octets for _, octets in make_set(args.files)]
     lines = sum(octets.count(b"\n") for octets in made)

@@ -25,6 +25,7 @@ from typing import Final, NamedTuple
 
 from bench.machine import realtime
 from bench.masters import APPLICATIONS, DRIVERS, FIRST, GRID_KIND, NO_PORT, Line
+from bench.options import count, duration, slaves
 from bench.records import Record
 from bench.report import Report, Table, quantile
 from bench.rig import Process, Processors, Taken, available, bench, note_disturbance, pinned, wire_with
@@ -68,13 +69,13 @@ class Cycles(NamedTuple):
 def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench jitter")
-    parser.add_argument("--cycles", type=float, nargs="*", default=[2.0, 10.0], help="in ms")
-    parser.add_argument("--slaves", type=int, default=3)
-    parser.add_argument("--baud", type=int, default=1_500_000)
-    parser.add_argument("--seconds", type=float, default=5.0, help="of one measurement")
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
-    parser.add_argument("--apps", nargs="*", choices=APPLICATIONS, default=APPLICATIONS)
+    parser.add_argument("--cycles", type=duration, nargs="*", default=[2.0, 10.0], help="in ms")
+    parser.add_argument("--slaves", type=slaves, default=3, help="default: %(default)s")
+    parser.add_argument("--baud", type=int, default=1_500_000, help="in bit/s (default: %(default)s)")
+    parser.add_argument("--seconds", type=duration, default=5.0, help="of one measurement")
+    parser.add_argument("--rounds", type=count, default=3, help="of all cases in turn (default: %(default)s)")
+    parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS, help="drivers (default: all)")
+    parser.add_argument("--apps", nargs="*", choices=APPLICATIONS, default=APPLICATIONS, help="default: all")
     parser.add_argument(
         "--settings", action="store_true", help="each setting of the bus process alone on and alone off"
     )

@@ -19,6 +19,7 @@ from typing import Final
 
 from bench.acyclic_plant import Answers, RecordDevice, setups
 from bench.calibration import Beside
+from bench.options import count
 from bench.report import Report
 from dpstack.capture.cutter import Cutter
 from dpstack.capture.listener import Listener
@@ -206,7 +207,7 @@ def run(argv: Sequence[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench listen")
     parser.add_argument("--telegrams", type=int, default=20_000)
-    parser.add_argument("--rounds", type=int, default=9, help="interleaved")
+    parser.add_argument("--rounds", type=count, default=9, help="interleaved")
     args = parser.parse_args(argv)
     report = Report("listen")
     heard = traffic(args.telegrams)

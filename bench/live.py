@@ -25,6 +25,7 @@ from statistics import median
 from typing import Any, Final
 
 from bench.masters import DRIVERS
+from bench.options import count, duration, slaves
 from bench.paired import interval
 from bench.report import Report
 from bench.rig import Process, Processors, available, bench, note_disturbance, pinned
@@ -56,9 +57,9 @@ def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench live")
     parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS)
-    parser.add_argument("--slaves", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=0.5, help="of one slice")
-    parser.add_argument("--rounds", type=int, default=30, help="slices with each kind of readers and without, in turn")
+    parser.add_argument("--slaves", type=slaves, default=10)
+    parser.add_argument("--seconds", type=duration, default=0.5, help="of one slice")
+    parser.add_argument("--rounds", type=count, default=30, help="slices with each kind of reader and without, in turn")
     parser.add_argument("--readers", nargs="*", choices=READERS, default=READERS)
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     parser.add_argument("--large", type=int, default=125, metavar="SLAVES", help="of the simulated plant; 0: leave out")

@@ -17,6 +17,7 @@ from time import monotonic_ns
 from typing import Any, Final, Literal
 
 from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS
+from bench.options import count, duration, slaves
 from bench.report import Report, quantile
 from bench.rig import available, pinned, wire_with
 from dpstack.api.bus.bus import core_of
@@ -32,10 +33,10 @@ _STOPPED: Final = "process, stopped"
 def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench loop")
-    parser.add_argument("--slaves", type=int, default=3)
+    parser.add_argument("--slaves", type=slaves, default=3)
     parser.add_argument("--baud", type=int, default=1_500_000)
-    parser.add_argument("--seconds", type=float, default=3.0, help="of one measurement")
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--seconds", type=duration, default=3.0, help="of one measurement")
+    parser.add_argument("--rounds", type=count, default=3)
     args = parser.parse_args(argv)
     report = Report("loop")
     with pinned() as where:

@@ -13,6 +13,7 @@ import time
 from typing import Final
 
 from bench.masters import DRIVERS
+from bench.options import count, duration, slaves
 from bench.paired import interval
 from bench.report import Report
 from bench.rig import Processors, available, bench, note_disturbance, pinned
@@ -31,9 +32,9 @@ def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench record")
     parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS)
-    parser.add_argument("--slaves", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=0.4, help="of one slice")
-    parser.add_argument("--rounds", type=int, default=30, help="slices with and without a recording in turn")
+    parser.add_argument("--slaves", type=slaves, default=10)
+    parser.add_argument("--seconds", type=duration, default=0.4, help="of one slice")
+    parser.add_argument("--rounds", type=count, default=30, help="slices with and without a recording in turn")
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)
     report = Report("record")

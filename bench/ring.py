@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS, RING_KIND
+from bench.options import count, duration, slaves
 from bench.report import Report, Table, quantile
 from bench.rig import MasterFailedError, Process, Processors, available, note_disturbance, pinned
 from dpstack.params import BusParams
@@ -94,11 +95,11 @@ def ring_of(counted: dict[str, Any], waited: float = 0.0) -> Ring:
 def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench ring")
-    parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS)
-    parser.add_argument("--slaves", type=int, default=3, help="of each master")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of one measurement")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
+    parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS, help="in bit/s (default: %(default)s)")
+    parser.add_argument("--slaves", type=slaves, default=3, help="of each master")
+    parser.add_argument("--seconds", type=duration, default=2.0, help="of one measurement")
+    parser.add_argument("--rounds", type=count, default=5, help="of all kinds in turn (default: %(default)s)")
+    parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS, help="drivers (default: all)")
     args = parser.parse_args(argv)
     report = Report("ring")
     with pinned() as where, tempfile.TemporaryDirectory(prefix="dpstack-bench-") as folder:

@@ -19,6 +19,7 @@ from statistics import median
 from typing import Final
 
 from bench.masters import DRIVERS, KINDS
+from bench.options import count, duration, slaves
 from bench.records import middle, pty_share, rotations
 from bench.report import Report, quantile
 from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
@@ -42,9 +43,9 @@ def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench rotation")
     parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS)
-    parser.add_argument("--slaves", type=int, default=_GOAL_SLAVES)
-    parser.add_argument("--seconds", type=float, default=1.0, help="of one measurement, four rotations at least")
-    parser.add_argument("--rounds", type=int, default=9, help="of all kinds in turn; medians are reported")
+    parser.add_argument("--slaves", type=slaves, default=_GOAL_SLAVES)
+    parser.add_argument("--seconds", type=duration, default=1.0, help="of one measurement, four rotations at least")
+    parser.add_argument("--rounds", type=count, default=9, help="of all kinds in turn; medians are reported")
     parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     args = parser.parse_args(argv)
     report = Report("rotation")

@@ -21,6 +21,7 @@ from typing import Final
 
 from bench.calibration import Beside
 from bench.null_medium import NullBus
+from bench.options import count, slaves
 from bench.report import Report
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
@@ -96,11 +97,11 @@ def _over_pty(slaves: int, seconds: float) -> float:
 def run(argv: Sequence[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench scale")
-    parser.add_argument("--slaves", type=int, nargs="*", default=[1, 3, 10, 32, 100])
+    parser.add_argument("--slaves", type=slaves, nargs="*", default=[1, 3, 10, 32, 100])
     parser.add_argument("--exchanges", type=int, default=3_000, help="a round on the medium that costs nothing")
-    parser.add_argument("--rounds", type=int, default=11, help="interleaved")
+    parser.add_argument("--rounds", type=count, default=11, help="interleaved")
     parser.add_argument("--seconds", type=float, default=1.0, help="a round over the pty; 0: without a pty")
-    parser.add_argument("--pty-rounds", type=int, default=3)
+    parser.add_argument("--pty-rounds", type=count, default=3)
     args = parser.parse_args(argv)
     counts = sorted({1, *args.slaves})
     report = Report("scale")

@@ -18,6 +18,7 @@ from typing import Final, cast
 from bench.calibration import Beside
 from bench.commit_probe import COMMANDS, command_ns, first_octet_ns, modules, plain_ns, running
 from bench.masters import DRIVERS
+from bench.options import count, slaves
 from bench.report import Report
 from bench.rig import Bench, Processors, available, bench, pinned
 from dpstack.units import NS_PER_MS
@@ -32,9 +33,9 @@ _BUS_TIME: Final = ("listening", "claim")
 def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench startup")
-    parser.add_argument("--slaves", type=int, default=32)
+    parser.add_argument("--slaves", type=slaves, default=32)
     parser.add_argument("--baud", type=int, default=12_000_000)
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rounds", type=count, default=9)
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)
     report = Report("startup")

@@ -21,6 +21,7 @@ from statistics import mean
 from typing import Final, NamedTuple
 
 from bench.masters import DRIVERS, FIRST
+from bench.options import count, duration, slaves
 from bench.records import Record
 from bench.report import Report, Table
 from bench.rig import Noted, Processors, Taken, available, bench, note_disturbance, one_round, pinned
@@ -52,11 +53,11 @@ _COLUMNS: Final = ("wake-up", "read", "pump", "T_ID1", "late", "driver", "write"
 def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench steps")
-    parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS)
-    parser.add_argument("--slaves", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=0.5, help="of one measurement")
-    parser.add_argument("--rounds", type=int, default=5, help="of all kinds in turn, with and without noting")
-    parser.add_argument("--kinds", nargs="*", choices=_KINDS, default=_KINDS)
+    parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS, help="in bit/s (default: %(default)s)")
+    parser.add_argument("--slaves", type=slaves, default=10, help="default: %(default)s")
+    parser.add_argument("--seconds", type=duration, default=0.5, help="of one measurement")
+    parser.add_argument("--rounds", type=count, default=5, help="of all kinds in turn, with and without noting")
+    parser.add_argument("--kinds", nargs="*", choices=_KINDS, default=_KINDS, help="default: all")
     args = parser.parse_args(argv)
     report = Report("steps")
     with pinned() as where:

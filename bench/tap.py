@@ -19,6 +19,7 @@ from time import monotonic_ns
 from typing import Final
 
 from bench.masters import DRIVERS, FIRST, OCTETS, sd2
+from bench.options import count, duration, slaves
 from bench.paired import interval
 from bench.report import Report
 from bench.rig import Process, Processors, available, bench, note_disturbance, pinned
@@ -51,9 +52,9 @@ def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench tap")
     parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS)
-    parser.add_argument("--slaves", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=0.2, help="of one slice")
-    parser.add_argument("--rounds", type=int, default=60, help="slices with and without a client in turn")
+    parser.add_argument("--slaves", type=slaves, default=10)
+    parser.add_argument("--seconds", type=duration, default=0.2, help="of one slice")
+    parser.add_argument("--rounds", type=count, default=60, help="slices with and without a client in turn")
     parser.add_argument("--full-bus", type=float, default=5.0, metavar="SECONDS", help="of the full bus")
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)

@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import Final
 
 from bench.masters import DRIVERS
+from bench.options import count, duration, slaves
 from bench.records import Record, middle, rotations
 from bench.report import Report, quantile
 from bench.rig import Adapter, Taken, available, bench, note_disturbance, pinned
@@ -28,10 +29,10 @@ def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench usb")
     parser.add_argument("--bauds", type=int, nargs="*", default=[500_000, 1_500_000])
-    parser.add_argument("--slaves", type=int, default=10)
+    parser.add_argument("--slaves", type=slaves, default=10)
     parser.add_argument("--timers", type=int, nargs="*", default=_TIMERS, help="the latency timer in ms")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of one measurement")
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--seconds", type=duration, default=2.0, help="of one measurement")
+    parser.add_argument("--rounds", type=count, default=3)
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)
     report = Report("usb")

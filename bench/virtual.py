@@ -15,6 +15,7 @@ from functools import partial
 from typing import Final
 
 from bench.calibration import Beside
+from bench.options import count, slaves
 from bench.report import Report
 from dpstack.dp.master.commands import DriveCommand, Mode, SendControl, SetMode
 from dpstack.dp.master.events import SlaveState
@@ -148,9 +149,9 @@ def run(argv: Sequence[str]) -> Report:
     parser = argparse.ArgumentParser(prog="python -m bench virtual")
     parser.add_argument("--drives", type=int, default=10)
     parser.add_argument("--drive", default="demag-dedrive", help="a drive with PPO1")
-    parser.add_argument("--slaves", type=int, nargs="*", default=[1, 3, 10, 32, 100], help="how many mirrors")
+    parser.add_argument("--slaves", type=slaves, nargs="*", default=[1, 3, 10, 32, 100], help="how many mirrors")
     parser.add_argument("--baud", type=int, default=500_000)
-    parser.add_argument("--rounds", type=int, default=7, help="interleaved")
+    parser.add_argument("--rounds", type=count, default=7, help="interleaved")
     parser.add_argument("--ms", type=int, default=250, help="simulated time of a round")
     args = parser.parse_args(argv)
     report = Report("virtual")

@@ -195,8 +195,3 @@ def test_every_goal_is_a_figure_of_a_benchmark_that_exists(capsys: pytest.Captur
         assert f"{name:<8} {each.command}" in listed
         assert all(goal.text in listed for goal in each.goals)
         assert each.goals
-
-
-def test_wrong_use_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["goals", "--rounds", "0"]) == 2
-    assert capsys.readouterr().err == "bench: --rounds: 1 at least\n"

@@ -140,9 +140,29 @@ def test_the_command_line_compares_with_the_reference_and_two_files(
 
 
 @pytest.mark.parametrize(
+    "words",
+    [
+        "steps --rounds 0",
+        "jitter --rounds -1",
+        "rotation --seconds nan",
+        "virtual --slaves 0",
+        "ring --slaves 101",
+        "goals --rounds 0",
+    ],
+)
+def test_an_impossible_number_is_refused_with_one_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    name, option, value = words.split()
+    with pytest.raises(SystemExit) as caught:
+        main([name, f"{option}={value}"])
+    assert caught.value.code == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith(f"python -m bench {name}: error: argument {option}: '{value}' is no ")
+
+
+@pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nothing"], "no benchmark 'nothing'; there are: "),
+        (["nothing"], "; and the commands compare, goals"),
         (["compare", "nothing"], "no benchmark 'nothing'"),
         (["compare", "gsd", "/nowhere.json"], "no stored reference of gsd yet: python -m bench gsd --save takes one"),
         (["compare", "gsd", "/nowhere.json", "/nowhere.json"], "/nowhere.json cannot be read as a benchmark's JSON"),
