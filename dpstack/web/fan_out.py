@@ -43,7 +43,7 @@ class Portion:
 
 
 class Reader:
-    """What one page still has to get, in the order in which it came."""
+    """Items and answers that wait for one page, in the order in which they came."""
 
     def __init__(self, first: Portion) -> None:
         self._waiting: deque[Portion | Pending | str] = deque((first,))  # texts are answers

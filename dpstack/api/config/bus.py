@@ -66,13 +66,14 @@ def _other_masters(table: Table, name: str, key: Key) -> object:
 
 def _cpu(table: Table, name: str, key: Key) -> object:
     value = table.raw(name)
-    if not isinstance(value, (list, tuple)):
+    if is_integer(value):
         return table.integer(name, key.low, key.high, "0 is the first processor")
-    if not value or not all(is_integer(number) and key.low <= number <= key.high for number in value):
+    numbers = value if isinstance(value, (list, tuple)) else ()
+    if not numbers or not all(is_integer(number) and key.low <= number <= key.high for number in numbers):
         table.fail(
             name, f"{name} = {value!r}", "give the number of a processor, 0 for the first one, or a list of them"
         )
-    return tuple(sorted(set(value)))
+    return tuple(sorted(set(numbers)))
 
 
 def _application_watchdog(table: Table, name: str, key: Key) -> object:

@@ -151,6 +151,8 @@ BAD_IN_BUS = {
     "cycle_ms = true": "cycle_ms = True is true/false; it must be a number",
     "cpu = -1": "cpu = -1 is outside 0..8191; 0 is the first processor",
     "cpu = []": "cpu = []; give the number of a processor, 0 for the first one, or a list of them",
+    'cpu = "0-3"': "cpu = '0-3'; give the number of a processor, 0 for the first one, or a list of them",
+    "cpu = true": "cpu = True; give the number of a processor, 0 for the first one, or a list of them",
     "cpu = [1, 9000]": "cpu = [1, 9000]; give the number of a processor",
     "other_masters = -1": "other_masters = -1 is outside 0..125; how many there are",
     "other_masters = [2.5, -1]": "other_masters holds -1; give the bus rotation time",
