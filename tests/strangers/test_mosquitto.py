@@ -519,3 +519,55 @@ async def test_a_run_publishes_its_plant_and_takes_the_orders_that_are_listed(
         texts = [line["text"] for line in told if line["text"].startswith("faces: mqtt")]
         assert texts[0] == f"faces: mqtt: connected to 127.0.0.1:{broker.port}"
         assert "faces: mqtt: order valves.lamp: done" in texts
+
+
+# --- the whole program --------------------------------------------------------------------------------------------
+
+CONFIG = """
+[bus]
+port = "virtual"
+baud = 500000
+
+[[slave]]
+name = "valves"
+address = 8
+ident = 0x4321
+config = "21 11"
+inputs = {{ level = "i16@0" }}
+outputs = {{ lamp = "bool@0.1", speed = "u8@1" }}
+
+[mqtt]
+url = "mqtt://127.0.0.1:{port}"
+group = "{group}"
+node = "{node}"
+interval_ms = 50
+allow_commands = ["valves.lamp"]
+"""
+
+
+async def test_dpstack_run_publishes_its_plant_and_takes_a_command(tmp_path: Path, broker: Mosquitto) -> None:
+    config = tmp_path / "plant.toml"
+    config.write_text(CONFIG.format(port=broker.port, group=GROUP, node=NODE))
+    until = Plant(tmp_path / "unused", plain(broker)).until
+    async with following(broker) as subscriber:
+        host = subscriber.host
+        run_ = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "dpstack", "run", str(config)),
+            env=os.environ | {"XDG_STATE_HOME": str(tmp_path)},
+            stdout=asyncio.subprocess.DEVNULL,
+        )
+        try:
+            await until(lambda: host.alive == {"valves"})
+            assert host.metric("Outputs/lamp", "valves").properties["Readonly"] is False
+            assert host.metric("Outputs/speed", "valves").properties["Readonly"] is True
+            await command(broker, "valves", metric("Outputs/lamp", boolean=True))
+            await until(lambda: host.metric("Outputs/lamp", "valves").value is True)
+            await until(lambda: host.metric("Last command/result").value == "done")
+            run_.send_signal(signal.SIGINT)
+            assert await run_.wait() == 0
+            await until(lambda: not host.online)
+            assert (tmp_path / "dpstack" / f"{GROUP}.{NODE}" / "bdseq").read_text() == "0\n"
+        finally:
+            if run_.returncode is None:
+                run_.kill()
+                await run_.wait()
