@@ -110,14 +110,18 @@ class InitiateJob(ConnectionJob):
                     return self._unmanaged(reply, polling.answer)
 
     def _repeat(self, polling: Polling) -> Steps[Reply]:
-        """After an Initiate without an answer: a poll tells whether the slave took it; if not it goes out again."""
+        """After an Initiate without an answer: a poll tells whether the slave took it; if not it goes out again.
+
+        Never before a poll is answered: a slave that only answers late would open a second connection, or refuse it.
+        """
         reply = Reply.AGAIN
-        while reply is Reply.AGAIN:
+        silent = 0
+        while reply is Reply.AGAIN or (reply is Reply.NOTHING and silent < ATTEMPTS):
             reply = yield from polling.ask(b"")
-        if reply in (Reply.WAIT, Reply.CLOSED):  # the slave is there, and has nothing
-            polling.unanswered = 0
-        elif reply is not Reply.NOTHING:
+            silent = silent + 1 if reply is Reply.NOTHING else 0
+        if reply not in (Reply.WAIT, Reply.CLOSED):
             return reply
+        polling.unanswered = 0  # the slave is there, and has nothing
         return (yield from polling.send(self._octets))
 
     def _parse_managed(self, octets: bytes, now: int) -> ResourceManagerRes | Outcome | None:

@@ -195,13 +195,35 @@ def test_an_initiate_that_was_acknowledged_is_not_sent_again_when_a_poll_is_lost
 
 
 def test_an_initiate_that_arrived_at_last_is_not_sent_again() -> None:
-    """The first one and the question for it were lost, the second one is acknowledged, and its answer takes a while."""
+    """The first one and polls after it were lost, the second one is acknowledged, and its answer takes a while."""
     kit = Ms2Bus()
     slow_manager(kit, 3)
-    # Initiate and a poll, each with its repetition
+    # Initiate and polls, with their repetitions
     kit.lose_first(4, lambda sent: sent.sender == 2 and sent.octets[0] == 0x68 and sent.octets[7] == 49)
     assert kit.open().outcome.failure is None
     assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
+
+
+@pytest.mark.parametrize("polls", [1, 2, 3])
+@pytest.mark.parametrize("free", [[48], [48, 47]])
+def test_an_initiate_is_not_sent_again_before_a_poll_is_answered(free: list[int], polls: int) -> None:
+    """The slave took it, and was silent for a while: a second one would be refused, or leave a connection there."""
+    kit = Ms2Bus()
+    kit.slave.free = [*free]
+    silent = [polls]
+
+    def say(octets: bytes) -> bytes | None:
+        if octets[9:-2]:
+            kit.slave.usual(octets)
+            return None
+        silent[0] -= 1
+        return None if silent[0] >= 0 else kit.slave.usual(octets)
+
+    kit.slave.says[49] = say
+    done = kit.open()
+    assert (done.outcome.failure, done.server_sap) == (None, 48), done.text
+    assert len(kit.slave.received(0x57)) == 1
+    assert list(kit.slave.sessions) == [48]
 
 
 def test_an_initiate_is_sent_again_to_a_slave_that_answers_polls_and_has_not_received_it() -> None:
