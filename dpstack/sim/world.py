@@ -506,7 +506,8 @@ class World:
     def run(self, until_ns: int, stop: Callable[[], bool]) -> bool:
         """Run like :meth:`run_until`, but end with the event after which ``stop()`` is true, at its time.
 
-        ``until_ns`` may be NEVER. Returns whether ``stop()`` ended the run.
+        ``until_ns`` may be NEVER. ``stop`` only looks: the world may be in the middle of an event when it is asked, so
+        orders and injected octets wait for the end of the run. Returns whether ``stop()`` ended it.
         """
         return self._run(until_ns, stop)
 
