@@ -229,8 +229,9 @@ def sources() -> dict[str, str]:
         ),
         (
             "connections to other computers",
-            r"create_connection\(|sock_connect\(|rfc2217\.Serial|urllib|http\.client|import requests|ClientSession",
-            {"ports/tcp.py", "ports/rfc2217.py"},
+            r"create_connection\(|sock_connect\(|rfc2217\.Serial|urllib\.request|http\.client|import requests"
+            r"|ClientSession|aiomqtt\.Client\(",
+            {"ports/tcp.py", "ports/rfc2217.py", "bridge/mqtt/client.py"},
         ),
     ],
 )
@@ -245,7 +246,11 @@ def test_a_running_bus_loads_only_modules_named_in_the_source() -> None:
     """No command, configuration or octets of others decide about the modules that ``load_beside`` imports."""
     found = {words for text in sources().values() for words in re.findall(r"await load_beside\((.*)\)", text)}
     literal = {word for words in found for word in words.split(", ") if word.startswith('"dpstack.')}
-    assert {word for words in found for word in words.split(", ")} - literal == {"place", "*_WHY", '"construct"'}
+    faces = "*(kind.module for kind in kinds.values())"
+    assert {word for words in found for word in words.split(", ")} - literal == {"place", "*_WHY", '"construct"', faces}
+    modules = re.findall(r"FaceKind\((\S+),", sources()["dpstack/api/faces/kinds.py"])
+    assert modules
+    assert all(re.fullmatch(r'"dpstack\.bridge\.\w+\.\w+"', word) for word in modules)
     assert 'place = f"{__package__}.{module}"' in sources()["dpstack/api/control/handlers.py"]
     by_need = re.findall(r"_by_need\((\S+), (\S+), bus", sources()["dpstack/api/control/handlers.py"])
     assert by_need
