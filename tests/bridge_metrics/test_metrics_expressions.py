@@ -1,0 +1,55 @@
+"""Alert rules and dashboard: each metric and label of their expressions is in the table of the metrics."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from prometheus_expressions import ROOT, Expression, expressions
+
+from dpstack.bridge.metrics.table import COUNTER, HISTOGRAM, METRICS
+
+ALL = expressions()
+#: those that Prometheus adds to each series
+OF_TARGET = {"instance", "job"}
+SERIES = {
+    name: {*metric.labels, *OF_TARGET, *({"le"} if name.endswith("_bucket") else ())}
+    for metric in METRICS
+    for name in (
+        [f"{metric.name}_{part}" for part in ("bucket", "sum", "count")] if metric.kind == HISTOGRAM else [metric.name]
+    )
+}
+COUNTERS = {metric.name for metric in METRICS if metric.kind == COUNTER}
+
+
+@pytest.mark.parametrize("one", ALL, ids=lambda one: f"{one.where}-{one.text}"[:80])
+def test_metrics_and_labels_of_an_expression_are_in_the_table(one: Expression) -> None:
+    used = one.series()
+    assert used
+    for name, labels in used.items():
+        if name == "up":
+            assert labels <= OF_TARGET
+            continue
+        assert labels <= SERIES[name], f"{one.where}: {name} has no such label"
+        if name in COUNTERS:
+            assert re.search(rf"(rate|increase)\({name}\b", one.text), f"{one.where}: {name} is a counter"
+    common = set[str].intersection(*(SERIES.get(name, OF_TARGET) for name in used))
+    grouped = {
+        label for group in re.findall(r"\b(?:on|by) \(([^)]*)\)", one.text) for label in re.findall(r"\w+", group)
+    }
+    assert grouped <= common
+    if "sum by" not in one.text:
+        shown = set(re.findall(r"{{ ?(?:\$labels\.)?(\w+) ?}}", one.legend))
+        assert shown <= set[str].union(*(SERIES.get(name, OF_TARGET) for name in used))
+
+
+def test_there_are_expressions_of_both_files_and_alerts_have_a_severity_and_a_summary() -> None:
+    assert len([one for one in ALL if one.where.startswith("alert ")]) >= 15
+    assert len([one for one in ALL if one.where.startswith("panel ")]) >= 20
+    assert all("summary" in one.legend and "severity" in one.legend for one in ALL if one.where.startswith("alert "))
+
+
+def test_the_page_names_every_alert() -> None:
+    page = (ROOT / "docs" / "how-to" / "prometheus.md").read_text(encoding="utf-8")
+    alerts = {one.where.removeprefix("alert ") for one in ALL if one.where.startswith("alert ")}
+    assert set(re.findall(r"\bDpstack[A-Z]\w+", page)) == alerts
