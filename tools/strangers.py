@@ -39,6 +39,8 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "fish": "fish",
     "systemd-analyze": "systemd",
     "mosquitto": "mosquitto",
+    "prometheus": "prometheus",
+    "promtool": "prometheus",
     "mosquitto_sub": "mosquitto-clients",
     "mosquitto_pub": "mosquitto-clients",
     "openssl": "openssl",
