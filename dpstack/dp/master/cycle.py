@@ -241,8 +241,13 @@ class Round:
         elif request.dsap is None:
             tag = request.tag
             handler = tag.handler if isinstance(tag, Leaving) else tag
-            if isinstance(handler, SlaveHandler) and (interval := handler.setup.min_slave_interval_ns):
-                self._spaced[request.da] = at + interval
+            if isinstance(handler, SlaveHandler) and handler.setup.min_slave_interval_ns:
+                self.space(handler, at)
+
+    def space(self, handler: SlaveHandler, at: int) -> None:
+        """A Data_Exchange with ``handler`` began at ``at``: the next one not before its Min_Slave_Interval."""
+        setup = handler.setup
+        self._spaced[setup.address] = at + setup.min_slave_interval_ns
 
     def held_back(self, request: Request) -> None:
         """Postpone ``request``, because it does not fit in before the next cycle."""

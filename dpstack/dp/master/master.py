@@ -290,8 +290,11 @@ class Master(LinkUser):
             handler.asked_at = at
             if self._watch.down:
                 self._watch.down.pop(handler, None)
-            if request.dsap is None and not cycle.first_data and not handler.setup.min_slave_interval_ns:
-                return  # a Data_Exchange in the middle of a round: nothing follows from its time
+            if request.dsap is None and not cycle.first_data:
+                # a Data_Exchange in the middle of a round: nothing else follows from its time
+                if handler.setup.min_slave_interval_ns:
+                    cycle.space(handler, at)
+                return
         cycle.started(request, at)
         if request.dsap is None:
             if cycle.first_data:
