@@ -25,7 +25,7 @@ demo: $(VENV)/.core
 
 # Two files at a time, whatever the computer has: ports and programs of tests need processors too.
 test: $(VENV)/.test
-	$(PY) -m pytest -m "not soak and not strangers" -n 2 --dist loadfile
+	$(PY) -m pytest -m "not soak and not strangers and not check" -n 2 --dist loadfile
 
 # The book is built beside the types; its programs on ptys keep to one process, because they need a processor in time
 check: $(VENV)/.check
@@ -35,6 +35,7 @@ check: $(VENV)/.check
 		&& $(PY) -m mypy.stubtest dpstack.blocking --mypy-config-file pyproject.toml \
 		&& $(PY) -m pytest tests/test_docs.py tests/test_imports.py; \
 		judged=$$?; wait $$build && exit $$judged
+	$(PY) -m pytest -m check tests/blocking tests/bridge_mqtt
 	$(PY) -m pytest -p tools.book_blocks -n 1 README.md docs
 
 # Only pages that changed are read again; rm -r build/docs builds the whole book

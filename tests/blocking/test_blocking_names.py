@@ -226,6 +226,7 @@ def test_a_served_slave_and_a_class_2_connection() -> None:
 # --- types ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.check
 def test_the_stub_is_what_the_classes_say() -> None:
     text = make_blocking_stub.TARGET.read_text(encoding="utf-8")
     assert text == make_blocking_stub.stub(), "run: python -m tools.make_blocking_stub"

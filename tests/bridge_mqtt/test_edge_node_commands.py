@@ -156,28 +156,22 @@ def test_a_payload_of_a_megabyte_is_refused_and_told(rig: Rig) -> None:
     st.sampled_from([f"spBv1.0/{GROUP}/DCMD/{NODE}/valves", f"spBv1.0/{GROUP}/NCMD/{NODE}", "x", f"spBv1.0/{GROUP}"]),
     st.binary(max_size=100) | st.binary(max_size=60).map(lambda one: tag(2, tag(1, b"Outputs/lamp") + one)),
 )
-def test_garbage_is_no_order(topic: str, payload: bytes) -> None:
+def test_garbage_is_no_order(garbage_rig: Rig, topic: str, payload: bytes) -> None:
     """Its timestamp would have to be that of now."""
-    rig = garbage_rig()
-    assert rig.receive(topic, payload) == []
-    rig.wait(1.0)
-    rig.pump()
+    assert garbage_rig.receive(topic, payload) == []
+    garbage_rig.wait(1.0)
+    garbage_rig.pump()
 
 
-_garbage: list[Rig] = []
-
-
-def garbage_rig() -> Rig:
+@pytest.fixture(scope="module")
+def garbage_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """One for all examples: what came before may be anything."""
-    if not _garbage:
-        import tempfile
-
-        rig = Rig(Path(tempfile.mkdtemp(prefix="dpspb")), may=listed)
-        rig.give_plant()
-        rig.connect()
-        rig.pump()
-        _garbage.append(rig)
-    return _garbage[0]
+    rig = Rig(tmp_path_factory.mktemp("garbage"), may=listed)
+    rig.give_plant()
+    rig.connect()
+    rig.pump()
+    yield rig
+    rig.close()
 
 
 def test_an_order_wish_has_the_name_of_the_run(rig: Rig) -> None:

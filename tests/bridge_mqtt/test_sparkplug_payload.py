@@ -38,6 +38,7 @@ def kind(type_: DataType, **more: Any) -> MetricKind:
     return MetricKind("a/b", 7, type_, **more)
 
 
+@pytest.mark.check
 def test_the_module_of_protobuf_is_made_from_our_proto() -> None:
     for name, text in make_sparkplug_proto.made().items():
         assert (make_sparkplug_proto.SOURCE.parent / name).read_text(encoding="utf-8") == text, (
