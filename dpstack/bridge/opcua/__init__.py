@@ -1,0 +1,12 @@
+"""OPC UA: the tree as typed nodes with quality, orders as writes and methods, alarms, history of the last hour.
+
+Needs the extra ``opcua`` (asyncua). docs/reference/opcua.md has the nodes, status codes and limits.
+
+- ``alarms``: Conditions as events of OffNormalAlarmType; ConditionRefresh
+- ``certificate``: The server's certificate and key, made at the first start; the judgement of a client's
+- ``face``: The face: changes of the tree in; values, events and history out; orders of clients
+- ``history``: Values of the last hour, with one bound over all
+- ``server``: The server of asyncua with rights and limits
+- ``space``: Types and nodes
+- ``users``: A private file with users and scrypt hashes
+"""

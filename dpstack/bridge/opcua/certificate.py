@@ -1,0 +1,150 @@
+"""Certificates of the OPC UA server: its own, made at the first start, and the judgement of a client's."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from collections.abc import Iterable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final
+
+from asyncua import ua
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from dpstack.bridge.opcua.users import read_private
+from dpstack.errors import ConfigError
+
+#: a plant computer is often set up once and left; the clients trust this very certificate
+_DAYS: Final = 3650
+_BITS: Final = 2048
+_MOST_TRUSTED: Final = 1000
+_MOST_OCTETS: Final = 1 << 16
+
+
+def own_certificate(
+    cert: Path, key: Path, *, uri: str, hosts: Iterable[str], now: datetime
+) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
+    """The certificate (DER or PEM) and the key (PEM) of the server. Where neither file is there, both are made.
+
+    Raises ConfigError where only one is there, they do not belong together, others can read the key, or the
+    certificate is not valid at ``now``.
+    """
+    there = [path for path in (cert, key) if path.exists()]
+    if len(there) == 1:
+        missing = key if there[0] == cert else cert
+        raise ConfigError(f"{missing}: is missing beside {there[0]}; remove that to have both made anew")
+    if not there:
+        _make(cert, key, uri, hosts, now)
+    try:
+        loaded = serialization.load_pem_private_key(read_private(key).encode(), None)
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"{key}: is no key in PEM without a password ({type(error).__name__})") from None
+    found = read_certificate(cert)
+    if not isinstance(loaded, rsa.RSAPrivateKey) or loaded.public_key() != found.public_key():
+        raise ConfigError(f"{key}: is not the RSA key of {cert}")
+    if not found.not_valid_before_utc <= now <= found.not_valid_after_utc:
+        raise ConfigError(f"{cert}: has expired or is not valid yet; remove it and {key} to have both made anew")
+    if uri not in _uris(found):
+        raise ConfigError(f"{cert}: is not for {uri}, the name of this server; remove it and {key}, or change `name`")
+    return found, loaded
+
+
+def _make(cert: Path, key: Path, uri: str, hosts: Iterable[str], now: datetime) -> None:
+    private = rsa.generate_private_key(public_exponent=65537, key_size=_BITS)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, uri.rpartition(":")[2][:64] or "dpstack")])
+    names: list[x509.GeneralName] = [x509.UniformResourceIdentifier(uri)]
+    for host in dict.fromkeys(hosts):
+        try:
+            names.append(x509.IPAddress(ipaddress.ip_address(host)))
+        except ValueError:
+            names.append(x509.DNSName(host))
+    usage = x509.KeyUsage(
+        digital_signature=True, content_commitment=True, key_encipherment=True, data_encipherment=True,
+        key_agreement=False, key_cert_sign=True, crl_sign=False, encipher_only=False, decipher_only=False,
+    )  # fmt: skip
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(private.public_key())
+        .serial_number(x509.random_serial_number())
+        # a client whose clock is a little behind
+        .not_valid_before(now - timedelta(hours=1))
+        .not_valid_after(now + timedelta(days=_DAYS))
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(usage, critical=True)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(private.public_key()), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(private.public_key()), critical=False)
+        .sign(private, hashes.SHA256())
+    )
+    text = private.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    for path, octets, mode in ((key, text, 0o600), (cert, made.public_bytes(serialization.Encoding.DER), 0o644)):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+            with os.fdopen(fd, "wb") as file:
+                file.write(octets)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def read_certificate(path: Path) -> x509.Certificate:
+    """A certificate in DER or PEM. Raises ConfigError."""
+    try:
+        with path.open("rb") as file:
+            octets = file.read(_MOST_OCTETS + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+    try:
+        return (x509.load_pem_x509_certificate if b"-----BEGIN" in octets else x509.load_der_x509_certificate)(octets)
+    except ValueError:
+        raise ConfigError(f"{path}: is no certificate in DER or PEM") from None
+
+
+def read_trusted(directory: Path) -> frozenset[bytes]:
+    """The certificates of clients in a directory, as DER. Raises ConfigError."""
+    try:
+        paths = sorted(path for path in directory.iterdir() if path.suffix in (".der", ".pem", ".crt", ".cer"))
+    except OSError as error:
+        raise ConfigError(f"{directory}: cannot be read: {error.strerror or error}") from None
+    if len(paths) > _MOST_TRUSTED:
+        raise ConfigError(f"{directory}: more than {_MOST_TRUSTED} certificates")
+    return frozenset(read_certificate(path).public_bytes(serialization.Encoding.DER) for path in paths)
+
+
+def client_fault(der: bytes, trusted: frozenset[bytes] | None, now: datetime) -> int | None:
+    """The status code that refuses a client's certificate (Part 4, 6.1.3); None: it is fine. ``trusted`` None: all."""
+    try:
+        found = x509.load_der_x509_certificate(der)
+        key = found.public_key()
+    except ValueError:
+        return int(ua.StatusCodes.BadCertificateInvalid)
+    if not isinstance(key, rsa.RSAPublicKey) or not 2048 <= key.key_size <= 4096:
+        return int(ua.StatusCodes.BadCertificatePolicyCheckFailed)
+    if not found.not_valid_before_utc <= now <= found.not_valid_after_utc:
+        return int(ua.StatusCodes.BadCertificateTimeInvalid)
+    if trusted is not None and der not in trusted:
+        return int(ua.StatusCodes.BadCertificateUntrusted)
+    return None
+
+
+def _uris(cert: x509.Certificate) -> list[str]:
+    try:
+        names = cert.extensions.get_extension_for_class(x509.SubjectAlternativeName)
+    except x509.ExtensionNotFound:
+        return []
+    return list(names.value.get_values_for_type(x509.UniformResourceIdentifier))
+
+
+def utc_now() -> datetime:
+    return datetime.now(UTC)

@@ -1,0 +1,376 @@
+"""``OpcUaFace``: the tree of a plant as an OPC UA server."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import socket
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import ClassVar, Final
+
+from asyncua import ua
+from asyncua.server.monitored_item_service import MonitoredItemService
+
+from dpstack.bridge.conditions import Condition
+from dpstack.bridge.face import Face, Tell
+from dpstack.bridge.nodes import Node, Order
+from dpstack.bridge.opcua.alarms import SERVER, Alarms, emit, refresh, utc
+from dpstack.bridge.opcua.certificate import client_fault, own_certificate, read_trusted, utc_now
+from dpstack.bridge.opcua.history import BoundedHistory
+from dpstack.bridge.opcua.server import LimitedServer, LimitedSession, PlantServer, quieten
+from dpstack.bridge.opcua.space import NAMESPACE, VARIANTS, Space
+from dpstack.bridge.opcua.users import Account, Users, read_users
+from dpstack.bridge.orders import Orders
+from dpstack.bridge.quality import Reading, Value
+from dpstack.bridge.tree import Change, Changed, ClockSet, NodesChanged, PlantTree
+from dpstack.errors import PortError, UsageError
+from dpstack.trace import Severity
+
+#: s between two writes of the changes, which are merged for each node
+WRITE_S: Final = 0.2
+#: changes of conditions that wait; the oldest beyond them are left out, and a refresh brings them
+MOST_EVENTS_WAITING: Final = 4096
+#: nodes that are written before clients have their turn
+_AT_ONCE: Final = 100
+#: addresses that stand for all of this computer
+_EVERYWHERE: Final = ("", "0.0.0.0", "::")
+_S = ua.StatusCodes
+_REFRESH: Final = ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh)
+_REFRESH_ITEM: Final = ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2)
+_ACKNOWLEDGE: Final = ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge)
+_CONDITION_TYPE: Final = ua.NodeId(ua.ObjectIds.ConditionType)
+
+
+@dataclass(frozen=True, slots=True)
+class OpcUaSettings:
+    """``listen``: host and port. ``cert``, ``key``: made at the first start where neither is there. ``trust_dir``: the
+    certificates of clients; None: any. ``users_file``: None: no users. ``anonymous``: may read. ``history_s``, and
+    ``history_values`` of all nodes together."""
+
+    host: str
+    port: int
+    name: str
+    cert: Path
+    key: Path
+    trust_dir: Path | None = None
+    users_file: Path | None = None
+    anonymous: bool = False
+    history_s: float = 3600.0
+    history_values: int = 100_000
+
+
+class OpcUaFace(Face):
+    """Serves the tree. The structure of nodes follows the configuration of the bus: a slave that leaves data exchange
+    keeps its nodes, and their values get status codes that say so. An acknowledgement changes the condition of the tree
+    and reaches no other face.
+    """
+
+    name: ClassVar[str] = "opcua"
+
+    def __init__(
+        self, tree: PlantTree, tell: Tell, settings: OpcUaSettings, orders: Orders, *,
+        now: Callable[[], datetime] = utc_now,
+    ) -> None:  # fmt: skip
+        super().__init__(tree, tell)
+        self.settings = settings
+        self.history = BoundedHistory(settings.history_s, settings.history_values)
+        self._orders = orders
+        self._now = now
+        self._offset = 0.0
+        self._listening: socket.socket | None = None
+        self._server: LimitedServer | None = None
+        self._ua: PlantServer | None = None
+        self._space: Space | None = None
+        self._alarms: Alarms | None = None
+        self._users: Users | None = None
+        self._trusted: frozenset[bytes] | None = None
+        self._changed: dict[str, tuple[Node, Reading]] = {}
+        self._events: deque[Condition] = deque(maxlen=MOST_EVENTS_WAITING)
+        self._structure = True
+        self._left_out = 0
+        self._told_names: set[str] = set()
+
+    @property
+    def port(self) -> int:
+        """The port on which it listens."""
+        return self.settings.port if self._listening is None else int(self._listening.getsockname()[1])
+
+    # --- of a face ------------------------------------------------------------------------------------------------
+
+    async def open(self) -> None:
+        chosen = self.settings
+        if chosen.users_file is None and not chosen.anonymous:
+            raise UsageError('[opcua] lets nobody in: give users_file, or anonymous = "read"')
+        local = chosen.host in ("127.0.0.1", "::1", "localhost")
+        if not local and chosen.anonymous and chosen.trust_dir is None:
+            self.tell(f"everybody who reaches {chosen.host}:{chosen.port} may read the plant", Severity.WARNING)
+        quieten()
+        if chosen.users_file is not None:
+            self._users = Users(read_users(chosen.users_file))
+        if chosen.trust_dir is not None:
+            self._trusted = read_trusted(chosen.trust_dir)
+        uri = f"urn:{socket.gethostname()}:dpstack:{chosen.name}"
+        everywhere = chosen.host in _EVERYWHERE
+        hosts = [socket.gethostname(), "localhost", "127.0.0.1", *(() if everywhere else (chosen.host,))]
+        cert, key = own_certificate(chosen.cert, chosen.key, uri=uri, hosts=hosts, now=self._now())
+        self._listening = _listen(chosen.host, chosen.port)
+        server = LimitedServer(self._users, anonymous=chosen.anonymous, services=self, refuses=self._refuses)
+        self._server = server
+        server.certificate, server.private_key = cert, key
+        server.history_manager.set_storage(self.history)
+        shown = socket.gethostname() if everywhere else chosen.host
+        self._ua = PlantServer(server, f"opc.tcp://{shown}:{self.port}", uri, f"dpstack {chosen.name}")
+        await self._ua.init()
+        index = await self._ua.register_namespace(NAMESPACE)
+        self._space = Space(server, index)
+        self._space.add_types()
+        self._space.add_last_command()
+        await self._ua.get_node(SERVER).set_event_notifier([ua.EventNotifier.SubscribeToEvents])
+        self._alarms = Alarms(os.urandom(8), self._space.node, self.wall)
+
+    def take(self, changes: Sequence[Change]) -> None:
+        for change in changes:
+            if isinstance(change, Changed):
+                self._changed[change.node.id] = (change.node, change.reading)
+            elif isinstance(change, Condition):
+                if len(self._events) == MOST_EVENTS_WAITING:
+                    self._left_out += 1
+                self._events.append(change)
+            elif isinstance(change, NodesChanged):
+                self._structure = True
+            elif isinstance(change, ClockSet):
+                self._offset = change.offset
+                self.history.clear()
+                self._write_all()
+
+    async def serve(self) -> None:
+        assert self._ua is not None
+        assert self._listening is not None
+        await self._ua.start_on(self._listening)
+        try:
+            while True:
+                await self.write_changes()
+                await asyncio.sleep(WRITE_S)
+        finally:
+            try:
+                await self.write_changes()  # the death of the bus
+                await asyncio.sleep(WRITE_S)  # subscriptions publish it
+            finally:
+                await self._ua.end()
+
+    def close(self) -> None:
+        if self._listening is not None:
+            self._listening.close()
+        if self._server is not None:
+            self._server.method_service.stop()
+
+    # --- values and events ----------------------------------------------------------------------------------------
+
+    def wall(self, time: float) -> datetime:
+        """A time of the tree as one of this computer."""
+        return utc(min(max(time + self._offset, 0.0), 253_402_300_799.0))
+
+    async def write_changes(self) -> None:
+        """Write what :meth:`take` has got since the last time."""
+        assert self._ua is not None
+        assert self._space is not None
+        assert self._alarms is not None
+        await self._ua.show_time(self._now())
+        if self._structure and self.tree.plant is not None:
+            self._structure = False
+            await self._build()
+        changed, self._changed = self._changed, {}
+        now = self._now()
+        for number, (node, reading) in enumerate(changed.values(), 1):
+            made = await self._space.write(node, reading, self.wall)
+            if made is not None:
+                self.history.keep(self._space.node(node.id), made, now)
+            if number % _AT_ONCE == 0:
+                await asyncio.sleep(0)
+        while self._events:
+            condition = self._events.popleft()
+            event = self._alarms.event(condition, self._source_name(condition), now)
+            await emit(self._items(), event, self._alarms.emitters(condition))
+            await asyncio.sleep(0)
+        if self._left_out:
+            left_out, self._left_out = self._left_out, 0
+            self.tell(f"{left_out} events were left out; a refresh of the conditions brings them", Severity.WARNING)
+
+    async def _build(self) -> None:
+        assert self._space is not None
+        assert self._alarms is not None
+        plant = self.tree.plant or {}
+        bus = tuple(node for node, _ in self.tree.readings(None))
+        allowed = frozenset(order.name for order in self._orders.allowed)
+        names, changed = await self._space.build((str(plant.get("port", "")), bus), self.tree.slaves, allowed)
+        for text in names:
+            if text not in self._told_names and len(self._told_names) < 1000:
+                self._told_names.add(text)
+                self.tell(text, Severity.WARNING)
+        self._write_all()
+        if changed:
+            kind = ua.ObjectIds.BaseModelChangeEventType
+            event = self._alarms.system_event(kind, "the nodes have changed", self._now())
+            await emit(self._items(), event, (SERVER,))
+
+    def _write_all(self) -> None:
+        for slave in (None, *self.tree.slaves):
+            for node, reading in self.tree.readings(slave):
+                self._changed[node.id] = (node, reading)
+
+    def _items(self) -> list[MonitoredItemService]:
+        assert self._server is not None
+        return [one.monitored_item_srv for one in self._server.subscription_service.subscriptions.values()]
+
+    def _source_name(self, condition: Condition) -> str:
+        assert self._space is not None
+        return self._space.names.get(condition.slave) or f"slave {condition.slave}"
+
+    def _refuses(self, certificate: bytes) -> int | None:
+        return client_fault(certificate, self._trusted, self._now())
+
+    # --- orders of clients ----------------------------------------------------------------------------------------
+
+    async def write(self, value: ua.WriteValue, who: Account | None) -> ua.StatusCode:
+        """A client's write: of an output that ``allow_commands`` lists, by a user who may."""
+        assert self._space is not None
+        assert self._server is not None
+        if value.NodeId not in self._server.aspace:
+            return ua.StatusCode(_S.BadNodeIdUnknown)
+        node = self._space.values.get(value.NodeId)
+        if value.AttributeId != ua.AttributeIds.Value or node is None or not self._is_allowed(node.order):
+            return ua.StatusCode(_S.BadNotWritable)
+        if value.IndexRange:
+            return ua.StatusCode(_S.BadWriteNotSupported)
+        assert node.order is not None
+        return await self._give(node.order, value.Value.Value, who, node)
+
+    async def call(
+        self, method: ua.CallMethodRequest, who: Account | None, session: LimitedSession
+    ) -> ua.CallMethodResult:
+        """A client's call: an order of a drive, a refresh of conditions, an acknowledgement."""
+        assert self._space is not None
+        assert self._server is not None
+        arguments = list(method.InputArguments or ())
+        if method.MethodId in (_REFRESH, _REFRESH_ITEM):
+            return _result(await self._refresh(method, arguments, session))
+        if method.MethodId == _ACKNOWLEDGE:
+            return _result(self._acknowledge(method, arguments, who))
+        found = self._space.methods.get(method.MethodId)
+        if found is None:
+            known = method.ObjectId in self._server.aspace
+            return _result(_S.BadMethodInvalid if known else _S.BadNodeIdUnknown)
+        owner, order = found
+        if method.ObjectId != owner:
+            return _result(_S.BadMethodInvalid)
+        if not self._is_allowed(order):
+            return _result(_S.BadNotExecutable)
+        wanted = 0 if order.type is None else 1
+        if len(arguments) != wanted:
+            return _result(_S.BadArgumentsMissing if len(arguments) < wanted else _S.BadTooManyArguments)
+        status = await self._give(order, arguments[0] if arguments else None, who, None)
+        result = ua.CallMethodResult(status)
+        if arguments:
+            mismatch = status.value == _S.BadTypeMismatch
+            result.InputArgumentResults = [ua.StatusCode(_S.BadTypeMismatch if mismatch else _S.Good)]
+            if mismatch:
+                result.StatusCode = ua.StatusCode(_S.BadInvalidArgument)
+        return result
+
+    def _is_allowed(self, order: Order | None) -> bool:
+        return order is not None and any(one is order or one == order for one in self._orders.allowed)
+
+    async def _give(
+        self, order: Order, given: ua.Variant | None, who: Account | None, node: Node | None
+    ) -> ua.StatusCode:
+        if who is None or not who.control:
+            return ua.StatusCode(_S.BadUserAccessDenied)
+        value: Value = None
+        if order.type is not None:
+            wanted = VARIANTS[order.type]
+            if given is None or given.VariantType != wanted or given.is_array:
+                return ua.StatusCode(_S.BadTypeMismatch)
+            value = given.Value
+            low, high = (None, None) if node is None else (node.low, node.high)
+            if isinstance(value, float) and not math.isfinite(value):
+                return ua.StatusCode(_S.BadOutOfRange)
+            if isinstance(value, (int, float)) and low is not None and high is not None and not low <= value <= high:
+                return ua.StatusCode(_S.BadOutOfRange)
+        if not self.tree.is_alive(order.slave):
+            await self._show_last(order.name, "refused", "the slave is not in data exchange")
+            return ua.StatusCode(_S.BadNoCommunication)
+        # the order runs in the name of who gave it
+        result = await self._orders.give(order.name, value, made_at=None)
+        await self._show_last(result.name, result.result, result.reason)
+        if result.result == "done":
+            return ua.StatusCode()
+        return ua.StatusCode(_S.BadInvalidState)
+
+    async def _show_last(self, name: str, result: str, reason: str) -> None:
+        assert self._space is not None
+        assert self._server is not None
+        now = self._now()
+        for part, text in (("Name", name), ("Result", result), ("Reason", reason)):
+            shown = ua.DataValue(ua.Variant(text, ua.VariantType.String), SourceTimestamp=now, ServerTimestamp=now)
+            id_ = self._space.node(f"last/{part}")
+            await self._server.aspace.write_attribute_value(id_, ua.AttributeIds.Value, shown)
+
+    # --- conditions -----------------------------------------------------------------------------------------------
+
+    async def _refresh(self, method: ua.CallMethodRequest, arguments: list[ua.Variant], session: LimitedSession) -> int:
+        assert self._space is not None
+        assert self._alarms is not None
+        if method.ObjectId != _CONDITION_TYPE:
+            return int(_S.BadMethodInvalid)
+        wanted = 1 if method.MethodId == _REFRESH else 2
+        if len(arguments) != wanted:
+            return int(_S.BadArgumentsMissing if len(arguments) < wanted else _S.BadTooManyArguments)
+        subscription, item = arguments[0].Value, arguments[1].Value if wanted == 2 else None
+        if not isinstance(subscription, int) or not session.owns(subscription):
+            return int(_S.BadSubscriptionIdInvalid)
+        items = session.subscription_service.subscriptions[subscription].monitored_item_srv
+        if wanted == 2 and not any(item in ids for ids in items._monitored_events.values()):
+            return int(_S.BadMonitoredItemIdInvalid)
+        now, alarms = self._now(), self._alarms
+        retained = [(alarms.event(one, self._source_name(one), now), alarms.emitters(one))
+                    for one in self.tree.conditions if one.retain]  # fmt: skip
+        begin = alarms.system_event(ua.ObjectIds.RefreshStartEventType, "refresh begins", now)
+        end = alarms.system_event(ua.ObjectIds.RefreshEndEventType, "refresh has ended", now)
+        await refresh(items, item, begin, retained, end)
+        return 0
+
+    def _acknowledge(self, method: ua.CallMethodRequest, arguments: list[ua.Variant], who: Account | None) -> int:
+        assert self._alarms is not None
+        if who is None or not who.control:
+            return int(_S.BadUserAccessDenied)
+        if len(arguments) != 2:
+            return int(_S.BadArgumentsMissing if len(arguments) < 2 else _S.BadTooManyArguments)
+        found = next((one for one in self.tree.conditions if self._alarms.condition_id(one) == method.ObjectId), None)
+        if found is None:
+            return int(_S.BadNodeIdUnknown)
+        if arguments[0].Value != self._alarms.event_id(found):
+            return int(_S.BadEventIdUnknown)
+        changes = self.tree.acknowledge(found.id, who.name)
+        if not changes:
+            return int(_S.BadConditionBranchAlreadyAcked)
+        self.take(changes)
+        return 0
+
+
+def _result(code: int) -> ua.CallMethodResult:
+    return ua.CallMethodResult(ua.StatusCode(code))
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        found = socket.create_server((host, port), family=family, backlog=64)
+    except OSError as error:
+        raise PortError(f"[opcua] {host}:{port} cannot be listened on: {error.strerror or error}") from None
+    found.setblocking(False)
+    return found

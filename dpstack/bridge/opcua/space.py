@@ -1,0 +1,337 @@
+"""The address space of OPC UA: types of buses, slaves and drives, and the nodes of a tree as their instances."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from asyncua import ua
+from asyncua.server.internal_server import InternalServer
+
+from dpstack.bridge.names import OPCUA_BROWSE, unique_names
+from dpstack.bridge.nodes import Described, Kind, Node, Order
+from dpstack.bridge.quality import BOOL, BYTES, TEXT, Reading
+
+NAMESPACE: Final = "urn:dpstack:plant"
+_V = ua.VariantType
+#: type of a node: variant type of OPC UA (Part 6, 5.1.2)
+VARIANTS: Final[Mapping[str, ua.VariantType]] = {
+    BOOL: _V.Boolean, TEXT: _V.String, BYTES: _V.ByteString, "f32": _V.Float, "f64": _V.Double,
+    "u8": _V.Byte, "u16": _V.UInt16, "u32": _V.UInt32, "u64": _V.UInt64,
+    "i8": _V.SByte, "i16": _V.Int16, "i32": _V.Int32, "i64": _V.Int64,
+}  # fmt: skip
+#: states of a drive by their numbers, with those of dpstack.profile (tests compare them)
+DRIVE_STATES: Final = (
+    "offline", "unknown", "not_ready", "switch_on_inhibited", "ready_to_switch_on", "ready", "running", "stopping",
+    "quick_stop", "fault_reaction", "fault",
+)  # fmt: skip
+#: name of the method of each order of a drive
+METHODS: Final[Mapping[str, str]] = {
+    "start": "Start", "stop": "Stop", "quick_stop": "QuickStop", "coast": "Coast", "acknowledge": "Acknowledge",
+    "speed": "SetSpeed",
+}  # fmt: skip
+#: nodes that are added before others have their turn
+_AT_ONCE: Final = 50
+_READ: Final = 1 << ua.AccessLevel.CurrentRead | 1 << ua.AccessLevel.HistoryRead
+_WRITE: Final = 1 << ua.AccessLevel.CurrentWrite
+_NONE: Final = ua.DataValue(ua.Variant(), StatusCode=ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData))
+
+
+@dataclass(frozen=True, slots=True)
+class _Built:
+    described: Described
+    name: str
+    allowed: frozenset[str]
+    nodes: tuple[ua.NodeId, ...]
+
+
+class Space:
+    """Nodes of ``server``, made from the tree. ``values``: tree node by NodeId; ``methods``: order by the NodeId of its
+    method. ``names``: those of the bus and of the slaves, by address."""
+
+    def __init__(self, server: InternalServer, index: int) -> None:
+        self._server = server
+        self._index = index
+        self._built: dict[int | None, _Built] = {}
+        self._added = 0
+        self.values: dict[ua.NodeId, Node] = {}
+        self.methods: dict[ua.NodeId, tuple[ua.NodeId, Order]] = {}
+        self.names: dict[int | None, str] = {}
+
+    def node(self, text: str) -> ua.NodeId:
+        return ua.NodeId(text, self._index)
+
+    def add_types(self) -> None:
+        """BusType, SlaveType, DriveType, DriveStateMachineType with its states, LastCommandType."""
+        base = ua.NodeId(ua.ObjectIds.BaseObjectType)
+        for name in ("BusType", "SlaveType", "DriveType", "LastCommandType"):
+            self._type(name, base)
+        for word, name in METHODS.items():
+            self._method(self.node(f"type/DriveType/{word}"), self.node("type/DriveType"), name, executable=False)
+            self._refer(self.node(f"type/DriveType/{word}"), ua.ObjectIds.HasModellingRule,
+                        ua.NodeId(ua.ObjectIds.ModellingRule_Optional), ua.NodeClass.Object)  # fmt: skip
+        self._type("DriveStateMachineType", ua.NodeId(ua.ObjectIds.FiniteStateMachineType))
+        machine = self.node("type/DriveStateMachineType")
+        for number, name in enumerate(DRIVE_STATES):
+            state = self._object(f"state/{name}", machine, name, ua.NodeId(ua.ObjectIds.StateType))
+            value = ua.Variant(number, _V.UInt32)
+            self._variable(f"state/{name}/number", state, ua.QualifiedName("StateNumber", 0), _V.UInt32, value,
+                           reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
+
+    async def build(
+        self, bus: tuple[str, tuple[Node, ...]], slaves: Mapping[int, Described], allowed: frozenset[str]
+    ) -> tuple[list[str], bool]:
+        """Make the nodes those of the tree: new and changed slaves are made anew, others stay. Returns one line for
+        each changed name, and whether anything has changed."""
+        wanted: dict[int | None, Described] = {None: Described(*bus)}
+        wanted.update(slaves.items())
+        found = unique_names(OPCUA_BROWSE, ((f"slave {at}", one.name) for at, one in slaves.items()))
+        names: dict[int | None, str] = {None: "Bus"}
+        names.update((at, found.names[f"slave {at}"]) for at in slaves)
+        changed: list[str] = list(found.changed)
+        gone = [
+            key for key, one in self._built.items()
+            if key not in wanted or (one.described, one.name) != (wanted[key], names[key])
+            or one.allowed != _of(wanted[key], allowed)
+        ]  # fmt: skip
+        if None in gone:
+            gone = list(self._built)  # slaves are components of the bus
+        for key in sorted(gone, key=lambda one: one is None):
+            await self._remove(key)
+        new = [key for key in wanted if key not in self._built]
+        for key in new:
+            made = [node async for node in self._add(key, names[key], wanted[key], allowed, changed)]
+            self._built[key] = _Built(wanted[key], names[key], _of(wanted[key], allowed), tuple(made))
+        self.names = names
+        return changed, bool(gone or new)
+
+    async def write(self, node: Node, reading: Reading, wall: Callable[[float], datetime]) -> ua.DataValue | None:
+        """Write the value of ``node``; returns it, None where there is no such node."""
+        id_ = self.node(node.id)
+        if self.values.get(id_) is None:
+            return None
+        made = data_value(node, reading, wall)
+        await self._server.aspace.write_attribute_value(id_, ua.AttributeIds.Value, made)
+        if node.kind is Kind.DRIVE and node.keys == ("drive", "state"):
+            await self._show_state(node, made)
+        return made
+
+    async def _show_state(self, node: Node, made: ua.DataValue) -> None:
+        own = f"slave/{node.slave}/drive"
+        state = made.Value.Value if made.Value is not None else None
+        name = state if isinstance(state, str) else ""
+        known = name in DRIVE_STATES
+        for id_, value in (
+            (f"{own}/machine/state", ua.Variant(ua.LocalizedText(name), _V.LocalizedText)),
+            (f"{own}/machine/state/id", ua.Variant(self.node(f"state/{name}") if known else ua.NodeId(), _V.NodeId)),
+        ):
+            shown = ua.DataValue(value, StatusCode=made.StatusCode, SourceTimestamp=made.SourceTimestamp,
+                                 ServerTimestamp=made.ServerTimestamp)  # fmt: skip
+            await self._server.aspace.write_attribute_value(self.node(id_), ua.AttributeIds.Value, shown)
+
+    # --- nodes of the tree ----------------------------------------------------------------------------------------
+
+    async def _add(
+        self, key: int | None, name: str, described: Described, allowed: frozenset[str], changed: list[str]
+    ) -> Any:
+        own = "bus" if key is None else f"slave/{key}"
+        parent = ua.NodeId(ua.ObjectIds.ObjectsFolder) if key is None else self.node("bus")
+        type_ = self.node("type/BusType" if key is None else "type/SlaveType")
+        reference = ua.ObjectIds.Organizes if key is None else ua.ObjectIds.HasComponent
+        root = self._object(own, parent, name, type_, reference=reference, events=True)
+        yield root
+        notifier = ua.NodeId(ua.ObjectIds.Server) if key is None else self.node("bus")
+        self._refer(notifier, ua.ObjectIds.HasNotifier, root, ua.NodeClass.Object)
+        for about, text in described.about.items():
+            if text:
+                yield self._variable(f"{own}/about/{about}", root, about, _V.String, ua.Variant(text, _V.String),
+                                     reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
+        folders: dict[tuple[str, ...], ua.NodeId] = {(): root}
+        drives = [node for node in described.nodes if node.kind is Kind.DRIVE]
+        if drives:
+            drive = folders["Drive",] = self._object(f"{own}/drive", root, "Drive", self.node("type/DriveType"))
+            yield drive
+            for node in self._drive_parts(own, drive, described, allowed):
+                yield node
+        names = self._value_names(described, changed)
+        for node in described.nodes:
+            for depth in range(1, len(node.path)):
+                path = node.path[:depth]
+                if path not in folders:
+                    id_ = f"{own}/folder/{'/'.join(path)}"
+                    folder = ua.NodeId(ua.ObjectIds.FolderType)
+                    folders[path] = self._object(id_, folders[path[:-1]], OPCUA_BROWSE.valid(path[-1]), folder)
+                    yield folders[path]
+            writable = node.order is not None and node.order.name in allowed
+            for made in self._value(node, folders[node.path[:-1]], names[node.id], writable=writable):
+                yield made
+            self._added += 1
+            if self._added % _AT_ONCE == 0:
+                await asyncio.sleep(0)
+
+    def _value_names(self, described: Described, changed: list[str]) -> dict[str, str]:
+        groups: dict[tuple[str, ...], list[tuple[str, str]]] = {}
+        for node in described.nodes:
+            groups.setdefault(node.path[:-1], []).append((node.id, node.path[-1]))
+        names: dict[str, str] = {}
+        for group in groups.values():
+            found = unique_names(OPCUA_BROWSE, group)
+            names.update(found.names)
+            changed += found.changed
+        return names
+
+    def _value(self, node: Node, parent: ua.NodeId, name: str, *, writable: bool) -> Iterator[ua.NodeId]:
+        analog = node.kind is Kind.VALUE and bool(node.unit or node.scale != 1 or node.offset != 0)
+        kind = ua.ObjectIds.BaseAnalogType if analog else ua.ObjectIds.BaseDataVariableType
+        id_ = self._variable(node.id, parent, name, VARIANTS[node.type], None, kind=kind,
+                             access=_READ | (_WRITE if writable else 0), text=node.text)  # fmt: skip
+        self.values[id_] = node
+        yield id_
+        if analog and node.unit:
+            unit = ua.EUInformation(NAMESPACE, -1, ua.LocalizedText(node.unit), ua.LocalizedText(node.unit))
+            yield self._property(f"{node.id}/unit", id_, "EngineeringUnits", unit, ua.ObjectIds.EUInformation)
+        if analog and node.low is not None and node.high is not None:
+            both = ua.Range(float(node.low), float(node.high))
+            yield self._property(f"{node.id}/range", id_, "EURange", both, ua.ObjectIds.Range)
+
+    def _drive_parts(
+        self, own: str, drive: ua.NodeId, described: Described, allowed: frozenset[str]
+    ) -> Iterator[ua.NodeId]:
+        machine = self._object(f"{own}/drive/machine", drive, "StateMachine", self.node("type/DriveStateMachineType"))
+        yield machine
+        state = self._variable(f"{own}/drive/machine/state", machine, ua.QualifiedName("CurrentState", 0),
+                               _V.LocalizedText, None, kind=ua.ObjectIds.FiniteStateVariableType)  # fmt: skip
+        yield state
+        yield self._variable(f"{own}/drive/machine/state/id", state, ua.QualifiedName("Id", 0), _V.NodeId, None,
+                             reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
+        for order in described.orders:
+            word = order.command[-1]
+            if order.command[0] != "drive" or word not in METHODS:
+                continue
+            method = self.node(f"{own}/drive/method/{word}")
+            self._method(method, drive, METHODS[word], executable=order.name in allowed)
+            self.methods[method] = (drive, order)
+            yield method
+            if order.type is not None:
+                given = ua.Argument(Name="value", DataType=ua.NodeId(VARIANTS[order.type].value), ValueRank=-1,
+                                    Description=ua.LocalizedText("part of the reference: 1.0 is 100 %"))  # fmt: skip
+                yield self._property(f"{own}/drive/method/{word}/in", method, "InputArguments", [given],
+                                     ua.ObjectIds.Argument)  # fmt: skip
+
+    async def _remove(self, key: int | None) -> None:
+        built = self._built.pop(key)
+        space = self._server.aspace
+        gone = set(built.nodes)
+        for id_ in built.nodes:
+            data = space[id_]
+            for attribute in data.attributes.values():
+                for handle, callback in tuple(attribute.datachange_callbacks.items()):
+                    bad = ua.DataValue(ua.Variant(), StatusCode=ua.StatusCode(ua.StatusCodes.BadNodeIdUnknown),
+                                       ServerTimestamp=datetime.now(UTC))  # fmt: skip
+                    await callback(handle, bad)
+                    space.delete_datachange_callback(handle)
+            self.values.pop(id_, None)
+            self.methods.pop(id_, None)
+        for outside in (ua.NodeId(ua.ObjectIds.ObjectsFolder), ua.NodeId(ua.ObjectIds.Server), self.node("bus")):
+            data = space.get(outside)
+            if data is not None and outside not in gone:
+                data.references = [one for one in data.references if one.NodeId not in gone]
+        for id_ in built.nodes:
+            del space[id_]
+        await asyncio.sleep(0)
+
+    # --- single nodes ---------------------------------------------------------------------------------------------
+
+    def _type(self, name: str, parent: ua.NodeId) -> None:
+        attributes = ua.ObjectTypeAttributes()
+        attributes.DisplayName = ua.LocalizedText(name)
+        self._make(self.node(f"type/{name}"), parent, ua.ObjectIds.HasSubtype, name, ua.NodeClass.ObjectType,
+                   attributes)  # fmt: skip
+
+    def _object(
+        self, id_: str, parent: ua.NodeId, name: str, type_: ua.NodeId, *,
+        reference: int = ua.ObjectIds.HasComponent, events: bool = False,
+    ) -> ua.NodeId:  # fmt: skip
+        attributes = ua.ObjectAttributes()
+        attributes.DisplayName = ua.LocalizedText(name)
+        attributes.EventNotifier = 1 if events else 0
+        return self._make(self.node(id_), parent, reference, name, ua.NodeClass.Object, attributes, type_)
+
+    def add_last_command(self) -> None:
+        """Name, Result, Reason of the last order that a client gave."""
+        server = ua.NodeId(ua.ObjectIds.ObjectsFolder)
+        last = self._object("last", server, "LastCommand", self.node("type/LastCommandType"),
+                            reference=ua.ObjectIds.Organizes)  # fmt: skip
+        for name in ("Name", "Result", "Reason"):
+            self._variable(f"last/{name}", last, name, _V.String, ua.Variant("", _V.String))
+
+    def _property(self, id_: str, parent: ua.NodeId, name: str, value: object, type_: int) -> ua.NodeId:
+        return self._variable(id_, parent, ua.QualifiedName(name, 0), _V.ExtensionObject, ua.Variant(value),
+                              reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType,
+                              data_type=ua.NodeId(type_))  # fmt: skip
+
+    def _variable(
+        self, id_: str, parent: ua.NodeId, name: str | ua.QualifiedName, type_: ua.VariantType,
+        value: ua.Variant | None, *, reference: int = ua.ObjectIds.HasComponent,
+        kind: int = ua.ObjectIds.BaseDataVariableType, access: int = 1 << ua.AccessLevel.CurrentRead, text: str = "",
+        data_type: ua.NodeId | None = None,
+    ) -> ua.NodeId:  # fmt: skip
+        attributes = ua.VariableAttributes()
+        attributes.DisplayName = ua.LocalizedText(name if isinstance(name, str) else name.Name)
+        attributes.Description = ua.LocalizedText(text)
+        attributes.DataType = data_type or ua.NodeId(type_.value)
+        attributes.Value = ua.Variant() if value is None else value
+        attributes.ValueRank = 1 if value is not None and value.is_array else -1
+        attributes.AccessLevel = attributes.UserAccessLevel = access
+        attributes.Historizing = bool(access & 1 << ua.AccessLevel.HistoryRead)
+        made = self._make(self.node(id_), parent, reference, name, ua.NodeClass.Variable, attributes, ua.NodeId(kind))
+        if value is None:
+            self._server.aspace[made].attributes[ua.AttributeIds.Value].value = _NONE
+        return made
+
+    def _method(self, id_: ua.NodeId, parent: ua.NodeId, name: str, *, executable: bool) -> None:
+        attributes = ua.MethodAttributes()
+        attributes.DisplayName = ua.LocalizedText(name)
+        attributes.Executable = attributes.UserExecutable = executable
+        self._make(id_, parent, ua.ObjectIds.HasComponent, name, ua.NodeClass.Method, attributes)
+
+    def _make(
+        self, id_: ua.NodeId, parent: ua.NodeId, reference: int, name: str | ua.QualifiedName, class_: ua.NodeClass,
+        attributes: Any, type_: ua.NodeId | None = None,
+    ) -> ua.NodeId:  # fmt: skip
+        item = ua.AddNodesItem()
+        item.RequestedNewNodeId = id_
+        item.BrowseName = ua.QualifiedName(name, self._index) if isinstance(name, str) else name
+        item.NodeClass = class_
+        item.ParentNodeId = parent
+        item.ReferenceTypeId = ua.NodeId(reference)
+        item.TypeDefinition = type_ or ua.NodeId()
+        item.NodeAttributes = attributes
+        [result] = self._server.node_mgt_service.add_nodes([item])
+        result.StatusCode.check()
+        return id_
+
+    def _refer(self, source: ua.NodeId, kind: int, target: ua.NodeId, class_: ua.NodeClass) -> None:
+        item = ua.AddReferencesItem()
+        item.SourceNodeId, item.ReferenceTypeId, item.TargetNodeId = source, ua.NodeId(kind), target
+        item.IsForward, item.TargetNodeClass = True, class_
+        [result] = self._server.node_mgt_service.add_references([item])
+        result.check()
+
+
+def data_value(node: Node, reading: Reading, wall: Callable[[float], datetime]) -> ua.DataValue:
+    """``reading`` as OPC UA has it: a bad one has no value."""
+    value = ua.Variant() if reading.value is None else ua.Variant(reading.value, VARIANTS[node.type])
+    return ua.DataValue(
+        value,
+        StatusCode=ua.StatusCode(reading.opcua_status),
+        SourceTimestamp=wall(reading.time) if reading.time else None,
+        ServerTimestamp=datetime.now(UTC),
+    )
+
+
+def _of(described: Described, allowed: frozenset[str]) -> frozenset[str]:
+    return frozenset(order.name for order in described.orders if order.name in allowed)
