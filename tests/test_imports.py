@@ -125,7 +125,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("dp", "dpv1"),
     ("record",),
     ("bridge",),
-    ("bridge/mqtt", "bridge/metrics"),
+    ("bridge/mqtt", "bridge/metrics", "bridge/opcua"),
     ("dp/slave",),
     ("dpv1/slave",),
     ("decode",),

@@ -5,6 +5,7 @@ libraries are not needed. docs/explanation/bridge.md has the rules.
 
 - ``metrics/``: Prometheus metrics and health over HTTP
 - ``mqtt/``: MQTT 5 with Sparkplug B 3.0: the bus as an edge node, its slaves as devices
+- ``opcua/``: OPC UA: typed nodes, orders, alarms, history
 - ``conditions``: Diagnoses, faults and alarms as conditions that are active, acknowledged, retained
 - ``face``: The base class of a face, which publishes the tree
 - ``gateway``: The live stream in, the changes of the tree out to the faces; the end of faces

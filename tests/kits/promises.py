@@ -17,6 +17,7 @@ _CONTROL: Final = "api/control/test_control.py::"
 _TRUST: Final = "api/control/test_control_trust.py::"
 _RIGHTS: Final = "web/test_web_rights.py::"
 _SERVER: Final = "web/test_web_server.py::"
+_OPCUA: Final = "bridge_opcua/test_opcua_face.py::"
 _CODE: Final = "security/test_no_code.py::"
 #: for each promise the tests that show it, below tests/
 PROMISES: Final[dict[str, tuple[str, ...]]] = {
@@ -163,6 +164,23 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     "G8": (
         "bridge_metrics/test_metrics_rules.py::test_hostile_and_equal_names_become_labels_that_are_different",
         "bridge_metrics/test_metrics_rules.py::test_causes_and_classes_of_a_hostile_stream_are_bounded",
+    ),
+    "G9": (
+        _OPCUA + "test_wrong_passwords_certificates_and_channels_are_refused",
+        _OPCUA + "test_orders_need_the_list_the_user_and_the_type",
+    ),
+    "G10": (
+        _OPCUA + "test_orders_need_the_list_the_user_and_the_type",
+        "bridge_opcua/test_opcua_users.py::test_wrong_passwords_wait_longer_and_longer",
+    ),
+    "G11": (
+        _OPCUA + "test_a_slave_that_is_lost_leaves_its_last_value_and_an_alarm_until_it_is_acknowledged",
+        _OPCUA + "test_a_client_that_reads_nothing_holds_little",
+        _OPCUA + "test_garbage_ends_its_connection_alone",
+    ),
+    "G12": (
+        _OPCUA + "test_wrong_passwords_certificates_and_channels_are_refused",
+        "bridge_opcua/test_opcua_users.py::test_a_file_that_others_can_read_or_that_has_no_user_is_refused",
     ),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from msgspec import Struct, structs
 
@@ -88,8 +88,35 @@ class MetricsConfig(FaceConfig, frozen=True, kw_only=True):
     listen: Annotated[str, Key(read=read_listen)] = "127.0.0.1:9464"
 
 
+class OpcUaConfig(FaceConfig, frozen=True, kw_only=True):
+    """The keys of [opcua], as docs/reference/configuration.md has them.
+
+    listen: address and port of the server. Left out: `"127.0.0.1:4840"`, which this computer alone reaches
+    name: the name of this server, part of its URI; each server of a computer needs one of its own
+    cert: its certificate (DER or PEM). Left out: `opcua/NAME.der` in the state directory, made at the first start
+    key: the key (PEM, mode 0600) of `cert`. Left out: `opcua/NAME.pem` in the state directory, made at the first start
+    trust_dir: the directory with the certificates of clients that may connect. Left out: any client, as its user may
+    users_file: the [users](opcua.md#users), mode 0600. Left out: there are none
+    anonymous: `"read"`: a client without a user may read and subscribe; `"no"`: it may not connect
+    allow_commands: the [orders](bridge.md#orders) that users may give: `"valves.lamp"`, `"hoist.start"`, `"hoist.*"`
+    history_s: the age up to which values are kept
+    history_values: the values that are kept, of all nodes together
+    """
+
+    listen: Annotated[str, Key(read=read_listen)] = "127.0.0.1:4840"
+    name: str = "plant"
+    cert: Annotated[str, Key(read=_file)] = ""
+    key: Annotated[str, Key(read=_file)] = ""
+    trust_dir: Annotated[str, Key(read=_file)] = ""
+    users_file: Annotated[str, Key(read=_file)] = ""
+    anonymous: Literal["no", "read"] = "no"
+    allow_commands: Annotated[tuple[str, ...], Key(read=read_names)] = ()
+    history_s: Annotated[float, Key(0, 86_400, "s")] = 3600
+    history_values: Annotated[int, Key(0, 1_000_000)] = 100_000
+
+
 #: the class of each table by its name, which is that of its face
-FACES: Final[dict[str, type[FaceConfig]]] = {"mqtt": MqttConfig, "metrics": MetricsConfig}
+FACES: Final[dict[str, type[FaceConfig]]] = {"mqtt": MqttConfig, "metrics": MetricsConfig, "opcua": OpcUaConfig}
 
 
 def read_face(source: Source, name: str, data: object) -> FaceConfig:

@@ -12,10 +12,10 @@ from pathlib import Path
 from socket import gethostname
 from typing import Any, Final, NamedTuple
 
-from dpstack.api.config.faces import MetricsConfig, MqttConfig
+from dpstack.api.config.faces import MetricsConfig, MqttConfig, OpcUaConfig
 from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.names import SPARKPLUG_ID
-from dpstack.bridge.orders import Orders
+from dpstack.bridge.orders import MAX_AGE_S, Orders
 from dpstack.bridge.tree import PlantTree
 
 
@@ -70,7 +70,26 @@ def _metrics(config: MetricsConfig, parts: Parts) -> Face:
     return MetricsFace(parts.tree, parts.tell, listen, faces=parts.faces, bus_pid=parts.bus_pid)
 
 
+def _opcua(config: OpcUaConfig, parts: Parts) -> Face:
+    from dpstack.bridge.opcua.certificate import state_file
+    from dpstack.bridge.opcua.face import OpcUaFace, OpcUaSettings
+
+    settings = OpcUaSettings(
+        config.listen,
+        config.name,
+        Path(config.cert) if config.cert else state_file(f"{config.name}.der"),
+        Path(config.key) if config.key else state_file(f"{config.name}.pem"),
+        Path(config.trust_dir) if config.trust_dir else None,
+        Path(config.users_file) if config.users_file else None,
+        config.anonymous == "read",
+        config.history_s,
+        config.history_values,
+    )
+    return OpcUaFace(parts.tree, parts.tell, settings, parts.orders(config.allow_commands, MAX_AGE_S))
+
+
 KINDS: Final[dict[str, FaceKind]] = {
     "mqtt": FaceKind("dpstack.bridge.mqtt.client", ("aiomqtt", "google.protobuf"), _mqtt),
     "metrics": FaceKind("dpstack.bridge.metrics.face", ("prometheus_client",), _metrics),
+    "opcua": FaceKind("dpstack.bridge.opcua.face", ("asyncua", "cryptography"), _opcua),
 }

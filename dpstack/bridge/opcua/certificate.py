@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -39,8 +40,9 @@ def own_certificate(
         raise ConfigError(f"{missing}: is missing beside {there[0]}; remove that to have both made anew")
     if not there:
         _make(cert, key, uri, hosts, now)
+    text = read_private(key)
     try:
-        loaded = serialization.load_pem_private_key(read_private(key).encode(), None)
+        loaded = serialization.load_pem_private_key(text.encode(), None)
     except (ValueError, TypeError) as error:
         raise ConfigError(f"{key}: is no key in PEM without a password ({type(error).__name__})") from None
     found = read_certificate(cert)
@@ -144,6 +146,14 @@ def _uris(cert: x509.Certificate) -> list[str]:
     except x509.ExtensionNotFound:
         return []
     return list(names.value.get_values_for_type(x509.UniformResourceIdentifier))
+
+
+def state_file(name: str) -> Path:
+    """A file ``opcua/NAME`` below ``$STATE_DIRECTORY`` (systemd), ``$XDG_STATE_HOME/dpstack`` or
+    ``~/.local/state/dpstack``. Characters of a path become ``_``."""
+    service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return (Path(service) if service else Path(home) / "dpstack") / "opcua" / re.sub(r"[^\w .-]|^\.", "_", name)
 
 
 def utc_now() -> datetime:

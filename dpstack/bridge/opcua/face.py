@@ -28,7 +28,8 @@ from dpstack.bridge.opcua.users import Account, Users, read_users
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.quality import Reading, Value
 from dpstack.bridge.tree import Change, Changed, ClockSet, NodesChanged, PlantTree
-from dpstack.errors import PortError, UsageError
+from dpstack.errors import UsageError
+from dpstack.tcp_address import Listen, is_local, join
 from dpstack.trace import Severity
 
 #: s between two writes of the changes, which are merged for each node
@@ -48,12 +49,11 @@ _CONDITION_TYPE: Final = ua.NodeId(ua.ObjectIds.ConditionType)
 
 @dataclass(frozen=True, slots=True)
 class OpcUaSettings:
-    """``listen``: host and port. ``cert``, ``key``: made at the first start where neither is there. ``trust_dir``: the
+    """``cert``, ``key``: made at the first start where neither is there. ``trust_dir``: the
     certificates of clients; None: any. ``users_file``: None: no users. ``anonymous``: may read. ``history_s``, and
     ``history_values`` of all nodes together."""
 
-    host: str
-    port: int
+    listen: str
     name: str
     cert: Path
     key: Path
@@ -78,11 +78,12 @@ class OpcUaFace(Face):
     ) -> None:  # fmt: skip
         super().__init__(tree, tell)
         self.settings = settings
+        self._listen = Listen.parse(settings.listen, "[opcua] listen")
         self.history = BoundedHistory(settings.history_s, settings.history_values)
         self._orders = orders
         self._now = now
         self._offset = 0.0
-        self._listening: socket.socket | None = None
+        self._listening: list[socket.socket] = []
         self._server: LimitedServer | None = None
         self._ua: PlantServer | None = None
         self._space: Space | None = None
@@ -98,7 +99,7 @@ class OpcUaFace(Face):
     @property
     def port(self) -> int:
         """The port on which it listens."""
-        return self.settings.port if self._listening is None else int(self._listening.getsockname()[1])
+        return int(self._listening[0].getsockname()[1]) if self._listening else self._listen.port
 
     # --- of a face ------------------------------------------------------------------------------------------------
 
@@ -106,25 +107,24 @@ class OpcUaFace(Face):
         chosen = self.settings
         if chosen.users_file is None and not chosen.anonymous:
             raise UsageError('[opcua] lets nobody in: give users_file, or anonymous = "read"')
-        local = chosen.host in ("127.0.0.1", "::1", "localhost")
-        if not local and chosen.anonymous and chosen.trust_dir is None:
-            self.tell(f"everybody who reaches {chosen.host}:{chosen.port} may read the plant", Severity.WARNING)
         quieten()
         if chosen.users_file is not None:
             self._users = Users(read_users(chosen.users_file))
         if chosen.trust_dir is not None:
             self._trusted = read_trusted(chosen.trust_dir)
         uri = f"urn:{socket.gethostname()}:dpstack:{chosen.name}"
-        everywhere = chosen.host in _EVERYWHERE
-        hosts = [socket.gethostname(), "localhost", "127.0.0.1", *(() if everywhere else (chosen.host,))]
+        host = self._listen.host
+        shown = socket.gethostname() if host in _EVERYWHERE else host
+        hosts = [socket.gethostname(), "localhost", "127.0.0.1", shown]
         cert, key = own_certificate(chosen.cert, chosen.key, uri=uri, hosts=hosts, now=self._now())
-        self._listening = _listen(chosen.host, chosen.port)
+        self._listening = self._listen.sockets()
+        if chosen.anonymous and not is_local(self._listening):
+            self.tell(f"everybody who reaches port {self.port} may read the plant", Severity.WARNING)
         server = LimitedServer(self._users, anonymous=chosen.anonymous, services=self, refuses=self._refuses)
         self._server = server
         server.certificate, server.private_key = cert, key
         server.history_manager.set_storage(self.history)
-        shown = socket.gethostname() if everywhere else chosen.host
-        self._ua = PlantServer(server, f"opc.tcp://{shown}:{self.port}", uri, f"dpstack {chosen.name}")
+        self._ua = PlantServer(server, f"opc.tcp://{join(shown, self.port)}", uri, f"dpstack {chosen.name}")
         await self._ua.init()
         index = await self._ua.register_namespace(NAMESPACE)
         self._space = Space(server, index)
@@ -150,7 +150,6 @@ class OpcUaFace(Face):
 
     async def serve(self) -> None:
         assert self._ua is not None
-        assert self._listening is not None
         await self._ua.start_on(self._listening)
         try:
             while True:
@@ -164,8 +163,8 @@ class OpcUaFace(Face):
                 await self._ua.end()
 
     def close(self) -> None:
-        if self._listening is not None:
-            self._listening.close()
+        for one in self._listening:
+            one.close()
         if self._server is not None:
             self._server.method_service.stop()
 
@@ -364,13 +363,3 @@ class OpcUaFace(Face):
 
 def _result(code: int) -> ua.CallMethodResult:
     return ua.CallMethodResult(ua.StatusCode(code))
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        found = socket.create_server((host, port), family=family, backlog=64)
-    except OSError as error:
-        raise PortError(f"[opcua] {host}:{port} cannot be listened on: {error.strerror or error}") from None
-    found.setblocking(False)
-    return found

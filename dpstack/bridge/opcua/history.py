@@ -69,7 +69,7 @@ class BoundedHistory(HistoryStorageInterface):
         is behind ``end`` or is not given. The second result is the time at which to go on, None where all was read."""
         first, last = (None if time in (None, ua.get_win_epoch()) else time for time in (start, end))
         backwards = first is None or (last is not None and first > last)
-        low, high = (last, first) if backwards else (first, last)
+        low, high = (last, first) if backwards and first is not None else (first, last)
         found = [
             (time, value)
             for time, value in self._of.get(node_id, ())
@@ -83,7 +83,8 @@ class BoundedHistory(HistoryStorageInterface):
         # values of one time are not torn apart, as the continuation is a time
         while most < len(found) and found[most][0] == found[most - 1][0]:
             most += 1
-        rest = found[most][0] if most < len(found) else None
+        # a continuation takes the place of `start`, so one that is backwards without a start cannot go on
+        rest = found[most][0] if most < len(found) and first is not None else None
         return [value for _, value in found[:most]], rest
 
     async def new_historized_node(self, node_id: ua.NodeId, period: timedelta | None, count: int = 0) -> None:

@@ -24,6 +24,7 @@ from asyncua.crypto.security_policies import SecurityPolicyNone
 from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession, SessionState
+from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.server.monitored_item_service import WhereClauseEvaluator
 from asyncua.server.standard_address_space import standard_address_space
 from asyncua.server.uaprocessor import UaProcessor
@@ -41,10 +42,12 @@ MOST_EVENT_ITEMS: Final = 16
 MOST_EVENTS: Final = 4200
 #: notifications that are kept until the client acknowledges them, of one subscription
 MOST_UNACKED: Final = 5
+#: values in one message; the others come with the next one
+MOST_IN_MESSAGE: Final = 5000
 #: ms: the shortest interval of a subscription; values come five times a second
 FASTEST_MS: Final = 100.0
 #: octets of a request, and of answers that a client has not read
-_MOST_REQUEST: Final = 1 << 20
+_MOST_REQUEST: Final = 4 << 20
 _MOST_UNREAD: Final = 4 << 20
 _CHUNK: Final = 65_535
 #: requests of one connection that wait; orders of one that are carried out at a time
@@ -238,7 +241,10 @@ class LimitedSession(InternalSession):
     ) -> ua.CreateSubscriptionResult:  # fmt: skip
         interval = params.RequestedPublishingInterval
         params.RequestedPublishingInterval = min(max(interval, FASTEST_MS), 3_600_000.0) if interval > 0 else FASTEST_MS
-        return await super().create_subscription(params, callback, request_callback)
+        made = await super().create_subscription(params, callback, request_callback)
+        # asyncua makes it by itself, and leaves no other place
+        self.subscription_service.subscriptions[made.SubscriptionId].__class__ = _Subscription
+        return made
 
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
@@ -315,14 +321,29 @@ class LimitedSession(InternalSession):
         ]
 
 
+class _Subscription(InternalSubscription):
+    """A subscription whose messages are bounded: clients refuse those of many megabytes."""
+
+    _triggered_datachanges: dict[int, list[Any]]
+
+    def _pop_triggered_datachanges(self, result: ua.PublishResult) -> None:
+        rest: dict[int, list[Any]] = {}
+        count = 0
+        for item, values in tuple(self._triggered_datachanges.items()):
+            count += len(values)
+            if count > MOST_IN_MESSAGE:
+                rest[item] = self._triggered_datachanges.pop(item)
+        super()._pop_triggered_datachanges(result)
+        self._triggered_datachanges = rest
+
+
 class _WhereClause(WhereClauseEvaluator):
     """``OfType`` is true for subtypes, too (Part 4, 7.7.3), for instance ConditionType for an alarm. Begin and end of a
     refresh pass every filter (Part 9, 4.5)."""
 
-    def eval(self, event: Any) -> bool:
-        return event.types[0] in _REFRESHES or super().eval(event)
-
     def _eval_el(self, index: int, event: Any) -> Any:
+        if event.types[0] in _REFRESHES:
+            return True
         element = self.elements[index]
         if element.FilterOperator == ua.FilterOperator.OfType:
             return self._eval_op(element.FilterOperands[0], event) in event.types
@@ -450,10 +471,10 @@ class _Protocol(OPCUAProtocol):
 
 
 class _Listener(BinaryServer):
-    """Serves a socket that is bound already."""
+    """Serves sockets that are bound already."""
 
-    def __init__(self, server: LimitedServer, listening: socket.socket, limits: Any) -> None:
-        host, port = listening.getsockname()[:2]
+    def __init__(self, server: LimitedServer, listening: Sequence[socket.socket], limits: Any) -> None:
+        host, port = listening[0].getsockname()[:2]
         super().__init__(server, host, port, limits)
         self._listening = listening
 
@@ -461,12 +482,18 @@ class _Listener(BinaryServer):
         return _Protocol(self.iserver, self._policies, self.clients, self.closing_tasks, self.limits)
 
     async def start(self) -> None:
-        self._server = await asyncio.get_running_loop().create_server(self._make_protocol, sock=self._listening)
+        loop = asyncio.get_running_loop()
+        self._servers = [await loop.create_server(self._make_protocol, sock=one) for one in self._listening]
         self.cleanup_task = asyncio.create_task(self._close_task_loop())
+
+    async def stop(self) -> None:
+        for one in self._servers:
+            one.close()
+        await super().stop()
 
 
 class PlantServer(Server):
-    """The server as a whole. :meth:`start_on` serves a socket; ``now`` gives the time of ``CurrentTime``."""
+    """The server as a whole. :meth:`start_on` serves sockets; ``now`` gives the time of ``CurrentTime``."""
 
     def __init__(self, server: LimitedServer, url: str, uri: str, name: str) -> None:
         super().__init__(iserver=server)
@@ -480,7 +507,7 @@ class PlantServer(Server):
         self.limits.max_message_size = _MOST_REQUEST
         self.limits.max_chunk_count = _MOST_REQUEST // _CHUNK + 1
 
-    async def start_on(self, listening: socket.socket) -> None:
+    async def start_on(self, listening: Sequence[socket.socket]) -> None:
         await self._setup_server_nodes()
         await self.iserver.start()
         assert isinstance(self.iserver, LimitedServer)

@@ -1,0 +1,266 @@
+"""The OPC UA face with clients of asyncua: values, orders, rights, alarms, history, bad input."""
+
+from __future__ import annotations
+
+import asyncio
+import stat
+from collections.abc import AsyncIterator
+from typing import Any, Final
+
+import pytest
+import pytest_asyncio
+from asyncua import Client, ua
+from opcua_rig import ANNA, BOB, Rig, id_of
+
+from dpstack.bridge.opcua import server as limits
+from dpstack.bridge.opcua.server import MOST_QUEUE
+from dpstack.bridge.opcua.space import DRIVE_STATES
+from dpstack.profile.model.states import State
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+#: by the numbers of OPC 10000-6, annex A
+GOOD: Final = 0
+BAD_ACCESS_DENIED, BAD_NOT_WRITABLE, BAD_TYPE, BAD_RANGE = 0x801F0000, 0x803B0000, 0x80740000, 0x803C0000
+BAD_STATE, BAD_NO_COMMUNICATION, BAD_NODE = 0x80AF0000, 0x80310000, 0x80340000
+UNCERTAIN_NO_COMMUNICATION: Final = 0x408F0000
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def rig(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Rig]:
+    """One server for all: its standard nodes take a second."""
+    async with Rig(tmp_path_factory.mktemp("opcua")).serving() as rig:
+        yield rig
+
+
+class Seen:
+    """The events and values that a subscription got."""
+
+    def __init__(self) -> None:
+        self.events: list[Any] = []
+        self.values: list[Any] = []
+
+    def event_notification(self, event: Any) -> None:
+        self.events.append(event)
+
+    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+        self.values.append(data.monitored_item.Value)
+
+
+async def write(client: Client, node: str, value: object, type_: ua.VariantType) -> int:
+    one = ua.WriteValue(id_of(node), ua.AttributeIds.Value, Value=ua.DataValue(ua.Variant(value, type_)))
+    [found] = await client.uaclient.write(ua.WriteParameters([one]))
+    return int(found.value)
+
+
+async def call(client: Client, owner: ua.NodeId, method: ua.NodeId, *arguments: ua.Variant) -> int:
+    [found] = await client.uaclient.call([ua.CallMethodRequest(owner, method, list(arguments))])
+    return int(found.StatusCode.value)
+
+
+async def test_values_come_with_type_unit_status_and_source_time(rig: Rig) -> None:
+    async with rig.connected() as client:
+        level = client.get_node(id_of("slave/8/input/level"))
+        read = await level.read_data_value()
+        assert (read.Value.Value, read.Value.VariantType, read.StatusCode.value) == (5.5, ua.VariantType.Double, GOOD)
+        assert read.SourceTimestamp.timestamp() == pytest.approx(1_700_000_000.099)
+        unit = await level.get_child("0:EngineeringUnits")
+        assert (await unit.read_value()).DisplayName.Text == "mm"
+        assert (await (await level.get_child("0:EURange")).read_value()).High == pytest.approx(3276.7)
+        drive = client.get_node(id_of("slave/9/drive"))
+        state = await drive.get_child(["2:StateMachine", "0:CurrentState"])
+        assert (await state.read_value()).Text == "ready"
+        assert (await (await state.get_child("0:Id")).read_value()) == id_of("state/ready")
+        names = [await one.read_browse_name() for one in await client.get_node(id_of("slave/8")).get_children()]
+        assert {"Inputs", "Outputs", "State", "Statistics"} <= {one.Name for one in names}
+    assert tuple(State) == DRIVE_STATES
+
+
+async def test_orders_need_the_list_the_user_and_the_type(rig: Rig) -> None:
+    lamp, horn, flow = (f"slave/8/output/{name}" for name in ("lamp", "horn", "flow"))
+    boolean, u16 = ua.VariantType.Boolean, ua.VariantType.UInt16
+    rig.given.clear()
+    async with rig.connected() as anonymous, rig.connected(BOB) as bob, rig.connected(ANNA) as anna:
+        assert await write(anonymous, lamp, True, boolean) == BAD_ACCESS_DENIED
+        assert await write(bob, lamp, True, boolean) == BAD_ACCESS_DENIED
+        assert await write(anna, horn, True, boolean) == BAD_NOT_WRITABLE
+        assert await write(anna, "slave/8/input/level", 1.0, ua.VariantType.Double) == BAD_NOT_WRITABLE
+        assert await write(anna, lamp, 1, u16) == BAD_TYPE
+        assert await write(anna, "slave/8/output/none", 1, u16) == BAD_NODE
+        assert await write(anna, flow, 4000, u16) == BAD_STATE
+        reason = await anna.get_node(id_of("last/Reason")).read_value()
+        assert reason == "the run refuses 4000"
+        assert rig.given == []
+        assert await write(anna, lamp, True, boolean) == GOOD
+        assert rig.given == [("set", "8.lamp=on")]
+        access = [(await one.get_node(id_of(lamp)).read_attribute(ua.AttributeIds.UserAccessLevel)).Value.Value & 2
+                  for one in (anonymous, bob, anna)]  # fmt: skip
+        assert access == [0, 0, 2]
+        assert await anna.get_node(id_of(lamp)).read_value() is False  # the stream tells, never an echo
+
+
+async def test_a_stop_overtakes_a_start_that_takes_long(rig: Rig) -> None:
+    drive = id_of("slave/9/drive")
+
+    def method(word: str) -> ua.NodeId:
+        return id_of(f"slave/9/drive/method/{word}")
+
+    rig.given.clear()
+    rig.slow.clear()
+    async with rig.connected() as anonymous, rig.connected(ANNA) as anna:
+        assert await call(anonymous, drive, method("stop")) == BAD_ACCESS_DENIED
+        assert await call(anna, drive, method("coast")) == 0x81110000  # BadNotExecutable
+        assert await call(anna, drive, method("speed")) == 0x80760000  # BadArgumentsMissing
+        assert await call(anna, drive, method("speed"), ua.Variant("1")) == 0x80AB0000  # BadInvalidArgument
+        starting = asyncio.create_task(call(anna, drive, method("start")))
+        await asyncio.sleep(0)
+        assert await call(anna, drive, method("stop")) == GOOD
+        assert not starting.done()
+        rig.slow.set()
+        assert await starting == GOOD
+        assert await call(anna, drive, method("speed"), ua.Variant(0.5)) == GOOD
+        assert rig.given == [("drive", "9", "stop"), ("drive", "9", "start"), ("drive", "9", "speed", "0.5")]
+        executable = [await one.get_node(method("start")).read_attribute(ua.AttributeIds.UserExecutable)
+                      for one in (anonymous, anna)]  # fmt: skip
+        assert [one.Value.Value for one in executable] == [False, True]
+
+
+async def test_a_slave_that_is_lost_leaves_its_last_value_and_an_alarm_until_it_is_acknowledged(rig: Rig) -> None:
+    condition_type, refresh = ua.NodeId(2782), ua.NodeId(3875)
+    async with rig.connected(BOB) as bob, rig.connected(ANNA) as anna:
+        at_server, at_slave = Seen(), Seen()
+        first = await bob.create_subscription(100, at_server)
+        await first.subscribe_events(bob.nodes.server, ua.ObjectIds.OffNormalAlarmType)
+        second = await bob.create_subscription(100, at_slave)
+        await second.subscribe_events(bob.get_node(id_of("slave/8")), ua.ObjectIds.OffNormalAlarmType)
+        fine = rig.values["8"]
+        rig.values["8"] = fine | {"state": "fault", "fault": {"text": "no answer"}}
+        rig.snapshot()
+        await rig.until(lambda: at_server.events and at_slave.events)
+        one, other = at_server.events[0], at_slave.events[0]
+        assert one.EventId == other.EventId
+        assert (one.EventType, one.SourceNode, one.SourceName) == (ua.NodeId(10637), id_of("slave/8"), "valves")
+        assert one.Message.Text == "no answer"
+        assert one.Retain is True
+        states = (getattr(other, "ActiveState/Id"), getattr(other, "AckedState/Id"), getattr(other, "EnabledState/Id"))
+        assert states == (True, False, True)
+        read = await bob.get_node(id_of("slave/8/input/level")).read_data_value(raise_on_bad_status=False)
+        assert (read.Value.Value, read.StatusCode.value) == (5.5, UNCERTAIN_NO_COMMUNICATION)
+        assert await write(anna, "slave/8/output/lamp", True, ua.VariantType.Boolean) == BAD_NO_COMMUNICATION
+
+        number = ua.Variant(first.subscription_id, ua.VariantType.UInt32)
+        assert await call(anna, condition_type, refresh, number) == 0x80280000  # of another session
+        at_server.events.clear()
+        assert await call(bob, condition_type, refresh, number) == GOOD
+        await rig.until(lambda: len(at_server.events) == 3)
+        assert [event.EventType.Identifier for event in at_server.events] == [2787, 10637, 2788]
+        assert at_server.events[1].EventId == one.EventId
+
+        condition, acknowledge = id_of("condition/slave/8/fault"), ua.NodeId(9111)
+        comment = ua.Variant(ua.LocalizedText("seen"))
+        assert await call(bob, condition, acknowledge, ua.Variant(one.EventId), comment) == BAD_ACCESS_DENIED
+        assert await call(anna, condition, acknowledge, ua.Variant(b"x"), comment) == 0x809A0000  # BadEventIdUnknown
+        assert await call(anna, condition, acknowledge, ua.Variant(one.EventId), comment) == GOOD
+        await rig.until(lambda: len(at_server.events) == 4)
+        acked = at_server.events[3]
+        assert (getattr(acked, "AckedState/Id"), acked.ClientUserId, acked.Retain) == (True, "anna", True)
+        again = ua.Variant(acked.EventId)
+        assert await call(anna, condition, acknowledge, again, comment) == 0x80CF0000  # BadConditionBranchAlreadyAcked
+        rig.values["8"] = fine
+        rig.snapshot()
+        await rig.until(lambda: len(at_server.events) == 5)
+        assert at_server.events[4].Retain is False
+        assert await call(anna, condition, acknowledge, again, comment) == BAD_NODE
+
+
+async def test_changes_reach_a_subscription_merged_and_the_history_has_them(rig: Rig) -> None:
+    async with rig.connected() as client:
+        seen = Seen()
+        subscription = await client.create_subscription(100, seen)
+        level = client.get_node(id_of("slave/8/input/level"))
+        await subscription.subscribe_data_change(level)
+        await rig.until(lambda: seen.values)
+        for value in range(100, 150):
+            rig.values["8"] = rig.values["8"] | {"fields": {"level": float(value), "lamp": False, "flow": 7}}
+            rig.snapshot()
+        await rig.until(lambda: seen.values[-1].Value.Value == 149.0)
+        assert len(seen.values) <= 3
+        history = await level.read_raw_history()
+        assert history[0].Value.Value == 149.0
+        assert len(rig.face.history) < 1000
+
+
+async def test_a_client_that_reads_nothing_holds_little(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "MOST_ITEMS", 300)
+    async with rig.connected() as client:
+        params = ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True)
+        made = await client.uaclient.create_subscription(params, lambda _: None)
+        wanted = [
+            ua.MonitoredItemCreateRequest(ua.ReadValueId(id_of("slave/8/input/level"), ua.AttributeIds.Value),
+                                          ua.MonitoringMode.Reporting,
+                                          ua.MonitoringParameters(number, 0.0, None, 1_000_000))
+            for number in range(400)
+        ]  # fmt: skip
+        create = ua.CreateMonitoredItemsParameters(made.SubscriptionId, ua.TimestampsToReturn.Both, wanted)
+        results = await client.uaclient.create_monitored_items(create)
+        assert sum(one.StatusCode.value == 0x80DB0000 for one in results) == 100  # BadTooManyMonitoredItems
+        assert all(one.RevisedQueueSize == MOST_QUEUE for one in results if one.StatusCode.is_good())
+
+
+async def test_nodes_follow_the_configuration(rig: Rig) -> None:
+    rig.slaves = rig.slaves | {"10": {"name": "valves", "inputs": [{"name": "x", "type": "u8", "at": "u8@0"}]}}
+    rig.values = rig.values | {"10": {"state": "data_exchange", "inputs_valid": True, "inputs_age_ms": 1.0,
+                                      "fields": {"x": 3}}}  # fmt: skip
+    async with rig.connected() as client:
+        seen = Seen()
+        rig.plant()
+        rig.snapshot()
+        await rig.until(lambda: "slave/10/input/x" in rig.ids())
+        node = client.get_node(id_of("slave/10"))
+        assert (await node.read_browse_name()).Name == "valves slave 10"
+        x = client.get_node(id_of("slave/10/input/x"))
+        await (await client.create_subscription(100, seen)).subscribe_data_change(x)
+        del rig.slaves["10"], rig.values["10"]
+        rig.plant()
+        rig.snapshot()
+        await rig.until(lambda: seen.values and seen.values[-1].StatusCode.value == BAD_NODE)
+        with pytest.raises(ua.UaStatusCodeError):
+            await node.read_browse_name()
+        special = [await one.read_browse_name() for one in
+                   await client.get_node(id_of("slave/8/folder/Outputs")).get_children()]  # fmt: skip
+        assert "a_b_c_d______u202e" in {one.Name for one in special} or len(special) == 4
+        assert not any(set(one.Name) & set("/.<>:#!&\u202e") for one in special)
+
+
+async def test_wrong_passwords_certificates_and_channels_are_refused(rig: Rig) -> None:
+    with pytest.raises(ua.UaStatusCodeError, match=r"BadUserAccessDenied|denied"):
+        async with rig.connected(("anna", "wrong password")):
+            pass
+    with pytest.raises(Exception):  # noqa: B017  the client of asyncua tells a closed connection in several ways
+        async with asyncio.timeout(10), rig.connected(ANNA, days=-1):
+            pass
+    unsecured = rig.client(ANNA)
+    with pytest.raises((ua.UaError, ConnectionError, TimeoutError, ValueError)):
+        async with asyncio.timeout(10), unsecured:
+            pass
+    key = rig.folder / "own" / "k.pem"
+    assert stat.S_IMODE(key.stat().st_mode) == 0o600
+    async with rig.connected(ANNA):
+        pass
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [b"GET / HTTP/1.1\r\n\r\n", b"\xff" * 5000, b"HELF\xff\xff\xff\x7f" + bytes(100), b"MSGF\x20\0\0\0" + bytes(24)],
+)
+async def test_garbage_ends_its_connection_alone(rig: Rig, octets: bytes) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", rig.face.port)
+    writer.write(octets)
+    async with asyncio.timeout(10):
+        try:
+            while await reader.read(1000):
+                pass
+        except ConnectionError:
+            pass
+    writer.close()
+    async with rig.connected() as client:
+        assert (await client.get_node(id_of("slave/8")).read_browse_name()).Name == "valves"

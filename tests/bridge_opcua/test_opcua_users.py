@@ -1,0 +1,121 @@
+"""Users, certificates and history of OPC UA without a server."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from api_kit import in_virtual_time
+from asyncua import ua
+from opcua_rig import make_certificate
+
+from dpstack.bridge.opcua.certificate import client_fault, own_certificate, read_certificate, read_trusted
+from dpstack.bridge.opcua.history import BoundedHistory
+from dpstack.bridge.opcua.users import Account, Users, hash_password, is_right, read_users
+from dpstack.errors import ConfigError
+
+NOW = datetime(2026, 11, 23, 12, tzinfo=UTC)
+
+
+def test_the_command_makes_a_line_that_the_server_reads(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "dpstack.bridge.opcua.users", "anna", "control"]
+    made = subprocess.run(command, input="correct horse\n", capture_output=True, text=True, check=True).stdout
+    path = tmp_path / "users"
+    path.write_text(f"# plant 1\n\n{made}")
+    path.chmod(0o600)
+    (found,) = read_users(path).values()
+    assert (found.name, found.control) == ("anna", True)
+    assert is_right("correct horse", found.hash)
+    assert not is_right("correct horse ", found.hash)
+    assert "correct" not in made
+
+
+def test_a_file_that_others_can_read_or_that_has_no_user_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "users"
+    hashed = hash_password("a password")
+    for mode, text, why in (
+        (0o644, f"anna read {hashed}\n", "others can read or change it"),
+        (0o600, "# nobody\n", "has no user"),
+        (0o600, f"anna {hashed}\n", "is not NAME read|control HASH"),
+        (0o600, f"anna read {hashed}\nanna read {hashed}\n", ":2: anna stands there already"),
+        (0o600, "anna read scrypt$1$1$1$AA==$AA==\n", "parameters out of range"),
+        (0o600, "anna read password\n", "no hash by scrypt"),
+    ):
+        path.write_text(text)
+        path.chmod(mode)
+        with pytest.raises(ConfigError) as error:
+            read_users(path)
+        assert why in str(error.value)
+        assert hashed not in str(error.value)
+
+
+@in_virtual_time
+async def test_wrong_passwords_wait_longer_and_longer() -> None:
+    loop = asyncio.get_running_loop()
+    users = Users({"anna": Account("anna", True, hash_password("right one"))})
+    begin = loop.time()
+    for name in ("anna", "nobody", "anna"):
+        assert await users.verify(name, "wrong one", "10.0.0.1") is None
+    assert await users.verify("anna", "right one", "10.0.0.1") is not None
+    assert loop.time() - begin >= 0.5 + 1.0 + 2.0
+    many = await asyncio.gather(*(users.verify("anna", "wrong one", "10.0.0.2") for _ in range(10)))
+    assert many == [None] * 10
+
+
+def test_the_certificate_is_made_once_and_judged_by_its_dates(tmp_path: Path) -> None:
+    cert, key = tmp_path / "own" / "c.der", tmp_path / "own" / "k.pem"
+    first, _ = own_certificate(cert, key, uri="urn:x", hosts=["here", "127.0.0.1"], now=NOW)
+    again, _ = own_certificate(cert, key, uri="urn:x", hosts=["other"], now=NOW)
+    assert first == again
+    assert key.stat().st_mode & 0o777 == 0o600
+    for uri, when, why in (
+        ("urn:y", NOW, "is not for urn:y"),
+        ("urn:x", NOW + timedelta(days=4000), "has expired"),
+    ):
+        with pytest.raises(ConfigError, match=why):
+            own_certificate(cert, key, uri=uri, hosts=[], now=when)
+    key.chmod(0o640)
+    with pytest.raises(ConfigError, match="others can read"):
+        own_certificate(cert, key, uri="urn:x", hosts=[], now=NOW)
+    key.unlink()
+    with pytest.raises(ConfigError, match="is missing beside"):
+        own_certificate(cert, key, uri="urn:x", hosts=[], now=NOW)
+
+
+def test_a_client_is_judged_by_dates_and_the_trusted_directory(tmp_path: Path) -> None:
+    path, _ = make_certificate(tmp_path, 30)
+    der = path.read_bytes()
+    now = read_certificate(path).not_valid_after_utc - timedelta(days=1)
+    (tmp_path / "trusted").mkdir()
+    assert client_fault(der, None, now) is None
+    assert client_fault(der, None, now + timedelta(days=2)) == 0x80140000  # BadCertificateTimeInvalid
+    assert client_fault(der, read_trusted(tmp_path / "trusted"), now) == 0x801A0000  # BadCertificateUntrusted
+    (tmp_path / "trusted" / "one.der").write_bytes(der)
+    assert client_fault(der, read_trusted(tmp_path / "trusted"), now) is None
+    assert client_fault(b"\x30\x00", None, now) == 0x80120000  # BadCertificateInvalid
+
+
+@in_virtual_time
+async def test_the_history_has_one_bound_over_all_values_and_an_hour() -> None:
+    history = BoundedHistory(3600.0, 100)
+    nodes = [ua.NodeId(f"slave/{number}/x", 2) for number in range(10)]
+    for number in range(300):
+        at = NOW + timedelta(seconds=number)
+        history.keep(nodes[number % 10], ua.DataValue(ua.Variant(number), SourceTimestamp=at), at)
+    assert (len(history), history.dropped) == (100, 200)
+    found, more = await history.read_node_history(nodes[3], NOW, None, 0)
+    assert [one.Value.Value for one in found] == list(range(203, 300, 10))
+    assert more is None
+    found, more = await history.read_node_history(nodes[3], None, NOW + timedelta(seconds=299), 4)
+    assert ([one.Value.Value for one in found], more) == ([293, 283, 273, 263], None)
+    found, more = await history.read_node_history(nodes[3], NOW, NOW + timedelta(seconds=299), 4)
+    assert ([one.Value.Value for one in found], more) == ([203, 213, 223, 233], NOW + timedelta(seconds=243))
+    found, more = await history.read_node_history(nodes[3], NOW + timedelta(seconds=260), NOW, 0)
+    assert [one.Value.Value for one in found] == [253, 243, 233, 223, 213, 203]
+    late = NOW + timedelta(seconds=3600 + 250)
+    history.keep(nodes[0], ua.DataValue(ua.Variant(1), SourceTimestamp=late), late)
+    assert len(history) == 51
