@@ -213,8 +213,7 @@ async def test_a_drive(driver: Driver, tmp_path: Path) -> None:
     async with Segment(2, tmp_path / "bus", baud=1_500_000) as segment:
         plant = make_config(segment.paths[1], 1_500_000, slaves=[FAN])
         async with Simulation(plant, segment.paths[1], 1_500_000) as simulation:
-            bus = dpstack.open_bus(port=segment.paths[0], baud=1_500_000, gap=0, max_retry=7, driver=driver)
-            async with bus:
+            async with bus_on(segment.paths[0], driver) as bus:
                 await bus.operate()
                 await bus.add_slave(FAN)
                 await bus.ready(20)
