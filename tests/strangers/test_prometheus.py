@@ -183,7 +183,7 @@ def test_prometheus_scrapes_a_run_and_promtool_finds_nothing_in_its_metrics(plan
     assert names == {"valves", "pump"}
 
 
-def test_a_lost_slave_fires_its_alert(plant: Plant) -> None:
+def test_the_alert_of_a_lost_slave_is_raised(plant: Plant) -> None:
     [lost] = plant.until('ALERTS{alertname="DpstackSlaveLost", address="9"}')
     assert lost["metric"]["slave"] == "pump"
     assert lost["metric"]["severity"] == "critical"
