@@ -159,7 +159,7 @@ def test_wrong_use_is_one_line(args: list[str], why: str, tmp_path: Path, capsys
 
 
 def test_nothing_else_listens_on_a_network() -> None:
-    """Sockets that wait for connections: those of the page and of the metrics, and the Unix socket for commands."""
+    """Sockets that wait for connections: those of the page and of the faces, and the Unix socket for commands."""
     waiting = re.compile(r"create_server\(|start_server\(|SockSite|TCPSite|socketserver|AF_INET|listening\.listen\(")
     root = Path(dpstack.__file__).parent
     found = {
@@ -170,6 +170,7 @@ def test_nothing_else_listens_on_a_network() -> None:
     assert found == {
         "api/control/server.py",
         "bridge/metrics/http_server.py",
+        "bridge/opcua/server.py",
         "tcp_address.py",
         "web/server.py",
     }

@@ -277,12 +277,14 @@ def test_a_slave_at_ms1_is_given_up_after_four_polls_without_an_answer_in_a_row(
     assert next(script, "") == ""
 
 
-def test_an_initiate_nobody_answers_goes_out_four_times_with_a_poll_between() -> None:
+def test_an_initiate_nobody_answers_goes_out_once_and_polls_ask_for_its_answer() -> None:
+    """Four without an answer in a row give up. Others follow more and more seldom: the slave may have taken it."""
     kit = Ms2Bus(())
     assert kit.open().outcome.failure is ServiceFailure.SILENT
     asked = [sent.octets for sent in kit.bus.log if sent.octets[0] == 0x68 and sent.octets[7] == 49]
     said = "".join("n" if len(octets) == 11 else "I" for octets in asked)
-    assert said.rstrip("n") == "InInInI"
+    assert said.startswith("Innnn")
+    assert said.count("I") == 1
     hold_pauses(to_sap(kit.bus, 49)[:7], SILENT, 6)
 
 
