@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import copy
+import gc
 import json
 import os
 import signal
@@ -70,6 +71,10 @@ class Mosquitto:
         assert self.program is not None
         assert self.program.poll() is None, self.log.read_text()
         return False
+
+    def subscriptions(self) -> int:
+        """Those that it has confirmed since its start."""
+        return self.log.read_text(errors="replace").count("Sending SUBACK")
 
     def kill(self, number: int = signal.SIGKILL) -> None:
         assert self.program is not None
@@ -190,9 +195,11 @@ class Plant:
 
 @asynccontextmanager
 async def following(broker: Mosquitto, *options: str) -> AsyncIterator[Subscriber]:
+    """Enter it before the plant is published: births are not retained."""
+    before = broker.subscriptions()
     subscriber = Subscriber(broker, *options)
     task = asyncio.create_task(subscriber.follow())
-    await asyncio.sleep(0.5)  # mosquitto_sub says nothing when it has subscribed
+    await asyncio.to_thread(wait_for, lambda: broker.subscriptions() > before)
     try:
         yield subscriber
     finally:
@@ -289,7 +296,7 @@ def rebirth(broker: Mosquitto) -> list[str]:
 
 async def test_a_broker_that_stops_costs_nothing_and_gets_births_again(tmp_path: Path, broker: Mosquitto) -> None:
     plant = Plant(tmp_path, plain(broker))
-    async with plant.running(), following(broker, "-k", "600") as subscriber:
+    async with following(broker, "-k", "600") as subscriber, plant.running():
         host = subscriber.host
         await plant.until(lambda: len(host.alive) == 2)
         broker.kill(signal.SIGSTOP)
@@ -319,7 +326,7 @@ async def command(broker: Mosquitto, device: str, *metrics: bytes, age: float = 
 
 async def test_commands(tmp_path: Path, broker: Mosquitto) -> None:
     plant = Plant(tmp_path, plain(broker))
-    async with plant.running(), following(broker) as subscriber:
+    async with following(broker) as subscriber, plant.running():
         host = subscriber.host
         await plant.until(lambda: len(host.alive) == 2)
 
@@ -363,7 +370,7 @@ async def test_the_primary_host(tmp_path: Path, broker: Mosquitto) -> None:
         await run(broker.clients("mosquitto_pub", "-r", "-q", "1", "-t", topic, "-m", text))
 
     plant = Plant(tmp_path, plain(broker), primary_host="scada")
-    async with plant.running(), following(broker) as subscriber:
+    async with following(broker) as subscriber, plant.running():
         host = subscriber.host
         await plant.until(lambda: f"connected to 127.0.0.1:{broker.port}" in plant.told)
         await state('{"online": false, "timestamp": 1000}')
@@ -407,9 +414,16 @@ def certificates(folder: Path, *, days: int = 2) -> None:
                 f"{name}.pem", "-days", str(valid), "-extfile", "names")  # fmt: skip
 
 
+@pytest.fixture
+def collected() -> Iterator[None]:
+    """The garbage of the test is collected at its end, and disturbs no other test."""
+    yield
+    gc.collect()
+
+
 # where the handshake fails, paho leaves its socket to the garbage collection
 @pytest.mark.filterwarnings("ignore:Exception ignored in. <ssl.SSLSocket:pytest.PytestUnraisableExceptionWarning")
-async def test_tls_with_user_password_and_client_certificate(tmp_path: Path) -> None:
+async def test_tls_with_user_password_and_client_certificate(tmp_path: Path, collected: None) -> None:
     certificates(tmp_path)
     await run(["mosquitto_passwd", "-b", "-c", str(tmp_path / "users"), "gateway", "sesame opens"])
     os.chmod(tmp_path / "users", 0o644)
