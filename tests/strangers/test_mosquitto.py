@@ -296,7 +296,7 @@ def rebirth(broker: Mosquitto) -> list[str]:
 
 async def test_a_broker_that_stops_costs_nothing_and_gets_births_again(tmp_path: Path, broker: Mosquitto) -> None:
     plant = Plant(tmp_path, plain(broker))
-    async with plant.running(), following(broker, "-k", "600") as subscriber:
+    async with following(broker, "-k", "600") as subscriber, plant.running():
         host = subscriber.host
         await plant.until(lambda: len(host.alive) == 2)
         broker.kill(signal.SIGSTOP)

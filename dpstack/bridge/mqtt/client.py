@@ -180,6 +180,7 @@ class MqttFace(Face):
         node, numbers = self._node, self._numbers
         assert node is not None
         assert numbers is not None, "open() comes first"
+        before = _cancellations()
         try:
             number = await asyncio.to_thread(numbers.next)
         except OSError as error:
@@ -192,6 +193,7 @@ class MqttFace(Face):
                 for code in await client.subscribe(topic, qos=1):
                     if isinstance(code, ReasonCode) and code.is_failure:
                         raise aiomqtt.MqttError(f"it refuses the subscription of {topic}: {code}")
+            _end_if_cancelled(before)
             node.connected()
             self._was_connected = True
             self.tell(f"connected to {self._place}", Severity.INFO)
@@ -222,12 +224,14 @@ class MqttFace(Face):
 
     async def _send(self, node: EdgeNode, client: aiomqtt.Client) -> Disconnect:
         loop = asyncio.get_running_loop()
+        before = _cancellations()
         while True:
             message = node.next(time.time(), loop.time())
             if isinstance(message, Disconnect):
                 return message
             if message is not None:
                 await client.publish(message.topic, message.payload, qos=message.qos, retain=False)
+                _end_if_cancelled(before)
                 await asyncio.sleep(0)  # births of many slaves: others have their turn between
                 continue
             self._wake.clear()
@@ -300,6 +304,18 @@ class MqttFace(Face):
         )
         client._client.connect_timeout = CONNECT_S
         return client
+
+
+def _cancellations() -> int:
+    task = asyncio.current_task()
+    return 0 if task is None else task.cancelling()
+
+
+def _end_if_cancelled(before: int) -> None:
+    """Raise a cancellation since ``before`` that nobody has seen, else the face would never end: ``asyncio.wait_for``,
+    which aiomqtt uses, swallows one that comes when its future is just done (Python before 3.12)."""
+    if _cancellations() > before:
+        raise asyncio.CancelledError
 
 
 async def _connect(client: aiomqtt.Client) -> None:
