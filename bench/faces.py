@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Final
 
 from bench.masters import DRIVERS
+from bench.options import count, duration, slaves
 from bench.paired import interval
 from bench.report import Report
 from bench.rig import Processors, available, bench, note_disturbance, pinned
@@ -45,9 +46,9 @@ def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench faces")
     parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS)
-    parser.add_argument("--slaves", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=1.0, help="of one slice")
-    parser.add_argument("--rounds", type=int, default=15, help="slices with and without the face in turn")
+    parser.add_argument("--slaves", type=slaves, default=10)
+    parser.add_argument("--seconds", type=duration, default=1.0, help="of one slice")
+    parser.add_argument("--rounds", type=count, default=15, help="slices with and without the face in turn")
     parser.add_argument("--brokers", nargs="*", choices=BROKERS, default=BROKERS)
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)

@@ -69,7 +69,7 @@ class Disconnect(NamedTuple):
 
 
 class Connection(NamedTuple):
-    """What a connection needs. Clean Start is set, and the Session Expiry Interval is 0. ``subscriptions``: topics,
+    """The needs of a connection. Clean Start is set, and the Session Expiry Interval is 0. ``subscriptions``: topics,
     each with QoS 1."""
 
     client_id: str

@@ -81,7 +81,7 @@ _BAD_ITEMS: Final = ua.StatusCode(ua.StatusCodes.BadTooManyMonitoredItems)
 
 
 class Services(Protocol):
-    """What the plant does for clients. ``who`` None: an anonymous one, which may only read."""
+    """Writes and calls of clients. ``who`` None: an anonymous one, which may only read."""
 
     async def write(self, value: ua.WriteValue, who: Account | None) -> ua.StatusCode: ...
 
