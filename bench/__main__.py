@@ -20,7 +20,7 @@ BENCHMARKS = {
     "acyclic": ("bench.acyclic", "what permanent Read and Write does to rotation and cycle, and what it carries"),
     "codec": ("bench.codec", "encoding and decoding of telegrams, beside pyprofibus and construct"),
     "cycle": ("bench.cycle", "turn-around, CPU time and whole exchanges over a pty at 12 Mbit/s parameters"),
-    "faces": ("bench.faces", "what the face of MQTT adds to the CPU time of an exchange"),
+    "faces": ("bench.faces", "what all faces cost the bus: CPU time, messages, fixed cycle"),
     "gsd": ("bench.gsd", "reading a made-up set of 689 GSD files, and the largest ones"),
     "jitter": ("bench.jitter", "how late the rounds of a fixed cycle begin, beside an idle, blocking, busy program"),
     "listen": ("bench.listen", "cutting, counting, writing, reading and decoding of what is heard on a bus"),

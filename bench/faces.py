@@ -1,13 +1,19 @@
-"""The face of MQTT beside a bus: CPU time per exchange of the master with it and without, in turn.
+"""The faces beside a bus: CPU time per exchange of the master, messages a second and the rounds of a fixed cycle, with
+all three faces and without, in turn.
 
-Each slave has four named values. The broker is one of these:
+Each slave has four named values; the application writes an output of each ten times a second, which comes back as an
+input. All faces publish everything. Around them is one of these:
 
-- ``mosquitto``: the real one, where it is installed
-- ``stuck``: a TCP port that takes connections, and never reads nor answers
-- ``gone``: a TCP port on which nobody listens
+- ``well``: mosquitto, where it is installed, a scraper once a second, an OPC UA client that subscribes to everything
+- ``gone``: nobody listens at the address of the broker
+- ``stuck``: the broker takes connections, and never reads nor answers
+- ``stopped``: mosquitto is stopped when the plant has been published, and answers no more
+- ``hostile``: a broker that sends commands of up to a megabyte as fast as they are read
+- ``greedy``: two clients that subscribe to everything, one of which never reads; four scrapers without a pause
+- ``full``: the broker is gone, and the disk of the state is full (a file system of its own, which needs root)
 
 The wire and the masters are those of the benchmark ``record``. With the driver process the bus's own process is
-measured for itself; the goal is about that one.
+measured for itself; the goals are about that one.
 """
 
 from __future__ import annotations
@@ -17,29 +23,40 @@ import contextlib
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from bench.jitter import Cycles, Lateness
 from bench.masters import DRIVERS
 from bench.options import count, duration, slaves
 from bench.paired import interval
 from bench.report import Report
-from bench.rig import Processors, available, bench, note_disturbance, pinned
+from bench.rig import Bench, Process, Processors, available, bench, note_disturbance, pinned
 from dpstack.units import baud_text
 
 _BAUDS: Final = (500_000, 12_000_000)
 #: up to this rate the wire takes its time
 _PACED: Final = 3_000_000
-#: CPU time per exchange of the bus's own process with a face to that without one
-_GOAL: Final = 1.05
-#: after a face has begun or ended
-_SETTLE_S: Final = 1.5
-BROKERS: Final = ("mosquitto", "stuck", "gone")
+#: CPU time per exchange of the bus's own process with faces to that without
+_MOST_CPU: Final = 1.05
+#: messages a second with faces to those without
+_LEAST_MESSAGES: Final = 0.95
+#: after the faces have begun or ended
+_SETTLE_S: Final = 2.0
+#: and where clients have to find the plant first
+_SUBSCRIBE_S: Final = 5.0
+#: octets of the file system that is filled
+_DISK: Final = 1 << 20
+AROUND: Final = ("well", "gone", "stuck", "stopped", "hostile", "greedy", "full")
+_CLIENTS: Final = {"well": ("scraper", "opcua"), "greedy": (*("scraper",) * 4, "opcua", "opcua-deaf")}
+_BROKERS: Final = {"well": "mosquitto", "stopped": "mosquitto", "greedy": "mosquitto", "stuck": "stuck"}
 
 
 def run(argv: list[str]) -> Report:
@@ -48,74 +65,210 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS)
     parser.add_argument("--slaves", type=slaves, default=10)
     parser.add_argument("--seconds", type=duration, default=1.0, help="of one slice")
-    parser.add_argument("--rounds", type=count, default=15, help="slices with and without the face in turn")
-    parser.add_argument("--brokers", nargs="*", choices=BROKERS, default=BROKERS)
-    parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
+    parser.add_argument("--rounds", type=count, default=10, help="slices with and without the faces in turn")
+    parser.add_argument("--around", nargs="*", choices=AROUND, default=AROUND, help="what is around the faces")
+    parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=("process",))
+    parser.add_argument("--cycle-ms", type=duration, default=10.0, help="of the fixed cycle (default: %(default)s)")
+    parser.add_argument("--cycle-baud", type=int, default=1_500_000, help="of the fixed cycle (default: %(default)s)")
     args = parser.parse_args(argv)
     report = Report("faces")
-    if "mosquitto" in args.brokers and shutil.which("mosquitto") is None:
-        report.notes.append("mosquitto is left out: it is not installed")
-        args.brokers = [one for one in args.brokers if one != "mosquitto"]
+    if shutil.which("mosquitto") is None:
+        without = [one for one in args.around if _BROKERS.get(one) != "mosquitto"]
+        report.notes.append(f"{', '.join(set(args.around) - set(without))}: left out, mosquitto is not installed")
+        args.around = without
     with pinned() as where:
         report.notes.append(where.text)
-        for baud in args.bauds:
-            for kind in available(args.kinds, report.notes):
-                for broker in args.brokers:
-                    _at(report, kind, baud, broker, args, where)
+        for kind in available(args.kinds, report.notes):
+            for around in args.around:
+                for baud in args.bauds:
+                    _cpu(report, kind, baud, around, args, where)
+                _cycles(report, kind, around, args, where)
     return report
 
 
-def _at(report: Report, kind: str, baud: int, broker: str, args: argparse.Namespace, where: Processors) -> None:
-    """One master, whose face comes and goes."""
+def _cpu(report: Report, kind: str, baud: int, around: str, args: argparse.Namespace, where: Processors) -> None:
+    """CPU time and messages of one master, whose faces come and go."""
     slices: dict[str, list[tuple[int, int, int]]] = {"on": [], "off": []}
-    with tempfile.TemporaryDirectory(prefix="dpstack-bench-") as folder, _broker(broker, Path(folder)) as port:
-        mqtt = {"url": f"mqtt://127.0.0.1:{port}", "group": "bench", "interval_ms": 100}
-        env = os.environ | {"XDG_STATE_HOME": folder}
-        words = ["--faces", json.dumps({"mqtt": mqtt})]
-        with bench(kind, args.slaves, baud, where, paced=baud <= _PACED, gap=0, env=env, more=words) as running:
-            for number in range(args.rounds):
-                for order in ("off", "on") if number % 2 else ("on", "off"):
-                    running.switch(on=order == "on")
-                    time.sleep(_SETTLE_S)
+    title = f"{baud_text(baud)}, {kind}, {around}"
+    with _Plant(around, where, report.notes, title) as plant:
+        if not plant.tables:
+            return
+        words = ["--faces", json.dumps(plant.tables)]
+        with bench(
+            kind, args.slaves, baud, where, paced=baud <= _PACED, gap=0, env=plant.environment, more=words
+        ) as running:
+            for order in _orders(args.rounds):
+                with plant.published(running, on=order == "on"):
                     slices[order].append(running.cpu_slices(args.seconds))
-            running.switch(on=False)
-            time.sleep(_SETTLE_S)
             waited = running.measure(args.seconds)
-    title = f"{baud_text(baud)}, {kind}, broker {broker}"
     for name, place in (("", 0), (" of the bus's own process", 1))[: 2 if kind == "process" else 1]:
         # a slice in which the master did not run at all says nothing
         pairs = [both for both in zip(slices["on"], slices["off"], strict=True) if all(o[2] and o[place] for o in both)]
         costs = {order: [both[n][place] / both[n][2] for both in pairs] for n, order in enumerate(slices)}
         report.measured(f"{title}: CPU time per exchange{name}", [ns / 1000 for ns in costs["off"]], "us")
-        ratios = [with_one / without for with_one, without in zip(costs["on"], costs["off"], strict=True)]
-        text = f"{title}: CPU time per exchange{name} with a face to without"
-        report.measured(text, ratios, "ratio", _GOAL if place else None)
-        low, high = interval(ratios)
-        report.notes.append(f"{text}: the median lies between {low:.3f} and {high:.3f} (99 %)")
-    for order, taken in slices.items():
-        rate = sum(count for _, _, count in taken) / (len(taken) * args.seconds)
-        report.add(f"{title}: exchanges per second, face {order}", rate, "1/s", more=True)
+        ratios = [with_them / without for with_them, without in zip(costs["on"], costs["off"], strict=True)]
+        text = f"{title}: CPU time per exchange{name} with faces to without"
+        report.measured(text, ratios, "ratio", _MOST_CPU if place else None)
+        _note_interval(report, text, ratios)
+    rates = {order: [exchanges / args.seconds for _, _, exchanges in taken] for order, taken in slices.items()}
+    report.measured(f"{title}: exchanges a second", rates["off"], "1/s", more=True)
+    text = f"{title}: exchanges a second with faces to without"
+    ratios = [with_them / without for with_them, without in zip(rates["on"], rates["off"], strict=True) if without]
+    report.measured(text, ratios, "ratio", _LEAST_MESSAGES if kind == "process" else None, more=True)
+    _note_interval(report, text, ratios)
     note_disturbance(report, [waited], title)
 
 
-@contextlib.contextmanager
-def _broker(kind: str, folder: Path) -> Iterator[int]:
-    """The port of a broker of ``kind``."""
+def _cycles(report: Report, kind: str, around: str, args: argparse.Namespace, where: Processors) -> None:
+    """Lateness and missed rounds of a fixed cycle of one master, whose faces come and go."""
+    title = f"{args.cycle_ms:g} ms, {kind}, {around}"
+    lateness: dict[str, list[Lateness]] = {"on": [], "off": []}
+    books: dict[str, list[Cycles]] = {"on": [], "off": []}
+    with _Plant(around, where, report.notes, title) as plant:
+        if not plant.tables:
+            return
+        words = ["--faces", json.dumps(plant.tables)]
+        with bench(
+            kind, args.slaves, args.cycle_baud, where, cycle_ms=args.cycle_ms, env=plant.environment, more=words
+        ) as running:
+            for order in _orders(args.rounds):
+                with plant.published(running, on=order == "on"):
+                    taken = running.measure(args.seconds)
+                    books[order].append(Cycles(*running.cycles(args.seconds)))
+                lateness[order].append(Lateness(taken.records, args.cycle_ms, taken.due))
+    for order, name in (("off", "without faces"), ("on", "with faces")):
+        for quantile, q in (("p50", 0.5), ("p99", 0.99), ("max", 1.0)):
+            found = [one.quantile_us(q) for one in lateness[order]]
+            report.measured(f"{title}: lateness {quantile}, {name}", found, "us")
+        report.measured(f"{title}: late and missed rounds, {name}", [one.percent for one in books[order]], "%")
+
+
+def _orders(rounds: int) -> Iterator[str]:
+    for number in range(rounds):
+        yield from ("off", "on") if number % 2 else ("on", "off")
+
+
+def _note_interval(report: Report, text: str, ratios: list[float]) -> None:
+    low, high = interval(ratios)
+    if high < float("inf"):
+        report.notes.append(f"{text}: the median lies between {low:.3f} and {high:.3f} (99 %)")
+
+
+class _Plant:
+    """The surroundings of the faces. ``tables``: the faces, empty where these surroundings cannot be made here."""
+
+    def __init__(self, around: str, where: Processors, notes: list[str], title: str) -> None:
+        self.tables: dict[str, Any] = {}
+        self.environment: dict[str, str] = {}
+        self._around = around
+        self._where = where
+        self._notes = notes
+        self._title = title
+        self._stack = contextlib.ExitStack()
+        self._folder = Path()
+        self._port = 0
+        self._broker: subprocess.Popen[bytes] | None = None
+        self._ports = (_free_port(), _free_port())
+
+    def __enter__(self) -> _Plant:
+        with contextlib.ExitStack() as stack:
+            self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpstack-bench-")))
+            self.environment = os.environ | {"XDG_STATE_HOME": str(self._folder / "state")}
+            (self._folder / "state").mkdir()
+            if self._around == "full" and not self._make_disk(stack):
+                return self
+            self._port = self._begin_broker(stack)
+            metrics, opcua = self._ports
+            self.tables = {
+                "mqtt": {"url": f"mqtt://127.0.0.1:{self._port}", "group": "bench", "node": "one", "interval_ms": 100},
+                "metrics": {"listen": f"127.0.0.1:{metrics}"},
+                "opcua": {"listen": f"127.0.0.1:{opcua}", "anonymous": "read"},
+            }
+            for name in _CLIENTS.get(self._around, ()):
+                port = metrics if name == "scraper" else opcua
+                self._begin(stack, name, port, ["--pause", "0" if self._around == "greedy" else "1"])
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @contextlib.contextmanager
+    def published(self, running: Bench, *, on: bool) -> Iterator[None]:
+        """Within it the faces serve where ``on``, and what is around them does its worst."""
+        if on:
+            running.switch_faces(on=True)
+        time.sleep(_SUBSCRIBE_S if on and self._around in _CLIENTS else _SETTLE_S)
+        undo = self._do_worst() if on else None
+        try:
+            yield
+        finally:
+            if undo is not None:
+                undo()
+            if on:
+                running.switch_faces(on=False)
+
+    def _do_worst(self) -> Callable[[], object] | None:
+        if self._around == "stopped" and self._broker is not None:
+            broker = self._broker
+            broker.send_signal(signal.SIGSTOP)
+            return lambda: broker.send_signal(signal.SIGCONT)
+        if self._around == "full":
+            filler = self._folder / "state" / "filler"
+            with contextlib.suppress(OSError), filler.open("wb", buffering=0) as full:
+                while full.write(bytes(4096)):
+                    pass
+            return lambda: filler.unlink(missing_ok=True)
+        return None
+
+    def _begin(self, stack: contextlib.ExitStack, kind: str, port: int, words: list[str]) -> None:
+        """A program of bench/face_ends.py; its counts become a note."""
+        program = Process([sys.executable, "-m", "bench.face_ends", kind, str(port), *words], self._where.wire)
+
+        def end() -> None:
+            counts = next((line["counts"] for line in program.end() if "counts" in line), "it ended by itself")
+            self._notes.append(f"{self._title}: {kind}: {counts}")
+
+        stack.callback(end)
+
+    def _begin_broker(self, stack: contextlib.ExitStack) -> int:
+        port = _free_port()
+        kind = _BROKERS.get(self._around, "")
+        if kind == "stuck":
+            stuck = stack.enter_context(socket.socket())
+            stuck.bind(("127.0.0.1", port))
+            stuck.listen()
+        elif kind == "mosquitto":
+            self._begin_mosquitto(stack, port)
+        elif self._around == "hostile":
+            self._begin(stack, "hostile", port, [])
+        return port
+
+    def _begin_mosquitto(self, stack: contextlib.ExitStack, port: int) -> None:
+        config = self._folder / "mosquitto.conf"
+        config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
+        quiet = subprocess.DEVNULL
+        self._broker = broker = subprocess.Popen(["mosquitto", "-c", str(config)], stdout=quiet, stderr=quiet)
+        if self._where.wire is not None:
+            os.sched_setaffinity(broker.pid, {self._where.wire})
+        stack.callback(broker.wait)
+        stack.callback(broker.kill)
+
+    def _make_disk(self, stack: contextlib.ExitStack) -> bool:
+        """A small file system for the state. False where that is not permitted."""
+        place = str(self._folder / "state")
+        words = ["mount", "-t", "tmpfs", "-o", f"size={_DISK}", "tmpfs", place]
+        try:
+            subprocess.run(words, check=True, capture_output=True, text=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            why = (getattr(error, "stderr", "") or str(error)).strip()
+            self._notes.append(f"{self._title}: left out, no file system can be made here: {why}")
+            return False
+        stack.callback(subprocess.run, ["umount", "-l", place], check=False, capture_output=True)
+        return True
+
+
+def _free_port() -> int:
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
-        port = int(one.getsockname()[1])
-        if kind == "stuck":
-            one.listen()
-            yield port
-            return
-    if kind == "gone":
-        yield port
-        return
-    config = folder / "mosquitto.conf"
-    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
-    quiet = subprocess.DEVNULL
-    with subprocess.Popen(["mosquitto", "-c", str(config)], stdout=quiet, stderr=quiet) as broker:
-        try:
-            yield port
-        finally:
-            broker.kill()
+        return int(one.getsockname()[1])

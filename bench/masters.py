@@ -52,6 +52,10 @@ _BLOCK_EVERY_S: Final = 0.5
 _TURN_NS: Final = 50_000_000
 _HELD_UP_NS: Final = 20_000_000
 _LONGEST: Final = 5
+#: s between two looks whether the faces serve
+_LOOK_S: Final = 0.02
+#: s between two outputs of a master whose plant is published
+_WRITE_S: Final = 0.1
 
 
 class Line(NamedTuple):
@@ -125,8 +129,10 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
             _record_by_signals(bus, args.recordings)
         elif args.faces:
             _publish_by_signals(bus, json.loads(args.faces))
-        elif args.cycle_ms:
-            asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, lambda: _tell_cycles(bus))
+            writing = asyncio.create_task(_write(bus))
+            stack.callback(writing.cancel)
+        if args.cycle_ms:
+            asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, lambda: _tell_cycles(bus))
         due = await _due_time(bus) if args.cycle_ms else 0
         told(port=args.port, ready=ready, imported=imported, opening=opening, opened=opened, events=events, due=due)
         events.clear()
@@ -178,7 +184,7 @@ async def _due_time(bus: Any) -> int:
 
 
 def _tell_cycles(bus: Any) -> None:
-    """At SIGUSR1: the fixed cycles that began, those of them that were late, those that were left out; and the late and
+    """At SIGHUP: the fixed cycles that began, those of them that were late, those that were left out; and the late and
     missed ones after a round that was not over in time, for instance because the other end of the line was late."""
     book = bus.stats.cycles
     told(
@@ -194,6 +200,14 @@ def _tell_cycles(bus: Any) -> None:
 async def _read(slave: Any, octets: int) -> None:
     while True:
         await slave.read(1, 1, octets)
+
+
+async def _write(bus: Any) -> None:
+    """New outputs every tenth of a second, with and without faces; the slaves of the wire copy them to their inputs."""
+    for number in itertools.cycle(range(1000)):
+        for slave in bus.slaves:
+            slave["out_level"] = number / 10
+        await asyncio.sleep(_WRITE_S)
 
 
 async def application(kind: str, ended: Ended) -> list[tuple[int, int]]:
@@ -222,7 +236,7 @@ def _burn(ended: Ended) -> None:
 
 
 def _publish_by_signals(bus: Any, tables: dict[str, Any]) -> None:
-    """SIGUSR1 begins the faces of ``tables``, SIGUSR2 ends them."""
+    """SIGUSR1 begins the faces of ``tables``, SIGUSR2 ends them; a line says when that is done."""
     from dpstack import publish
 
     loop = asyncio.get_running_loop()
@@ -230,8 +244,12 @@ def _publish_by_signals(bus: Any, tables: dict[str, Any]) -> None:
     tasks: set[asyncio.Task[None]] = set()
 
     async def published(end: asyncio.Event) -> None:
-        async with publish(bus, **tables):
+        async with publish(bus, **tables) as publishing:
+            while len(publishing.faces) < len(tables):  # noqa: ASYNC110  they tell nobody
+                await asyncio.sleep(_LOOK_S)
+            told(faces=publishing.faces)
             await end.wait()
+        told(faces=())
 
     def begin() -> None:
         ends.append(asyncio.Event())

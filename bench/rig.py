@@ -238,7 +238,7 @@ class Bench:
         return [now - then for now, then in zip(self._told_cycles(), before, strict=True)]
 
     def _told_cycles(self) -> list[int]:
-        os.kill(self._master.pid, signal.SIGUSR1)
+        os.kill(self._master.pid, signal.SIGHUP)
         numbers: list[int] = json.loads(self._master.line(30.0) or "{}").get("cycles", [])
         if not numbers:
             raise RuntimeError("the master ended before it told its cycles")
@@ -263,6 +263,13 @@ class Bench:
     def switch(self, *, on: bool) -> None:
         """Have a master begin its recording or its faces, or end them."""
         os.kill(self._master.pid, signal.SIGUSR1 if on else signal.SIGUSR2)
+
+    def switch_faces(self, *, on: bool) -> None:
+        """As :meth:`switch`, and wait until the faces serve, or have ended. Raises RuntimeError where they do not."""
+        self.switch(on=on)
+        faces = json.loads(self._master.line(60.0) or "{}").get("faces")
+        if bool(faces) is not on:
+            raise RuntimeError(f"the faces do not {'serve' if on else 'end'}: {faces}")
 
     def opened_at(self) -> int:
         """When the master's port was opened, in ns; only with a probe."""
