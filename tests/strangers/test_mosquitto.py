@@ -313,6 +313,69 @@ async def test_a_broker_that_stops_costs_nothing_and_gets_births_again(tmp_path:
         await plant.until(lambda: host.online and (host.number or 0) >= 1 and len(host.alive) == 2)
 
 
+class Network:
+    """A way to the broker that can be cut: octets vanish then, connections stay open, and nobody hears of it."""
+
+    def __init__(self, broker: Mosquitto) -> None:
+        self._broker = broker
+        self.is_cut = False
+        self.connections = 0
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._writers: list[asyncio.StreamWriter] = []
+
+    async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
+        self._writers.append(writer)
+        if self.is_cut:  # the handshake of TCP is the relay's; nothing comes behind it
+            self._tasks.add(asyncio.create_task(self._pass_on(reader, writer)))
+            return
+        far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._broker.port)
+        self._writers.append(far_writer)
+        for one, other in ((reader, far_writer), (far_reader, writer)):
+            self._tasks.add(asyncio.create_task(self._pass_on(one, other)))
+
+    async def _pass_on(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with suppress(ConnectionError):
+            while octets := await reader.read(65536):
+                if not self.is_cut:
+                    writer.write(octets)
+                    await writer.drain()
+            if not self.is_cut:
+                writer.close()
+
+    @asynccontextmanager
+    async def open(self) -> AsyncIterator[Broker]:
+        server = await asyncio.start_server(self._take, "127.0.0.1", 0)
+        try:
+            yield Broker(url=f"mqtt://127.0.0.1:{server.sockets[0].getsockname()[1]}", keepalive_s=1)
+        finally:
+            server.close()
+            for task in self._tasks:
+                task.cancel()
+            await asyncio.gather(*self._tasks, return_exceptions=True)
+            for writer in self._writers:
+                writer.transport.abort()
+            await asyncio.sleep(0)
+
+
+async def test_a_network_that_is_cut_in_silence(tmp_path: Path, broker: Mosquitto) -> None:
+    """Both ends find out by the keep alive: the broker publishes the will, and a new session has the next number."""
+    network = Network(broker)
+    async with network.open() as way, following(broker) as subscriber:
+        plant, host = Plant(tmp_path, way), subscriber.host
+        async with plant.running():
+            await plant.until(lambda: len(host.alive) == 2)
+            network.is_cut = True
+            plant.values["8"]["fields"]["level"] = 77.0
+            await plant.until(lambda: not host.online)
+            assert host.number == 0
+            await plant.until(lambda: network.connections > 1)
+            network.is_cut = False
+            await plant.until(lambda: len(host.alive) == 2)
+            assert (host.number or 0) >= 1
+            assert host.metric("Inputs/level", "valves").value == 77.0
+
+
 async def run(command: list[str]) -> None:
     await asyncio.to_thread(subprocess.run, command, check=True, timeout=LONGEST_S, capture_output=True)
 
