@@ -3,6 +3,7 @@
 - ``broker``: Address, TLS, user and password of the broker; the folder for the state of an edge node
 - ``client``: The face of MQTT over one connection to a broker, with aiomqtt
 - ``edge_node``: The edge node: births, data, deaths and commands in their order. Knows no network and no clock
+- ``limited_client``: A client that reads no more than its share of what the broker sends
 - ``payload``: Payloads of Sparkplug B: nodes of the tree as metrics, and the metrics of commands
 - ``session_file``: The number of the MQTT session on disk (bdSeq), and the lock against a second gateway
 - ``sparkplug_pb2``: The messages of Sparkplug B, made from sparkplug.proto by tools/make_sparkplug_proto.py

@@ -25,7 +25,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, EdgeNode, NodeSetup, OrderWish
-from dpstack.bridge.mqtt.payload import MOST_OCTETS
+from dpstack.bridge.mqtt.limited_client import MOST_PACKET, LimitedClient
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import Change, PlantTree
@@ -281,11 +281,11 @@ class MqttFace(Face):
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.SessionExpiryInterval = 0
         properties.ReceiveMaximum = _MOST_WAITING
-        properties.MaximumPacketSize = 2 * MOST_OCTETS
+        properties.MaximumPacketSize = MOST_PACKET
         # its own log is for its authors; errors are told
         logger = logging.Logger("dpstack mqtt", logging.ERROR)
         logger.addHandler(self._last_error)
-        client = aiomqtt.Client(
+        client = LimitedClient(
             broker.host,
             broker.port,
             username=broker.user or None,

@@ -1,0 +1,75 @@
+"""``LimitedClient``: an MQTT client that reads no faster than orders come from people, whatever its broker sends."""
+
+from __future__ import annotations
+
+import socket
+from typing import Any, Final
+
+import aiomqtt
+from paho.mqtt.client import Client
+
+from dpstack.bridge.mqtt.payload import MOST_OCTETS
+
+#: octets of a packet; the broker is told so
+MOST_PACKET: Final = 2 * MOST_OCTETS
+#: octets that are read in a second, and the part of it for which they are counted
+MOST_A_SECOND: Final = 2 << 20
+_WINDOW_S: Final = 0.1
+#: octets for which a packet counts besides its own: the time to take it
+_A_PACKET: Final = 1000
+
+
+class LimitedClient(aiomqtt.Client):
+    """Octets beyond :data:`MOST_A_SECOND` wait at the broker, and a packet longer than :data:`MOST_PACKET` ends the
+    connection before any of it is taken. aiomqtt and paho-mqtt read up to 256 MB at once, without a pause."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._window_began = self._window_ends = 0.0
+        self._read_in_window = 0
+        self._receive = self._client._sock_recv
+        self._client._sock_recv = self._receive_limited  # type: ignore[method-assign,assignment]
+
+    def _receive_limited(self, octets: int) -> bytes:
+        if octets > MOST_PACKET:
+            # paho gives its text to the log, and ends the connection
+            raise OSError(f"the broker sends a packet of {octets} octets, {MOST_PACKET} are allowed")
+        found = self._receive(octets)
+        self._read_in_window += len(found)
+        return found
+
+    def _on_socket_open(self, client: Client, userdata: Any, sock: Any) -> None:
+        super()._on_socket_open(client, userdata, sock)
+        # paho calls it in a thread
+        self._loop.call_soon_threadsafe(self._begin_reading, sock)
+
+    def _begin_reading(self, sock: socket.socket) -> None:
+        """Read from now on, in place of the reader of aiomqtt."""
+        if self._client.socket() is sock and not self._disconnected.done():
+            self._loop.add_reader(sock.fileno(), self._read, sock)
+            self._read(sock)  # with TLS octets may wait behind the socket
+
+    def _read(self, sock: Any) -> None:
+        """Take packets until there are no more, or until this part of a second has had its share."""
+        now = self._loop.time()
+        if now >= self._window_ends:
+            self._window_began, self._window_ends, self._read_in_window = now, now + _WINDOW_S, 0
+        try:
+            while True:
+                self._client.loop_read()
+                self._read_in_window += _A_PACKET
+                has_more = self._client.socket() is sock and bool(getattr(sock, "pending", int)())
+                if self._read_in_window > MOST_A_SECOND * _WINDOW_S:
+                    self._pause(sock)
+                    return
+                if not has_more:
+                    return
+        except Exception as error:  # as aiomqtt does it: the connection is broken
+            if not self._disconnected.done():
+                self._disconnected.set_exception(error)
+
+    def _pause(self, sock: socket.socket) -> None:
+        if self._client.socket() is sock:
+            self._window_ends = self._window_began + self._read_in_window / MOST_A_SECOND
+            self._loop.remove_reader(sock.fileno())
+            self._loop.call_at(self._window_ends, self._begin_reading, sock)

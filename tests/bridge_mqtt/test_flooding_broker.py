@@ -1,0 +1,84 @@
+"""A broker of octets that floods its client, or sends a packet without end."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import aiomqtt
+import pytest
+
+from dpstack.bridge.mqtt.limited_client import MOST_A_SECOND, MOST_PACKET, LimitedClient
+
+CONNACK = bytes((0x20, 3, 0, 0, 0))
+
+
+@asynccontextmanager
+async def broker(*flood: bytes) -> AsyncIterator[int]:
+    """Its port. It sends ``flood`` when its client has published, and takes no more notice of it."""
+
+    tasks: list[asyncio.Task[None] | None] = []
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        tasks.append(asyncio.current_task())
+        try:
+            await reader.read(1000)
+            writer.write(CONNACK)
+            await reader.read(1000)
+            for octets in flood:
+                writer.write(octets)
+                await writer.drain()
+            await reader.read(-1)
+        finally:
+            writer.transport.abort()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    try:
+        yield server.sockets[0].getsockname()[1]
+    finally:
+        server.close()
+        for task in filter(None, tasks):
+            task.cancel()
+        await asyncio.gather(*filter(None, tasks), return_exceptions=True)
+
+
+def publish(size: int) -> bytes:
+    body = struct.pack(">H", 1) + b"t" + b"\x00" + bytes(size)
+    return bytes((0x30, 0x80 | (len(body) & 0x7F), 0x80 | (len(body) >> 7 & 0x7F), len(body) >> 14)) + body
+
+
+@pytest.mark.parametrize("size", [20, 60_000])
+async def test_a_flood_is_read_at_a_limited_rate_and_wholly(size: int) -> None:
+    sent = 600 if size == 20 else 20
+    loop = asyncio.get_running_loop()
+    async with broker(*[publish(size)] * sent) as port:
+        began = loop.time()
+        async with LimitedClient("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V5) as client:
+            await client.publish("t")
+            for _ in range(sent):
+                message = await anext(aiter(client.messages))
+                assert len(message.payload) == size
+            took = loop.time() - began
+            client._disconnected.set_result(None)  # the broker takes no DISCONNECT
+    # a packet counts 1000 octets besides its own; the first part of a second has its share at once
+    assert sent * (size + 1000) <= MOST_A_SECOND * (took + 0.1) + size + 1000
+
+
+async def test_a_packet_that_is_too_long_ends_the_connection_before_it_is_taken(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    logger = logging.getLogger("test of a packet")
+    async with broker(bytes((0x30, 0xFF, 0xFF, 0xFF, 0x7F))) as port:
+        client = LimitedClient("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V5, logger=logger)
+
+        async def take() -> None:
+            async with asyncio.timeout(10), client:
+                await client.publish("t")
+                await anext(aiter(client.messages))
+
+        with pytest.raises(aiomqtt.MqttError):
+            await take()
+    assert f"a packet of {(1 << 28) - 1} octets, {MOST_PACKET} are allowed" in caplog.text
