@@ -14,4 +14,5 @@ libraries are not needed. docs/explanation/bridge.md has the rules.
 - ``orders``: The orders that a face may give: allow list, age, one at a time a slave
 - ``quality``: Values with quality, reason and source time; values of the stream by type
 - ``tree``: The tree: items in; changed values, births, deaths and conditions out
+- ``verdicts``: Verdicts on a running bus and its slaves, by the counters of the run
 """

@@ -175,6 +175,11 @@ class PlantTree:
         """Whether the bus has said that it ended."""
         return self._end is not None
 
+    @property
+    def t(self) -> float:
+        """The time of the last snapshot in s since the start of the stream."""
+        return self._t
+
     def time_at(self, now: float) -> float | None:
         """The time of the stream at ``now`` in s since 1970. None while it is not known: the bus is not alive, or its
         stream goes by a clock of its own (a simulated bus, a recording)."""

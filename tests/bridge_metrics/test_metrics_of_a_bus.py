@@ -94,7 +94,10 @@ async def test_a_slave_that_goes_has_no_value_that_looks_fresh() -> None:
         assert sum(seen.of("dpstack_slave_state").values()) == 1
         assert seen("dpstack_slave_in_data_exchange", **NINE) == seen("dpstack_slave_inputs_valid", **NINE) == 1
         assert seen("dpstack_slave_inputs_age_seconds", **NINE) < 0.1
-        assert readiness(face.tree) == (True, "the bus operates; in data exchange: all slaves (1)\n")
+        assert readiness(face.tree, face.collector.verdict()) == (
+            True,
+            "the bus operates; in data exchange: all slaves (1)\n",
+        )
         bench_of(bus).power(9, False)
         seen = await settled(face)
         assert seen("dpstack_bus_up") == 1
@@ -105,12 +108,12 @@ async def test_a_slave_that_goes_has_no_value_that_looks_fresh() -> None:
         assert not seen.has("dpstack_slave_inputs_age")
         assert seen("dpstack_slave_timeouts_total", **NINE) > 0
         assert liveness(face.tree).good
-        good, text = readiness(face.tree)
+        good, text = readiness(face.tree, face.collector.verdict())
         assert not good
         assert text.startswith("slave 9 (valves) is not in data exchange: ")
         await bus.clear()
         await asyncio.sleep(0.5)
-        assert "the master is in clear, not in operate\n" in readiness(face.tree).text
+        assert "the master is in clear, not in operate\n" in readiness(face.tree, face.collector.verdict()).text
 
 
 @in_virtual_time
@@ -120,7 +123,7 @@ async def test_of_a_dead_bus_nothing_but_its_death_is_left() -> None:
     async with publishing:
         face = face_of(publishing)
         assert not liveness(face.tree).good
-        assert not readiness(face.tree).good
+        assert not readiness(face.tree, face.collector.verdict()).good
         async with bus:
             await bus.operate()
             await bus.ready()
@@ -131,4 +134,4 @@ async def test_of_a_dead_bus_nothing_but_its_death_is_left() -> None:
         assert not seen.has("dpstack_slave_")
         assert {name for name, _ in seen.series if name.startswith("dpstack_bus_")} == {"dpstack_bus_up"}
         assert liveness(face.tree).text.startswith("the bus has ended")
-        assert readiness(face.tree).text.startswith("the bus has ended")
+        assert readiness(face.tree, face.collector.verdict()).text.startswith("the bus has ended")

@@ -22,7 +22,8 @@ from dpstack.bridge.metrics.processes import usage_of
 from dpstack.bridge.metrics.table import COUNTER, GAUGE, Metric
 from dpstack.bridge.names import PROMETHEUS_LABEL, Names, unique_names
 from dpstack.bridge.quality import FLOAT, Reason, value_of
-from dpstack.bridge.tree import EXCHANGING, PlantTree
+from dpstack.bridge.tree import EXCHANGING, Change, NodesChanged, PlantTree
+from dpstack.bridge.verdicts import VERDICTS, Judge, Verdict
 
 #: causes of damage of one slave or of the bus: a decoder has 15, and an adapter some of its own
 _MOST_CAUSES: Final = 24
@@ -58,9 +59,18 @@ class Collector:
         self._bus_pid = bus_pid
         self._version = version
         self._names = Names({}, ())
+        self._judge = Judge(tree)
 
-    def name_slaves(self) -> tuple[str, ...]:
-        """Name the slaves anew, after their nodes have changed. Returns a line for each name that was changed."""
+    def take(self, changes: Sequence[Change]) -> tuple[str, ...]:
+        """Take the changes of the tree. Returns a line for each name of a slave that was changed for its label."""
+        self._judge.take(changes)
+        return self._name_slaves() if any(isinstance(one, NodesChanged) for one in changes) else ()
+
+    def verdict(self) -> Verdict:
+        """The verdict on the bus."""
+        return self._judge.judge()[0]
+
+    def _name_slaves(self) -> tuple[str, ...]:
         slaves = self._tree.slaves.items()
         self._names = unique_names(PROMETHEUS_LABEL, ((f"slave {at}", one.name) for at, one in slaves))
         return self._names.changed
@@ -74,10 +84,16 @@ class Collector:
         families.add(table.STREAM_UP, stream_comes(tree))
         families.add(table.STREAM_LOST, tree.lost)
         if alive:
+            verdict, verdicts = self._judge.judge()
             self._add_bus(families, tree.values(None))
+            for one in VERDICTS:
+                families.add(table.BUS_VERDICT, one == verdict.level, one)
             for address, described in tree.slaves.items():
                 name = self._names.names.get(f"slave {address}", described.name)
-                self._add_slave(families, address, (str(address), PROMETHEUS_LABEL.valid(name)))
+                labels = str(address), PROMETHEUS_LABEL.valid(name)
+                self._add_slave(families, address, labels)
+                for one in VERDICTS:
+                    families.add(table.SLAVE_VERDICT, one == verdicts[address].level, *labels, one)
         for name, serves, dropped in self._faces():
             families.add(table.FACE_UP, serves, name)
             families.add(table.FACE_DROPPED, dropped, name)

@@ -16,7 +16,7 @@ from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.metrics.collector import Collector, FaceState
 from dpstack.bridge.metrics.health import Health, liveness, readiness
 from dpstack.bridge.metrics.http_server import Answer, HttpServer
-from dpstack.bridge.tree import Change, NodesChanged, PlantTree
+from dpstack.bridge.tree import Change, PlantTree
 from dpstack.tcp_address import Listen, Origins, is_local, join
 from dpstack.trace import Severity
 
@@ -57,7 +57,7 @@ class MetricsFace(Face):
             {
                 "/metrics": self._metrics,
                 "/healthz": lambda: _health(liveness(self.tree)),
-                "/readyz": lambda: _health(readiness(self.tree)),
+                "/readyz": lambda: _health(readiness(self.tree, self.collector.verdict())),
             },
             sockets,
             origins=Origins((), port, secure=False) if local else None,
@@ -69,9 +69,8 @@ class MetricsFace(Face):
         self.tell(f"http://{join(host, port)}/metrics{more}", Severity.INFO if local else Severity.WARNING)
 
     def take(self, changes: Sequence[Change]) -> None:
-        if any(isinstance(change, NodesChanged) for change in changes):
-            for line in self.collector.name_slaves():
-                self.tell(line, Severity.WARNING)
+        for line in self.collector.take(changes):
+            self.tell(line, Severity.WARNING)
 
     async def serve(self) -> None:
         await asyncio.Event().wait()

@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 
 from dpstack.bridge.quality import Reason, clean
 from dpstack.bridge.tree import EXCHANGING, PlantTree
+from dpstack.bridge.verdicts import CRITICAL, WARNING, Verdict
 from dpstack.text import printable
 
 #: reasons for which no value of the stream is of this moment
@@ -35,9 +36,9 @@ def liveness(tree: PlantTree) -> Health:
     return Health(False, f"{_line(*trouble)}\n")
 
 
-def readiness(tree: PlantTree) -> Health:
+def readiness(tree: PlantTree, verdict: Verdict) -> Health:
     """``/readyz``: the bus operates (on a bus that is read only: its master is in the ring), and all slaves are in data
-    exchange, but those that were taken out of service by order."""
+    exchange, but those that were taken out of service by order. Where it is ready, ``verdict`` is its further lines."""
     trouble = tree.trouble(None)
     if trouble is not None:
         return Health(False, f"{_line(*trouble)}\n")
@@ -61,7 +62,8 @@ def readiness(tree: PlantTree) -> Health:
             lines.append(f"slave {address} ({printable(described.name)}) is not in data exchange: {why}")
     if lines:
         return Health(False, "".join(f"{line}\n" for line in lines))
-    return Health(True, f"the bus operates; in data exchange: all slaves ({served})\n")
+    judged = [f"verdict: {verdict.level}", *verdict.reasons] if verdict.level in (WARNING, CRITICAL) else []
+    return Health(True, "\n".join([f"the bus operates; in data exchange: all slaves ({served})", *judged, ""]))
 
 
 def _line(reason: Reason, note: str) -> str:

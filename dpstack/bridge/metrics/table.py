@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.bridge.verdicts import VERDICTS
+
 GAUGE, COUNTER, HISTOGRAM = "gauge", "counter", "histogram"
 
 
@@ -111,12 +113,24 @@ BUS_PLANNED: Final = Metric(
 BUS_DAMAGED: Final = Metric(
     "dpstack_bus_damaged_total", COUNTER, ("cause",), "damaged telegrams and octets outside of telegrams, by cause"
 )
+BUS_VERDICT: Final = Metric(
+    "dpstack_bus_verdict",
+    GAUGE,
+    ("verdict",),
+    f"1 for the verdict on the bus, by the last 5 min: {', '.join(VERDICTS)}",
+)
 SLAVES: Final = Metric("dpstack_bus_slaves", GAUGE, (), "number of configured slaves")
 SLAVE_STATE: Final = Metric(
     "dpstack_slave_state",
     GAUGE,
     (*_SLAVE, "state"),
     f"1 for the state in which the master has the slave: {', '.join(STATES)}",
+)
+SLAVE_VERDICT: Final = Metric(
+    "dpstack_slave_verdict",
+    GAUGE,
+    (*_SLAVE, "verdict"),
+    f"1 for the verdict on the slave, by the last 5 min: {', '.join(VERDICTS)}",
 )
 EXCHANGING: Final = Metric("dpstack_slave_in_data_exchange", GAUGE, _SLAVE, "1 while the slave is in data exchange")
 INPUTS_VALID: Final = Metric("dpstack_slave_inputs_valid", GAUGE, _SLAVE, "1 while the inputs of the slave are valid")
@@ -145,6 +159,7 @@ METRICS: Final = (
     BUS_IN_RING,
     BUS_MASTERS,
     BUS_CLEAR,
+    BUS_VERDICT,
     SLAVES,
     BUS_PLANNED,
     *BUS_HISTOGRAMS.values(),
@@ -152,6 +167,7 @@ METRICS: Final = (
     BUS_DAMAGED,
     BUS_COUNTERS_AGE,
     SLAVE_STATE,
+    SLAVE_VERDICT,
     EXCHANGING,
     INPUTS_VALID,
     INPUTS_AGE,

@@ -1,0 +1,202 @@
+"""Verdicts on a running bus and its slaves, by the counters of the run: the levels and limits of ``dpstack monitor``.
+
+A run knows its own traffic only, and no times of single telegrams: findings about other masters and about T_SDR are
+left to the monitor. A verdict speaks about the last minutes, so that it becomes good again behind a fault.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from dpstack.bridge.quality import FLOAT, Reason, clean, value_of
+from dpstack.bridge.tree import EXCHANGING, Change, NodesChanged, PlantTree
+from dpstack.monitor.thresholds import Thresholds
+
+GOOD, UNKNOWN, WARNING, CRITICAL = "good", "unknown", "warning", "critical"
+#: the levels of a verdict, the best first
+VERDICTS: Final = (GOOD, UNKNOWN, WARNING, CRITICAL)
+#: s about which a verdict speaks, and s between two samples of the counters within them
+WINDOW_S: Final = 300.0
+_SAMPLE_S: Final = 30.0
+#: losses of one slave that are kept
+_MOST_LOSSES: Final = 16
+#: reasons of the bus
+_MOST_REASONS: Final = 16
+_DEACTIVATED: Final = "deactivated"
+#: a bus that has ended, or does not run yet, has no fault
+_NOT_JUDGED: Final = frozenset({Reason.WAITING, Reason.SEARCHING, Reason.ENDED})
+_COUNTERS: Final = ("telegrams", "retries", "timeouts", "late", "wrong")
+
+
+class Verdict(NamedTuple):
+    """``reasons``: one line each, printable, the most serious first; none where the level is good."""
+
+    level: str
+    reasons: tuple[str, ...] = ()
+
+
+class _Past:
+    """The past of one slave: since when it is not in data exchange, and when it left it (s of the stream)."""
+
+    def __init__(self, t: float) -> None:
+        self.exchanged = False
+        self.away_since = t
+        self.losses: deque[float] = deque(maxlen=_MOST_LOSSES)
+
+
+class _Sample(NamedTuple):
+    """Counters at the time ``t`` of the stream: of the bus by key, of slaves by address in the order of _COUNTERS."""
+
+    t: float
+    telegrams: float
+    damaged: float
+    tokens_lost: float
+    slaves: Mapping[int, Sequence[float]]
+
+
+class Judge:
+    """Judges the plant of ``tree``. The caller hands over all changes of the tree (:meth:`take`)."""
+
+    def __init__(self, tree: PlantTree, limits: Thresholds | None = None) -> None:
+        self._tree = tree
+        self._limits = limits or Thresholds()
+        self._samples: deque[_Sample] = deque()
+        self._past: dict[int, _Past] = {}
+
+    def take(self, changes: Sequence[Change]) -> None:
+        """Note losses, and now and then the counters."""
+        if any(isinstance(change, NodesChanged) for change in changes):
+            self._samples.clear()
+            self._past.clear()
+        tree = self._tree
+        if not tree.is_alive(None):
+            self._samples.clear()  # behind a death the counters may begin anew
+            return
+        t = tree.t
+        for address in tree.slaves:
+            self._follow(address, t)
+        if not self._samples or not 0 <= t - self._samples[-1].t < _SAMPLE_S:
+            if self._samples and t < self._samples[-1].t:
+                self._samples.clear()
+            self._samples.append(self._sample(t))
+            while len(self._samples) > 1 and t - self._samples[1].t >= WINDOW_S:
+                self._samples.popleft()
+
+    def judge(self) -> tuple[Verdict, dict[int, Verdict]]:
+        """The verdict on the bus, and on each slave by address."""
+        tree, limits = self._tree, self._limits
+        trouble = tree.trouble(None)
+        if not tree.is_alive(None):
+            reason = Reason.WAITING if trouble is None else trouble[0]
+            level = UNKNOWN if reason in _NOT_JUDGED else CRITICAL
+            return Verdict(level, (reason.text,)), dict.fromkeys(tree.slaves, Verdict(UNKNOWN, (reason.text,)))
+        now = self._sample(tree.t)
+        before = self._samples[0] if self._samples else now
+        slaves = {address: self._of_slave(address, before, now) for address in tree.slaves}
+        found = list(self._of_bus(before, now))
+        for address, described in tree.slaves.items():
+            level, reasons = slaves[address]
+            if level in (WARNING, CRITICAL):
+                found.append((level, f"slave {address} ({clean(described.name)}): {reasons[0]}"))
+        doubt = "" if now.t - before.t >= limits.min_seconds else "the bus runs for too short a time"
+        return _verdict(found, doubt), slaves
+
+    def _follow(self, address: int, t: float) -> None:
+        past = self._past.setdefault(address, _Past(t))
+        state = self._tree.values(address).get("state")
+        exchanges = state == EXCHANGING
+        if past.exchanged and not exchanges:
+            past.away_since = t
+            if state != _DEACTIVATED and self._is_served():
+                past.losses.append(t)
+        elif state == _DEACTIVATED or not self._is_served():
+            past.away_since = t
+        past.exchanged = exchanges
+
+    def _is_served(self) -> bool:
+        """Whether the master serves its slaves: else they leave data exchange by order."""
+        return self._tree.values(None).get("mode") in ("clear", "operate")
+
+    def _sample(self, t: float) -> _Sample:
+        tree = self._tree
+        bus = tree.values(None)
+        bad = bus.get("bad")
+        damaged = sum(map(_number, bad.values())) if isinstance(bad, Mapping) else 0.0
+        slaves = {address: [_number(tree.values(address).get(key)) for key in _COUNTERS] for address in tree.slaves}
+        return _Sample(t, _number(bus.get("telegrams")), damaged, _number(bus.get("tokens_lost")), slaves)
+
+    def _of_bus(self, before: _Sample, now: _Sample) -> Iterator[tuple[str, str]]:
+        values, limits = self._tree.values(None), self._limits
+        if values.get("in_ring") is False:
+            yield CRITICAL, "the master is not in the token ring"
+        reads = (self._tree.plant or {}).get("read_only") is True
+        if values.get("mode") != "operate" and not reads:
+            yield WARNING, f"the master is in {clean(values.get('mode')) or 'an unknown mode'}, not in operate"
+        damaged = now.damaged - before.damaged
+        whole = now.telegrams - before.telegrams + damaged
+        level = _level(damaged / whole, limits.damaged_warning, limits.damaged_critical) if whole > 0 else ""
+        if level:
+            yield level, f"{_percent(damaged / whole)} of the telegrams are damaged"
+        lost = now.tokens_lost - before.tokens_lost
+        if lost >= limits.drops_warning:
+            yield WARNING, f"tokens were lost: {lost:.0f}"
+
+    def _of_slave(self, address: int, before: _Sample, now: _Sample) -> Verdict:
+        values, limits = self._tree.values(address), self._limits
+        state, past = values.get("state"), self._past.get(address)
+        if state == _DEACTIVATED or not self._is_served() or past is None:
+            return Verdict(UNKNOWN, ("the master does not exchange data with it",))
+        found: list[tuple[str, str]] = []
+        if state != EXCHANGING and now.t - past.away_since >= limits.bring_up_s:
+            fault = values.get("fault")
+            why = clean(fault.get("text")) if isinstance(fault, Mapping) else clean(state)
+            found.append((CRITICAL, f"it is not in data exchange: {why or 'unknown'}"))
+        losses = sum(now.t - t <= WINDOW_S for t in past.losses)
+        level = _level(losses, limits.lost_warning, limits.lost_critical)
+        if level:
+            found.append((level, f"it left data exchange {'once' if losses == 1 else f'{losses} times'}"))
+        then = before.slaves.get(address, ())
+        telegrams, retries, timeouts, late, wrong = (
+            now - before for now, before in zip(now.slaves[address], then, strict=True)
+        ) if then else (0.0,) * len(_COUNTERS)  # fmt: skip
+        # telegrams are requests, repetitions and all that came back; each request has an answer or a timeout
+        requests = (telegrams - retries - late - wrong + timeouts) / 2
+        enough = requests >= limits.min_requests
+        if enough:
+            level = _level(retries / requests, limits.retries_warning, limits.retries_critical)
+            if level:
+                found.append((level, f"{_percent(retries / requests)} of its requests were repeated"))
+            if late / requests >= limits.late_warning:
+                found.append((WARNING, f"{_percent(late / requests)} of its answers came too late"))
+        unusual = clean(values.get("conspicuous"))
+        if unusual:
+            found.append((WARNING, f"it has a diagnosis: {unusual}"))
+        if enough:
+            return _verdict(found, "")
+        return _verdict(found, f"too few requests: {max(0.0, requests):.0f}, {limits.min_requests:g} are needed")
+
+
+def _verdict(found: list[tuple[str, str]], doubt: str) -> Verdict:
+    """The worst finding decides; without one it is unknown where there is a ``doubt``."""
+    found.sort(key=lambda one: -VERDICTS.index(one[0]))
+    if found:
+        return Verdict(found[0][0], tuple(text for _, text in found[:_MOST_REASONS]))
+    return Verdict(UNKNOWN, (doubt,)) if doubt else Verdict(GOOD)
+
+
+def _level(value: float, warning: float, critical: float) -> str:
+    """The level of ``value``; empty where it is in order."""
+    if value <= 0:
+        return ""
+    return CRITICAL if value >= critical else WARNING if value >= warning else ""
+
+
+def _number(given: object) -> float:
+    found: Any = value_of(given, FLOAT)
+    return found if isinstance(found, float) else 0.0
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g} %"
