@@ -50,6 +50,8 @@ class Gateway:
         self.offset = 0.0
         self._items = items
         self._faces = list(faces)
+        #: the faces that have ended by a fault or by themselves, before the end of all
+        self.failed: list[Face] = []
         self._tell = tell
         self._now = now
         self._serving: dict[asyncio.Task[None], Face] = {}
@@ -153,6 +155,7 @@ class Gateway:
     def _drop(self, face: Face) -> None:
         if face in self._faces:
             self._faces.remove(face)
+            self.failed.append(face)
 
     def _report(self, face: Face, error: BaseException) -> None:
         if isinstance(error, DpError):

@@ -142,8 +142,8 @@ class Publishing:
             self._release()
 
     def _face_states(self) -> list[tuple[str, bool, int]]:
-        serving = self.faces
-        return [(face.name, face.name in serving, face.dropped) for face in self._faces]
+        failed = [] if self._gateway is None else self._gateway.failed
+        return [(face.name, face not in failed, face.dropped) for face in self._faces]
 
     def _bus_pid(self) -> int | None:
         return core_of(self._bus).runtime.pid if self._bus.is_open else None
