@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from dpstack.bridge.tree import Change, PlantTree
 from dpstack.text import printable, shortened
@@ -12,6 +12,15 @@ from dpstack.trace import Severity
 
 #: takes a remark for the operator of the run
 Tell = Callable[[str, Severity], object]
+
+
+class FaceState(NamedTuple):
+    """``serves``: it has not ended by a fault. See :class:`Face` for ``dropped`` and ``connected``."""
+
+    name: str
+    serves: bool
+    dropped: int = 0
+    connected: bool | None = None
 
 
 class Face(ABC):
@@ -25,6 +34,8 @@ class Face(ABC):
     name: ClassVar[str]
     #: changes that it dropped, as nobody took them in time
     dropped: int = 0
+    #: whether it is connected to its broker; None: it has none, clients come to it
+    connected: bool | None = None
 
     def __init__(self, tree: PlantTree, tell: Tell) -> None:
         self.tree = tree

@@ -35,6 +35,7 @@ def test_a_scrape_has_every_metric_of_the_table_and_no_other() -> None:
     } == {one.name: (one.kind, {frozenset(one.labels)}) for one in table.METRICS}
     assert seen("dpstack_face_up", face="mqtt") == 0
     assert seen("dpstack_face_dropped_total", face="mqtt") == 12
+    assert seen.of("dpstack_face_connected") == {frozenset({("face", "mqtt")}): 0}
     assert seen("dpstack_bus_counters_age_seconds") == 0.1
     assert seen("dpstack_bus_planned_rotation_seconds", case="max") == 0.003
     assert seen("dpstack_bus_masters") == 2

@@ -10,6 +10,7 @@ from typing import Any
 
 from prometheus_client.parser import text_string_to_metric_families
 
+from dpstack.bridge.face import FaceState
 from dpstack.bridge.metrics import table
 from dpstack.bridge.metrics.face import MetricsFace, rendered
 from dpstack.bridge.tree import PlantTree
@@ -127,7 +128,7 @@ class Bench:
             self.tree,
             lambda text, severity: self.told.append(text),
             Listen("127.0.0.1", 0),
-            faces=lambda: [("metrics", True, 0), ("mqtt", False, 12)],
+            faces=lambda: [FaceState("metrics", True), FaceState("mqtt", False, 12, connected=False)],
             bus_pid=os.getpid,
         )
         self.give(1.0, *items)

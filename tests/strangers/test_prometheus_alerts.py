@@ -64,7 +64,8 @@ class Plant:
 @contextlib.asynccontextmanager
 async def plant(**bus_keys: Any) -> AsyncIterator[Plant]:
     """Two slaves at a slow rate, so that minutes are cheap; in Operate, and nothing wrong for two minutes."""
-    bus = dpstack.open_bus(**{"port": "virtual", "baud": 19_200, "slaves": [VALVES, PUMP]} | bus_keys)
+    keys: dict[str, Any] = {"port": "virtual", "baud": 19_200, "slaves": [VALVES, PUMP]}
+    bus = dpstack.open_bus(**keys | bus_keys)
     tables: dict[str, Any] = {"metrics": {"listen": "127.0.0.1:0"}, "probe": {}}
     async with dpstack.publish(bus, **tables) as publishing, bus:
         core = core_of(bus)
@@ -152,7 +153,7 @@ async def tokens_lost(plant: Plant) -> None:
     await plant.take(2)
 
 
-async def rotation_long(plant: Plant) -> None:
+async def other_master(plant: Plant) -> None:
     """Another master, which the plan does not know, takes its time."""
     tables: list[dict[str, object]] = [
         {"name": f"rack {at}", "address": at, "ident": at, "config": "3F 3F 3F 3F"} for at in range(20, 26)
@@ -161,11 +162,6 @@ async def rotation_long(plant: Plant) -> None:
     async with dpstack.open_bus(world=plant.world, baud=19_200, address=3, slaves=tables) as other:
         await other.operate()
         await plant.take(26)
-
-
-async def cycles_missed(plant: Plant) -> None:
-    plant.faults.line_noise(1e-4)
-    await plant.take(26)
 
 
 async def watchdog_near(plant: Plant) -> None:
@@ -193,6 +189,13 @@ async def face_ended(plant: Plant) -> None:
     ProbeFace.made[-1].breaks = True
     plant.faults.power_off("pump", 1)
     await plant.take(2)
+
+
+async def broker_gone(plant: Plant) -> None:
+    ProbeFace.made[-1].connected = True
+    await plant.take(1)
+    ProbeFace.made[-1].connected = False
+    await plant.take(22)
 
 
 async def changes_dropped(plant: Plant) -> None:
@@ -235,13 +238,14 @@ CASES: Final[dict[str, Case]] = {
     "ClearForced": Case(clear_forced, {"SlaveLost 8"}, {"auto_clear": True}),
     "NotInRing": Case(not_in_ring, {"SlaveLost 8", "SlaveLost 9"}, {"hsa": 6}),
     "TokenLost": Case(tokens_lost, bus={"hsa": 6}),
-    "RotationLong": Case(rotation_long),
-    "CyclesMissed": Case(cycles_missed, {"Damage"}, {"cycle_ms": 60}),
+    "RotationLong": Case(other_master),
+    "CyclesMissed": Case(other_master, {"RotationLong"}, {"cycle_ms": 100}),
     "WatchdogNear 8": Case(watchdog_near, bus=SLOW),
     "VerdictCritical": Case(verdict, {"SlaveLost 8"}),
     "BusDead": Case(bus_dead),
     "Gone": Case(gone),
     "FaceEnded probe": Case(face_ended),
+    "FaceNotConnected probe": Case(broker_gone),
     "Losses probe": Case(changes_dropped),
     "Losses": Case(events_lost),
     "FewFileDescriptors bus": Case(few_descriptors),

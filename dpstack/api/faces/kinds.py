@@ -13,7 +13,7 @@ from socket import gethostname
 from typing import Any, Final, NamedTuple
 
 from dpstack.api.config.faces import MetricsConfig, MqttConfig, OpcUaConfig
-from dpstack.bridge.face import Face, Tell
+from dpstack.bridge.face import Face, FaceState, Tell
 from dpstack.bridge.names import SPARKPLUG_ID
 from dpstack.bridge.orders import MAX_AGE_S, Orders
 from dpstack.bridge.tree import PlantTree
@@ -22,13 +22,13 @@ from dpstack.bridge.tree import PlantTree
 class Parts(NamedTuple):
     """The parts of the gateway that a face is made with. ``orders``: makes the gate of its orders, from its
     ``allow_commands`` and ``command_max_age_s``; raises ConfigError for a name that fits no order of the plant.
-    ``faces``: name, whether it serves, and number of dropped changes of each face; ``bus_pid``: the process id of the
+    ``faces``: the state of each face; ``bus_pid``: the process id of the
     bus process, None without one."""
 
     tree: PlantTree
     tell: Tell
     orders: Callable[[Sequence[str], float], Orders]
-    faces: Callable[[], Sequence[tuple[str, bool, int]]]
+    faces: Callable[[], Sequence[FaceState]]
     bus_pid: Callable[[], int | None]
 
 

@@ -18,7 +18,7 @@ from dpstack.api.config.table import Source
 from dpstack.api.control.handlers import carry_out_order
 from dpstack.api.faces.kinds import KINDS, Parts
 from dpstack.api.streams import LEVELS, load_beside
-from dpstack.bridge.face import Face, Teller
+from dpstack.bridge.face import Face, FaceState, Teller
 from dpstack.bridge.gateway import END_S, TICK_S, Gateway
 from dpstack.bridge.nodes import slave_of
 from dpstack.bridge.orders import Orders, check_allowed
@@ -141,9 +141,9 @@ class Publishing:
             await asyncio.wait((task,), timeout=_HURRIED_S)
             self._release()
 
-    def _face_states(self) -> list[tuple[str, bool, int]]:
+    def _face_states(self) -> list[FaceState]:
         failed = [] if self._gateway is None else self._gateway.failed
-        return [(face.name, face not in failed, face.dropped) for face in self._faces]
+        return [FaceState(face.name, face not in failed, face.dropped, face.connected) for face in self._faces]
 
     def _bus_pid(self) -> int | None:
         return core_of(self._bus).runtime.pid if self._bus.is_open else None

@@ -16,6 +16,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 from prometheus_client.core import Metric as Family
 
 from dpstack.bridge.conditions import Level
+from dpstack.bridge.face import FaceState
 from dpstack.bridge.metrics import table
 from dpstack.bridge.metrics.health import stream_comes
 from dpstack.bridge.metrics.processes import usage_of
@@ -33,10 +34,6 @@ _OTHER: Final = "other"
 _MOST_CLASSES: Final = 64
 _US: Final = 1e6
 _MS: Final = 1e3
-
-
-#: name of a face, whether it has not ended, number of changes that it dropped
-FaceState = tuple[str, bool, int]
 
 
 class Collector:
@@ -94,9 +91,10 @@ class Collector:
                 self._add_slave(families, address, labels)
                 for one in VERDICTS:
                     families.add(table.SLAVE_VERDICT, one == verdicts[address].level, *labels, one)
-        for name, serves, dropped in self._faces():
-            families.add(table.FACE_UP, serves, name)
-            families.add(table.FACE_DROPPED, dropped, name)
+        for face in self._faces():
+            families.add(table.FACE_UP, face.serves, face.name)
+            families.add(table.FACE_CONNECTED, face.connected, face.name)
+            families.add(table.FACE_DROPPED, face.dropped, face.name)
         for code, count in sorted(self.requests.items()):
             families.add(table.REQUESTS, count, str(code))
         families.add(table.REFUSED, self.refused)

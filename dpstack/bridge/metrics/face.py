@@ -12,8 +12,8 @@ from prometheus_client import generate_latest
 from prometheus_client.core import Metric as Family
 from prometheus_client.registry import Collector as OneFamily
 
-from dpstack.bridge.face import Face, Tell
-from dpstack.bridge.metrics.collector import Collector, FaceState
+from dpstack.bridge.face import Face, FaceState, Tell
+from dpstack.bridge.metrics.collector import Collector
 from dpstack.bridge.metrics.health import Health, liveness, readiness
 from dpstack.bridge.metrics.http_server import Answer, HttpServer
 from dpstack.bridge.tree import Change, PlantTree

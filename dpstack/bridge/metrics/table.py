@@ -81,6 +81,9 @@ START: Final = Metric(
     "dpstack_process_start_time_seconds", GAUGE, ("process",), "start of the process, in seconds since 1970"
 )
 FACE_UP: Final = Metric("dpstack_face_up", GAUGE, ("face",), "1 while the face serves; 0: it has ended by a fault")
+FACE_CONNECTED: Final = Metric(
+    "dpstack_face_connected", GAUGE, ("face",), "1 while the face is connected to its broker; of faces that have one"
+)
 FACE_DROPPED: Final = Metric(
     "dpstack_face_dropped_total", COUNTER, ("face",), "changes that the face dropped, as they were not taken in time"
 )
@@ -178,6 +181,7 @@ METRICS: Final = (
     *SLAVE_COUNTERS.values(),
     SLAVE_DAMAGED,
     FACE_UP,
+    FACE_CONNECTED,
     FACE_DROPPED,
     REQUESTS,
     REFUSED,

@@ -104,7 +104,7 @@ class MqttFace(Face):
         self._numbers: SessionFile | None = None
         self._node: EdgeNode | None = None
         self._wake = asyncio.Event()
-        self._was_connected = False
+        self.connected = self._was_connected = False
         self._last_error = _LastError(logging.ERROR)
         self._giving: set[asyncio.Task[None]] = set()
         #: messages of the broker that were too many at once
@@ -195,10 +195,11 @@ class MqttFace(Face):
                         raise aiomqtt.MqttError(f"it refuses the subscription of {topic}: {code}")
             _end_if_cancelled(before)
             node.connected()
-            self._was_connected = True
+            self.connected = self._was_connected = True
             self.tell(f"connected to {self._place}", Severity.INFO)
             return await self._exchange(node, client)
         finally:
+            self.connected = False
             node.disconnected()
             self._count_lost(client)
             await _close(client)
