@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
+import signal
 from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any
 
+import pytest
 from api_kit import bench_of, in_virtual_time, slave_in
+from far_ends import until
 from metrics_kit import Scrape, scrape
+from process_kit import SPEC, bus_on, octet_slaves
+from process_kit import VALVES as PTY_VALVES
 from support import WorldFactory
 from wire_truth import truth_of
 
@@ -114,6 +121,33 @@ async def test_a_slave_that_goes_has_no_value_that_looks_fresh() -> None:
         await bus.clear()
         await asyncio.sleep(0.5)
         assert "the master is in clear, not in operate\n" in readiness(face.tree, face.collector.verdict()).text
+
+
+async def test_a_bus_process_has_its_own_metrics_and_its_death_is_told() -> None:
+    with octet_slaves(SPEC) as (path, _):
+        bus = bus_on(path, "process", PTY_VALVES)
+        async with dpstack.publish(bus, metrics={"listen": "127.0.0.1:0"}) as publishing:
+            face = face_of(publishing)
+            assert liveness(face.tree).text == "no value yet\n"
+            async with bus:
+                await bus.ready(60)
+                await until(lambda: face.tree.is_alive(None), "the birth of the bus")
+                pid = face.collector._bus_pid()
+                assert pid is not None
+                seen = await scrape(face)
+                for process, one in (("run", os.getpid()), ("bus", pid)):
+                    assert seen("dpstack_process_open_fds", process=process) > 2
+                    stat = Path(f"/proc/{one}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+                    cpu = seen("dpstack_process_cpu_seconds_total", process=process)
+                    assert cpu == pytest.approx((int(stat[11]) + int(stat[12])) / os.sysconf("SC_CLK_TCK"), abs=0.2)
+                starts = seen.of("dpstack_process_start_time_seconds")
+                assert starts[frozenset({("process", "run")})] < starts[frozenset({("process", "bus")})]
+                os.kill(pid, signal.SIGKILL)
+                await until(lambda: not face.tree.is_alive(None), "the death of the bus")
+                seen = await scrape(face)
+                assert seen("dpstack_bus_up") == 0
+                assert {dict(one)["process"] for one in seen.of("dpstack_process_open_fds")} == {"run"}
+                assert liveness(face.tree).text.startswith("the bus has ended: the bus process was killed by SIGKILL")
 
 
 @in_virtual_time
