@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
-from prometheus_expressions import ROOT, Expression, expressions
+from prometheus_expressions import FOLDER, ROOT, Expression, expressions
 
 from dpstack.bridge.metrics.table import COUNTER, HISTOGRAM, METRICS
 
@@ -41,6 +42,32 @@ def test_metrics_and_labels_of_an_expression_are_in_the_table(one: Expression) -
     if "sum by" not in one.text:
         shown = set(re.findall(r"{{ ?(?:\$labels\.)?(\w+) ?}}", one.legend))
         assert shown <= set[str].union(*(SERIES.get(name, OF_TARGET) for name in used))
+
+
+def test_the_dashboard_can_be_read_at_a_glance() -> None:
+    """Each panel has a place of its own, a unit, a text for people, legends, and follows the choice of segments."""
+    board = json.loads((FOLDER / "dpstack.dashboard.json").read_text(encoding="utf-8"))
+    assert {one["name"] for one in board["templating"]["list"]} == {"datasource", "instance"}
+    panels = board["panels"]
+    assert len({one["id"] for one in panels}) == len({one["title"] for one in panels}) == len(panels)
+    taken: set[tuple[int, int]] = set()
+    for panel in panels:
+        place = panel["gridPos"]
+        assert place["x"] + place["w"] <= 24
+        cells = {(place["x"] + x, place["y"] + y) for x in range(place["w"]) for y in range(place["h"])}
+        assert not cells & taken, panel["title"]
+        taken |= cells
+        assert panel["description"].endswith(".")
+        assert panel["fieldConfig"]["defaults"]["unit"] in ("none", "s", "ops", "percentunit", "bytes")
+        assert panel["type"] in ("stat", "table", "timeseries")
+        assert len({one["refId"] for one in panel["targets"]}) == len(panel["targets"]) > 0
+        for target in panel["targets"]:
+            assert target["datasource"] == panel["datasource"] == {"type": "prometheus", "uid": "${datasource}"}
+            assert len(re.findall(r"dpstack_\w+", target["expr"])) == target["expr"].count('instance=~"$instance"')
+            assert "{{instance}}" in target["legendFormat"]
+    # no hole: the rows are full
+    assert len(taken) == 24 * (1 + max(y for _, y in taken))
+    assert [one["title"] for one in panels][:2] == ["Verdict", "Buses that run"]
 
 
 def test_there_are_expressions_of_both_files_and_alerts_have_a_severity_and_a_summary() -> None:

@@ -120,6 +120,30 @@ def test_a_slave_that_the_stream_does_not_show_any_more_is_unknown() -> None:
     assert "slave 4 (pump)" in readiness(bench.tree, bench.face.collector.verdict()).text
 
 
+def test_a_new_configuration_leaves_no_series_of_the_old_one() -> None:
+    bench = Bench(plant("valves", "pump", "fan"), snapshot(1.0, FINE, FINE, FINE))
+    assert {dict(one)["slave"] for one in bench.scrape().of("dpstack_slave_state")} == {"valves", "pump", "fan"}
+    # one gets another name, another one the name of the third, which is gone
+    bench.give(1.2, plant("valves 2", "fan"), snapshot(1.2, FINE, FINE))
+    seen = bench.scrape()
+    assert {frozenset(dict(one).items()) for name, one in seen.series if name == "dpstack_slave_inputs_valid"} == {
+        frozenset(labels(3, "valves 2").items()),
+        frozenset(labels(4, "fan").items()),
+    }
+    assert {dict(one).get("slave") for _, one in seen.series} == {None, "valves 2", "fan"}
+    assert seen("dpstack_bus_slaves") == 2
+
+
+def test_the_series_of_a_full_bus_are_bounded() -> None:
+    """126 slaves, each with all causes of damage that there can be."""
+    busy = FINE | {"bad": {f"cause_{number}": 1 for number in range(100)}}
+    slaves = [busy] * 124
+    bench = Bench(plant(*(f"slave {number}" for number in range(124))), snapshot(1.0, *slaves))
+    seen = bench.scrape()
+    assert len(seen.of("dpstack_slave_exchanges_total")) == 124
+    assert len(seen.series) < 124 * 55 + 150
+
+
 def test_a_slave_out_of_service_does_not_count_and_a_reading_run_is_ready_in_the_ring() -> None:
     bench = Bench(plant("valves", "pump"), snapshot(1.0, FINE, FINE | {"state": "deactivated"}))
     assert readiness(bench.tree, bench.face.collector.verdict()) == (
