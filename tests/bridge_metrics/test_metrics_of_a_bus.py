@@ -128,7 +128,7 @@ async def test_a_bus_process_has_its_own_metrics_and_its_death_is_told() -> None
         bus = bus_on(path, "process", PTY_VALVES)
         async with dpstack.publish(bus, metrics={"listen": "127.0.0.1:0"}) as publishing:
             face = face_of(publishing)
-            assert liveness(face.tree).text == "no value yet\n"
+            assert liveness(face.tree) == (False, "the bus is not open yet\n")
             async with bus:
                 await bus.ready(60)
                 await until(lambda: face.tree.is_alive(None), "the birth of the bus")

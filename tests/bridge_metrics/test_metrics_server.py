@@ -8,13 +8,14 @@ import http.client
 import random
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
+from http import HTTPStatus
 
 import pytest
 from metrics_kit import FINE, Bench, ask, plant, read, request, snapshot
 
 from dpstack.bridge.metrics import http_server
 from dpstack.bridge.metrics.face import MetricsFace
-from dpstack.bridge.metrics.http_server import MOST_CONNECTIONS, MOST_OCTETS, MOST_OF_ONE
+from dpstack.bridge.metrics.http_server import MOST_CONNECTIONS, MOST_OCTETS, MOST_OF_ONE, Answer
 from dpstack.errors import PortError
 from dpstack.tcp_address import Listen
 
@@ -146,6 +147,28 @@ def test_silent_clients_lose_their_place_and_a_thousand_are_bounded(monkeypatch:
         assert status_of(await ask(port, own)) == 200
         for link in links:
             link.close()
+
+    served(test)
+
+
+def test_clients_that_never_read_lose_their_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_server, "LONGEST_S", 0.5)
+
+    async def test(face: MetricsFace, port: int) -> None:
+        server = face._server
+        assert server is not None
+
+        async def much() -> Answer:
+            return Answer(HTTPStatus.OK, b"x" * 10_000_000)
+
+        server.pages = {**server.pages, "/metrics": much}
+        with contextlib.ExitStack() as links:
+            for _ in range(4):
+                link = links.enter_context(socket.create_connection(("127.0.0.1", port)))
+                link.sendall(request().replace(b"PORT", str(port).encode()))
+            await until(lambda: len(server.open) == 4)
+            assert status_of(await ask(port, OWN)) == 200
+            await until(lambda: not server.open)
 
     served(test)
 

@@ -67,4 +67,6 @@ def readiness(tree: PlantTree, verdict: Verdict) -> Health:
 
 
 def _line(reason: Reason, note: str) -> str:
+    if reason is Reason.WAITING:
+        return "the bus is not open yet"
     return printable(f"{reason.text}: {note}" if note else reason.text)
