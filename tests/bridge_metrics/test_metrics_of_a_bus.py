@@ -165,6 +165,7 @@ async def test_of_a_dead_bus_nothing_but_its_death_is_left() -> None:
         await asyncio.sleep(0.1)
         seen = await scrape(face)
         assert seen("dpstack_bus_up") == seen("dpstack_stream_up") == 0
+        assert seen("dpstack_face_up", face="metrics") == 1, "it ends with the run, and not by a fault"
         assert not seen.has("dpstack_slave_")
         assert {name for name, _ in seen.series if name.startswith("dpstack_bus_")} == {"dpstack_bus_up"}
         assert liveness(face.tree).text.startswith("the bus has ended")

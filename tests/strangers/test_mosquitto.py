@@ -436,6 +436,7 @@ async def test_the_primary_host(tmp_path: Path, broker: Mosquitto) -> None:
     async with following(broker) as subscriber, plant.running():
         host = subscriber.host
         await plant.until(lambda: f"connected to 127.0.0.1:{broker.port}" in plant.told)
+        assert plant.face.connected
         await state('{"online": false, "timestamp": 1000}')
         await asyncio.sleep(0.5)
         assert host.messages == []
