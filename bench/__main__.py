@@ -21,6 +21,10 @@ BENCHMARKS = {
     "codec": ("bench.codec", "encoding and decoding of telegrams, beside pyprofibus and construct"),
     "cycle": ("bench.cycle", "turn-around, CPU time and whole exchanges over a pty at 12 Mbit/s parameters"),
     "faces": ("bench.faces", "what all faces cost the bus: CPU time, messages, fixed cycle"),
+    "fleet": (
+        "bench.plant.fleet",
+        "50 gateways and a broker: messages, CPU time, time from a slave's loss to its DDEATH, recovery",
+    ),
     "gsd": ("bench.gsd", "reading a made-up set of 689 GSD files, and the largest ones"),
     "jitter": ("bench.jitter", "how late the rounds of a fixed cycle begin, beside an idle, blocking, busy program"),
     "listen": ("bench.listen", "cutting, counting, writing, reading and decoding of what is heard on a bus"),
@@ -71,6 +75,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("name", nargs="?", help="which one, compare or goals; without it they are listed")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of lines")
+    parser.add_argument("--markdown", action="store_true", help="a table for a page")
     parser.add_argument("--save", nargs="?", type=Path, const=Path(), metavar="FILE", help="store as the reference")
     parser.add_argument("--compare", nargs="?", type=Path, const=Path(), metavar="FILE", help="with the reference")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="a picture, .svg or .png (needs matplotlib)")
@@ -83,9 +88,9 @@ def main(argv: list[str] | None = None) -> int:
         if args.name == "compare":
             return _compare(rest, as_json=args.json)
         if args.name == "goals":
-            return goals.main(rest, as_json=args.json)
+            return goals.main([*rest, *(["--markdown"] if args.markdown else [])], as_json=args.json)
         report = run(args.name, rest)
-        print(report.as_json() if args.json else report.as_text())
+        print(report.as_json() if args.json else report.as_markdown() if args.markdown else report.as_text())
         if args.save is not None:
             save(report, reference_of(args.name) if args.save == Path() else args.save)
         if args.plot is not None:

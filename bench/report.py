@@ -171,6 +171,17 @@ class Report:
         """:meth:`as_dict` as one line."""
         return json.dumps(self.as_dict())
 
+    def as_markdown(self) -> str:
+        """The table of all figures for a page, below the machine; notes behind it."""
+        about = self.about
+        head = (
+            f"{about.get('processors')} x {about.get('processor')}, {about.get('system')}, "
+            f"Python {about.get('python')}, "
+            f"load {about.get('load')} at the start, {self.load_at_end} at the end, {self.taken[:10]}"
+        )
+        rows = [f"| {f.name} | {f.value:.2f} | {f.unit} |" for f in self.figures]
+        return "\n".join([head, "", "| figure | value | unit |", "|---|---|---|", *rows, "", *self.notes])
+
     def as_text(self) -> str:
         about = self.about
         realtime = cast(Mapping[str, object], about.get("realtime", {}))

@@ -147,6 +147,7 @@ def test_the_command_line_compares_with_the_reference_and_two_files(
         "rotation --seconds nan",
         "virtual --slaves 0",
         "ring --slaves 101",
+        "fleet --gateways 0",
         "goals --rounds 0",
     ],
 )

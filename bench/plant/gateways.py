@@ -1,0 +1,105 @@
+"""Many gateways in one process, each with tree, edge node, session file and connection of its own:
+``python -m bench.plant.gateways RECORDING FOLDER FIRST COUNT BROKER INTERVAL_MS``.
+
+Each is fed by the recorded live stream at real speed, from another place of it. BROKER 0: gateways without a face, for
+the cost of gateway and tree alone. It prints a JSON line with its memory before the gateways. Each line on standard
+input is answered by the losses since the last one: node, address, and the time (CLOCK_MONOTONIC, ns) at which the
+stream declared the slave lost. The end of the input ends it; remarks of the gateways come last.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import pickle
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import ClassVar
+
+from bench.plant.programs import rss_kib
+from bench.plant.stream import GROUP, INTERVAL_S, Recording, node_name, replay
+from dpstack.bridge.face import Face
+from dpstack.bridge.gateway import Gateway
+from dpstack.bridge.mqtt.broker import Broker
+from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.tree import PlantTree
+from dpstack.trace import Severity
+
+
+class _NoFace(Face):
+    """A face that publishes nothing."""
+
+    name: ClassVar[str] = "none"
+
+    def take(self, changes: object) -> None: ...
+
+    async def serve(self) -> None:
+        await asyncio.Event().wait()
+
+
+class Fleet:
+    """The gateways of this process. ``lost``: see the module; ``told``: number of each remark."""
+
+    def __init__(self, recording: Recording, broker: int, interval_ms: int, folder: Path) -> None:
+        self.lost: list[tuple[str, int, int]] = []
+        self.told: Counter[str] = Counter()
+        self._recording = recording
+        self._broker = broker
+        self._interval_s = interval_ms / 1000
+        self._folder = folder
+
+    def _tell(self, text: str, severity: Severity) -> None:
+        if severity is not Severity.INFO:
+            self.told[text] += 1
+
+    def _face(self, tree: PlantTree, node: str) -> Face:
+        if not self._broker:
+            return _NoFace(tree, self._tell)
+        return MqttFace(
+            tree,
+            self._tell,
+            broker=Broker(url=f"mqtt://127.0.0.1:{self._broker}"),
+            setup=NodeSetup(GROUP, node, interval_s=self._interval_s),
+            folder=self._folder / node,
+        )
+
+    async def run(self, number: int, of: int) -> None:
+        """The gateway ``number``, until it is cancelled. ``of``: the streams of so many begin at other places."""
+        node = node_name(number)
+        # snapshots of different gateways do not come together
+        await asyncio.sleep(INTERVAL_S * (number % of) / of)
+        tree = PlantTree()
+        face = self._face(tree, node)
+        phase = self._recording.seconds * (number % of) / of
+        items = replay(self._recording, phase, lambda address: self.lost.append((node, address, time.monotonic_ns())))
+        await face.open()
+        try:
+            await Gateway(items, [face], tree=tree, tell=self._tell).run()
+        finally:
+            face.close()
+
+
+async def _main(recording: Recording, folder: Path, first: int, count: int, broker: int, interval_ms: int) -> None:
+    # as connecting blocks a thread: each gateway of a plant has the threads of its own computer
+    asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(2 * count + 4))
+    fleet = Fleet(recording, broker, interval_ms, folder)
+    gc.collect()
+    print(json.dumps({"rss_kib": rss_kib("self")}), flush=True)
+    tasks = [asyncio.create_task(fleet.run(first + n, max(count, 50))) for n in range(count)]
+    while await asyncio.to_thread(sys.stdin.readline):
+        print(json.dumps(fleet.lost), flush=True)
+        fleet.lost.clear()
+    for task in tasks:
+        task.cancel()
+    ends = await asyncio.gather(*tasks, return_exceptions=True)
+    failed = [repr(end) for end in ends if not isinstance(end, asyncio.CancelledError)]
+    print(json.dumps({"told": fleet.told.most_common(20), "failed": failed}), flush=True)
+
+
+if __name__ == "__main__":
+    asyncio.run(_main(pickle.loads(Path(sys.argv[1]).read_bytes()), Path(sys.argv[2]), *map(int, sys.argv[3:])))
