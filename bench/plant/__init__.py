@@ -1,7 +1,9 @@
-"""A plant of many gateways against a real broker: ``python -m bench fleet``.
+"""Benchmarks of gateways, which publish a plant: ``python -m bench faces`` and ``python -m bench fleet``.
 
 - ``bus``: A gateway as users run it: a bus with a process of its own on a port, published by MQTT
-- ``fleet``: The benchmark itself: starts everything, measures, kills the broker, judges
+- ``face_ends``: Clients and brokers around the faces of the benchmark ``faces``
+- ``faces``: The benchmark ``faces``: the cost of all faces of a gateway to its bus
+- ``fleet``: The benchmark ``fleet``: starts everything, measures, kills the broker, has all messages judged
 - ``gateways``: Many gateways in one process, each fed by a recorded live stream
 - ``judge``: The messages of a subscriber: counts, times, and the order that Sparkplug B asks for
 - ``programs``: The programs of a run: broker, subscriber, buses, gateways; their CPU time and memory

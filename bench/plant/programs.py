@@ -71,6 +71,13 @@ class Program:
         return self._process.end(timeout)
 
 
+def free_port() -> int:
+    """A port of this computer that nobody uses."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
 def rss_kib(pid: int | str) -> int:
     """Resident memory of a process in KiB."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
@@ -87,9 +94,7 @@ class Mosquitto:
         path = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
         if path is None:
             raise RuntimeError("mosquitto is not installed: sudo apt-get install mosquitto")
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = int(free.getsockname()[1])
+        self.port = free_port()
         config = folder / "mosquitto.conf"
         # a thousand births may wait for a subscriber
         config.write_text(

@@ -1,4 +1,5 @@
-"""The clients and brokers around the faces that are measured, each a program: ``python -m bench.face_ends KIND PORT``.
+"""The clients and brokers around the faces that are measured, each a program:
+``python -m bench.plant.face_ends KIND PORT``.
 
 - ``scraper``: GET /metrics over and over, a pause of ``--pause`` s between
 - ``opcua``: OPC UA client that subscribes to every variable and takes what comes

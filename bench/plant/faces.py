@@ -37,6 +37,7 @@ from bench.jitter import Cycles, Lateness
 from bench.masters import DRIVERS
 from bench.options import count, duration, slaves
 from bench.paired import interval
+from bench.plant.programs import free_port
 from bench.report import Report
 from bench.rig import Bench, Process, Processors, available, bench, note_disturbance, pinned
 from dpstack.units import baud_text
@@ -168,7 +169,7 @@ class _Plant:
         self._folder = Path()
         self._port = 0
         self._broker: subprocess.Popen[bytes] | None = None
-        self._ports = (_free_port(), _free_port())
+        self._ports = (free_port(), free_port())
 
     def __enter__(self) -> _Plant:
         with contextlib.ExitStack() as stack:
@@ -222,8 +223,8 @@ class _Plant:
         return None
 
     def _begin(self, stack: contextlib.ExitStack, kind: str, port: int, words: list[str]) -> None:
-        """A program of bench/face_ends.py; its counts become a note."""
-        program = Process([sys.executable, "-m", "bench.face_ends", kind, str(port), *words], self._where.wire)
+        """A program of :mod:`bench.plant.face_ends`; its counts become a note."""
+        program = Process([sys.executable, "-m", "bench.plant.face_ends", kind, str(port), *words], self._where.wire)
 
         def end() -> None:
             counts = next((line["counts"] for line in program.end() if "counts" in line), "it ended by itself")
@@ -232,7 +233,7 @@ class _Plant:
         stack.callback(end)
 
     def _begin_broker(self, stack: contextlib.ExitStack) -> int:
-        port = _free_port()
+        port = free_port()
         kind = _BROKERS.get(self._around, "")
         if kind == "stuck":
             stuck = stack.enter_context(socket.socket())
@@ -266,9 +267,3 @@ class _Plant:
             return False
         stack.callback(subprocess.run, ["umount", "-l", place], check=False, capture_output=True)
         return True
-
-
-def _free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
