@@ -18,7 +18,7 @@ import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from bench.plant.programs import rss_kib
 from bench.plant.stream import GROUP, INTERVAL_S, Recording, node_name, replay
@@ -29,6 +29,9 @@ from dpstack.bridge.mqtt.client import MqttFace
 from dpstack.bridge.mqtt.edge_node import NodeSetup
 from dpstack.bridge.tree import PlantTree
 from dpstack.trace import Severity
+
+#: streams begin at so many places of the recording
+_PLACES: Final = 50
 
 
 class _NoFace(Face):
@@ -68,14 +71,14 @@ class Fleet:
             folder=self._folder / node,
         )
 
-    async def run(self, number: int, of: int) -> None:
-        """The gateway ``number``, until it is cancelled. ``of``: the streams of so many begin at other places."""
+    async def run(self, number: int) -> None:
+        """The gateway ``number``, until it is cancelled."""
         node = node_name(number)
         # snapshots of different gateways do not come together
-        await asyncio.sleep(INTERVAL_S * (number % of) / of)
+        await asyncio.sleep(INTERVAL_S * (number % _PLACES) / _PLACES)
         tree = PlantTree()
         face = self._face(tree, node)
-        phase = self._recording.seconds * (number % of) / of
+        phase = self._recording.seconds * (number % _PLACES) / _PLACES
         items = replay(self._recording, phase, lambda address: self.lost.append((node, address, time.monotonic_ns())))
         await face.open()
         try:
@@ -90,7 +93,7 @@ async def _main(recording: Recording, folder: Path, first: int, count: int, brok
     fleet = Fleet(recording, broker, interval_ms, folder)
     gc.collect()
     print(json.dumps({"rss_kib": rss_kib("self")}), flush=True)
-    tasks = [asyncio.create_task(fleet.run(first + n, max(count, 50))) for n in range(count)]
+    tasks = [asyncio.create_task(fleet.run(first + n)) for n in range(count)]
     while await asyncio.to_thread(sys.stdin.readline):
         print(json.dumps(fleet.lost), flush=True)
         fleet.lost.clear()

@@ -98,7 +98,8 @@ class Mosquitto:
         config = folder / "mosquitto.conf"
         # a thousand births may wait for a subscriber
         config.write_text(
-            f"listener {self.port} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 0\nlog_type none\n", "utf-8"
+            f"listener {self.port} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 100000\nlog_type none\n",
+            "utf-8",
         )
         self._words = [path, "-c", str(config)]
         self.program: Program
