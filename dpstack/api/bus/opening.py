@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import stat
+import sys
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, Literal
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from dpstack.api.streams import OnEvent
     from dpstack.sim.world import World
 
+_BUS: Final = "dpstack.api.bus.bus"
 _PROCESS: Final = "process"
 _VIRTUAL: Final = "virtual"
 #: a longer configuration file is not read twice
@@ -53,6 +55,7 @@ def open_bus(
     Raises ConfigError here, with "auto" on entering; PortError and BusError on entering.
     """
     early = world is None and _begin_early(config, port, driver)
+    imports = _BUS not in sys.modules
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -80,13 +83,17 @@ def open_bus(
         raise
     finally:
         if collects:
-            _make_old()
+            if imports:
+                _make_old()
             gc.enable()
 
 
 def _make_old() -> None:
     """Have only a full collection look at the objects that there are: modules stay, and the next collection of young
-    objects, which else looks at all that the imports have made, would take as long as a twelfth of the first call."""
+    objects, which else looks at all that the imports have made, would take as long as a twelfth of the first call.
+
+    Only where there were imports: to count frozen objects takes as long as a look at each of them, 0.1 s for a million.
+    """
     if not gc.get_freeze_count():  # else the program has frozen objects, and they would not be any longer
         gc.freeze()
         gc.unfreeze()

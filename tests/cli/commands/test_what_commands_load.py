@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+import dpstack
+from dpstack.api.bus import opening
 from dpstack.capture.pcapng import Writer
 from dpstack.cli.main import _COMMANDS, _LISTENING, _LOOKING
 
@@ -244,6 +246,14 @@ def test_objects_that_a_program_has_frozen_stay_frozen() -> None:
     is_enabled, before, after, _ = done.stdout.split()
     assert is_enabled == "True"
     assert int(after) > int(before) - 100 > 1000  # some end with their last reference
+
+
+def test_a_bus_that_imports_nothing_looks_at_no_old_objects(monkeypatch: pytest.MonkeyPatch) -> None:
+    dpstack.open_bus(port="virtual", baud=500_000)  # imports, where no test has had a bus before
+    looks: list[None] = []
+    monkeypatch.setattr(opening, "_make_old", lambda: looks.append(None))
+    dpstack.open_bus(port="virtual", baud=500_000)
+    assert not looks
 
 
 _RUN_WITH_A_BUS_PROCESS = """

@@ -23,10 +23,10 @@ class Knot:
 
 @pytest.fixture
 def collector() -> Iterator[Collector]:
+    gc.unfreeze()  # what tests/conftest.py has frozen: the collector freezes its own
     collector = Collector()
     collector.begin()
     yield collector
-    gc.unfreeze()
     gc.enable()
 
 
