@@ -21,8 +21,9 @@ from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.nodes import Node, Order
 from dpstack.bridge.opcua.alarms import SERVER, Alarms, emit, refresh, utc
 from dpstack.bridge.opcua.certificate import client_fault, own_certificate, read_trusted, utc_now
+from dpstack.bridge.opcua.connection import PlantServer
 from dpstack.bridge.opcua.history import BoundedHistory
-from dpstack.bridge.opcua.server import LimitedServer, LimitedSession, PlantServer, quieten
+from dpstack.bridge.opcua.server import LimitedServer, LimitedSession, quieten
 from dpstack.bridge.opcua.space import NAMESPACE, VARIANTS, Space
 from dpstack.bridge.opcua.users import Account, Users, read_users
 from dpstack.bridge.orders import Orders
@@ -196,6 +197,10 @@ class OpcUaFace(Face):
             event = self._alarms.event(condition, self._source_name(condition), now)
             await emit(self._items(), event, self._alarms.emitters(condition))
             await asyncio.sleep(0)
+        assert self._server is not None
+        self.dropped = self._server.losses.dropped
+        if news := self._server.losses.news():
+            self.tell(news, Severity.WARNING)
         if self._left_out:
             left_out, self._left_out = self._left_out, 0
             self.tell(f"{left_out} events were left out; a refresh of the conditions brings them", Severity.WARNING)

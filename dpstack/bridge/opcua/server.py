@@ -1,35 +1,29 @@
-"""The OPC UA server of asyncua with rights and limits: each session, subscription and connection is bounded.
+"""The sessions of the OPC UA server with rights and limits. ``connection`` has its connections.
 
-asyncua 2.1 lets a client open a session over a channel without security, use subscriptions of other sessions, and send
-requests faster than it reads answers. The classes here refuse that. :class:`Services` is what the plant answers to
-writes, method calls and reads of history.
+asyncua 2.1 lets a client use subscriptions of other sessions, and ask for more than the loop of a bus can wait for. The
+classes here refuse that. :class:`Services` is what the plant answers to writes, method calls and reads of history.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import hashlib
 import logging
 import secrets
-import socket
-from collections.abc import Callable, Sequence
-from datetime import datetime
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, Protocol
 
-from asyncua import Server, ua
-from asyncua.common.utils import Buffer, ServiceError
+from asyncua import ua
+from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import User, UserRole
-from asyncua.crypto.security_policies import SecurityPolicyNone
-from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
+from asyncua.server.address_space import ViewService
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession, SessionState
-from asyncua.server.internal_subscription import InternalSubscription
-from asyncua.server.monitored_item_service import WhereClauseEvaluator
 from asyncua.server.standard_address_space import standard_address_space
-from asyncua.server.uaprocessor import UaProcessor
-from asyncua.ua.ua_binary import nodeid_from_binary, struct_from_binary, uatcp_to_binary
 
+from dpstack.bridge.opcua.decoding import guard
+from dpstack.bridge.opcua.pace import Pace
+from dpstack.bridge.opcua.subscriptions import Losses, WhereClause, bound, judged_filter
 from dpstack.bridge.opcua.users import Account, Users
 
 MOST_CONNECTIONS: Final = 32
@@ -42,42 +36,21 @@ MOST_EVENT_ITEMS: Final = 16
 MOST_EVENTS: Final = 4200
 #: notifications that are kept until the client acknowledges them, of one subscription
 MOST_UNACKED: Final = 5
-#: values in one message; the others come with the next one
-MOST_IN_MESSAGE: Final = 5000
 #: ms: the shortest interval of a subscription; values come five times a second
 FASTEST_MS: Final = 100.0
-#: octets of a request, and of answers that a client has not read
-_MOST_REQUEST: Final = 4 << 20
-_MOST_UNREAD: Final = 4 << 20
-_CHUNK: Final = 65_535
-#: requests of one connection that wait; orders of one that are carried out at a time
-_MOST_WAITING: Final = 50
-_MOST_ORDERS: Final = 8
+#: requests of one connection that wait
+MOST_WAITING: Final = 50
 #: nodes, items or methods in one request
 MOST_OPERATIONS: Final = 1000
-_UNSECURED: Final = frozenset(
-    ua.NodeId(one)
-    for one in (
-        ua.ObjectIds.GetEndpointsRequest_Encoding_DefaultBinary,
-        ua.ObjectIds.FindServersRequest_Encoding_DefaultBinary,
-    )
-)
-_WITHOUT_USER: Final = _UNSECURED | {
-    ua.NodeId(ua.ObjectIds.CreateSessionRequest_Encoding_DefaultBinary),
-    ua.NodeId(ua.ObjectIds.ActivateSessionRequest_Encoding_DefaultBinary),
-    ua.NodeId(ua.ObjectIds.CloseSessionRequest_Encoding_DefaultBinary),
-}
-_ACTIVATE: Final = ua.NodeId(ua.ObjectIds.ActivateSessionRequest_Encoding_DefaultBinary)
-#: they may take long, and must not hold up a stop that comes behind them over the same connection
-_ORDERS: Final = frozenset(
-    ua.NodeId(one)
-    for one in (ua.ObjectIds.CallRequest_Encoding_DefaultBinary, ua.ObjectIds.WriteRequest_Encoding_DefaultBinary)
-)
-_STARTS: Final = (b"HEL", b"OPN", b"MSG", b"CLO", b"ERR")
-_REFRESHES: Final = frozenset(
-    ua.NodeId(one) for one in (ua.ObjectIds.RefreshStartEventType, ua.ObjectIds.RefreshEndEventType)
-)
-_BAD_ITEMS: Final = ua.StatusCode(ua.StatusCodes.BadTooManyMonitoredItems)
+#: references in an answer to Browse, and octets of texts in one to Read; beyond that single results are refused. A node
+#: alone is always answered
+MOST_REFERENCES: Final = 2000
+_MOST_OCTETS: Final = 1 << 20
+#: nodes on the way of a path at a time; nodes of one request that are worked on until others have their turn
+_MOST_TARGETS: Final = 100
+_AT_ONCE: Final = 25
+_S = ua.StatusCodes
+_BAD_ITEMS: Final = ua.StatusCode(_S.BadTooManyMonitoredItems)
 
 
 class Services(Protocol):
@@ -102,14 +75,18 @@ class LimitedServer(InternalServer):
         self.refuses = refuses
         #: users whose password was found right a moment ago, by name and digest of the password
         self.verified: dict[tuple[str, bytes], Account] = {}
+        self.losses = Losses()
+        self.pace = Pace()
+        guard()
         super().__init__(user_manager=_UserManager())
+        self.view_service = _Views(self.aspace)
         self.disabled_clock = True
         self.allow_remote_admin = False
         self.max_connections = MOST_CONNECTIONS
         self.max_subscriptions = MOST_SUBSCRIPTIONS
         self.max_monitored_item_queue_size = MOST_EVENTS
         self.max_unacked_messages_per_subscription = MOST_UNACKED
-        self.max_pending_messages_per_connection = _MOST_WAITING
+        self.max_pending_messages_per_connection = MOST_WAITING
         self.max_pending_activation_seconds = 10.0
         self.max_session_timeout_ms = 120_000
         self.max_lifetime_count = 600
@@ -127,8 +104,13 @@ class LimitedServer(InternalServer):
 
     def create_session(self, name: str, user: User | None = None, external: bool = False) -> InternalSession:
         if external and len(self._external_sessions) >= MOST_SESSIONS:
-            raise ServiceError(ua.StatusCodes.BadTooManySessions)
+            raise ServiceError(_S.BadTooManySessions)
         return LimitedSession(self, name)
+
+    @property
+    def views(self) -> _Views:
+        assert isinstance(self.view_service, _Views)
+        return self.view_service
 
     def count_items(self) -> tuple[int, int]:
         """Monitored items of values and of events, of all sessions."""
@@ -136,6 +118,45 @@ class LimitedServer(InternalServer):
         every = sum(len(one._monitored_items) for one in services)
         events = sum(len(ids) for one in services for ids in one._monitored_events.values())
         return every - events, events
+
+
+class _Views(ViewService):
+    """Browse and paths without the search through all subtypes for each reference."""
+
+    def __init__(self, aspace: Any) -> None:
+        super().__init__(aspace)
+        self._below: dict[ua.NodeId, frozenset[ua.NodeId]] = {}
+
+    def is_reference_type(self, type_: ua.NodeId) -> bool:
+        """Also true for the null NodeId, which stands for all references."""
+        if type_.is_null():
+            return True
+        node = self._aspace.get(type_)
+        class_ = None if node is None else node.attributes.get(ua.AttributeIds.NodeClass)
+        value = None if class_ is None or class_.value is None else class_.value.Value
+        return value is not None and value.Value == ua.NodeClass.ReferenceType
+
+    def _suitable_reftype(self, ref1: ua.NodeId, ref2: ua.NodeId, subtypes: bool) -> bool:
+        if ref1.is_null() or ref1 == ref2:
+            return True
+        if not subtypes:
+            return False
+        below = self._below.get(ref1)
+        if below is None:
+            if not self.is_reference_type(ref1):
+                return False
+            below = self._below[ref1] = frozenset(self._get_sub_ref(ref1))
+        return ref2 in below
+
+    def browse_node(self, asked: ua.BrowseDescription) -> ua.BrowseResult:
+        return self._browse(asked)
+
+    def _navigate(self, start_nodeid: ua.NodeId, elements: list[ua.RelativePathElement]) -> list[ua.NodeId]:
+        nodes = [start_nodeid]
+        for one in elements:
+            found = (way for node in nodes if node in self._aspace for way in self._find_elements_in_node(one, node))
+            nodes = list(dict.fromkeys(found))[:_MOST_TARGETS]
+        return nodes
 
 
 class _PlantUser(User):
@@ -152,11 +173,11 @@ class _UserManager:
     ) -> User | None:
         if username is None:
             return _PlantUser(None) if iserver.anonymous else None
-        account = iserver.verified.pop((username, _digest(password)), None)
+        account = iserver.verified.pop((username, digest(password)), None)
         return None if account is None else _PlantUser(account)
 
 
-def _digest(password: str | None) -> bytes:
+def digest(password: str | None) -> bytes:
     return hashlib.sha256((password or "").encode("utf-8", "surrogatepass")).digest()
 
 
@@ -184,12 +205,20 @@ class LimitedSession(InternalSession):
         if was is SessionState.Activated and before.name != self.user.name:
             # whoever shares this session by its token would change its rights
             self.user = before
-            raise ServiceError(ua.StatusCodes.BadIdentityChangeNotSupported)
+            raise ServiceError(_S.BadIdentityChangeNotSupported)
         return result
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         _limit(params.NodesToRead)
-        found = self.iserver.attribute_service.read(params)
+        found: list[ua.DataValue] = []
+        octets = 0
+        for part in _parts(params.NodesToRead):
+            for one in self.iserver.attribute_service.read(ua.ReadParameters(NodesToRead=list(part))):
+                text = one.Value.Value if one.Value is not None else None
+                octets += len(text) if isinstance(text, (bytes, str)) else 0
+                fits = octets <= _MOST_OCTETS or not found
+                found.append(one if fits else ua.DataValue(StatusCode=ua.StatusCode(_S.BadResponseTooLarge)))
+            await asyncio.sleep(0)
         account = self.account
         if account is None or not account.control:
             for number, one in enumerate(params.NodesToRead):
@@ -202,20 +231,53 @@ class LimitedSession(InternalSession):
 
     async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
         _limit(params.NodesToBrowse)
-        return await super().browse(params)
+        views = self.iserver.views
+        found: list[ua.BrowseResult] = []
+        references = 0
+        for part in _parts(params.NodesToBrowse):
+            for one in part:
+                if references >= MOST_REFERENCES:
+                    found.append(ua.BrowseResult(ua.StatusCode(_S.BadNoContinuationPoints)))
+                    continue
+                if not views.is_reference_type(one.ReferenceTypeId):
+                    found.append(ua.BrowseResult(ua.StatusCode(_S.BadReferenceTypeIdInvalid)))
+                    continue
+                result = views.browse_node(one)
+                if references and references + len(result.References) > MOST_REFERENCES:
+                    result = ua.BrowseResult(ua.StatusCode(_S.BadNoContinuationPoints))
+                references += len(result.References)
+                found.append(result)
+            await asyncio.sleep(0)
+        return found
 
     async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
-        bad = ua.StatusCode(ua.StatusCodes.BadContinuationPointInvalid)  # each answer of browse is whole
+        bad = ua.StatusCode(_S.BadContinuationPointInvalid)  # each answer of browse is whole
         return [ua.BrowseResult(bad) for _ in parameters.ContinuationPoints]
 
     async def translate_browsepaths_to_nodeids(self, params: list[ua.BrowsePath]) -> list[ua.BrowsePathResult]:
         _limit(params)
-        return await super().translate_browsepaths_to_nodeids(params)
+        if sum(len(one.RelativePath.Elements) for one in params) > MOST_OPERATIONS:
+            raise ServiceError(_S.BadTooManyOperations)
+        found: list[ua.BrowsePathResult] = []
+        for one in params:
+            if one.RelativePath.Elements:
+                found += await super().translate_browsepaths_to_nodeids([one])
+            else:
+                found.append(ua.BrowsePathResult(ua.StatusCode(_S.BadNothingToDo)))
+            if len(found) % _AT_ONCE == 0:
+                await asyncio.sleep(0)
+        return found
 
     async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
         if len(params.NodesToRead) > 10:
-            raise ServiceError(ua.StatusCodes.BadTooManyOperations)
-        return await super().history_read(params)
+            raise ServiceError(_S.BadTooManyOperations)
+        found: list[ua.HistoryReadResult] = []
+        nodes, params.NodesToRead = params.NodesToRead, []
+        for one in nodes:
+            params.NodesToRead = [one]
+            found += await super().history_read(params)
+            await asyncio.sleep(0)
+        return found
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         _limit(params.NodesToWrite)
@@ -233,7 +295,7 @@ class LimitedSession(InternalSession):
 
     def _check_own(self, subscription: int) -> None:
         if not self.owns(subscription):
-            raise ServiceError(ua.StatusCodes.BadSubscriptionIdInvalid)
+            raise ServiceError(_S.BadSubscriptionIdInvalid)
 
     async def create_subscription(
         self, params: ua.CreateSubscriptionParameters, callback: Callable[..., Any],
@@ -242,8 +304,7 @@ class LimitedSession(InternalSession):
         interval = params.RequestedPublishingInterval
         params.RequestedPublishingInterval = min(max(interval, FASTEST_MS), 3_600_000.0) if interval > 0 else FASTEST_MS
         made = await super().create_subscription(params, callback, request_callback)
-        # asyncua makes it by itself, and leaves no other place
-        self.subscription_service.subscriptions[made.SubscriptionId].__class__ = _Subscription
+        bound(self.subscription_service.subscriptions[made.SubscriptionId], self.iserver.losses)
         return made
 
     async def create_monitored_items(
@@ -256,7 +317,12 @@ class LimitedSession(InternalSession):
         given, params.ItemsToCreate = params.ItemsToCreate, []
         for one in given:
             asked = one.RequestedParameters
-            if one.ItemToMonitor.AttributeId == ua.AttributeIds.EventNotifier:
+            is_event = one.ItemToMonitor.AttributeId == ua.AttributeIds.EventNotifier
+            asked.Filter, fault = judged_filter(asked.Filter, is_event=is_event)
+            if fault is not None:
+                results.append(ua.MonitoredItemCreateResult(ua.StatusCode(fault)))
+                continue
+            if is_event:
                 events += 1
                 fits = events <= MOST_EVENT_ITEMS
                 asked.QueueSize = MOST_EVENTS
@@ -269,16 +335,20 @@ class LimitedSession(InternalSession):
                 continue
             params.ItemsToCreate = [one]
             results += await super().create_monitored_items(params)
+            if len(results) % _AT_ONCE == 0:
+                await asyncio.sleep(0)
+                self._check_own(params.SubscriptionId)  # it can be gone meanwhile
         service = self.subscription_service.subscriptions[params.SubscriptionId].monitored_item_srv
         for item in service._monitored_items.values():
-            if item.where_clause_evaluator is not None and not isinstance(item.where_clause_evaluator, _WhereClause):
-                item.where_clause_evaluator = _WhereClause(self.logger, self.aspace, item.filter.WhereClause)
+            if item.where_clause_evaluator is not None and not isinstance(item.where_clause_evaluator, WhereClause):
+                item.where_clause_evaluator = WhereClause(self.logger, self.aspace, item.filter.WhereClause)
         return results
 
     async def modify_monitored_items(
         self, params: ua.ModifyMonitoredItemsParameters
     ) -> list[ua.MonitoredItemModifyResult]:
         self._check_own(params.SubscriptionId)
+        _limit(params.ItemsToModify)
         for one in params.ItemsToModify:
             one.RequestedParameters.QueueSize = min(max(one.RequestedParameters.QueueSize, 1), MOST_QUEUE)
         return await super().modify_monitored_items(params)
@@ -289,6 +359,7 @@ class LimitedSession(InternalSession):
 
     async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
         self._check_own(params.SubscriptionId)
+        _limit(params.MonitoredItemIds)
         return await super().set_monitoring_mode(params)
 
     def modify_subscription(self, params: ua.ModifySubscriptionParameters) -> ua.ModifySubscriptionResult:
@@ -300,15 +371,26 @@ class LimitedSession(InternalSession):
             self._check_own(one)
         return await super().set_publishing_mode(params)
 
+    def publish(self, acks: Iterable[ua.SubscriptionAcknowledgement] | None = None) -> tuple[int, list[ua.StatusCode]]:
+        own = {number for number in self.subscription_service.subscriptions if self.owns(number)}
+        if not own:
+            raise ServiceError(_S.BadNoSubscription)
+        results: list[ua.StatusCode] = []
+        for one in acks or ():
+            if one.SubscriptionId in own:
+                self.subscription_service.subscriptions[one.SubscriptionId].publish([one.SequenceNumber])
+            results.append(ua.StatusCode(_S.Good if one.SubscriptionId in own else _S.BadSubscriptionIdInvalid))
+        return len(own), results
+
     def republish(self, params: ua.RepublishParameters) -> ua.NotificationMessage:
         self._check_own(params.SubscriptionId)
         found = super().republish(params)
         if not found.NotificationData:
-            raise ServiceError(ua.StatusCodes.BadMessageNotAvailable)
+            raise ServiceError(_S.BadMessageNotAvailable)
         return found
 
     async def delete_subscriptions(self, ids: list[int]) -> list[ua.StatusCode]:
-        bad = ua.StatusCode(ua.StatusCodes.BadSubscriptionIdInvalid)
+        bad = ua.StatusCode(_S.BadSubscriptionIdInvalid)
         return [(await super(LimitedSession, self).delete_subscriptions([one]))[0] if self.owns(one) else bad
                 for one in ids]  # fmt: skip
 
@@ -316,212 +398,18 @@ class LimitedSession(InternalSession):
         self, params: ua.TransferSubscriptionsParameters, callback: Callable[..., Any]
     ) -> list[ua.TransferResult]:
         # a session that goes on over a new connection keeps its subscriptions; another one makes its own
-        return [
-            ua.TransferResult(ua.StatusCode(ua.StatusCodes.BadSubscriptionIdInvalid)) for _ in params.SubscriptionIds
-        ]
-
-
-class _Subscription(InternalSubscription):
-    """A subscription whose messages are bounded: clients refuse those of many megabytes."""
-
-    _triggered_datachanges: dict[int, list[Any]]
-
-    def _pop_triggered_datachanges(self, result: ua.PublishResult) -> None:
-        rest: dict[int, list[Any]] = {}
-        count = 0
-        for item, values in tuple(self._triggered_datachanges.items()):
-            count += len(values)
-            if count > MOST_IN_MESSAGE:
-                rest[item] = self._triggered_datachanges.pop(item)
-        super()._pop_triggered_datachanges(result)
-        self._triggered_datachanges = rest
-
-
-class _WhereClause(WhereClauseEvaluator):
-    """``OfType`` is true for subtypes, too (Part 4, 7.7.3), for instance ConditionType for an alarm. Begin and end of a
-    refresh pass every filter (Part 9, 4.5)."""
-
-    def _eval_el(self, index: int, event: Any) -> Any:
-        if event.types[0] in _REFRESHES:
-            return True
-        element = self.elements[index]
-        if element.FilterOperator == ua.FilterOperator.OfType:
-            return self._eval_op(element.FilterOperands[0], event) in event.types
-        return super()._eval_el(index, event)
+        return [ua.TransferResult(ua.StatusCode(_S.BadSubscriptionIdInvalid)) for _ in params.SubscriptionIds]
 
 
 def _limit(operations: Sequence[object]) -> None:
     if not operations:
-        raise ServiceError(ua.StatusCodes.BadNothingToDo)
+        raise ServiceError(_S.BadNothingToDo)
     if len(operations) > MOST_OPERATIONS:
-        raise ServiceError(ua.StatusCodes.BadTooManyOperations)
+        raise ServiceError(_S.BadTooManyOperations)
 
 
-# --- connections --------------------------------------------------------------------------------------------------
-
-
-class _Processor(UaProcessor):
-    """Requests of one connection. Writes and calls are carried out beside the others."""
-
-    iserver: LimitedServer
-
-    def __init__(self, server: LimitedServer, transport: Any, limits: Any) -> None:
-        super().__init__(server, transport, limits)
-        self._orders: set[asyncio.Task[object]] = set()
-
-    def open_secure_channel(self, algohdr: Any, seqhdr: Any, body: Any) -> None:
-        if algohdr.SenderCertificate:
-            fault = self.iserver.refuses(algohdr.SenderCertificate)
-            if fault is not None:
-                self.end_with(fault)
-                return
-        super().open_secure_channel(algohdr, seqhdr, body)
-
-    def end_with(self, code: int) -> None:
-        """Send the reason and close the connection (Part 6, 7.1.2.5)."""
-        status = ua.StatusCode(code)
-        self._transport.write(uatcp_to_binary(ua.MessageType.Error, ua.ErrorMessage(status, status.doc)))
-        self._transport.close()
-
-    async def process_message(self, seqhdr: Any, body: Any) -> Any:
-        if nodeid_from_binary(body.copy()) in _ORDERS and len(self._orders) < _MOST_ORDERS:
-            task = asyncio.create_task(super().process_message(seqhdr, body))
-            self._orders.add(task)
-            task.add_done_callback(self._ordered)
-            return True
-        return await super().process_message(seqhdr, body)
-
-    def _ordered(self, task: asyncio.Task[object]) -> None:
-        self._orders.discard(task)
-        if not task.cancelled():
-            task.exception()  # the connection is gone
-
-    async def _process_message(self, typeid: Any, requesthdr: Any, seqhdr: Any, body: Any) -> Any:
-        if isinstance(self._connection.security_policy, SecurityPolicyNone) and typeid not in _UNSECURED:
-            raise ServiceError(ua.StatusCodes.BadSecurityPolicyRejected)
-        if typeid not in _WITHOUT_USER and (self.session is None or not self.session.is_activated()):
-            raise ServiceError(ua.StatusCodes.BadSessionNotActivated)
-        if typeid == _ACTIVATE:
-            await self._verify(requesthdr, body.copy())
-        return await super()._process_message(typeid, requesthdr, seqhdr, body)
-
-    async def _verify(self, requesthdr: Any, body: Buffer) -> None:
-        """Look at a password in a thread, as that takes long; :class:`_UserManager` finds the result."""
-        params = struct_from_binary(ua.ActivateSessionParameters, body)
-        token, users = params.UserIdentityToken, self.iserver.users
-        session = self.session or self.iserver.lookup_external_session(requesthdr.AuthenticationToken)
-        if session is None or users is None or not isinstance(token, ua.UserNameIdentityToken):
-            return
-        try:
-            name, password = self.iserver.decrypt_user_token(session, token)
-        except Exception:
-            raise ServiceError(ua.StatusCodes.BadIdentityTokenInvalid) from None
-        if not isinstance(name, str) or not isinstance(password, str):
-            raise ServiceError(ua.StatusCodes.BadIdentityTokenInvalid)
-        account = await users.verify(name, password, str((self.name or ("",))[0]))
-        if account is not None:
-            self.iserver.verified[name, _digest(password)] = account
-
-    async def close(self) -> None:
-        for task in tuple(self._orders):
-            task.cancel()
-        await super().close()
-
-
-class _Protocol(OPCUAProtocol):
-    """A connection whose octets and answers are bounded."""
-
-    processor: UaProcessor | None
-    _buffer: bytes
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        if self.processor is not None and self.transport is not None:
-            assert isinstance(self.iserver, LimitedServer)
-            self.processor = _Processor(self.iserver, self.transport, self.limits)
-            self.processor.set_policies(self.policies)
-
-    def data_received(self, data: bytes) -> None:
-        if self.transport is None or self.transport.is_closing():
-            return
-        super().data_received(data)
-        rest = self._buffer
-        size = int.from_bytes(rest[4:8], "little") if len(rest) >= 8 else 8
-        if rest and ((rest[:3] not in _STARTS and len(rest) >= 3) or not 8 <= size <= _CHUNK):
-            self.transport.abort()
-            self._buffer = b""
-
-    async def _process_one_msg(self, header: Any, buf: Any) -> bool:
-        await asyncio.sleep(0)  # others have their turn, however many requests wait
-        transport = self.transport
-        if transport is None or transport.is_closing():
-            return False
-        if transport.get_write_buffer_size() > _MOST_UNREAD:
-            transport.abort()
-            return False
-        try:
-            return await super()._process_one_msg(header, buf)
-        except asyncio.CancelledError:
-            raise
-        except Exception as error:  # a chunk that cannot be decrypted or parsed ends its connection
-            code = getattr(error, "code", None) or ua.StatusCodes.BadTcpMessageTypeInvalid
-            if isinstance(self.processor, _Processor) and not transport.is_closing():
-                self.processor.end_with(code)
-            return False
-
-
-class _Listener(BinaryServer):
-    """Serves sockets that are bound already."""
-
-    def __init__(self, server: LimitedServer, listening: Sequence[socket.socket], limits: Any) -> None:
-        host, port = listening[0].getsockname()[:2]
-        super().__init__(server, host, port, limits)
-        self._listening = listening
-
-    def _make_protocol(self) -> OPCUAProtocol:
-        return _Protocol(self.iserver, self._policies, self.clients, self.closing_tasks, self.limits)
-
-    async def start(self) -> None:
-        loop = asyncio.get_running_loop()
-        self._servers = [await loop.create_server(self._make_protocol, sock=one) for one in self._listening]
-        self.cleanup_task = asyncio.create_task(self._close_task_loop())
-
-    async def stop(self) -> None:
-        for one in self._servers:
-            one.close()
-        await super().stop()
-
-
-class PlantServer(Server):
-    """The server as a whole. :meth:`start_on` serves sockets; ``now`` gives the time of ``CurrentTime``."""
-
-    def __init__(self, server: LimitedServer, url: str, uri: str, name: str) -> None:
-        super().__init__(iserver=server)
-        self.set_endpoint(url)
-        self._application_uri = uri
-        self.set_server_name(name)
-        self.product_uri = "urn:dpstack"
-        self.manufacturer_name = "dpstack"
-        self.application_type = ua.ApplicationType.Server
-        self.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
-        self.limits.max_message_size = _MOST_REQUEST
-        self.limits.max_chunk_count = _MOST_REQUEST // _CHUNK + 1
-
-    async def start_on(self, listening: Sequence[socket.socket]) -> None:
-        await self._setup_server_nodes()
-        await self.iserver.start()
-        assert isinstance(self.iserver, LimitedServer)
-        self.bserver = _Listener(self.iserver, listening, self.limits)
-        self.bserver.set_policies(self._policies)
-        await self.bserver.start()
-
-    async def show_time(self, now: datetime) -> None:
-        """Write CurrentTime; a client that sees it stand still knows that this program does not run."""
-        await self.iserver.current_time_node.write_value(now)
-
-    async def end(self) -> None:
-        with contextlib.suppress(Exception):
-            await self.stop()
+def _parts(operations: Sequence[Any]) -> Iterable[Sequence[Any]]:
+    return (operations[at : at + _AT_ONCE] for at in range(0, len(operations), _AT_ONCE))
 
 
 def quieten() -> None:

@@ -1,0 +1,34 @@
+"""The processor time that the requests of all clients take together."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Final
+
+#: s of processor that requests may take in a row; beyond that they get half of the time
+_IN_A_ROW: Final = 0.02
+#: s that one request counts at most: what it waits for is not its own
+_LONGEST: Final = 0.1
+
+
+class Pace:
+    """Requests get the processor for a short burst, beyond that half of the time: others have their turn."""
+
+    def __init__(self) -> None:
+        self._debt = 0.0
+        self._seen = 0.0
+
+    def spent(self, seconds: float) -> None:
+        self._debt = self._now() + min(seconds, _LONGEST)
+
+    def _now(self) -> float:
+        now = time.monotonic()
+        self._debt = max(0.0, self._debt - (now - self._seen))
+        self._seen = now
+        return self._debt
+
+    async def turn(self) -> None:
+        await asyncio.sleep(0)
+        while (debt := self._now()) > _IN_A_ROW:  # noqa: ASYNC110  time heals it
+            await asyncio.sleep(debt - _IN_A_ROW)

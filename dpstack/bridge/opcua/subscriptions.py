@@ -1,0 +1,160 @@
+"""Subscriptions of asyncua whose messages, queues, filters and lookups are bounded."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import Any, Final
+
+from asyncua import ua
+from asyncua.server.internal_subscription import InternalSubscription
+from asyncua.server.monitored_item_service import MonitoredItemService, WhereClauseEvaluator
+
+#: values in one message; the others come with the next one
+MOST_IN_MESSAGE: Final = 5000
+#: fields of an event that a client selects; elements of its filter; their evaluations for one event
+MOST_FIELDS: Final = 100
+MOST_ELEMENTS: Final = 50
+_MOST_STEPS: Final = 200
+#: s between two remarks about clients
+_REMARK_S: Final = 60.0
+_REFRESHES: Final = frozenset(
+    ua.NodeId(one) for one in (ua.ObjectIds.RefreshStartEventType, ua.ObjectIds.RefreshEndEventType)
+)
+
+
+class Losses:
+    """Clients that were cut off, and notifications that were dropped, until :meth:`news` tells them."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._told_dropped = 0
+        self._cut: Counter[str] = Counter()
+        self._last = ""
+        self._told_at = -_REMARK_S
+
+    def cut_off(self, address: str, why: str) -> None:
+        """``why``: one of a few texts, such as "did not read its answers"."""
+        self._cut[why] += 1
+        self._last = address
+
+    def news(self) -> str:
+        """One line about what happened since the last one, at most one a minute; empty: nothing to tell."""
+        new = self.dropped - self._told_dropped
+        now = time.monotonic()
+        if not (new or self._cut) or now < self._told_at + _REMARK_S:
+            return ""
+        parts = [f"{count} x a client was cut off, as it {why}" for why, count in self._cut.items()]
+        if parts:
+            parts[-1] += f" (last: {self._last})"
+        if new:
+            parts.append(f"{new} values or events were dropped, as clients did not fetch them")
+        self._cut.clear()
+        self._told_dropped, self._told_at = self.dropped, now
+        return "; ".join(parts)
+
+
+class Subscription(InternalSubscription):
+    """A subscription whose messages are bounded: clients refuse those of many megabytes. Made of one of asyncua, which
+    leaves no other place, by :func:`bound`."""
+
+    losses: Losses
+    _triggered_datachanges: dict[int, list[Any]]
+
+    def _pop_triggered_datachanges(self, result: ua.PublishResult) -> None:
+        rest: dict[int, list[Any]] = {}
+        count = 0
+        for item, values in tuple(self._triggered_datachanges.items()):
+            count += len(values)
+            if count > MOST_IN_MESSAGE:
+                rest[item] = self._triggered_datachanges.pop(item)
+        super()._pop_triggered_datachanges(result)
+        self._triggered_datachanges = rest
+
+    async def _enqueue_event(self, mid: int, eventdata: Any, size: int, queue: dict[int, list[Any]]) -> None:
+        # a queue of one holds the newest value: that one takes its place is no loss
+        if size > 1 and len(queue.get(mid, ())) >= size:
+            self.losses.dropped += 1
+        await super()._enqueue_event(mid, eventdata, size, queue)
+
+
+class Items(MonitoredItemService):
+    """The monitored items of a subscription, found without a search: a request may name a thousand of 20 000."""
+
+    def _modify_monitored_item(self, params: ua.MonitoredItemModifyRequest) -> ua.MonitoredItemModifyResult:
+        result = ua.MonitoredItemModifyResult()
+        item = self._monitored_items.get(params.MonitoredItemId)
+        if item is None:
+            result.StatusCode = ua.StatusCode(ua.StatusCodes.BadMonitoredItemIdInvalid)
+            return result
+        asked, is_event = params.RequestedParameters, item.where_clause_evaluator is not None
+        found, fault = judged_filter(asked.Filter, is_event=is_event)
+        if fault is not None:
+            result.StatusCode = ua.StatusCode(fault)
+            return result
+        if found is not None:
+            item.filter = found
+            if is_event:
+                item.where_clause_evaluator = WhereClause(self.logger, self.aspace, found.WhereClause)
+        if not is_event:
+            item.queue_size = asked.QueueSize
+        result.RevisedSamplingInterval = self.isub.data.RevisedPublishingInterval
+        result.RevisedQueueSize = item.queue_size
+        return result
+
+    def _delete_monitored_items(self, mid: int) -> ua.StatusCode:
+        item = self._monitored_items.get(mid)
+        if item is None or item.callback_handle is None:
+            return super()._delete_monitored_items(mid)  # events: there are few
+        self.aspace.delete_datachange_callback(item.callback_handle)
+        self._monitored_datachange.pop(item.callback_handle, None)
+        del self._monitored_items[mid]
+        for queue in (self.isub._triggered_datachanges, self.isub._triggered_events):
+            queue.pop(mid, None)
+        return ua.StatusCode()
+
+
+def bound(made: InternalSubscription, losses: Losses) -> None:
+    """Make a subscription of asyncua one with bounds."""
+    made.__class__ = Subscription
+    made.losses = losses
+    made.monitored_item_srv.__class__ = Items
+
+
+def judged_filter(given: Any, *, is_event: bool) -> tuple[Any, int | None]:
+    """The filter of a monitored item, None where there is none, and the status code that refuses it."""
+    if given is None or (isinstance(given, ua.ExtensionObject) and given.TypeId.Identifier == 0):
+        return None, int(ua.StatusCodes.BadEventFilterInvalid) if is_event else None
+    if is_event:
+        if not isinstance(given, ua.EventFilter):
+            return None, int(ua.StatusCodes.BadFilterNotAllowed)
+        fields, elements = given.SelectClauses or (), given.WhereClause.Elements or ()
+        if not 0 < len(fields) <= MOST_FIELDS or len(elements) > MOST_ELEMENTS:
+            return None, int(ua.StatusCodes.BadEventFilterInvalid)
+    elif not isinstance(given, ua.DataChangeFilter) or given.DeadbandType == ua.DeadbandType.Percent:
+        return None, int(ua.StatusCodes.BadMonitoredItemFilterUnsupported)
+    return given, None
+
+
+class WhereClause(WhereClauseEvaluator):
+    """``OfType`` is true for subtypes, too (Part 4, 7.7.3), for instance ConditionType for an alarm. Begin and end of a
+    refresh pass every filter (Part 9, 4.5). A filter whose elements name each other again and again is false."""
+
+    _steps = 0
+
+    def eval(self, event: Any) -> bool:
+        if not self.elements:
+            return True
+        self._steps = 0
+        return super().eval(event)
+
+    def _eval_el(self, index: int, event: Any) -> Any:
+        if event.types[0] in _REFRESHES:
+            return True
+        self._steps += 1
+        if self._steps > _MOST_STEPS:
+            raise ValueError("a filter of too many steps")
+        element = self.elements[index]
+        if element.FilterOperator == ua.FilterOperator.OfType:
+            return self._eval_op(element.FilterOperands[0], event) in event.types
+        return super()._eval_el(index, event)
