@@ -206,6 +206,92 @@ async def test_a_client_that_reads_nothing_holds_little(rig: Rig, monkeypatch: p
         assert all(one.RevisedQueueSize == MOST_QUEUE for one in results if one.StatusCode.is_good())
 
 
+async def test_a_request_for_much_gets_little(rig: Rig) -> None:
+    """The standard nodes alone make answers of hundreds of megabytes, searches of half a minute, paths without end."""
+    async with rig.connected() as client:
+        session = client.uaclient
+        schema = ua.ReadValueId(ua.NodeId(ua.ObjectIds.OpcUa_XmlSchema), ua.AttributeIds.Value)
+        found = await session.read(ua.ReadParameters(NodesToRead=[schema] * 1000))
+        assert sum(one.Value is not None and one.Value.Value is not None for one in found) < 10
+        assert found[-1].StatusCode.value == 0x80B90000  # BadResponseTooLarge
+        server, all_ = ua.NodeId(ua.ObjectIds.Server), ua.NodeId(ua.ObjectIds.HierarchicalReferences)
+
+        def asked(node: ua.NodeId, type_: ua.NodeId) -> ua.BrowseDescription:
+            return ua.BrowseDescription(node, ua.BrowseDirection.Both, type_, True, 0, 63)
+
+        many = [asked(ua.NodeId(22), all_)] * 999 + [asked(server, ua.NodeId(ua.ObjectIds.BaseObjectType))]
+        answers = await session.browse(ua.BrowseParameters(NodesToBrowse=many))
+        assert 200 < sum(len(one.References) for one in answers) <= limits.MOST_REFERENCES
+        codes = {one.StatusCode.value for one in answers}
+        assert codes == {GOOD, 0x804B0000, 0x804C0000}  # BadNoContinuationPoints, BadReferenceTypeIdInvalid
+        up, down = ua.QualifiedName("BaseDataType"), ua.QualifiedName("Structure")
+        way = [
+            ua.RelativePathElement(ua.NodeId(), back, True, name) for back, name in ((False, down), (True, up)) * 100
+        ]
+        path = ua.BrowsePath(ua.NodeId(ua.ObjectIds.BaseDataType), ua.RelativePath(way))
+        [there] = await session.translate_browsepaths_to_nodeids([path])
+        assert [one.TargetId for one in there.Targets] == [ua.NodeId(ua.ObjectIds.BaseDataType)]
+        with pytest.raises(ua.UaStatusCodeError, match=r"too many operations|BadTooManyOperations"):
+            await session.translate_browsepaths_to_nodeids([path] * 6)
+        most = client.get_node(ua.NodeId(ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead))
+        assert await most.read_value() == limits.MOST_OPERATIONS
+
+
+async def test_a_session_reaches_nothing_of_others_and_is_one_of_its_connection(rig: Rig) -> None:
+    async with rig.connected() as one, rig.connected() as other:
+        params = ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True)
+        own = await one.uaclient.create_subscription(params, lambda _: None)
+        sessions = rig.face._server.sessions if rig.face._server else ()
+        stranger = next(it for it in sessions if not it.owns(own.SubscriptionId))  # type: ignore[attr-defined]
+        with pytest.raises(ua.UaError):  # BadNoSubscription
+            stranger.publish([ua.SubscriptionAcknowledgement(own.SubscriptionId, 1)])
+        [moved] = await other.uaclient.transfer_subscriptions(
+            ua.TransferSubscriptionsParameters([own.SubscriptionId], False)
+        )
+        assert moved.StatusCode.value == 0x80280000  # BadSubscriptionIdInvalid
+        count = len(sessions)
+        for _ in range(20):
+            with pytest.raises(ua.UaStatusCodeError, match=r"session"):
+                await other.create_session()
+        assert rig.face._server is not None
+        assert len(rig.face._server.sessions) == count
+
+
+async def test_filters_that_nobody_can_judge_are_refused(rig: Rig) -> None:
+    async with rig.connected() as client:
+        made = await client.uaclient.create_subscription(
+            ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True), lambda _: None
+        )
+        level = id_of("slave/8/input/level")
+        percent = ua.DataChangeFilter(DeadbandType=ua.DeadbandType.Percent, DeadbandValue=5.0)
+        many = ua.EventFilter(SelectClauses=[ua.SimpleAttributeOperand()] * 101)
+        events, values = ua.AttributeIds.EventNotifier, ua.AttributeIds.Value
+        server = ua.NodeId(ua.ObjectIds.Server)
+        wanted = [
+            ua.MonitoredItemCreateRequest(ua.ReadValueId(node, attribute), ua.MonitoringMode.Reporting,
+                                          ua.MonitoringParameters(1, 0.0, filter_, 10))
+            for node, attribute, filter_ in (
+                (level, values, percent), (level, values, many), (server, events, None), (server, events, percent),
+                (server, events, many), (level, values, None),
+            )
+        ]  # fmt: skip
+        create = ua.CreateMonitoredItemsParameters(made.SubscriptionId, ua.TimestampsToReturn.Both, wanted)
+        results = await client.uaclient.create_monitored_items(create)
+        codes = [0x80440000, 0x80440000, 0x80470000, 0x80450000, 0x80470000, GOOD]
+        assert [one.StatusCode.value for one in results] == codes
+        item = results[-1].MonitoredItemId
+        change = [ua.MonitoredItemModifyRequest(one, ua.MonitoringParameters(1, 0.0, None, 1_000_000))
+                  for one in (item, item + 1)]  # fmt: skip
+        modify = ua.ModifyMonitoredItemsParameters(made.SubscriptionId, ua.TimestampsToReturn.Both, change)
+        fine, bad = await client.uaclient.modify_monitored_items(modify)
+        assert (fine.RevisedQueueSize, bad.StatusCode.value) == (MOST_QUEUE, 0x80420000)
+        await rig.until(lambda: rig.face._server is not None)
+        gone = await client.uaclient.delete_monitored_items(
+            ua.DeleteMonitoredItemsParameters(made.SubscriptionId, [item, item])
+        )
+        assert [one.value for one in gone] == [GOOD, 0x80420000]
+
+
 async def test_nodes_follow_the_configuration(rig: Rig) -> None:
     rig.slaves = rig.slaves | {"10": {"name": "valves", "inputs": [{"name": "x", "type": "u8", "at": "u8@0"}]}}
     rig.values = rig.values | {"10": {"state": "data_exchange", "inputs_valid": True, "inputs_age_ms": 1.0,

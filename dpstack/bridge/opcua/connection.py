@@ -92,7 +92,7 @@ class Processor(UaProcessor):
 
     def send_response(
         self, requesthandle: Any, seqhdr: Any, response: Any, msgtype: Any = ua.MessageType.SecureMessage
-    ) -> None:  # noqa: E501
+    ) -> None:
         if self._transport.is_closing():
             return
         # also for messages of subscriptions, which come without a request of the moment

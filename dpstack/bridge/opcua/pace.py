@@ -20,7 +20,8 @@ class Pace:
         self._seen = 0.0
 
     def spent(self, seconds: float) -> None:
-        self._debt = self._now() + min(seconds, _LONGEST)
+        # twice, as these seconds have passed themselves
+        self._debt = self._now() + 2 * min(seconds, _LONGEST)
 
     def _now(self) -> float:
         now = time.monotonic()
