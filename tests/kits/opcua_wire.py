@@ -21,7 +21,7 @@ POLICY_NONE: Final = b"http://opcfoundation.org/UA/SecurityPolicy#None"
 
 
 def text(octets: bytes) -> bytes:
-    return struct.pack("<i", len(octets)) + octets
+    return len(octets).to_bytes(4, "little") + octets
 
 
 def opening(body: bytes | None = None) -> bytes:
@@ -37,17 +37,21 @@ def opening(body: bytes | None = None) -> bytes:
 
 def header(additional: bytes = b"\0\0\0", token: ua.NodeId | None = None) -> bytes:
     """A RequestHeader with this AdditionalHeader."""
-    made = nodeid_to_binary(token or ua.NodeId()) + struct.pack("<qII", 0, 7, 0) + text(b"") + struct.pack("<I", 0)
+    made: bytes = (
+        nodeid_to_binary(token or ua.NodeId()) + struct.pack("<qII", 0, 7, 0) + text(b"") + struct.pack("<I", 0)
+    )
     return made + additional
 
 
 def request(type_: int, body: bytes, head: bytes | None = None) -> bytes:
-    return nodeid_to_binary(ua.NodeId(type_)) + (header() if head is None else head) + body
+    type_id: bytes = nodeid_to_binary(ua.NodeId(type_))
+    return type_id + (header() if head is None else head) + body
 
 
 def structure(type_: int, body: bytes) -> bytes:
     """An ExtensionObject."""
-    return nodeid_to_binary(ua.NodeId(type_)) + b"\x01" + text(body)
+    type_id: bytes = nodeid_to_binary(ua.NodeId(type_))
+    return type_id + b"\x01" + text(body)
 
 
 class Wire(asyncio.Transport):

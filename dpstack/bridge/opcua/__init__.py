@@ -11,6 +11,7 @@ Needs the extra ``opcua`` (asyncua). docs/reference/opcua.md has the nodes, stat
 - ``pace``: The processor time that requests take
 - ``server``: Sessions with rights and limits
 - ``space``: Types and nodes
+- ``standard_nodes``: The standard nodes that a plant needs
 - ``subscriptions``: Subscriptions with bounds for messages, queues and filters
 - ``users``: A private file with users and scrypt hashes
 """

@@ -229,7 +229,7 @@ class Connection(OPCUAProtocol):
             if len(octets) - at < size:
                 break
             # its own octets: a message that waits would hold those behind it, too
-            body = Octets(octets[at : at + size], READS_BEFORE_SESSION)
+            body = Octets(octets[at : at + size], READS)  # of its headers; what it holds is bounded when it is whole
             try:
                 self.messages.put_nowait((header_from_binary(body), body))
             except asyncio.QueueFull:

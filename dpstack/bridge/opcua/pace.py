@@ -32,4 +32,4 @@ class Pace:
     async def turn(self) -> None:
         await asyncio.sleep(0)
         while (debt := self._now()) > _IN_A_ROW:  # noqa: ASYNC110  time heals it
-            await asyncio.sleep(debt - _IN_A_ROW)
+            await asyncio.sleep(max(debt - _IN_A_ROW, 0.001))

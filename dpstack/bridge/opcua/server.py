@@ -19,10 +19,10 @@ from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.address_space import ViewService
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession, SessionState
-from asyncua.server.standard_address_space import standard_address_space
 
 from dpstack.bridge.opcua.decoding import guard
 from dpstack.bridge.opcua.pace import Pace
+from dpstack.bridge.opcua.standard_nodes import add_standard_nodes
 from dpstack.bridge.opcua.subscriptions import Losses, WhereClause, bound, judged_filter
 from dpstack.bridge.opcua.users import Account, Users
 
@@ -99,8 +99,7 @@ class LimitedServer(InternalServer):
         return tuple(self._external_sessions.values())
 
     async def load_standard_address_space(self, shelffile: object = None) -> None:
-        # not in a thread: the face is opened before the bus
-        standard_address_space.fill_address_space(self.node_mgt_service)
+        await add_standard_nodes(self.node_mgt_service)
 
     def create_session(self, name: str, user: User | None = None, external: bool = False) -> InternalSession:
         if external and len(self._external_sessions) >= MOST_SESSIONS:
