@@ -244,7 +244,7 @@ async def test_a_session_reaches_nothing_of_others_and_is_one_of_its_connection(
         params = ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True)
         own = await one.uaclient.create_subscription(params, lambda _: None)
         sessions = rig.face._server.sessions if rig.face._server else ()
-        stranger = next(it for it in sessions if not it.owns(own.SubscriptionId))  # type: ignore[attr-defined]
+        stranger = next(it for it in sessions if not it.owns(own.SubscriptionId))
         with pytest.raises(ua.UaError):  # BadNoSubscription
             stranger.publish([ua.SubscriptionAcknowledgement(own.SubscriptionId, 1)])
         [moved] = await other.uaclient.transfer_subscriptions(

@@ -165,7 +165,7 @@ async def test_a_hostile_request_ends_its_connection_alone() -> None:
         await first.send(HELLO, by.opening(by.request(446, b"", by.header(octets))))
         assert first.closed, name
     assert b"MSGF" in await good.send(good.message(by.request(GET_ENDPOINTS, by.text(b"") + bytes(8))))
-    assert server.wires == [good.protocol]  # type: ignore[attr-defined]
+    assert server.wires == [good.protocol]
     good.close()
     await asyncio.sleep(0)
 
@@ -200,7 +200,7 @@ async def test_waiting_messages_hold_their_own_octets_and_are_few() -> None:
     wire = await Wire(by.bare_server()).opened()
     one = wire.message(by.request(GET_ENDPOINTS, by.text(b"") + bytes(8)))
     wire.protocol.data_received(one * 20)
-    waiting = list(wire.protocol.messages._queue)  # type: ignore[attr-defined]
+    waiting = list(wire.protocol.messages._queue)
     assert {len(buffer._data) for _, buffer in waiting} == {len(one)}
     wire.protocol.data_received(one * 60)
     assert wire.closed
@@ -240,7 +240,7 @@ async def test_one_address_leaves_room_for_others_and_needs_a_session() -> None:
     assert [one.closed for one in wires] == [False] * connection.MOST_OF_ADDRESS + [True]
     assert not Wire(server, "10.0.0.9").closed
     async with asyncio.timeout(5):
-        while server.wires:  # type: ignore[attr-defined]  # noqa: ASYNC110  the server's own clock
+        while server.wires:  # noqa: ASYNC110  the server's own clock
             await asyncio.sleep(0.01)
     news = server.losses.news()
     assert "1 x a client was cut off, as it had 16 connections already; 17 x" in news

@@ -111,8 +111,8 @@ class Wire(asyncio.Transport):
 def server_clients(server: LimitedServer) -> list[Any]:
     """The list of connections of a server."""
     if not hasattr(server, "wires"):
-        server.wires = []  # type: ignore[attr-defined]
-    return server.wires  # type: ignore[attr-defined,no-any-return]
+        server.wires = []
+    return server.wires  # type: ignore[no-any-return]
 
 
 class NoServices:

@@ -119,7 +119,12 @@ class Processor(UaProcessor):
                 raise ServiceError(_S.BadTcpMessageTooLarge)
         elif not self.is_active and header.ChunkType != ua.ChunkType.Single:
             raise ServiceError(_S.BadTcpMessageTooLarge)
-        return await super().process(header, body)
+        result = await super().process(header, body)
+        if kind == ua.MessageType.Hello:
+            # a client of asyncua takes what it was told for a limit of answers, too: so it was told more
+            self._limits.max_message_size = MOST_REQUEST
+            self._limits.max_chunk_count = MOST_REQUEST // _CHUNK + 1
+        return result
 
     def open_secure_channel(self, algohdr: Any, seqhdr: Any, body: Any) -> None:
         if algohdr.SenderCertificate:
@@ -305,8 +310,8 @@ class PlantServer(Server):
         self.manufacturer_name = "dpstack"
         self.application_type = ua.ApplicationType.Server
         self.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
-        self.limits.max_message_size = MOST_REQUEST
-        self.limits.max_chunk_count = MOST_REQUEST // _CHUNK + 1
+        self.limits.max_message_size = MOST_UNREAD
+        self.limits.max_chunk_count = MOST_UNREAD // _CHUNK + 1
 
     async def start_on(self, listening: Sequence[socket.socket]) -> None:
         await self._setup_server_nodes()

@@ -1,4 +1,4 @@
-"""The standard nodes of OPC UA (Part 5) that a plant needs. asyncua has 6200 of them, most for services it does not have."""
+"""The standard nodes of OPC UA (Part 5) that a plant needs: 1200 of the 6200 that asyncua has."""
 
 from __future__ import annotations
 
