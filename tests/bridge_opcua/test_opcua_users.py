@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
@@ -13,12 +14,20 @@ from api_kit import in_virtual_time
 from asyncua import ua
 from opcua_rig import make_certificate
 
-from dpstack.bridge.opcua.certificate import client_fault, own_certificate, read_certificate, read_trusted
+from dpstack.bridge.opcua.certificate import (
+    application_uri,
+    client_fault,
+    own_certificate,
+    own_remarks,
+    read_certificate,
+    read_trusted,
+)
 from dpstack.bridge.opcua.history import BoundedHistory
 from dpstack.bridge.opcua.users import Account, Users, hash_password, is_right, read_users
 from dpstack.errors import ConfigError
 
 NOW = datetime(2026, 11, 23, 12, tzinfo=UTC)
+LAST = NOW + timedelta(days=3650)
 
 
 def test_the_command_makes_a_line_that_the_server_reads(tmp_path: Path) -> None:
@@ -73,17 +82,29 @@ def test_the_certificate_is_made_once_and_judged_by_its_dates(tmp_path: Path) ->
     assert first == again
     assert key.stat().st_mode & 0o777 == 0o600
     for uri, when, why in (
-        ("urn:y", NOW, "is not for urn:y"),
-        ("urn:x", NOW + timedelta(days=4000), "has expired"),
+        ("urn:y", NOW, r"c\.der: is for urn:x, not for urn:y, the name of this server; remove it and .*k\.pem"),
+        ("urn:x", NOW + timedelta(days=4000), rf"c\.der: has expired on {LAST:%Y-%m-%d}.*; remove it and .*k\.pem"),
+        ("urn:x", NOW - timedelta(days=2), rf"c\.der: is not valid before {NOW:%Y-%m-}.*: set its clock, or remove"),
     ):
         with pytest.raises(ConfigError, match=why):
             own_certificate(cert, key, uri=uri, hosts=[], now=when)
+    assert own_remarks(first, cert, key, "127.0.0.1", NOW) == own_remarks(first, cert, key, "Here", NOW) == []
+    soon, elsewhere = own_remarks(first, cert, key, "10.0.0.1", LAST - timedelta(days=30))
+    assert re.fullmatch(rf".*c\.der: expires on {LAST:%Y-%m-%d}.*, in 30 days: .* remove it and .*k\.pem .*", soon)
+    assert "c.der: is for here, 127.0.0.1, not for 10.0.0.1: clients may refuse it" in elsewhere
     key.chmod(0o640)
-    with pytest.raises(ConfigError, match="others can read"):
+    with pytest.raises(ConfigError, match=r"k\.pem: others can read or change it: `chmod 600 .*k\.pem`"):
         own_certificate(cert, key, uri="urn:x", hosts=[], now=NOW)
     key.unlink()
     with pytest.raises(ConfigError, match="is missing beside"):
         own_certificate(cert, key, uri="urn:x", hosts=[], now=NOW)
+
+
+def test_a_name_that_is_not_ascii_is_escaped_in_the_certificate(tmp_path: Path) -> None:
+    uri = application_uri("h\u00f6he", "Pr\u00fcfstand 1")
+    assert uri == "urn:h%C3%B6he:dpstack:Pr%C3%BCfstand%201"
+    found, _ = own_certificate(tmp_path / "c", tmp_path / "k", uri=uri, hosts=["h\u00f6he", "x"], now=NOW)
+    assert own_remarks(found, tmp_path / "c", tmp_path / "k", "x", NOW) == []
 
 
 def test_a_client_is_judged_by_dates_and_the_trusted_directory(tmp_path: Path) -> None:

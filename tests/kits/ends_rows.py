@@ -73,6 +73,22 @@ ident = 0x1234
 config = "20 10"
 watchdog_ms = 0
 """
+#: the faces; the broker is not there
+FACES: Final = """
+[metrics]
+listen = "127.0.0.1:0"
+
+[mqtt]
+url = "mqtt://127.0.0.1:9"
+group = "plant"
+node = "line"
+
+[opcua]
+listen = "127.0.0.1:0"
+cert = "FOLDER/own.der"
+key = "FOLDER/own.pem"
+anonymous = "read"
+"""
 
 
 class Recorder:
@@ -129,11 +145,13 @@ class Program:
         self.terminal = -1
         self.unread = -1  # of standard output, which nobody reads
         path = os.pathsep.join([str(KITS), str(ROOT)])
-        environment = os.environ | {"PYTHONPATH": path, "XDG_RUNTIME_DIR": str(folder)}
+        places = dict.fromkeys(("XDG_RUNTIME_DIR", "XDG_STATE_HOME"), str(folder))
+        environment = os.environ | places | {"PYTHONPATH": path}
         environment |= row.environment
         if row.program == "run":
             plant = folder / "plant.toml"
-            plant.write_text(PLANT.format(port=link, driver=row.driver), encoding="utf-8")
+            text = PLANT.format(port=link, driver=row.driver) + row.tables.replace("FOLDER", str(folder))
+            plant.write_text(text, encoding="utf-8")
             files = [argument.replace("FOLDER", str(folder)) for argument in row.arguments]
             command = [sys.executable, "-m", "dpstack.cli.main", "run", str(plant)]
             command += ["--outputs", f"4={LIVE}", f"5={LIVE_LAMPS}", "--plain", *files]
@@ -249,6 +267,8 @@ class Row:
     reader_goes: bool = False
     stdout: str | None = None
     arguments: tuple[str, ...] = ()
+    #: more of the configuration of ``dpstack run``
+    tables: str = ""
     environment: dict[str, str] = field(default_factory=dict)
     limits: dict[int, int] = field(default_factory=dict)
     ignored: int = 0
@@ -292,6 +312,19 @@ def send(number: int) -> Act:
 
 def send_to_bus_process(number: int) -> Act:
     return lambda program, _: os.kill(program.bus_process, number)
+
+
+def send_twice(number: int) -> Act:
+    """Signals within a second are the same one to ``dpstack run``."""
+
+    def act(program: Program, _: Recorder) -> None:
+        os.kill(program.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            program.process.wait(1.1)
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(program.pid, number)
+
+    return act
 
 
 def hang_up(_: Program, recorder: Recorder) -> None:
@@ -524,6 +557,14 @@ def rows() -> list[Row]:
             run("no handles", "too few of them to open the bus", limits=few),
             run("no handles", "while the bus runs, and SIGTERM", act=no_handles),
             run("no memory", "while the bus runs, and SIGTERM at once", act=no_memory),
+        ]
+        faced = functools.partial(run, "face", tables=FACES)
+        found += [
+            *(
+                faced(f"metrics, MQTT and OPC UA, and {name_of(n)}", act=send(n))
+                for n in (signal.SIGTERM, signal.SIGKILL)
+            ),
+            faced("metrics, MQTT and OPC UA, and SIGINT twice", act=send_twice(signal.SIGINT)),
         ]
         for option in ("--plain", "--json"):
             text = f"its reader has gone (`{option}`)"

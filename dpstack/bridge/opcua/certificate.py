@@ -5,10 +5,11 @@ from __future__ import annotations
 import ipaddress
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
+from urllib.parse import quote
 
 from asyncua import ua
 from cryptography import x509
@@ -21,6 +22,8 @@ from dpstack.errors import ConfigError
 
 #: a plant computer is often set up once and left; the clients trust this very certificate
 _DAYS: Final = 3650
+#: days before its end from which on that is told
+_DAYS_BEFORE: Final = 60
 _BITS: Final = 2048
 _MOST_TRUSTED: Final = 1000
 _MOST_OCTETS: Final = 1 << 16
@@ -48,11 +51,41 @@ def own_certificate(
     found = read_certificate(cert)
     if not isinstance(loaded, rsa.RSAPrivateKey) or loaded.public_key() != found.public_key():
         raise ConfigError(f"{key}: is not the RSA key of {cert}")
-    if not found.not_valid_before_utc <= now <= found.not_valid_after_utc:
-        raise ConfigError(f"{cert}: has expired or is not valid yet; remove it and {key} to have both made anew")
+    if now < found.not_valid_before_utc:
+        raise ConfigError(
+            f"{cert}: is not valid before {_date(found.not_valid_before_utc)}, and this computer has {_date(now)}: set "
+            f"its clock, or remove {cert} and {key} to have both made anew"
+        )
+    if now > found.not_valid_after_utc:
+        raise ConfigError(
+            f"{cert}: has expired on {_date(found.not_valid_after_utc)}; remove it and {key} to have both made anew, "
+            "then let the clients trust the new one"
+        )
     if uri not in _uris(found):
-        raise ConfigError(f"{cert}: is not for {uri}, the name of this server; remove it and {key}, or change `name`")
+        named = ", ".join(_uris(found)) or "no server"
+        raise ConfigError(
+            f"{cert}: is for {named}, not for {uri}, the name of this server; remove it and {key} to have both made "
+            "anew, or change `name`"
+        )
     return found, loaded
+
+
+def own_remarks(found: x509.Certificate, cert: Path, key: Path, host: str, now: datetime) -> list[str]:
+    """One line for each fault that a client may see soon: it expires, or is for another computer."""
+    remarks = []
+    anew = f"remove it and {key} to have both made anew at the next start, then let the clients trust the new one"
+    left = found.not_valid_after_utc - now
+    if left < timedelta(days=_DAYS_BEFORE):
+        when = f"expires on {_date(found.not_valid_after_utc)}, in {left.days} days"
+        remarks.append(f"{cert}: {when}: the next start after that fails; {anew}")
+    hosts = [str(one.value).lower() for one in _names(found) if isinstance(one, (x509.DNSName, x509.IPAddress))]
+    if hosts and host.lower() not in hosts:
+        remarks.append(f"{cert}: is for {', '.join(hosts[:5])}, not for {host}: clients may refuse it; {anew}")
+    return remarks
+
+
+def _date(time: datetime) -> str:
+    return f"{time:%Y-%m-%d %H:%M} UTC"
 
 
 def _make(cert: Path, key: Path, uri: str, hosts: Iterable[str], now: datetime) -> None:
@@ -63,7 +96,8 @@ def _make(cert: Path, key: Path, uri: str, hosts: Iterable[str], now: datetime) 
         try:
             names.append(x509.IPAddress(ipaddress.ip_address(host)))
         except ValueError:
-            names.append(x509.DNSName(host))
+            if host.isascii():  # a certificate has no others
+                names.append(x509.DNSName(host))
     usage = x509.KeyUsage(
         digital_signature=True, content_commitment=True, key_encipherment=True, data_encipherment=True,
         key_agreement=False, key_cert_sign=True, crl_sign=False, encipher_only=False, decipher_only=False,
@@ -141,11 +175,28 @@ def client_fault(der: bytes, trusted: frozenset[bytes] | None, now: datetime) ->
 
 
 def _uris(cert: x509.Certificate) -> list[str]:
+    return [str(one.value) for one in _names(cert) if isinstance(one, x509.UniformResourceIdentifier)]
+
+
+def _names(cert: x509.Certificate) -> list[x509.GeneralName]:
     try:
-        names = cert.extensions.get_extension_for_class(x509.SubjectAlternativeName)
-    except x509.ExtensionNotFound:
+        return list(cert.extensions.get_extension_for_class(x509.SubjectAlternativeName).value)
+    except (x509.ExtensionNotFound, ValueError):
         return []
-    return list(names.value.get_values_for_type(x509.UniformResourceIdentifier))
+
+
+def application_uri(host: str, name: str) -> str:
+    """The ApplicationUri of the server called ``name``: in ASCII, as a certificate has it."""
+    return f"urn:{quote(host)}:dpstack:{quote(name)}"
+
+
+#: reasons to refuse a client, as :func:`client_fault` gives them
+CLIENT_FAULTS: Final[Mapping[int, str]] = {
+    int(ua.StatusCodes.BadCertificateInvalid): "showed no certificate that can be read",
+    int(ua.StatusCodes.BadCertificatePolicyCheckFailed): "showed a certificate without an RSA key of 2048 to 4096 bits",
+    int(ua.StatusCodes.BadCertificateTimeInvalid): "showed a certificate that has expired or is not valid yet",
+    int(ua.StatusCodes.BadCertificateUntrusted): "showed a certificate that is not in trust_dir",
+}
 
 
 def state_file(name: str) -> Path:

@@ -22,6 +22,7 @@ from asyncua.server.internal_session import SessionState
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import header_from_binary, nodeid_from_binary, struct_from_binary, uatcp_to_binary
 
+from dpstack.bridge.opcua.certificate import CLIENT_FAULTS
 from dpstack.bridge.opcua.decoding import READS, READS_BEFORE_SESSION, Octets
 from dpstack.bridge.opcua.server import MOST_OPERATIONS, LimitedServer, digest
 
@@ -130,6 +131,7 @@ class Processor(UaProcessor):
         if algohdr.SenderCertificate:
             fault = self.iserver.refuses(algohdr.SenderCertificate)
             if fault is not None:
+                self.iserver.losses.cut_off(self.address, CLIENT_FAULTS.get(fault, "showed a bad certificate"))
                 self.end_with(fault)
                 return
         super().open_secure_channel(algohdr, seqhdr, Octets(bytes(body), READS_BEFORE_SESSION))

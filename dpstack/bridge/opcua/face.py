@@ -9,18 +9,26 @@ import socket
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import ClassVar, Final
 
 from asyncua import ua
 from asyncua.server.monitored_item_service import MonitoredItemService
+from cryptography import x509
 
 from dpstack.bridge.conditions import Condition
 from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.nodes import Node, Order
 from dpstack.bridge.opcua.alarms import SERVER, Alarms, emit, refresh, utc
-from dpstack.bridge.opcua.certificate import client_fault, own_certificate, read_trusted, utc_now
+from dpstack.bridge.opcua.certificate import (
+    application_uri,
+    client_fault,
+    own_certificate,
+    own_remarks,
+    read_trusted,
+    utc_now,
+)
 from dpstack.bridge.opcua.connection import PlantServer
 from dpstack.bridge.opcua.history import BoundedHistory
 from dpstack.bridge.opcua.server import LimitedServer, LimitedSession, quieten
@@ -113,11 +121,12 @@ class OpcUaFace(Face):
             self._users = Users(read_users(chosen.users_file))
         if chosen.trust_dir is not None:
             self._trusted = read_trusted(chosen.trust_dir)
-        uri = f"urn:{socket.gethostname()}:dpstack:{chosen.name}"
+        uri = application_uri(socket.gethostname(), chosen.name)
         host = self._listen.host
         shown = socket.gethostname() if host in _EVERYWHERE else host
         hosts = [socket.gethostname(), "localhost", "127.0.0.1", shown]
         cert, key = own_certificate(chosen.cert, chosen.key, uri=uri, hosts=hosts, now=self._now())
+        self._judge_certificate(cert, shown)
         self._listening = self._listen.sockets()
         if chosen.anonymous and not is_local(self._listening):
             self.tell(f"everybody who reaches port {self.port} may read the plant", Severity.WARNING)
@@ -169,6 +178,12 @@ class OpcUaFace(Face):
         if self._server is not None:
             self._server.method_service.stop()
 
+    def _judge_certificate(self, cert: x509.Certificate, host: str) -> None:
+        """Tell what its clients will soon refuse: at the start, and every day."""
+        self._judged, self._judge_at = (cert, host), self._now() + timedelta(days=1)
+        for text in own_remarks(cert, self.settings.cert, self.settings.key, host, self._now()):
+            self.tell(text, Severity.WARNING)
+
     # --- values and events ----------------------------------------------------------------------------------------
 
     def wall(self, time: float) -> datetime:
@@ -198,6 +213,8 @@ class OpcUaFace(Face):
             await emit(self._items(), event, self._alarms.emitters(condition))
             await asyncio.sleep(0)
         assert self._server is not None
+        if self._now() >= self._judge_at:
+            self._judge_certificate(*self._judged)
         self.dropped = self._server.losses.dropped
         if news := self._server.losses.news():
             self.tell(news, Severity.WARNING)
