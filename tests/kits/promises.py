@@ -177,6 +177,11 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         _OPCUA + "test_a_slave_that_is_lost_leaves_its_last_value_and_an_alarm_until_it_is_acknowledged",
         _OPCUA + "test_a_client_that_reads_nothing_holds_little",
         _OPCUA + "test_garbage_ends_its_connection_alone",
+        _OPCUA + "test_a_request_for_much_gets_little",
+        _OPCUA + "test_a_session_reaches_nothing_of_others_and_is_one_of_its_connection",
+        "bridge_opcua/test_opcua_octets.py::test_a_length_or_depth_that_is_believed_costs_little",
+        "bridge_opcua/test_opcua_octets.py::test_a_hostile_request_ends_its_connection_alone",
+        "bridge_opcua/test_opcua_octets.py::test_a_client_that_does_not_read_is_cut_off_also_by_a_message_that_it_did_not_ask_for",
     ),
     "G12": (
         _OPCUA + "test_wrong_passwords_certificates_and_channels_are_refused",

@@ -120,7 +120,7 @@ def run(octets: bytes) -> None:
 TARGET = Target(
     run=run,
     covers=("dpstack.bridge.opcua.connection", "dpstack.bridge.opcua.decoding", "dpstack.bridge.opcua.subscriptions"),
-    executions=50_000,
+    executions=100_000,
     compares=False,
     words=(b"HELF", b"OPNF", b"MSGF", b"MSGC", b"CLOF", struct.pack("<i", -4), struct.pack("<i", 2**31 - 1)),
 )
