@@ -206,6 +206,21 @@ async def test_a_client_that_reads_nothing_holds_little(rig: Rig, monkeypatch: p
         assert all(one.RevisedQueueSize == MOST_QUEUE for one in results if one.StatusCode.is_good())
 
 
+async def test_the_standard_nodes_are_a_whole(rig: Rig) -> None:
+    """A part of those of asyncua: no reference leads nowhere, and all that the plant uses has its types."""
+    assert rig.face._server is not None
+    nodes = rig.face._server.aspace._nodes
+    lost = {(node, one.NodeId) for node, data in nodes.items() for one in data.references if one.NodeId not in nodes}
+    assert not lost
+    data_types = {data.attributes[ua.AttributeIds.DataType].value.Value.Value for data in nodes.values()
+                  if ua.AttributeIds.DataType in data.attributes}  # fmt: skip
+    assert {one for one in data_types if not one.is_null()} <= set(nodes)
+    for name in ("OffNormalAlarmType", "RefreshEndEventType", "FiniteStateMachineType", "BaseAnalogType", "Server",
+                 "ConditionType_ConditionRefresh2", "Server_ServerStatus_CurrentTime", "EUInformation"):  # fmt: skip
+        assert ua.NodeId(getattr(ua.ObjectIds, name)) in nodes, name
+    assert 1000 < sum(one.NamespaceIndex == 0 for one in nodes) < 2000
+
+
 async def test_a_request_for_much_gets_little(rig: Rig) -> None:
     """Without bounds: answers of hundreds of megabytes, searches of half a minute, paths without end."""
     async with rig.connected() as client:

@@ -7,19 +7,20 @@ import inspect
 import struct
 import time
 import tracemalloc
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import opcua_wire as by
 import pytest
 from asyncua import ua
 from asyncua.common.utils import Buffer
+from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.ua import ua_binary
 from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
 from opcua_wire import HELLO, Wire
 
 from dpstack.bridge.opcua import connection, decoding, pace
 from dpstack.bridge.opcua.decoding import READS, READS_BEFORE_SESSION, Octets, guard
-from dpstack.bridge.opcua.subscriptions import Losses, WhereClause
+from dpstack.bridge.opcua.subscriptions import Losses, WhereClause, bound
 from dpstack.errors import DpError
 
 guard()
@@ -268,6 +269,18 @@ async def test_requests_get_half_of_the_time_beyond_a_burst(monkeypatch: pytest.
     now[0] += 1
     await turns.turn()
     assert slept[0] < 1.3
+
+
+async def test_queues_of_a_client_that_fetches_nothing_are_bounded_and_what_they_drop_is_counted() -> None:
+    losses, none = Losses(), cast(Any, None)
+    made = InternalSubscription(ua.CreateSubscriptionResult(78, 100.0), none, none, ua.NodeId(1), lambda _: None)
+    bound(made, losses)
+    for number in range(25):
+        await made.enqueue_datachange_event(1, ua.MonitoredItemNotification(number), 10)
+        await made.enqueue_datachange_event(2, ua.MonitoredItemNotification(number), 1)
+    assert [one.ClientHandle for one in made._triggered_datachanges[1]] == list(range(15, 25))
+    assert [one.ClientHandle for one in made._triggered_datachanges[2]] == [24]  # the newest of a queue of one: no loss
+    assert (losses.dropped, losses.new_dropped(), losses.new_dropped()) == (15, 15, 0)
 
 
 def test_losses_are_told_once_a_minute_and_counted_always() -> None:

@@ -215,7 +215,7 @@ class OpcUaFace(Face):
         assert self._server is not None
         if self._now() >= self._judge_at:
             self._judge_certificate(*self._judged)
-        self.dropped = self._server.losses.dropped
+        self.dropped += self._server.losses.new_dropped()
         if news := self._server.losses.news():
             self.tell(news, Severity.WARNING)
         if self._left_out:

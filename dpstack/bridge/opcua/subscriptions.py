@@ -28,7 +28,7 @@ class Losses:
 
     def __init__(self) -> None:
         self.dropped = 0
-        self._told_dropped = 0
+        self._told_dropped = self._counted = 0
         self._cut: Counter[str] = Counter()
         self._last = ""
         self._told_at = -_REMARK_S
@@ -37,6 +37,11 @@ class Losses:
         """``why``: one of a few texts, such as "did not read its answers"."""
         self._cut[why] += 1
         self._last = address
+
+    def new_dropped(self) -> int:
+        """The notifications that were dropped since the last call."""
+        new, self._counted = self.dropped - self._counted, self.dropped
+        return new
 
     def news(self) -> str:
         """One line about what happened since the last one, at most one a minute; empty: nothing to tell."""
