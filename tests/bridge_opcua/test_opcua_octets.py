@@ -9,19 +9,19 @@ import time
 import tracemalloc
 from typing import Any, Final, cast
 
-import opcua_wire as by
 import pytest
 from asyncua import ua
 from asyncua.common.utils import Buffer
 from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.ua import ua_binary
 from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
-from opcua_wire import HELLO, Wire
 
 from dpstack.bridge.opcua import connection, decoding, pace
 from dpstack.bridge.opcua.decoding import READS, READS_BEFORE_SESSION, Octets, guard
 from dpstack.bridge.opcua.subscriptions import Losses, WhereClause, bound
 from dpstack.errors import DpError
+from tests.fuzz import opcua_wire as by
+from tests.fuzz.opcua_wire import HELLO, Wire
 
 guard()
 #: numbers of OPC 10000-6, annex A: GetEndpointsRequest, LiteralOperand, RolePermissionType, EventFilter

@@ -20,9 +20,9 @@ from asyncua.ua.ua_binary import struct_to_binary
 
 from dpstack.bridge.opcua import connection
 from dpstack.bridge.opcua.connection import MOST_REQUEST
+from tests.fuzz import opcua_wire as by
 from tests.fuzz.frame import Cutter, Target
 from tests.fuzz.quick_loop import quick_loop
-from tests.kits import opcua_wire as by
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 _ASK_ENDPOINTS: Final = by.request(ua.ObjectIds.GetEndpointsRequest_Encoding_DefaultBinary, by.text(b"") + bytes(8))
