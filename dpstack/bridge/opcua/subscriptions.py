@@ -145,17 +145,15 @@ class WhereClause(WhereClauseEvaluator):
     """``OfType`` is true for subtypes, too (Part 4, 7.7.3), for instance ConditionType for an alarm. Begin and end of a
     refresh pass every filter (Part 9, 4.5). A filter whose elements name each other again and again is false."""
 
+    #: the event of the moment, and the steps for it
+    _event: Any = None
     _steps = 0
-
-    def eval(self, event: Any) -> bool:
-        if not self.elements:
-            return True
-        self._steps = 0
-        return super().eval(event)
 
     def _eval_el(self, index: int, event: Any) -> Any:
         if event.types[0] in _REFRESHES:
             return True
+        if event is not self._event:
+            self._event, self._steps = event, 0
         self._steps += 1
         if self._steps > _MOST_STEPS:
             raise ValueError("a filter of too many steps")
