@@ -16,7 +16,7 @@ from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.ua import ua_binary
 from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
 
-from dpstack.bridge.opcua import connection, decoding, pace
+from dpstack.bridge.opcua import connection, decoding, server
 from dpstack.bridge.opcua.decoding import READS, READS_BEFORE_SESSION, Octets, guard
 from dpstack.bridge.opcua.subscriptions import Losses, WhereClause, bound
 from dpstack.errors import DpError
@@ -255,9 +255,9 @@ async def test_requests_get_half_of_the_time_beyond_a_burst(monkeypatch: pytest.
         now[0] += seconds
         slept[0] += seconds
 
-    monkeypatch.setattr(pace, "time", type("Time", (), {"monotonic": lambda: now[0]}))
-    monkeypatch.setattr(pace, "asyncio", type("Asyncio", (), {"sleep": sleep}))
-    turns = pace.Pace()
+    monkeypatch.setattr(server, "time", type("Time", (), {"monotonic": lambda: now[0]}))
+    monkeypatch.setattr(server, "asyncio", type("Asyncio", (), {"sleep": sleep}))
+    turns = server.Pace()
     for _ in range(100):
         await turns.turn()
         now[0] += 0.01

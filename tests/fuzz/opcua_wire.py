@@ -12,8 +12,7 @@ from asyncua.crypto.security_policies import SecurityPolicyNone
 from asyncua.ua.ua_binary import nodeid_to_binary, struct_to_binary
 
 from dpstack.bridge.opcua.connection import MOST_REQUEST, Connection
-from dpstack.bridge.opcua.pace import Pace
-from dpstack.bridge.opcua.server import LimitedServer
+from dpstack.bridge.opcua.server import LimitedServer, Pace
 
 #: Part 6, 7.1.2.3: version, both buffers, no limit of messages and chunks; the text of an address
 HELLO: Final = b"HELF" + struct.pack("<I5Ii", 32, 0, 65_535, 65_535, 0, 0, -1)

@@ -8,7 +8,6 @@ Needs the extra ``opcua`` (asyncua). docs/reference/opcua.md has the nodes, stat
 - ``decoding``: A bound for what asyncua decodes of a client's octets
 - ``face``: The face: changes of the tree in; values, events and history out; orders of clients
 - ``history``: Values of the last hour, with one bound over all
-- ``pace``: The processor time that requests take
 - ``server``: Sessions with rights and limits
 - ``space``: Types and nodes
 - ``standard_nodes``: The standard nodes that a plant needs

@@ -10,6 +10,7 @@ import asyncio
 import hashlib
 import logging
 import secrets
+import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, Protocol
 
@@ -21,7 +22,6 @@ from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession, SessionState
 
 from dpstack.bridge.opcua.decoding import guard
-from dpstack.bridge.opcua.pace import Pace
 from dpstack.bridge.opcua.standard_nodes import add_standard_nodes
 from dpstack.bridge.opcua.subscriptions import Losses, WhereClause, bound, judged_filter
 from dpstack.bridge.opcua.users import Account, Users
@@ -49,6 +49,10 @@ _MOST_OCTETS: Final = 1 << 20
 #: nodes on the way of a path at a time; nodes of one request that are worked on until others have their turn
 _MOST_TARGETS: Final = 100
 _AT_ONCE: Final = 25
+#: s of processor that requests may take in a row; beyond that they get half of the time
+_IN_A_ROW: Final = 0.02
+#: s that one request counts at most: what it waits for is not its own
+_LONGEST: Final = 0.1
 _S = ua.StatusCodes
 _BAD_ITEMS: Final = ua.StatusCode(_S.BadTooManyMonitoredItems)
 
@@ -61,6 +65,29 @@ class Services(Protocol):
     async def call(
         self, method: ua.CallMethodRequest, who: Account | None, session: LimitedSession
     ) -> ua.CallMethodResult: ...
+
+
+class Pace:
+    """Requests get the processor for a short burst, beyond that half of the time: others have their turn."""
+
+    def __init__(self) -> None:
+        self._debt = 0.0
+        self._seen = 0.0
+
+    def spent(self, seconds: float) -> None:
+        # twice, as these seconds have passed themselves
+        self._debt = self._now() + 2 * min(seconds, _LONGEST)
+
+    def _now(self) -> float:
+        now = time.monotonic()
+        self._debt = max(0.0, self._debt - (now - self._seen))
+        self._seen = now
+        return self._debt
+
+    async def turn(self) -> None:
+        await asyncio.sleep(0)
+        while (debt := self._now()) > _IN_A_ROW:  # noqa: ASYNC110  time heals it
+            await asyncio.sleep(max(debt - _IN_A_ROW, 0.001))
 
 
 class LimitedServer(InternalServer):
