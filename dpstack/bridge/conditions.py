@@ -24,7 +24,8 @@ class Level(IntEnum):
 class Condition:
     """``id``: stable for the same condition of the same slave, the source of OPC UA's ConditionId. ``slave`` None: of
     the bus. ``time``: of its last change, ``since``: when it became active last, in s since 1970 by the clock of the
-    stream. ``count``: number of its changes, so that each event has an id of its own.
+    stream. ``count`` rises by one with each of its changes, and goes on where the condition was forgotten and comes
+    again: so each event has an id of its own. ``unacked_from``: the count at which it was last not acknowledged any more.
     """
 
     id: str
@@ -37,8 +38,10 @@ class Condition:
     since: float
     time: float
     count: int = 1
-    #: name of the person or program that acknowledged it
-    acked_by: str = ""
+    unacked_from: int = 1
+    #: name of the person or program that acknowledged it or gave the comment, whichever was last
+    said_by: str = ""
+    comment: str = ""
 
     @property
     def retain(self) -> bool:
@@ -55,6 +58,8 @@ class ConditionBook:
         self._known: dict[str, Condition] = {}
         #: ids by slave, oldest first
         self._of: dict[int | None, dict[str, None]] = {}
+        #: no condition that was forgotten had a greater count
+        self._most_count = 0
 
     def __iter__(self) -> Iterator[Condition]:
         return iter(tuple(self._known.values()))
@@ -78,17 +83,20 @@ class ConditionBook:
         if known is None:
             if not self._make_room(slave):
                 return None
-            return self._keep(Condition(id_, slave, title, text, level, active, False, time, time))
+            count = self._most_count + 1
+            return self._keep(Condition(id_, slave, title, text, level, active, False, time, time, count, count))
         if active and known.active and (known.text, known.level) == (text, level):
             return None
         begins = not known.active or not active
+        again = begins or level > known.level
         return self._keep(
             replace(
                 known,
                 text=text,
                 level=level,
                 active=active,
-                acked=False if begins or level > known.level else known.acked,
+                acked=known.acked and not again,
+                unacked_from=known.count + 1 if again else known.unacked_from,
                 since=time if begins else known.since,
                 time=time,
                 count=known.count + 1,
@@ -117,12 +125,22 @@ class ConditionBook:
         ]
         return [one for one in changed if one is not None]
 
-    def acknowledge(self, id_: str, time: float, by: str = "") -> Condition | None:
-        """Acknowledge a condition. Returns it; None where there is none, or where it is acknowledged already."""
+    def acknowledge(self, id_: str, time: float, by: str = "", comment: str | None = None) -> Condition | None:
+        """Acknowledge a condition; ``comment`` None leaves the one that it has. Returns it; None where there is none, or
+        where it is acknowledged already."""
         known = self._known.get(id_)
         if known is None or known.acked:
             return None
-        return self._keep(replace(known, acked=True, acked_by=by, time=time, count=known.count + 1))
+        return self._say(replace(known, acked=True), time, by, comment)
+
+    def comment(self, id_: str, time: float, by: str, comment: str) -> Condition | None:
+        """Give a condition another comment. Returns it; None where there is none."""
+        known = self._known.get(id_)
+        return None if known is None else self._say(known, time, by, comment)
+
+    def _say(self, condition: Condition, time: float, by: str, comment: str | None) -> Condition:
+        said = condition.comment if comment is None else comment
+        return self._keep(replace(condition, said_by=by, comment=said, time=time, count=condition.count + 1))
 
     def _keep(self, condition: Condition) -> Condition:
         """A condition that is not retained is forgotten."""
@@ -135,6 +153,7 @@ class ConditionBook:
 
     def _forget(self, condition: Condition) -> None:
         self._known.pop(condition.id, None)
+        self._most_count = max(self._most_count, condition.count)
         ids = self._of.get(condition.slave, {})
         ids.pop(condition.id, None)
         if not ids:

@@ -26,13 +26,13 @@ class FaceState(NamedTuple):
 class Face(ABC):
     """Made before the bus is opened; a :class:`~dpstack.bridge.gateway.Gateway` feeds it.
 
-    ``tree`` is read in :meth:`take` and :meth:`serve`, and changed by the gateway only. ``tell``: for remarks, each one
+    ``tree`` is read in :meth:`take` and :meth:`serve`, and changed by the gateway and :meth:`acknowledge` only. ``tell``: for remarks, each one
     line; the caller leaves out one that repeats the last one. The constructor touches neither network nor disk.
     """
 
     #: name of its table of the configuration and of its extra: "mqtt", "opcua", "metrics"
     name: ClassVar[str]
-    #: changes that it dropped, as nobody took them in time
+    #: changes, values and messages that it dropped, as there was no room or nobody took them in time
     dropped: int = 0
     #: whether it is connected to its broker; None: it has none, clients come to it
     connected: bool | None = None
@@ -40,6 +40,22 @@ class Face(ABC):
     def __init__(self, tree: PlantTree, tell: Tell) -> None:
         self.tree = tree
         self.tell = tell
+        #: gives changes to all faces that serve, this one too; a gateway puts its own here
+        self.spread: Callable[[Sequence[Change]], None] = self.take
+
+    def acknowledge(self, id_: str, by: str = "", comment: str | None = None) -> bool:
+        """Acknowledge a condition of the tree in the name of ``by``; all faces get the change. False where it is not
+        there, or acknowledged already. ``comment`` None leaves the one that it has."""
+        return self._spread(self.tree.acknowledge(id_, by, comment))
+
+    def comment(self, id_: str, by: str, comment: str) -> bool:
+        """Give a condition of the tree another comment; all faces get the change. False where it is not there."""
+        return self._spread(self.tree.comment(id_, by, comment))
+
+    def _spread(self, changes: Sequence[Change]) -> bool:
+        if changes:
+            self.spread(changes)
+        return bool(changes)
 
     async def open(self) -> None:  # noqa: B027  a face that only connects to others needs none
         """Take the resources of this computer: a listening socket, a directory. Called once, before the bus is opened.

@@ -52,6 +52,8 @@ class Gateway:
         self._faces = list(faces)
         #: the faces that have ended by a fault or by themselves, before the end of all
         self.failed: list[Face] = []
+        for face in self._faces:
+            face.spread = self._spread
         self._tell = tell
         self._now = now
         self._serving: dict[asyncio.Task[None], Face] = {}
@@ -115,8 +117,11 @@ class Gateway:
             if isinstance(change, Remark):
                 self._tell(change.text, Severity.WARNING)
         if changes:
-            for face in tuple(self._faces):
-                self._hand_over(face, changes)
+            self._spread(changes)
+
+    def _spread(self, changes: Sequence[Change]) -> None:
+        for face in tuple(self._faces):
+            self._hand_over(face, changes)
 
     def _hand_over(self, face: Face, changes: Sequence[Change]) -> None:
         try:

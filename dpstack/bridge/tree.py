@@ -262,9 +262,16 @@ class PlantTree:
             found += self._remark("there are more conditions than can be kept: the oldest are forgotten")
         return found
 
-    def acknowledge(self, id_: str, by: str = "") -> list[Change]:
-        """Acknowledge a condition. Nothing changes where it is not there, or acknowledged already."""
-        found = self.conditions.acknowledge(id_, self._time(self._t), clean(by))
+    def acknowledge(self, id_: str, by: str = "", comment: str | None = None) -> list[Change]:
+        """Acknowledge a condition. Nothing changes where it is not there, or acknowledged already. ``comment`` None
+        leaves the one that it has."""
+        said = None if comment is None else clean(comment)
+        found = self.conditions.acknowledge(id_, self._time(self._t), clean(by), said)
+        return [] if found is None else [found]
+
+    def comment(self, id_: str, by: str, comment: str) -> list[Change]:
+        """Give a condition another comment. Nothing changes where it is not there."""
+        found = self.conditions.comment(id_, self._time(self._t), clean(by), clean(comment))
         return [] if found is None else [found]
 
     # --- items ----------------------------------------------------------------------------------------------------

@@ -430,7 +430,7 @@ def test_conditions_of_a_slave() -> None:
     [ended] = [
         one for one in tree.apply({"event": alarm | {"specifier": "disappears"}}, 0.3) if isinstance(one, Condition)
     ]
-    assert (ended.active, ended.acked, ended.retain, ended.acked_by) == (False, True, False, "anna")
+    assert (ended.active, ended.acked, ended.retain, ended.said_by) == (False, True, False, "anna")
     # the drive is well again before somebody has acknowledged: retained
     tree.apply(snapshot(1.3, {"3": HOIST | {"conspicuous": ""}}), 0.3)
     assert {one.id: (one.active, one.retain) for one in tree.conditions} == {

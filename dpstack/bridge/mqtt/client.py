@@ -107,8 +107,6 @@ class MqttFace(Face):
         self.connected = self._was_connected = False
         self._last_error = _LastError(logging.ERROR)
         self._giving: set[asyncio.Task[None]] = set()
-        #: messages of the broker that were too many at once
-        self.lost = 0
 
     async def open(self) -> None:
         """Read the certificates, take the folder. Raises ConfigError."""
@@ -272,7 +270,7 @@ class MqttFace(Face):
     def _count_lost(self, client: aiomqtt.Client) -> None:
         lost = getattr(client._queue, "lost", 0)
         if lost:
-            self.lost += lost
+            self.dropped += lost
             self.tell(
                 f"{lost} messages of the broker came faster than they could be read: they are lost", Severity.WARNING
             )
