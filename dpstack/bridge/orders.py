@@ -8,6 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from enum import Enum, auto
 from typing import Final, Literal, NamedTuple
 
 from dpstack.bridge.face import Tell
@@ -31,16 +32,36 @@ _REMARK_S: Final = 1.0
 _HALTS: Final = frozenset({"stop", "quick_stop", "coast"})
 
 
+class Refusal(Enum):
+    """Kind of the reason why an order was refused, for status codes."""
+
+    #: the run refuses it, or has changed meanwhile
+    STATE = auto()
+    NOT_ALLOWED = auto()
+    #: the plant has no such order
+    UNKNOWN = auto()
+    TYPE = auto()
+    #: too old, ahead of the clock, or given before
+    TIME = auto()
+    TOO_MANY = auto()
+    NO_RESULT = auto()
+
+
 class OrderResult(NamedTuple):
-    """Result of an order; ``reason``: why it was refused, printable."""
+    """Result of an order; ``reason``: why it was refused, printable, and its kind."""
 
     name: str
     result: Literal["done", "refused"]
     reason: str = ""
+    kind: Refusal = Refusal.STATE
 
 
 class _RefusedError(Exception):
     """The order is not carried out; its text is the reason."""
+
+    def __init__(self, reason: str, kind: Refusal = Refusal.STATE) -> None:
+        super().__init__(reason)
+        self.kind = kind
 
 
 class Orders:
@@ -79,18 +100,29 @@ class Orders:
         """The orders of the plant that :meth:`give` takes."""
         return tuple(order for order in self._tree.orders.values() if is_allowed(self._allow, order.name))
 
-    async def give(self, name: str, value: object = None, *, made_at: float | None) -> OrderResult:
+    async def give(
+        self, name: str, value: object = None, *, made_at: float | None, late_s: float | None = None
+    ) -> OrderResult:
         """Carry out the order ``name`` (``SLAVE.NAME``) with its argument ``value``, and wait for the result.
 
         ``made_at``: the time of its sender in s since 1970, judged when the order comes and once more right before it
-        is carried out; None where it came over a connection that delivers nothing late. Raises nothing but the
-        cancellation of its caller, which ends the order as far as the run can take it back.
+        is carried out; None where it has none. Its age counts from now then, where ``late_s`` is given: the s that its
+        connection has delivered it late. Raises nothing but the cancellation of its caller, which ends the order as far
+        as the run can take it back.
         """
         name = clean(name)
+        loop = asyncio.get_running_loop()
+        came = loop.time()
+
+        def age() -> float:
+            if made_at is not None:
+                return self._now() - made_at
+            return 0.0 if late_s is None else late_s + loop.time() - came
+
         try:
-            await self._give(name, value, made_at)
+            await self._give(name, value, made_at, age)
         except _RefusedError as error:
-            result = OrderResult(name, "refused", str(error))
+            result = OrderResult(name, "refused", str(error), error.kind)
         except DpError as error:
             result = OrderResult(name, "refused", clean(str(error)))
         except Exception as error:  # whatever the run does: the sender gets a result
@@ -100,13 +132,13 @@ class Orders:
         self._remark(result)
         return result
 
-    async def _give(self, name: str, value: object, made_at: float | None) -> None:
+    async def _give(self, name: str, value: object, made_at: float | None, age: Callable[[], float]) -> None:
         order = self._find(name)
-        self._judge_age(made_at)
+        self._judge_age(age())
         try:
             words = order.words(_plain(value))
         except ValueError as error:
-            raise _RefusedError(str(error)) from None
+            raise _RefusedError(str(error), Refusal.TYPE) from None
         halts_drive = order.command[-1] in _HALTS
         self._refuse_twice(name, made_at, halts_drive=halts_drive)
         if halts_drive:
@@ -121,7 +153,7 @@ class Orders:
                     raise _RefusedError("the configuration of the bus has changed meanwhile")
                 if self._halts[order.slave] != halts:
                     raise _RefusedError("a later order has stopped the drive meanwhile")
-                self._judge_age(made_at)
+                self._judge_age(age())
                 await self._carry(words)
 
     async def _carry(self, words: Sequence[str]) -> None:
@@ -131,7 +163,7 @@ class Orders:
         except TimeoutError:
             if not limit.expired():
                 raise
-            raise _RefusedError(f"no result after {_LONGEST_S:g} s") from None
+            raise _RefusedError(f"no result after {_LONGEST_S:g} s", Refusal.NO_RESULT) from None
 
     def _find(self, name: str) -> Order:
         """The order ``name``. Raises _RefusedError for one that is not allowed, or that the plant does not have."""
@@ -139,24 +171,23 @@ class Orders:
         if plant is None:
             raise _RefusedError("the bus is not known yet")
         if plant.get("read_only") is not False:
-            raise _RefusedError("this run is read only: it takes no orders")
+            raise _RefusedError("this run is read only: it takes no orders", Refusal.NOT_ALLOWED)
         if not is_allowed(self._allow, name):
-            raise _RefusedError("it is not in allow_commands")
+            raise _RefusedError("it is not in allow_commands", Refusal.NOT_ALLOWED)
         order = self._tree.orders.get(name)
         if order is None:
-            raise _RefusedError("the plant has no such order")
+            raise _RefusedError("the plant has no such order", Refusal.UNKNOWN)
         return order
 
-    def _judge_age(self, made_at: float | None) -> None:
-        if made_at is None:
-            return
-        age = self._now() - made_at
+    def _judge_age(self, age: float) -> None:
         if age > self._max_age_s:
             raise _RefusedError(
-                f"it is {age:.1f} s old by the clock of this computer; {self._max_age_s:g} s are allowed"
+                f"it is {age:.1f} s old by the clock of this computer; {self._max_age_s:g} s are allowed", Refusal.TIME
             )
         if not age >= -self._max_age_s:
-            raise _RefusedError(f"its time is {-age:.1f} s ahead of the clock of this computer: set the clocks")
+            raise _RefusedError(
+                f"its time is {-age:.1f} s ahead of the clock of this computer: set the clocks", Refusal.TIME
+            )
 
     def _refuse_twice(self, name: str, made_at: float | None, *, halts_drive: bool) -> None:
         if made_at is None:
@@ -166,16 +197,16 @@ class Orders:
         while self._known and self._known[0][1] < oldest:
             self._known.popleft()
         if (name, made_at) in self._known:
-            raise _RefusedError("an order with this name and time was given already")
+            raise _RefusedError("an order with this name and time was given already", Refusal.TIME)
         if len(self._known) < _MOST_KNOWN:
             self._known.append((name, made_at))
         elif not halts_drive:
-            raise _RefusedError("too many orders have come")
+            raise _RefusedError("too many orders have come", Refusal.TOO_MANY)
 
     @contextmanager
     def _counted(self, slave: int, *, spare: int = 0) -> Iterator[None]:
         if self._waiting[slave] >= MOST_OF_A_SLAVE + spare:
-            raise _RefusedError("too many orders to this slave wait")
+            raise _RefusedError("too many orders to this slave wait", Refusal.TOO_MANY)
         self._waiting[slave] += 1
         try:
             yield

@@ -99,6 +99,7 @@ class OpcUaConfig(FaceConfig, frozen=True, kw_only=True):
     users_file: the [users](opcua.md#users), mode 0600. Left out: there are none
     anonymous: `"read"`: a client without a user may read and subscribe; `"no"`: it may not connect
     allow_commands: the [orders](bridge.md#orders) that users may give: `"valves.lamp"`, `"hoist.start"`, `"hoist.*"`
+    command_max_age_s: the greatest [age](opcua.md#orders) of an order
     history_s: the age up to which values are kept
     history_values: the values that are kept, of all nodes together
     """
@@ -111,6 +112,7 @@ class OpcUaConfig(FaceConfig, frozen=True, kw_only=True):
     users_file: Annotated[str, Key(read=_file)] = ""
     anonymous: Literal["no", "read"] = "no"
     allow_commands: Annotated[tuple[str, ...], Key(read=read_names)] = ()
+    command_max_age_s: Annotated[float, Key(0.1, 3600, "s")] = 2
     history_s: Annotated[float, Key(0, 86_400, "s")] = 3600
     history_values: Annotated[int, Key(0, 1_000_000)] = 100_000
 

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 from dpstack.api.config.faces import MetricsConfig, MqttConfig, OpcUaConfig
 from dpstack.bridge.face import Face, FaceState, Tell
 from dpstack.bridge.names import SPARKPLUG_ID
-from dpstack.bridge.orders import MAX_AGE_S, Orders
+from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
 
 
@@ -85,7 +85,7 @@ def _opcua(config: OpcUaConfig, parts: Parts) -> Face:
         config.history_s,
         config.history_values,
     )
-    return OpcUaFace(parts.tree, parts.tell, settings, parts.orders(config.allow_commands, MAX_AGE_S))
+    return OpcUaFace(parts.tree, parts.tell, settings, parts.orders(config.allow_commands, config.command_max_age_s))
 
 
 KINDS: Final[dict[str, FaceKind]] = {
