@@ -25,7 +25,7 @@ class Condition:
     """``id``: stable for the same condition of the same slave, the source of OPC UA's ConditionId. ``slave`` None: of
     the bus. ``time``: of its last change, ``since``: when it became active last, in s since 1970 by the clock of the
     stream. ``count`` rises by one with each of its changes, and goes on where the condition was forgotten and comes
-    again: so each event has an id of its own. ``unacked_from``: the count at which it was last not acknowledged any more.
+    again: so each event has an id of its own. ``unacked_from``: the count at which it came back unacknowledged.
     """
 
     id: str
@@ -126,8 +126,8 @@ class ConditionBook:
         return [one for one in changed if one is not None]
 
     def acknowledge(self, id_: str, time: float, by: str = "", comment: str | None = None) -> Condition | None:
-        """Acknowledge a condition; ``comment`` None leaves the one that it has. Returns it; None where there is none, or
-        where it is acknowledged already."""
+        """Acknowledge a condition; ``comment`` None leaves the one that it has. Returns it; None where there is none,
+        or where it is acknowledged already."""
         known = self._known.get(id_)
         if known is None or known.acked:
             return None

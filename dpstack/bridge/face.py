@@ -26,8 +26,9 @@ class FaceState(NamedTuple):
 class Face(ABC):
     """Made before the bus is opened; a :class:`~dpstack.bridge.gateway.Gateway` feeds it.
 
-    ``tree`` is read in :meth:`take` and :meth:`serve`, and changed by the gateway and :meth:`acknowledge` only. ``tell``: for remarks, each one
-    line; the caller leaves out one that repeats the last one. The constructor touches neither network nor disk.
+    ``tree`` is read in :meth:`take` and :meth:`serve`, and changed by the gateway and :meth:`acknowledge` only.
+    ``tell``: for remarks, each one line; the caller leaves out one that repeats the last one. The constructor touches
+    neither network nor disk.
     """
 
     #: name of its table of the configuration and of its extra: "mqtt", "opcua", "metrics"

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import pytest
 from api_kit import in_virtual_time
 
+from dpstack.bridge.conditions import Condition
 from dpstack.bridge.face import Face, Tell, Teller
 from dpstack.bridge.gateway import END_S, MOST_ITEMS, TICK_S, Gateway
 from dpstack.bridge.quality import Quality
@@ -28,6 +29,14 @@ def plant(started: float = 1_700_000_000.0) -> dict[str, Any]:
 def snapshot(t: float, level: int) -> dict[str, Any]:
     slave = FINE | {"fields": {"level": level}}
     return {"snapshot": {"t": t, "whole": True, "bus": {"stale": False}, "slaves": {"8": slave}}}
+
+
+ALARM = {"event": "alarm", "address": 8, "type": 1, "slot": 2, "specifier": "appears", "text": "gone", "t": 0.1}
+
+
+async def nothing() -> AsyncIterator[dict[str, Any]]:
+    return
+    yield {}
 
 
 class Recorder(Face):
@@ -300,6 +309,22 @@ async def test_a_source_that_never_waits_fills_no_memory() -> None:
         await asyncio.sleep(0)
     assert made[0] <= 2 * MOST_ITEMS
     running.cancel()
+
+
+def test_an_acknowledgement_by_one_face_reaches_all() -> None:
+    tree = PlantTree()
+    first, second = (Recorder(tree, lambda text, severity: None) for _ in range(2))
+    gateway = Gateway(nothing(), [first, second], tree=tree, tell=lambda text, severity: None)
+    assert gateway.faces == (first, second)
+    for item in (plant(), snapshot(0.1, 5), {"event": ALARM}):
+        tree.apply(item, 0.1)
+    [condition] = tree.conditions
+    assert first.acknowledge(condition.id, "anna", "seen")
+    assert not second.acknowledge(condition.id, "bob")
+    assert second.comment(condition.id, "bob", "mended")
+    assert first.changes == second.changes
+    said = [(one.acked, one.said_by, one.comment) for one in first.changes if isinstance(one, Condition)]
+    assert said == [(True, "anna", "seen"), (True, "bob", "mended")]
 
 
 @in_virtual_time

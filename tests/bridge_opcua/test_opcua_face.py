@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import dataclasses
 import stat
-from collections.abc import AsyncIterator
+from collections import deque
+from collections.abc import AsyncIterator, Iterator
+from datetime import timedelta
 from typing import Any, Final
 
 import pytest
@@ -12,9 +16,13 @@ import pytest_asyncio
 from asyncua import Client, ua
 from opcua_rig import ANNA, BOB, Rig, id_of
 
+from dpstack.bridge.conditions import Condition, Level
 from dpstack.bridge.opcua import server as limits
+from dpstack.bridge.opcua.certificate import utc_now
+from dpstack.bridge.opcua.face import OpcUaFace
 from dpstack.bridge.opcua.server import MOST_QUEUE
 from dpstack.bridge.opcua.space import DRIVE_STATES
+from dpstack.errors import ConfigError, PortError
 from dpstack.profile.model.states import State
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -46,8 +54,10 @@ class Seen:
         self.values.append(data.monitored_item.Value)
 
 
-async def write(client: Client, node: str, value: object, type_: ua.VariantType) -> int:
-    one = ua.WriteValue(id_of(node), ua.AttributeIds.Value, Value=ua.DataValue(ua.Variant(value, type_)))
+async def write(client: Client, node: str, value: object, type_: ua.VariantType, age_s: float | None = None) -> int:
+    made_at = None if age_s is None else utc_now() - timedelta(seconds=age_s)
+    data = ua.DataValue(ua.Variant(value, type_), SourceTimestamp=made_at)
+    one = ua.WriteValue(id_of(node), ua.AttributeIds.Value, Value=data)
     [found] = await client.uaclient.write(ua.WriteParameters([one]))
     return int(found.value)
 
@@ -55,6 +65,22 @@ async def write(client: Client, node: str, value: object, type_: ua.VariantType)
 async def call(client: Client, owner: ua.NodeId, method: ua.NodeId, *arguments: ua.Variant) -> int:
     [found] = await client.uaclient.call([ua.CallMethodRequest(owner, method, list(arguments))])
     return int(found.StatusCode.value)
+
+
+@contextlib.contextmanager
+def delayed(client: Client, seconds: float) -> Iterator[None]:
+    """The network holds up the requests of ``client``."""
+    protocol = client.uaclient.protocol
+    assert protocol is not None
+    as_before = protocol._setup_request_header
+
+    def set_up(header: ua.RequestHeader, timeout: float = 1) -> None:
+        as_before(header, timeout)
+        header.Timestamp = utc_now() - timedelta(seconds=seconds)
+
+    protocol._setup_request_header = set_up  # type: ignore[method-assign]
+    yield
+    protocol._setup_request_header = as_before  # type: ignore[method-assign]
 
 
 async def test_values_come_with_type_unit_status_and_source_time(rig: Rig) -> None:
@@ -92,6 +118,11 @@ async def test_orders_need_the_list_the_user_and_the_type(rig: Rig) -> None:
         assert rig.given == []
         assert await write(anna, lamp, True, boolean) == GOOD
         assert rig.given == [("set", "8.lamp=on")]
+        for age_s in (60.0, -60.0):
+            assert await write(anna, lamp, False, boolean, age_s) == 0x80230000  # BadInvalidTimestamp
+            assert "set the clocks" in await anna.get_node(id_of("last/Reason")).read_value() or age_s > 0
+        assert await write(anna, lamp, False, boolean, 0.0) == GOOD
+        assert rig.given == [("set", "8.lamp=on"), ("set", "8.lamp=off")]
         access = [(await one.get_node(id_of(lamp)).read_attribute(ua.AttributeIds.UserAccessLevel)).Value.Value & 2
                   for one in (anonymous, bob, anna)]  # fmt: skip
         assert access == [0, 0, 2]
@@ -119,6 +150,14 @@ async def test_a_stop_overtakes_a_start_that_takes_long(rig: Rig) -> None:
         assert await starting == GOOD
         assert await call(anna, drive, method("speed"), ua.Variant(0.5)) == GOOD
         assert rig.given == [("drive", "9", "stop"), ("drive", "9", "start"), ("drive", "9", "speed", "0.5")]
+        assert await call(anna, drive, id_of("type/DriveType/stop")) == GOOD  # by the method of the type
+        assert await call(anna, id_of("slave/8"), id_of("type/DriveType/stop")) == 0x80750000  # BadMethodInvalid
+        rig.given.clear()
+        with delayed(anna, 20.0):
+            assert await call(anna, drive, method("start")) == 0x80230000  # BadInvalidTimestamp
+            assert await write(anna, "slave/8/output/lamp", True, ua.VariantType.Boolean) == 0x80230000
+        assert await call(anna, drive, method("speed"), ua.Variant(float("inf"))) == 0x80AB0000  # BadInvalidArgument
+        assert rig.given == []
         executable = [await one.get_node(method("start")).read_attribute(ua.AttributeIds.UserExecutable)
                       for one in (anonymous, anna)]  # fmt: skip
         assert [one.Value.Value for one in executable] == [False, True]
@@ -155,7 +194,15 @@ async def test_a_slave_that_is_lost_leaves_its_last_value_and_an_alarm_until_it_
         assert [event.EventType.Identifier for event in at_server.events] == [2787, 10637, 2788]
         assert at_server.events[1].EventId == one.EventId
 
-        condition, acknowledge = id_of("condition/slave/8/fault"), ua.NodeId(9111)
+        condition, acknowledge, add_comment = (
+            id_of("condition/slave/8/fault"),
+            ua.NodeId(9111),
+            ua.NodeId(ua.ObjectIds.ConditionType_AddComment),
+        )
+        assert (
+            await call(anna, condition, ua.NodeId(9113), ua.Variant(one.EventId), ua.Variant(ua.LocalizedText("x")))
+            == 0x80750000
+        )  # Confirm: BadMethodInvalid
         comment = ua.Variant(ua.LocalizedText("seen"))
         assert await call(bob, condition, acknowledge, ua.Variant(one.EventId), comment) == BAD_ACCESS_DENIED
         assert await call(anna, condition, acknowledge, ua.Variant(b"x"), comment) == 0x809A0000  # BadEventIdUnknown
@@ -164,12 +211,77 @@ async def test_a_slave_that_is_lost_leaves_its_last_value_and_an_alarm_until_it_
         acked = at_server.events[3]
         assert (getattr(acked, "AckedState/Id"), acked.ClientUserId, acked.Retain) == (True, "anna", True)
         again = ua.Variant(acked.EventId)
-        assert await call(anna, condition, acknowledge, again, comment) == 0x80CF0000  # BadConditionBranchAlreadyAcked
+        assert acked.Comment.Text == "seen"
+        for event_id in (again, ua.Variant(one.EventId)):
+            assert await call(anna, condition, acknowledge, event_id, comment) == 0x80CF0000  # ...BranchAlreadyAcked
+        call_it = ua.Variant(ua.LocalizedText("fitter is on his way"))
+        assert await call(bob, condition, add_comment, again, call_it) == BAD_ACCESS_DENIED
+        assert await call(anna, condition, add_comment, again, call_it) == GOOD
+        await rig.until(lambda: len(at_server.events) == 5)
+        assert at_server.events[4].Comment.Text == "fitter is on his way"
         rig.values["8"] = fine
         rig.snapshot()
-        await rig.until(lambda: len(at_server.events) == 5)
-        assert at_server.events[4].Retain is False
+        await rig.until(lambda: len(at_server.events) == 6)
+        assert at_server.events[5].Retain is False
         assert await call(anna, condition, acknowledge, again, comment) == BAD_NODE
+        # it comes again: its events are others, and one of before acknowledges nothing
+        rig.values["8"] = fine | {"state": "fault", "fault": {"text": "no answer"}}
+        rig.snapshot()
+        await rig.until(lambda: len(at_server.events) == 7)
+        assert at_server.events[6].EventId not in {event.EventId for event in at_server.events[:6]}
+        assert await call(anna, condition, acknowledge, again, comment) == 0x809A0000
+        rig.face.acknowledge("slave/8/fault", "mqtt")  # by another face
+        await rig.until(lambda: len(at_server.events) == 8)
+        assert (getattr(at_server.events[7], "AckedState/Id"), at_server.events[7].ClientUserId) == (True, "mqtt")
+        rig.values["8"] = fine
+        rig.snapshot()
+        await rig.until(lambda: len(at_server.events) == 9)
+
+
+async def test_a_drive_shows_its_last_transition(rig: Rig) -> None:
+    async with rig.connected() as client:
+        last = client.get_node(id_of("slave/9/drive/machine/transition"))
+        assert (await last.read_data_value(raise_on_bad_status=False)).StatusCode.value == 0x80320000
+        fine = rig.values["9"]
+        for state in ("running", "ready"):
+            rig.values["9"] = fine | {"drive": fine["drive"] | {"state": state}}
+            rig.snapshot()
+            await rig.face.write_changes()
+        assert (await last.read_value()).Text == "running to ready"
+        transition = client.get_node(await (await last.get_child("0:Id")).read_value())
+        [target] = await transition.get_referenced_nodes(ua.ObjectIds.ToState)
+        assert target.nodeid == id_of("state/ready")
+
+
+async def test_what_is_dropped_is_counted_and_told(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.told.clear()
+    condition = Condition("bus/x", None, "x", "x", Level.INFO, True, False, 0.0, 0.0)
+    before = rig.face.dropped
+    monkeypatch.setattr(rig.face, "_events", deque(maxlen=4))
+    rig.face.take([condition] * 10)
+    await rig.until(lambda: rig.face.dropped == before + 6)
+    assert rig.told == ["6 events were left out; a refresh of the conditions brings them"]
+    monkeypatch.setattr(rig.face.history, "dropped", 3)
+    await rig.until(lambda: rig.face.dropped == before + 9)
+    assert "give a greater history_values" in rig.told[-1]
+
+
+async def test_a_second_server_needs_another_name_and_port(rig: Rig) -> None:
+    lock = rig.folder / "plant.lock"
+    for settings, error, why in (
+        ({"listen": f"127.0.0.1:{rig.face.port}", "lock": lock}, PortError, "in use"),
+        (
+            {"listen": "127.0.0.1:0", "lock": rig.face.settings.lock},
+            ConfigError,
+            "is called 'plant'; give this one another",
+        ),
+    ):
+        second = OpcUaFace(
+            rig.tree, rig.face.tell, dataclasses.replace(rig.face.settings, **settings), rig.face._orders
+        )
+        with pytest.raises(error, match=why):
+            await second.open()
+        second.close()
 
 
 async def test_changes_reach_a_subscription_merged_and_the_history_has_them(rig: Rig) -> None:

@@ -23,6 +23,7 @@ from dpstack.bridge.opcua.certificate import (
     read_trusted,
 )
 from dpstack.bridge.opcua.history import BoundedHistory
+from dpstack.bridge.opcua.lateness import Lateness
 from dpstack.bridge.opcua.users import Account, Users, hash_password, is_right, read_users
 from dpstack.errors import ConfigError
 
@@ -120,23 +121,57 @@ def test_a_client_is_judged_by_dates_and_the_trusted_directory(tmp_path: Path) -
     assert client_fault(b"\x30\x00", None, now) == 0x80120000  # BadCertificateInvalid
 
 
-@in_virtual_time
-async def test_the_history_has_one_bound_over_all_values_and_an_hour() -> None:
+def at(seconds: float) -> datetime:
+    return NOW + timedelta(seconds=seconds)
+
+
+def numbers(found: list[ua.DataValue]) -> list[object]:
+    return [None if one.Value is None else one.Value.Value for one in found]
+
+
+def test_the_history_has_one_bound_over_all_values_and_an_hour() -> None:
     history = BoundedHistory(3600.0, 100)
     nodes = [ua.NodeId(f"slave/{number}/x", 2) for number in range(10)]
     for number in range(300):
-        at = NOW + timedelta(seconds=number)
-        history.keep(nodes[number % 10], ua.DataValue(ua.Variant(number), SourceTimestamp=at), at)
+        history.keep(nodes[number % 10], ua.DataValue(ua.Variant(number), SourceTimestamp=at(number)), at(number))
     assert (len(history), history.dropped) == (100, 200)
-    found, more = await history.read_node_history(nodes[3], NOW, None, 0)
-    assert [one.Value.Value for one in found] == list(range(203, 300, 10))
-    assert more is None
-    found, more = await history.read_node_history(nodes[3], None, NOW + timedelta(seconds=299), 4)
-    assert ([one.Value.Value for one in found], more) == ([293, 283, 273, 263], None)
-    found, more = await history.read_node_history(nodes[3], NOW, NOW + timedelta(seconds=299), 4)
-    assert ([one.Value.Value for one in found], more) == ([203, 213, 223, 233], NOW + timedelta(seconds=243))
-    found, more = await history.read_node_history(nodes[3], NOW + timedelta(seconds=260), NOW, 0)
-    assert [one.Value.Value for one in found] == [253, 243, 233, 223, 213, 203]
-    late = NOW + timedelta(seconds=3600 + 250)
-    history.keep(nodes[0], ua.DataValue(ua.Variant(1), SourceTimestamp=late), late)
+    found, more = history.read(nodes[3], NOW, None)
+    assert (numbers(found), more) == (list(range(203, 300, 10)), None)
+    for start, end, courses in (
+        (None, at(299), [[293, 283, 273, 263], [253, 243, 233, 223], [213, 203]]),
+        (NOW, at(299), [[203, 213, 223, 233], [243, 253, 263, 273], [283, 293]]),
+        (at(260), NOW, [[253, 243, 233, 223], [213, 203]]),
+    ):
+        read, point = [], None
+        for _ in courses:
+            found, point = history.read(nodes[3], start, end, 4, point=point)
+            read.append(numbers(found))
+        assert (read, point) == (courses, None)
+    # the values right before and behind; where there is none, a status code says so
+    found, _ = history.read(nodes[3], at(220), at(240), bounds=True)
+    assert numbers(found) == [213, 223, 233, 243]
+    found, _ = history.read(nodes[3], at(290), at(400), bounds=True)
+    assert numbers(found) == [283, 293, None]
+    assert found[-1].StatusCode is not None
+    assert found[-1].StatusCode.value == 0x80D70000  # BadBoundNotFound
+    history.keep(nodes[0], ua.DataValue(ua.Variant(1), SourceTimestamp=at(3850)), at(3850))
     assert len(history) == 51
+
+
+def test_the_history_tells_since_when_a_value_was_not_good_and_keeps_values_of_one_time() -> None:
+    history, node = BoundedHistory(3600.0, 100), ua.NodeId("x", 2)
+    stale = ua.StatusCode(0x408F0000)
+    for seconds, status in ((5, ua.StatusCode()), (5, ua.StatusCode()), (8, stale), (9, stale), (5, ua.StatusCode())):
+        history.keep(node, ua.DataValue(ua.Variant(7), status, at(5)), at(seconds))
+    found, more = history.read(node, at(5), None, 1)
+    rest, _ = history.read(node, at(5), None, point=more)
+    assert [(one.SourceTimestamp, one.StatusCode.value if one.StatusCode else 0) for one in found + rest] == [
+        (at(5), 0), (at(8), 0x408F0000), (at(8), 0)
+    ]  # fmt: skip
+
+
+def test_a_connection_that_was_cut_delivers_late_whatever_the_clocks() -> None:
+    lateness = Lateness()
+    late = [lateness.of(at(sent), came) for sent, came in ((0, 1000.5), (1, 1001.2), (2, 1002.3), (3, 1063.2))]
+    assert late == pytest.approx([0, 0, 0.1, 60 - 2e-3 - 0.06], abs=0.05)
+    assert lateness.of(None, 1064.0) == lateness.of(datetime(1601, 1, 1, tzinfo=UTC), 1064.0) == 0.0

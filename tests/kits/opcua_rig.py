@@ -43,7 +43,7 @@ class Rig:
         self.told: list[str] = []
         self.tree = PlantTree()
         orders = Orders(self.tree, self._carry_out, ALLOWED)
-        made: dict[str, Any] = {"users_file": users, "anonymous": True} | settings
+        made: dict[str, Any] = {"users_file": users, "anonymous": True, "lock": folder / "lock"} | settings
         chosen = OpcUaSettings("127.0.0.1:0", "plant", folder / "own" / "c.der", folder / "own" / "k.pem", **made)
         self.face = OpcUaFace(self.tree, self._tell, chosen, orders)
         self.t = 0.0

@@ -84,6 +84,7 @@ def _opcua(config: OpcUaConfig, parts: Parts) -> Face:
         config.anonymous == "read",
         config.history_s,
         config.history_values,
+        state_file(f"{config.name}.lock"),
     )
     return OpcUaFace(parts.tree, parts.tell, settings, parts.orders(config.allow_commands, config.command_max_age_s))
 

@@ -8,6 +8,7 @@ Needs the extra ``opcua`` (asyncua). docs/reference/opcua.md has the nodes, stat
 - ``decoding``: A bound for what asyncua decodes of a client's octets
 - ``face``: The face: changes of the tree in; values, events and history out; orders of clients
 - ``history``: Values of the last hour, with one bound over all
+- ``lateness``: The age of requests that a connection delivers late
 - ``server``: Sessions with rights and limits
 - ``space``: Types and nodes
 - ``standard_nodes``: The standard nodes that a plant needs

@@ -1,4 +1,4 @@
-"""Conditions of the tree as events of OffNormalAlarmType (Part 9, 5.5 to 5.8), ConditionRefresh and Acknowledge."""
+"""Conditions of the tree as events of OffNormalAlarmType (Part 9, 5.5 to 5.8), and ConditionRefresh."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ _ALARM_TYPES: Final = _ids(
 )  # fmt: skip
 _SYSTEM_TYPES: Final = _ids(ua.ObjectIds.SystemEventType, ua.ObjectIds.BaseEventType)
 SERVER: Final = ua.NodeId(ua.ObjectIds.Server)
+#: events of a condition that a client may still name
+_MOST_KNOWN: Final = 32
 
 
 class Event:
@@ -66,9 +68,15 @@ class Alarms:
         self._node = node
         self._wall = wall
 
-    def event_id(self, condition: Condition) -> bytes:
-        """The same for all nodes that emit it, and for a refresh of it."""
-        return blake2b(self._run + f"{condition.count} {condition.id}".encode(), digest_size=16).digest()
+    def event_id(self, condition: Condition, count: int | None = None) -> bytes:
+        """The same for all nodes that emit it, and for a refresh of it. ``count``: of an earlier event."""
+        number = condition.count if count is None else count
+        return blake2b(self._run + f"{number} {condition.id}".encode(), digest_size=16).digest()
+
+    def count_of(self, condition: Condition, event_id: object) -> int | None:
+        """The count of ``condition`` at its event ``event_id``; None: it is none of the last ones."""
+        counts = range(condition.count, max(0, condition.count - _MOST_KNOWN), -1)
+        return next((count for count in counts if self.event_id(condition, count) == event_id), None)
 
     def condition_id(self, condition: Condition) -> ua.NodeId:
         return self._node(f"condition/{condition.id}")
@@ -107,8 +115,8 @@ class Alarms:
             "AckedState/Id": ua.Variant(acked, _V.Boolean),
             "Quality": ua.Variant(ua.StatusCode(), _V.StatusCode),
             "LastSeverity": ua.Variant(int(condition.level), _V.UInt16),
-            "Comment": _text(""),
-            "ClientUserId": ua.Variant(condition.acked_by, _V.String),
+            "Comment": _text(condition.comment),
+            "ClientUserId": ua.Variant(condition.said_by, _V.String),
             "InputNode": ua.Variant(ua.NodeId(), _V.NodeId),
             "NormalState": ua.Variant(ua.NodeId(), _V.NodeId),
             "SuppressedOrShelved": ua.Variant(False, _V.Boolean),

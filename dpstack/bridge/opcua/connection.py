@@ -24,6 +24,7 @@ from asyncua.ua.ua_binary import header_from_binary, nodeid_from_binary, struct_
 
 from dpstack.bridge.opcua.certificate import CLIENT_FAULTS
 from dpstack.bridge.opcua.decoding import READS, READS_BEFORE_SESSION, Octets
+from dpstack.bridge.opcua.lateness import LATE_S, Lateness
 from dpstack.bridge.opcua.server import MOST_OPERATIONS, LimitedServer, digest
 
 #: octets of a request, of one before a session is active, and of answers that a client has not read
@@ -69,6 +70,7 @@ class Processor(UaProcessor):
     def __init__(self, server: LimitedServer, transport: Any, limits: Any) -> None:
         super().__init__(server, transport, limits)
         self._orders: set[asyncio.Task[object]] = set()
+        self._lateness = Lateness()
         self._hello = False
 
     @property
@@ -160,6 +162,7 @@ class Processor(UaProcessor):
         if typeid == _CREATE and self.session is not None and self.session.state is not SessionState.Closed:
             # asyncua would keep the session before, which is not active, for ever
             raise ServiceError(_S.BadTooManySessions)
+        LATE_S.set(self._lateness.of(requesthdr.Timestamp, asyncio.get_running_loop().time()))
         if typeid == _ACTIVATE:
             await self._verify(requesthdr, body.copy())
         return await super()._process_message(typeid, requesthdr, seqhdr, body)

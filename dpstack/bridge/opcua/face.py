@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import math
 import os
 import socket
@@ -30,14 +31,15 @@ from dpstack.bridge.opcua.certificate import (
     utc_now,
 )
 from dpstack.bridge.opcua.connection import PlantServer
-from dpstack.bridge.opcua.history import BoundedHistory
+from dpstack.bridge.opcua.history import BoundedHistory, PlantHistory
+from dpstack.bridge.opcua.lateness import LATE_S, seconds_of
 from dpstack.bridge.opcua.server import LimitedServer, LimitedSession, quieten
 from dpstack.bridge.opcua.space import NAMESPACE, VARIANTS, Space
 from dpstack.bridge.opcua.users import Account, Users, read_users
-from dpstack.bridge.orders import Orders
+from dpstack.bridge.orders import Orders, Refusal
 from dpstack.bridge.quality import Reading, Value
 from dpstack.bridge.tree import Change, Changed, ClockSet, NodesChanged, PlantTree
-from dpstack.errors import UsageError
+from dpstack.errors import ConfigError, UsageError
 from dpstack.tcp_address import Listen, is_local, join
 from dpstack.trace import Severity
 
@@ -53,14 +55,24 @@ _S = ua.StatusCodes
 _REFRESH: Final = ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh)
 _REFRESH_ITEM: Final = ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2)
 _ACKNOWLEDGE: Final = ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge)
+_ADD_COMMENT: Final = ua.NodeId(ua.ObjectIds.ConditionType_AddComment)
 _CONDITION_TYPE: Final = ua.NodeId(ua.ObjectIds.ConditionType)
+#: Part 4, 7.39; writes and calls have codes of their own for orders that nobody may give
+_CODES: Final = {
+    Refusal.STATE: _S.BadInvalidState,
+    Refusal.UNKNOWN: _S.BadNodeIdUnknown,
+    Refusal.TYPE: _S.BadTypeMismatch,
+    Refusal.TIME: _S.BadInvalidTimestamp,
+    Refusal.TOO_MANY: _S.BadResourceUnavailable,
+    Refusal.NO_RESULT: _S.BadTimeout,
+}
 
 
 @dataclass(frozen=True, slots=True)
 class OpcUaSettings:
     """``cert``, ``key``: made at the first start where neither is there. ``trust_dir``: the
     certificates of clients; None: any. ``users_file``: None: no users. ``anonymous``: may read. ``history_s``, and
-    ``history_values`` of all nodes together."""
+    ``history_values`` of all nodes together. ``lock``: a file for this name, which no other program must have."""
 
     listen: str
     name: str
@@ -71,12 +83,12 @@ class OpcUaSettings:
     anonymous: bool = False
     history_s: float = 3600.0
     history_values: int = 100_000
+    lock: Path | None = None
 
 
 class OpcUaFace(Face):
     """Serves the tree. The structure of nodes follows the configuration of the bus: a slave that leaves data exchange
-    keeps its nodes, and their values get status codes that say so. An acknowledgement changes the condition of the tree
-    and reaches no other face.
+    keeps its nodes, and their values get status codes that say so.
     """
 
     name: ClassVar[str] = "opcua"
@@ -102,7 +114,10 @@ class OpcUaFace(Face):
         self._changed: dict[str, tuple[Node, Reading]] = {}
         self._events: deque[Condition] = deque(maxlen=MOST_EVENTS_WAITING)
         self._structure = True
-        self._left_out = 0
+        #: events for which there was no room: in all, and told
+        self._left_out = self._told_left_out = self._lost = 0
+        self._told_history = False
+        self._lock = -1
         self._told_names: set[str] = set()
 
     @property
@@ -127,13 +142,14 @@ class OpcUaFace(Face):
         hosts = [socket.gethostname(), "localhost", "127.0.0.1", shown]
         cert, key = own_certificate(chosen.cert, chosen.key, uri=uri, hosts=hosts, now=self._now())
         self._judge_certificate(cert, shown)
+        self._take_name()
         self._listening = self._listen.sockets()
         if chosen.anonymous and not is_local(self._listening):
             self.tell(f"everybody who reaches port {self.port} may read the plant", Severity.WARNING)
         server = LimitedServer(self._users, anonymous=chosen.anonymous, services=self, refuses=self._refuses)
         self._server = server
         server.certificate, server.private_key = cert, key
-        server.history_manager.set_storage(self.history)
+        server.history_manager = PlantHistory(server, self.history)
         self._ua = PlantServer(server, f"opc.tcp://{join(shown, self.port)}", uri, f"dpstack {chosen.name}")
         await self._ua.init()
         index = await self._ua.register_namespace(NAMESPACE)
@@ -148,7 +164,7 @@ class OpcUaFace(Face):
             if isinstance(change, Changed):
                 self._changed[change.node.id] = (change.node, change.reading)
             elif isinstance(change, Condition):
-                if len(self._events) == MOST_EVENTS_WAITING:
+                if len(self._events) == self._events.maxlen:
                     self._left_out += 1
                 self._events.append(change)
             elif isinstance(change, NodesChanged):
@@ -172,7 +188,25 @@ class OpcUaFace(Face):
             finally:
                 await self._ua.end()
 
+    def _take_name(self) -> None:
+        """Hold the file of the name while this program runs: two servers with one URI are one for a client."""
+        path = self.settings.lock
+        if path is None:
+            return
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            why = f"[opcua] name: another OPC UA server of this computer is called {self.settings.name!r}"
+            raise ConfigError(f"{why}; give this one another name") from None
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be used: {error.strerror or error}") from None
+
     def close(self) -> None:
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
         for one in self._listening:
             one.close()
         if self._server is not None:
@@ -215,12 +249,24 @@ class OpcUaFace(Face):
         assert self._server is not None
         if self._now() >= self._judge_at:
             self._judge_certificate(*self._judged)
-        self.dropped += self._server.losses.new_dropped()
+        self._count_losses()
+
+    def _count_losses(self) -> None:
+        assert self._server is not None
+        self._lost += self._server.losses.new_dropped()
         if news := self._server.losses.news():
             self.tell(news, Severity.WARNING)
-        if self._left_out:
-            left_out, self._left_out = self._left_out, 0
-            self.tell(f"{left_out} events were left out; a refresh of the conditions brings them", Severity.WARNING)
+        self.dropped = self._left_out + self.history.dropped + self._lost
+        if self._left_out > self._told_left_out:
+            new, self._told_left_out = self._left_out - self._told_left_out, self._left_out
+            self.tell(f"{new} events were left out; a refresh of the conditions brings them", Severity.WARNING)
+        if self.history.dropped and not self._told_history:
+            self._told_history = True
+            self.tell(
+                f"the history has room for {self.settings.history_values} values, which is less than "
+                f"{self.settings.history_s:g} s: the oldest go; give a greater history_values",
+                Severity.WARNING,
+            )
 
     async def _build(self) -> None:
         assert self._space is not None
@@ -266,10 +312,11 @@ class OpcUaFace(Face):
         node = self._space.values.get(value.NodeId)
         if value.AttributeId != ua.AttributeIds.Value or node is None or not self._is_allowed(node.order):
             return ua.StatusCode(_S.BadNotWritable)
-        if value.IndexRange:
+        given = value.Value
+        if value.IndexRange or (given.StatusCode is not None and not given.StatusCode.is_good()):
             return ua.StatusCode(_S.BadWriteNotSupported)
         assert node.order is not None
-        return await self._give(node.order, value.Value.Value, who, node)
+        return await self._give(node.order, given.Value, who, node, seconds_of(given.SourceTimestamp))
 
     async def call(
         self, method: ua.CallMethodRequest, who: Account | None, session: LimitedSession
@@ -280,11 +327,11 @@ class OpcUaFace(Face):
         arguments = list(method.InputArguments or ())
         if method.MethodId in (_REFRESH, _REFRESH_ITEM):
             return _result(await self._refresh(method, arguments, session))
-        if method.MethodId == _ACKNOWLEDGE:
-            return _result(self._acknowledge(method, arguments, who))
-        found = self._space.methods.get(method.MethodId)
+        if method.MethodId in (_ACKNOWLEDGE, _ADD_COMMENT):
+            return _result(self._speak(method, arguments, who))
+        found = self._space.method(method.ObjectId, method.MethodId)
         if found is None:
-            known = method.ObjectId in self._server.aspace
+            known = method.ObjectId in self._server.aspace or self._condition(method.ObjectId) is not None
             return _result(_S.BadMethodInvalid if known else _S.BadNodeIdUnknown)
         owner, order = found
         if method.ObjectId != owner:
@@ -294,12 +341,12 @@ class OpcUaFace(Face):
         wanted = 0 if order.type is None else 1
         if len(arguments) != wanted:
             return _result(_S.BadArgumentsMissing if len(arguments) < wanted else _S.BadTooManyArguments)
-        status = await self._give(order, arguments[0] if arguments else None, who, None)
+        status = await self._give(order, arguments[0] if arguments else None, who, None, None)
         result = ua.CallMethodResult(status)
         if arguments:
-            mismatch = status.value == _S.BadTypeMismatch
-            result.InputArgumentResults = [ua.StatusCode(_S.BadTypeMismatch if mismatch else _S.Good)]
-            if mismatch:
+            wrong = status.value in (_S.BadTypeMismatch, _S.BadOutOfRange)
+            result.InputArgumentResults = [ua.StatusCode(status.value if wrong else _S.Good)]
+            if wrong:
                 result.StatusCode = ua.StatusCode(_S.BadInvalidArgument)
         return result
 
@@ -307,7 +354,7 @@ class OpcUaFace(Face):
         return order is not None and any(one is order or one == order for one in self._orders.allowed)
 
     async def _give(
-        self, order: Order, given: ua.Variant | None, who: Account | None, node: Node | None
+        self, order: Order, given: ua.Variant | None, who: Account | None, node: Node | None, made_at: float | None
     ) -> ua.StatusCode:
         if who is None or not who.control:
             return ua.StatusCode(_S.BadUserAccessDenied)
@@ -325,12 +372,12 @@ class OpcUaFace(Face):
         if not self.tree.is_alive(order.slave):
             await self._show_last(order.name, "refused", "the slave is not in data exchange")
             return ua.StatusCode(_S.BadNoCommunication)
-        # the order runs in the name of who gave it
-        result = await self._orders.give(order.name, value, made_at=None)
+        result = await self._orders.give(order.name, value, made_at=made_at, late_s=LATE_S.get())
         await self._show_last(result.name, result.result, result.reason)
         if result.result == "done":
             return ua.StatusCode()
-        return ua.StatusCode(_S.BadInvalidState)
+        forbidden = _S.BadNotExecutable if node is None else _S.BadNotWritable
+        return ua.StatusCode(_CODES.get(result.kind, forbidden))
 
     async def _show_last(self, name: str, result: str, reason: str) -> None:
         assert self._space is not None
@@ -365,21 +412,37 @@ class OpcUaFace(Face):
         await refresh(items, item, begin, retained, end)
         return 0
 
-    def _acknowledge(self, method: ua.CallMethodRequest, arguments: list[ua.Variant], who: Account | None) -> int:
+    def _condition(self, node: ua.NodeId) -> Condition | None:
+        alarms = self._alarms
+        assert alarms is not None
+        return next((one for one in self.tree.conditions if alarms.condition_id(one) == node), None)
+
+    def _speak(self, method: ua.CallMethodRequest, arguments: list[ua.Variant], who: Account | None) -> int:
+        """Acknowledge and AddComment (Part 9, 5.7.3 and 5.5.6)."""
         assert self._alarms is not None
         if who is None or not who.control:
             return int(_S.BadUserAccessDenied)
         if len(arguments) != 2:
             return int(_S.BadArgumentsMissing if len(arguments) < 2 else _S.BadTooManyArguments)
-        found = next((one for one in self.tree.conditions if self._alarms.condition_id(one) == method.ObjectId), None)
+        comment = arguments[1].Value
+        if not isinstance(comment, ua.LocalizedText):
+            return int(_S.BadInvalidArgument)
+        found = self._condition(method.ObjectId)
         if found is None:
             return int(_S.BadNodeIdUnknown)
-        if arguments[0].Value != self._alarms.event_id(found):
+        count = self._alarms.count_of(found, arguments[0].Value)
+        if count is None:
             return int(_S.BadEventIdUnknown)
-        changes = self.tree.acknowledge(found.id, who.name)
-        if not changes:
+        # an empty text without a language leaves the comment, an empty one with a language clears it
+        said = (comment.Text or "") if comment.Text or comment.Locale else None
+        if method.MethodId == _ADD_COMMENT:
+            self.comment(found.id, who.name, found.comment if said is None else said)
+            return 0
+        if found.acked:
             return int(_S.BadConditionBranchAlreadyAcked)
-        self.take(changes)
+        if count < found.unacked_from:
+            return int(_S.BadEventIdUnknown)  # its user has not seen that it came again
+        self.acknowledge(found.id, who.name, said)
         return 0
 
 

@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
+import struct
 from collections import deque
+from collections.abc import Iterable
 from datetime import datetime, timedelta
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from asyncua import ua
-from asyncua.server.history import HistoryStorageInterface
+from asyncua.server.history import HistoryManager
+from asyncua.server.internal_server import InternalServer
 
 #: values in one answer
 MOST_IN_ANSWER: Final = 1000
+#: number of the value with which a client goes on
+_POINT: Final = struct.Struct("<q")
+_S: Final = ua.StatusCodes
 
 
-class BoundedHistory(HistoryStorageInterface):
+class _Kept(NamedTuple):
+    number: int
+    time: datetime
+    value: ua.DataValue
+
+
+class BoundedHistory:
     """Keeps what :meth:`keep` gives, for ``seconds`` and ``most`` values at most; the oldest of all nodes goes first.
 
     ``dropped``: values that were younger than ``seconds`` when they went.
     """
 
     def __init__(self, seconds: float, most: int) -> None:
-        super().__init__(MOST_IN_ANSWER)
         self.dropped = 0
         self._period = timedelta(seconds=seconds)
         self._most = most
-        self._of: dict[ua.NodeId, deque[tuple[datetime, ua.DataValue]]] = {}
+        self._number = 0
+        self._of: dict[ua.NodeId, deque[_Kept]] = {}
         #: time and node of each value, oldest first
         self._order: deque[tuple[datetime, ua.NodeId]] = deque()
 
@@ -32,9 +44,23 @@ class BoundedHistory(HistoryStorageInterface):
         return len(self._order)
 
     def keep(self, node: ua.NodeId, value: ua.DataValue, now: datetime) -> None:
+        """A value that is not good is kept with the time at which that was found; the same value comes once."""
         if self._most <= 0:
             return
-        self._of.setdefault(node, deque()).append((value.SourceTimestamp or now, value))
+        values = self._of.get(node)
+        good = value.StatusCode is None or value.StatusCode.value == _S.Good
+        time = value.SourceTimestamp if good and value.SourceTimestamp is not None else now
+        if values:
+            last = values[-1].value
+            same = last.Value == value.Value and last.StatusCode == value.StatusCode
+            if same and (not good or last.SourceTimestamp == time):
+                return
+            time = max(time, values[-1].time)
+        else:
+            values = self._of[node] = deque()
+        self._number += 1
+        kept = ua.DataValue(value.Value, value.StatusCode, time, value.ServerTimestamp)
+        values.append(_Kept(self._number, time, kept))
         self._order.append((now, node))
         while self._order and self._order[0][0] < now - self._period:
             self._drop()
@@ -54,7 +80,57 @@ class BoundedHistory(HistoryStorageInterface):
         if not values:
             del self._of[node]
 
-    # --- of asyncua -----------------------------------------------------------------------------------------------
+    def read(
+        self, node: ua.NodeId, start: datetime | None, end: datetime | None, most: int = 0, *,
+        bounds: bool = False, point: int | None = None,
+    ) -> tuple[list[ua.DataValue], int | None]:  # fmt: skip
+        """Raw values between ``start`` and ``end``, both of them included (Part 11, 6.4.3): backwards where ``start``
+        is behind ``end`` or is not given. ``most``: 0: as many as fit in an answer. ``bounds``: the values right before
+        and behind, too. The second result is the ``point`` at which to go on, None where all was read."""
+        backwards = start is None or (end is not None and start > end)
+        low, high = (end, start) if backwards and start is not None else (start, end)
+        found = _between(self._of.get(node, ()), low, high, bounds=bounds)
+        if backwards:
+            found.reverse()
+        if point is not None:
+            found = [one for one in found if (one.number <= point if backwards else one.number >= point)]
+        most = min(most or MOST_IN_ANSWER, MOST_IN_ANSWER)
+        rest = found[most].number if most < len(found) else None
+        return [one.value for one in found[:most]], rest
+
+
+def _between(values: Iterable[_Kept], low: datetime | None, high: datetime | None, *, bounds: bool) -> list[_Kept]:
+    before: _Kept | None = None
+    behind: _Kept | None = None
+    found: list[_Kept] = []
+    for one in values:
+        if low is not None and one.time < low:
+            before = one
+        elif high is not None and one.time > high:
+            behind = one
+            break
+        else:
+            found.append(one)
+    if not bounds:
+        return found
+    if low is not None and not (found and found[0].time == low):
+        found.insert(0, before or _no_bound(-1, low))
+    if high is not None and not (found and found[-1].time == high):
+        found.append(behind or _no_bound((1 << 63) - 1, high))
+    return found
+
+
+def _no_bound(number: int, time: datetime) -> _Kept:
+    value = ua.DataValue(ua.Variant(), ua.StatusCode(_S.BadBoundNotFound), time, time)
+    return _Kept(number, time, value)
+
+
+class PlantHistory(HistoryManager):
+    """HistoryRead of raw values. asyncua ignores bounds, and goes on by a time, which several values may have."""
+
+    def __init__(self, server: InternalServer, values: BoundedHistory) -> None:
+        super().__init__(server)
+        self.values = values
 
     async def init(self) -> None:
         """Nothing to do: the store is in memory."""
@@ -62,46 +138,37 @@ class BoundedHistory(HistoryStorageInterface):
     async def stop(self) -> None:
         """Nothing to do: the store is in memory."""
 
-    async def read_node_history(
-        self, node_id: ua.NodeId, start: datetime | None, end: datetime | None, nb_values: int
-    ) -> tuple[list[ua.DataValue], datetime | None]:
-        """Raw values between ``start`` and ``end``, both of them included (Part 11, 6.4.3): backwards where ``start``
-        is behind ``end`` or is not given. The second result is the time at which to go on, None where all was read."""
-        first, last = (None if time in (None, ua.get_win_epoch()) else time for time in (start, end))
-        backwards = first is None or (last is not None and first > last)
-        low, high = (last, first) if backwards and first is not None else (first, last)
-        found = [
-            (time, value)
-            for time, value in self._of.get(node_id, ())
-            if (low is None or low <= time) and (high is None or time <= high)
-        ]
-        if backwards:
-            found.reverse()
-        most = min(nb_values or MOST_IN_ANSWER, MOST_IN_ANSWER)
-        if len(found) <= most:
-            return [value for _, value in found], None
-        # values of one time are not torn apart, as the continuation is a time
-        while most < len(found) and found[most][0] == found[most - 1][0]:
-            most += 1
-        # a continuation takes the place of `start`, so one that is backwards without a start cannot go on
-        rest = found[most][0] if most < len(found) and first is not None else None
-        return [value for _, value in found[:most]], rest
+    async def read_history(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
+        if params.ReleaseContinuationPoints:
+            return [ua.HistoryReadResult() for _ in params.NodesToRead]
+        return [self._read_one(params.HistoryReadDetails, one) for one in params.NodesToRead]
 
-    async def new_historized_node(self, node_id: ua.NodeId, period: timedelta | None, count: int = 0) -> None:
-        raise NotImplementedError("values come by keep()")
+    def _read_one(self, details: Any, wanted: ua.HistoryReadValueId) -> ua.HistoryReadResult:
+        result = ua.HistoryReadResult()
+        result.HistoryData = ua.HistoryData()
+        if wanted.NodeId not in self.iserver.aspace:
+            result.StatusCode = ua.StatusCode(_S.BadNodeIdUnknown)
+            return result
+        access = self.iserver.aspace.read_attribute_value(wanted.NodeId, ua.AttributeIds.Historizing)
+        has_history = access.Value is not None and access.Value.Value is True
+        raw = isinstance(details, ua.ReadRawModifiedDetails) and not details.IsReadModified
+        if not (has_history and raw) or wanted.IndexRange:
+            result.StatusCode = ua.StatusCode(_S.BadHistoryOperationUnsupported)
+            return result
+        start, end = _given(details.StartTime), _given(details.EndTime)
+        most, point = details.NumValuesPerNode, None
+        if wanted.ContinuationPoint:
+            if len(wanted.ContinuationPoint) != _POINT.size:
+                result.StatusCode = ua.StatusCode(_S.BadContinuationPointInvalid)
+                return result
+            (point,) = _POINT.unpack(wanted.ContinuationPoint)
+        found, rest = self.values.read(wanted.NodeId, start, end, most, bounds=details.ReturnBounds, point=point)
+        result.HistoryData.DataValues = found
+        result.ContinuationPoint = None if rest is None else _POINT.pack(rest)
+        if not found:
+            result.StatusCode = ua.StatusCode(_S.GoodNoData)
+        return result
 
-    async def save_node_value(self, node_id: ua.NodeId, datavalue: ua.DataValue) -> None:
-        raise NotImplementedError("values come by keep()")
 
-    async def new_historized_event(
-        self, source_id: ua.NodeId, evtypes: list[Any], period: timedelta | None, count: int = 0
-    ) -> None:
-        raise NotImplementedError("events have no history")
-
-    async def save_event(self, event: Any) -> None:
-        raise NotImplementedError("events have no history")
-
-    async def read_event_history(
-        self, source_id: ua.NodeId, start: datetime | None, end: datetime | None, nb_values: int, evfilter: Any
-    ) -> tuple[list[Any], datetime | None]:
-        return [], None
+def _given(time: datetime | None) -> datetime | None:
+    return None if time is None or time == ua.get_win_epoch() else time

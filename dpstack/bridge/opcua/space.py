@@ -57,6 +57,8 @@ class Space:
         self._index = index
         self._built: dict[int | None, _Built] = {}
         self._added = 0
+        #: the last good state of each drive
+        self._states: dict[str, str] = {}
         self.values: dict[ua.NodeId, Node] = {}
         self.methods: dict[ua.NodeId, tuple[ua.NodeId, Order]] = {}
         self.names: dict[int | None, str] = {}
@@ -64,8 +66,16 @@ class Space:
     def node(self, text: str) -> ua.NodeId:
         return ua.NodeId(text, self._index)
 
+    def method(self, owner: ua.NodeId, method: ua.NodeId) -> tuple[ua.NodeId, Order] | None:
+        """The object and the order of a method, which a client names by its own NodeId or by that of the type (Part 4,
+        5.12.2)."""
+        word = str(method.Identifier).removeprefix("type/DriveType/")
+        own = self.node(f"{owner.Identifier}/method/{word}")
+        return self.methods.get(own if method == self.node(f"type/DriveType/{word}") else method)
+
     def add_types(self) -> None:
-        """BusType, SlaveType, DriveType, DriveStateMachineType with its states, LastCommandType."""
+        """BusType, SlaveType, DriveType, LastCommandType; DriveStateMachineType with its states. A transition comes
+        when a drive makes it first."""
         base = ua.NodeId(ua.ObjectIds.BaseObjectType)
         for name in ("BusType", "SlaveType", "DriveType", "LastCommandType"):
             self._type(name, base)
@@ -80,6 +90,37 @@ class Space:
             value = ua.Variant(number, _V.UInt32)
             self._variable(f"state/{name}/number", state, ua.QualifiedName("StateNumber", 0), _V.UInt32, value,
                            reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
+        for made in self._state_machine("type/DriveType", self.node("type/DriveType")):
+            if made == self.node("type/DriveType/machine"):
+                self._refer(made, ua.ObjectIds.HasModellingRule, ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory),
+                            ua.NodeClass.Object)  # fmt: skip
+
+    def _state_machine(self, own: str, drive: ua.NodeId) -> Iterator[ua.NodeId]:
+        machine = self._object(f"{own}/machine", drive, "StateMachine", self.node("type/DriveStateMachineType"))
+        yield machine
+        for part, name, kind in (
+            ("state", "CurrentState", ua.ObjectIds.FiniteStateVariableType),
+            ("transition", "LastTransition", ua.ObjectIds.FiniteTransitionVariableType),
+        ):
+            id_ = f"{own}/machine/{part}"
+            variable = self._variable(id_, machine, ua.QualifiedName(name, 0), _V.LocalizedText, None, kind=kind)
+            yield variable
+            yield self._variable(f"{id_}/id", variable, ua.QualifiedName("Id", 0), _V.NodeId, None,
+                                 reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
+
+    def _transition(self, before: str, after: str) -> ua.NodeId:
+        """The node of a transition of the type (Part 16, 4.4.11); it is made when it is needed first."""
+        text = f"transition/{before}/{after}"
+        id_ = self.node(text)
+        if id_ not in self._server.aspace:
+            machine = self.node("type/DriveStateMachineType")
+            self._object(text, machine, f"{before} to {after}", ua.NodeId(ua.ObjectIds.TransitionType))
+            number = ua.Variant(DRIVE_STATES.index(before) * 100 + DRIVE_STATES.index(after), _V.UInt32)
+            self._variable(f"{text}/number", id_, ua.QualifiedName("TransitionNumber", 0), _V.UInt32, number,
+                           reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
+            for kind, state in ((ua.ObjectIds.FromState, before), (ua.ObjectIds.ToState, after)):
+                self._refer(id_, kind, self.node(f"state/{state}"), ua.NodeClass.Object)
+        return id_
 
     async def build(
         self, bus: tuple[str, tuple[Node, ...]], slaves: Mapping[int, Described], allowed: frozenset[str]
@@ -124,9 +165,19 @@ class Space:
         state = made.Value.Value if made.Value is not None else None
         name = state if isinstance(state, str) else ""
         known = name in DRIVE_STATES
+        shows = [("state", name, self.node(f"state/{name}") if known else ua.NodeId())]
+        before = self._states.get(own)
+        if known and made.StatusCode is not None and made.StatusCode.is_good():
+            self._states[own] = name
+            if before is not None and before != name:
+                shows.append(("transition", f"{before} to {name}", self._transition(before, name)))
         for id_, value in (
-            (f"{own}/machine/state", ua.Variant(ua.LocalizedText(name), _V.LocalizedText)),
-            (f"{own}/machine/state/id", ua.Variant(self.node(f"state/{name}") if known else ua.NodeId(), _V.NodeId)),
+            pair
+            for part, text, target in shows
+            for pair in (
+                (f"{own}/machine/{part}", ua.Variant(ua.LocalizedText(text), _V.LocalizedText)),
+                (f"{own}/machine/{part}/id", ua.Variant(target, _V.NodeId)),
+            )
         ):
             shown = ua.DataValue(value, StatusCode=made.StatusCode, SourceTimestamp=made.SourceTimestamp,
                                  ServerTimestamp=made.ServerTimestamp)  # fmt: skip
@@ -200,13 +251,7 @@ class Space:
     def _drive_parts(
         self, own: str, drive: ua.NodeId, described: Described, allowed: frozenset[str]
     ) -> Iterator[ua.NodeId]:
-        machine = self._object(f"{own}/drive/machine", drive, "StateMachine", self.node("type/DriveStateMachineType"))
-        yield machine
-        state = self._variable(f"{own}/drive/machine/state", machine, ua.QualifiedName("CurrentState", 0),
-                               _V.LocalizedText, None, kind=ua.ObjectIds.FiniteStateVariableType)  # fmt: skip
-        yield state
-        yield self._variable(f"{own}/drive/machine/state/id", state, ua.QualifiedName("Id", 0), _V.NodeId, None,
-                             reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
+        yield from self._state_machine(f"{own}/drive", drive)
         for order in described.orders:
             word = order.command[-1]
             if order.command[0] != "drive" or word not in METHODS:
@@ -223,6 +268,7 @@ class Space:
 
     async def _remove(self, key: int | None) -> None:
         built = self._built.pop(key)
+        self._states.pop(f"slave/{key}/drive", None)
         space = self._server.aspace
         gone = set(built.nodes)
         for id_ in built.nodes:
