@@ -78,9 +78,9 @@ def delayed(client: Client, seconds: float) -> Iterator[None]:
         as_before(header, timeout)
         header.Timestamp = utc_now() - timedelta(seconds=seconds)
 
-    protocol._setup_request_header = set_up  # type: ignore[method-assign]
+    protocol._setup_request_header = set_up
     yield
-    protocol._setup_request_header = as_before  # type: ignore[method-assign]
+    protocol._setup_request_header = as_before
 
 
 async def test_values_come_with_type_unit_status_and_source_time(rig: Rig) -> None:

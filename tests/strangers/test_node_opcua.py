@@ -17,6 +17,7 @@ from stranger_kit import HANGS_S, program
 pytestmark = pytest.mark.strangers
 
 VERSION: Final = "2.186.4"
+NO_COMMUNICATION: Final = "UncertainNoCommunicationLastUsableValue"
 CLIENT: Final = Path(__file__).with_name("node_opcua_client.js")
 
 
@@ -39,6 +40,11 @@ async def test_a_foreign_client_browses_subscribes_calls_and_is_refused(folder: 
     rig.slow.set()
     rig.values["9"]["drive"] = rig.values["9"]["drive"] | {"faults": ["over temperature"]}
     async with rig.serving():
+        fine = rig.values["8"]
+        for change in ({"fields": {"level": 6.5}}, {"state": "fault", "fault": {"text": "no answer"}}, {}):
+            rig.values["8"] = fine | change
+            rig.snapshot()
+            await rig.face.write_changes()
         client = await asyncio.create_subprocess_exec(
             "node", CLIENT.name, f"opc.tcp://127.0.0.1:{rig.face.port}",
             cwd=folder,
@@ -55,15 +61,27 @@ async def test_a_foreign_client_browses_subscribes_calls_and_is_refused(folder: 
     assert {"StateMachine", "Start", "Stop", "Acknowledge", "speed"} <= set(told.pop("browse"))
     events = [line["value"] for line in lines if line["step"] == "event"]
     fault = "ns=2;s=condition/slave/9/drive/faults/over temperature"
-    assert [event[0] for event in events[:3]] == ["ns=0;i=2787", "ns=0;i=10637", "ns=0;i=2788"]
-    assert events[1][1:] == ["hoist", "over temperature", True, True, False, fault]
+    assert [event[0] for event in events[:4]] == ["ns=0;i=2787", "ns=0;i=10637", "ns=0;i=10637", "ns=0;i=2788"]
+    lost = ["valves", "no answer", True, False, False, "ns=2;s=condition/slave/8/fault"]
+    assert [event[1:] for event in events[1:3]] == [["hoist", "over temperature", True, True, False, fault], lost]
     told.pop("event")
+    # the subscription beside it got the changes, and nothing of the refresh
+    assert [line["value"] for line in lines if line["step"] == "beside"] == ["seen", "mended"]
+    told.pop("beside")
     assert told == {
-        "read": [5.5, "Double", "Good", "2023-11-14T22:13:20.099Z"],
+        "read": [5.5, "Double", "Good", "2023-11-14T22:13:20.399Z"],
         "changed": [5.5, "Good"],
         "refresh": "Good",
         "acknowledge": "Good",
-        "again": "BadEventIdUnknown",
+        "fields": [800, "ns=2;s=slave/9", "hoist: drive fault", True, True, ["Active", "Unacknowledged"]],
+        "unknown event": "BadEventIdUnknown",
+        "acked": ["Acknowledged", "seen", "anna"],
+        "again": "BadConditionBranchAlreadyAcked",
+        "confirm": "BadMethodInvalid",
+        "comment": "Good",
+        "refresh of another": "BadSubscriptionIdInvalid",
+        "write old": "BadInvalidTimestamp",
+        "lamp": False,
         "write lamp": "Good",
         "write horn": "BadNotWritable",
         "write type": "BadTypeMismatch",
@@ -72,7 +90,8 @@ async def test_a_foreign_client_browses_subscribes_calls_and_is_refused(folder: 
         "stop": "Good",
         "coast": "BadNotExecutable",
         "speed": "Good",
-        "history": ["Good", True],
+        "history": ["Good", [[5.5, "Good"], [6.5, "Good"], [6.5, NO_COMMUNICATION], [5.5, "Good"]]],
+        "pages": [["BadBoundNotFound", "Good"], ["Good", NO_COMMUNICATION], ["Good", "BadBoundNotFound"]],
         "wrong password": True,
         "anonymous": "BadUserAccessDenied",
         "without security": "refused",
