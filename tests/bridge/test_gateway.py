@@ -35,8 +35,9 @@ ALARM = {"event": "alarm", "address": 8, "type": 1, "slot": 2, "specifier": "app
 
 
 async def nothing() -> AsyncIterator[dict[str, Any]]:
-    return
-    yield {}
+    none: list[dict[str, Any]] = []
+    for item in none:
+        yield item
 
 
 class Recorder(Face):
