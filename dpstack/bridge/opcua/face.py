@@ -114,9 +114,9 @@ class OpcUaFace(Face):
         self._changed: dict[str, tuple[Node, Reading]] = {}
         self._events: deque[Condition] = deque(maxlen=MOST_EVENTS_WAITING)
         self._structure = True
-        #: events for which there was no room: in all, and told
-        self._left_out = self._told_left_out = self._lost = 0
-        self._told_history = False
+        self._left_out = 0
+        #: values that the history has dropped, as counted in `dropped`
+        self._forgotten = 0
         self._lock = -1
         self._told_names: set[str] = set()
 
@@ -253,15 +253,19 @@ class OpcUaFace(Face):
 
     def _count_losses(self) -> None:
         assert self._server is not None
-        self._lost += self._server.losses.new_dropped()
+        self.dropped += self._server.losses.new_dropped()
         if news := self._server.losses.news():
             self.tell(news, Severity.WARNING)
-        self.dropped = self._left_out + self.history.dropped + self._lost
-        if self._left_out > self._told_left_out:
-            new, self._told_left_out = self._left_out - self._told_left_out, self._left_out
-            self.tell(f"{new} events were left out; a refresh of the conditions brings them", Severity.WARNING)
-        if self.history.dropped and not self._told_history:
-            self._told_history = True
+        if self._left_out:
+            left_out, self._left_out = self._left_out, 0
+            self.dropped += left_out
+            self.tell(f"{left_out} events were left out; a refresh of the conditions brings them", Severity.WARNING)
+        if self.history.dropped > self._forgotten:
+            is_first = not self._forgotten
+            self.dropped += self.history.dropped - self._forgotten
+            self._forgotten = self.history.dropped
+            if not is_first:
+                return
             self.tell(
                 f"the history has room for {self.settings.history_values} values, which is less than "
                 f"{self.settings.history_s:g} s: the oldest go; give a greater history_values",
