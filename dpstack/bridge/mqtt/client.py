@@ -12,7 +12,7 @@ import logging
 import random
 import ssl
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -27,6 +27,7 @@ from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, EdgeNode, NodeSetup, OrderWish
 from dpstack.bridge.mqtt.limited_client import MOST_PACKET, LimitedClient
 from dpstack.bridge.mqtt.session_file import SessionFile
+from dpstack.bridge.mqtt.status import EXPIRY_S, StatusSource, topic_of
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import Change, PlantTree
 from dpstack.text import printable
@@ -79,7 +80,8 @@ class _LastError(logging.Handler):
 
 class MqttFace(Face):
     """``folder``: for the number of the session (:func:`dpstack.bridge.mqtt.broker.state_folder`). ``orders``: None:
-    hosts may give no orders. ``again_s``: s until the first new try."""
+    hosts may give no orders. ``versions``: of programs, for the status of the segment; None: none is published.
+    ``again_s``: s until the first new try."""
 
     name: ClassVar[str] = "mqtt"
 
@@ -92,6 +94,7 @@ class MqttFace(Face):
         setup: NodeSetup,
         folder: Path,
         orders: Orders | None = None,
+        versions: Mapping[str, str] | None = None,
         again_s: float = _PAUSE_S,
     ) -> None:
         super().__init__(tree, tell)
@@ -99,6 +102,7 @@ class MqttFace(Face):
         self._setup = setup
         self._folder = folder
         self._orders = orders
+        self._status = None if versions is None else StatusSource(tree, versions)
         self._again_s = again_s
         self._tls: ssl.SSLContext | None = None
         self._numbers: SessionFile | None = None
@@ -131,6 +135,8 @@ class MqttFace(Face):
     def take(self, changes: Sequence[Change]) -> None:
         if self._node is not None:
             self._node.take(changes, time.time())
+            if self._status is not None:
+                self._status.changed()
             self._wake.set()
 
     async def serve(self) -> None:
@@ -193,6 +199,8 @@ class MqttFace(Face):
                         raise aiomqtt.MqttError(f"it refuses the subscription of {topic}: {code}")
             _end_if_cancelled(before)
             node.connected()
+            if self._status is not None:
+                self._status.begin(number)
             self.connected = self._was_connected = True
             self.tell(f"connected to {self._place}", Severity.INFO)
             return await self._exchange(node, client)
@@ -225,6 +233,10 @@ class MqttFace(Face):
         loop = asyncio.get_running_loop()
         before = _cancellations()
         while True:
+            status = None if self._status is None else self._status.next(loop.time(), time.time())
+            if status is not None:
+                await self._publish_status(client, status)
+                _end_if_cancelled(before)
             message = node.next(time.time(), loop.time())
             if isinstance(message, Disconnect):
                 return message
@@ -235,9 +247,17 @@ class MqttFace(Face):
                 continue
             self._wake.clear()
             due = node.due(loop.time())
+            if self._status is not None:
+                due = min(due, self._status.due(loop.time()))
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout_at(min(due, loop.time() + 3600)):
                     await self._wake.wait()
+
+    async def _publish_status(self, client: aiomqtt.Client, payload: bytes) -> None:
+        properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+        properties.MessageExpiryInterval = EXPIRY_S
+        topic = topic_of(self._setup.group, self._setup.node)
+        await client.publish(topic, payload, retain=True, properties=properties)
 
     async def _read(self, node: EdgeNode, client: aiomqtt.Client) -> None:
         async for message in client.messages:
@@ -251,6 +271,9 @@ class MqttFace(Face):
         node.end("the run has ended")
         with contextlib.suppress(TimeoutError, aiomqtt.MqttError, OSError):
             async with asyncio.timeout(_FAREWELL_S):
+                status, self._status = self._status, None
+                if status is not None:
+                    await self._publish_status(client, status.last(time.time()))
                 await self._send(node, client)
 
     def _give(self, node: EdgeNode, wish: OrderWish) -> None:

@@ -1,0 +1,250 @@
+"""The status of a segment as one retained JSON message: made by its gateway, read by ``dpstack fleet``.
+
+docs/reference/fleet.md has the schema. The caller publishes it with a message expiry of :data:`EXPIRY_S`, so that a
+broker forgets the status of a gateway that is gone. Knows no network and no clock.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from dpstack.bridge.conditions import Level
+from dpstack.bridge.quality import Reason, clean
+from dpstack.bridge.tree import EXCHANGING, PlantTree
+from dpstack.text import json_text, printable, shortened
+
+VERSION: Final = 1
+#: s after which the broker forgets a status, and between two of them
+EXPIRY_S: Final = 30
+RENEW_S: Final = 10.0
+#: s between two changes
+_CHANGE_S: Final = 1.0
+#: octets of a status
+MOST_OCTETS: Final = 32_768
+#: lost slaves and reasons that are named, and the characters of each text
+MOST_LOST: Final = 24
+MOST_REASONS: Final = 8
+_MOST_NAME: Final = 60
+_MOST_TEXT: Final = 120
+_MOST_VERSION: Final = 40
+
+#: verdicts as the monitor names them
+GOOD: Final = "good"
+WARNING: Final = "warning"
+CRITICAL: Final = "critical"
+UNKNOWN: Final = "unknown"
+RUNNING: Final = "running"
+ENDED: Final = "ended"
+_DEACTIVATED: Final = "deactivated"
+
+
+def topic_of(group: str, node: str) -> str:
+    """The topic of the status of a gateway."""
+    return f"dpstack/{group}/{node}/status"
+
+
+@dataclass(frozen=True, slots=True)
+class LostSlave:
+    """A configured slave that is not in data exchange, though nobody took it out of service."""
+
+    address: int
+    name: str
+    state: str
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The status of a segment, bounded and printable. ``more_lost``: lost slaves beyond :attr:`lost`. ``session``: the
+    bdSeq of the Sparkplug session. ``sent``: by the clock of the gateway, in s since 1970: nobody trusts it."""
+
+    state: str
+    verdict: str
+    reasons: tuple[str, ...]
+    slaves: int
+    lost: tuple[LostSlave, ...]
+    more_lost: int
+    versions: Mapping[str, str]
+    session: int
+    sent: float
+
+    @property
+    def lost_count(self) -> int:
+        return len(self.lost) + self.more_lost
+
+
+def content_of(tree: PlantTree) -> dict[str, Any]:
+    """Verdict, reasons and lost slaves of a segment at this moment, as the status has them."""
+    slaves = tree.slaves
+    found: dict[str, Any] = {"state": ENDED if tree.has_ended else RUNNING}
+    trouble = tree.trouble(None)
+    lost: list[dict[str, Any]] = []
+    critical = False
+    reasons: list[str] = []
+    if trouble is not None:
+        reason, note = trouble
+        reasons.append(f"{reason.text}: {note}" if note else reason.text)
+    else:
+        if tree.values(None).get("clear"):
+            critical = True
+        elif not _operates(tree):
+            reasons.append(f"the master is in {clean(tree.values(None).get('mode')) or 'an unknown mode'}")
+        for address, described in slaves.items():
+            state = clean(tree.values(address).get("state")) or UNKNOWN
+            if tree.is_alive(address) or state == _DEACTIVATED:
+                continue
+            # one that is in data exchange and not born has no valid inputs yet
+            shown = "no valid inputs" if state == EXCHANGING else state
+            lost.append(
+                {"address": address, "name": _short(described.name, _MOST_NAME), "state": _short(shown, _MOST_VERSION)}
+            )
+        # a lost slave has been named already
+        gone = {one["address"] for one in lost}
+        active = (one for one in tree.conditions if one.active and one.slave not in gone)
+        where = sorted((one for one in active if one.level >= Level.WARNING), key=lambda one: -one.level)
+        for one in where:
+            at = "" if one.slave is None else f"slave {one.slave}: "
+            reasons.append(f"{at}{one.title}: {one.text}" if one.text else f"{at}{one.title}")
+    if lost:
+        critical = True
+        reasons.insert(0, f"{len(lost)} of {len(slaves)} slaves are not in data exchange")
+    if trouble is not None and trouble[0] is Reason.WAITING:
+        verdict = UNKNOWN
+    elif critical or trouble is not None:
+        verdict = CRITICAL
+    else:
+        verdict = WARNING if reasons else GOOD
+    if len(reasons) > MOST_REASONS:
+        reasons[MOST_REASONS - 1 :] = [f"and {len(reasons) - MOST_REASONS + 1} more"]
+    return found | {
+        "verdict": verdict,
+        "reasons": [_short(one, _MOST_TEXT) for one in reasons],
+        "slaves": len(slaves),
+        "lost": lost[:MOST_LOST],
+        "more_lost": max(0, len(lost) - MOST_LOST),
+    }
+
+
+def _operates(tree: PlantTree) -> bool:
+    values = tree.values(None)
+    if tree.plant is not None and tree.plant.get("read_only") is True:
+        return values.get("in_ring") is True
+    return values.get("mode") == "operate"
+
+
+class StatusSource:
+    """The status of ``tree``, when it is due: at the begin of a session, on a change, every :data:`RENEW_S`.
+
+    ``versions``: of programs, by name. ``clock``: s by a clock that nobody sets; ``wall``: s since 1970.
+    """
+
+    def __init__(self, tree: PlantTree, versions: Mapping[str, str]) -> None:
+        self._tree = tree
+        self._versions = dict(versions)
+        self._session = 0
+        self._sent: dict[str, Any] | None = None
+        self._sent_at = -math.inf
+        self._is_new = True
+
+    def begin(self, session: int) -> None:
+        """A connection has begun: the next status is due at once."""
+        self._session, self._sent, self._sent_at = session, None, -math.inf
+        self._is_new = True
+
+    def changed(self) -> None:
+        """The tree has changed, perhaps in a way that the status shows."""
+        self._is_new = True
+
+    def due(self, clock: float) -> float:
+        """The time by ``clock`` at which :meth:`next` should be asked."""
+        return self._sent_at + (_CHANGE_S if self._is_new else RENEW_S)
+
+    def next(self, clock: float, wall: float) -> bytes | None:
+        """The payload that is to be published now; None: none."""
+        if clock < self.due(clock):
+            return None
+        self._is_new = False
+        content = content_of(self._tree)
+        if content == self._sent and clock < self._sent_at + RENEW_S:
+            return None
+        self._sent, self._sent_at = content, clock
+        return self._payload(content, wall)
+
+    def last(self, wall: float) -> bytes:
+        """The payload at the end of the run: what it says does not change any more."""
+        return self._payload(content_of(self._tree) | {"state": ENDED}, wall)
+
+    def _payload(self, content: Mapping[str, Any], wall: float) -> bytes:
+        head = {"version": VERSION, "sent": round(wall, 3), "session": self._session, "versions": self._versions}
+        return json_text(head | dict(content)).encode()
+
+
+def read_status(octets: bytes) -> Status:
+    """The status in a payload, whoever sent it. Keys that are not known are left out. Raises ValueError with the
+    reason where it is none."""
+    if len(octets) > MOST_OCTETS:
+        raise ValueError(f"it has {len(octets)} octets, a status has at most {MOST_OCTETS}")
+    try:
+        given = json.loads(octets)
+    except (ValueError, RecursionError):
+        raise ValueError("it is no JSON") from None
+    if not isinstance(given, dict):
+        raise ValueError("it is no JSON object")
+    if given.get("version") != VERSION:
+        raise ValueError(f"this program knows version {VERSION} of a status")
+    state, verdict = given.get("state"), given.get("verdict")
+    if state not in (RUNNING, ENDED) or verdict not in (GOOD, WARNING, CRITICAL, UNKNOWN):
+        raise ValueError("state or verdict is none that a status has")
+    lost = [_lost_slave(one) for one in _list(given, "lost")]
+    versions = given.get("versions")
+    if not isinstance(versions, dict):
+        raise ValueError("versions is no object")
+    known = {
+        _short(name, _MOST_VERSION): _short(one, _MOST_VERSION)
+        for name, one in tuple(versions.items())[:MOST_REASONS]
+        if isinstance(one, str)
+    }
+    sent = given.get("sent")
+    is_time = isinstance(sent, (int, float)) and not isinstance(sent, bool) and 0 <= sent < 1e12
+    reasons = [_short(one, _MOST_TEXT) for one in _list(given, "reasons")[:MOST_REASONS] if isinstance(one, str)]
+    return Status(
+        state,
+        verdict,
+        tuple(reasons),
+        _count(given, "slaves", 127),
+        tuple(lost[:MOST_LOST]),
+        _count(given, "more_lost", 127) + max(0, len(lost) - MOST_LOST),
+        known,
+        _count(given, "session", 255),
+        float(sent) if is_time and sent is not None else 0.0,
+    )
+
+
+def _lost_slave(given: object) -> LostSlave:
+    if not isinstance(given, dict):
+        raise ValueError("a lost slave is no object")
+    name, state = given.get("name"), given.get("state")
+    if not isinstance(name, str) or not isinstance(state, str):
+        raise ValueError("a lost slave has no name or state")
+    return LostSlave(_count(given, "address", 126), _short(name, _MOST_NAME), _short(state, _MOST_VERSION))
+
+
+def _list(given: Mapping[str, object], key: str) -> list[Any]:
+    found = given.get(key)
+    if not isinstance(found, list):
+        raise ValueError(f"{key} is no list")
+    return found
+
+
+def _count(given: Mapping[str, object], key: str, most: int) -> int:
+    found = given.get(key)
+    if not isinstance(found, int) or isinstance(found, bool) or not 0 <= found <= most:
+        raise ValueError(f"{key} is no number from 0 to {most}")
+    return found
+
+
+def _short(text: str, most: int) -> str:
+    return shortened(printable(text[: most + 1]), most)
