@@ -73,6 +73,7 @@ MAY: dict[str, set[str]] = {
     "bridge": {"live", "monitor", "record", "tcp_address"} | PURE_BASE,
     "cli": {
         "api",
+        "bridge",
         "capture",
         "decode",
         "monitor",

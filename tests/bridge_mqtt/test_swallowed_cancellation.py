@@ -7,15 +7,15 @@ import contextlib
 
 import pytest
 
-from dpstack.bridge.mqtt.client import _cancellations, _end_if_cancelled
+from dpstack.bridge.mqtt.connection import cancellations, end_if_cancelled
 
 
 async def test_a_swallowed_cancellation_ends_the_task_after_all() -> None:
     async def work() -> None:
-        before = _cancellations()
+        before = cancellations()
         with contextlib.suppress(asyncio.CancelledError):  # as asyncio.wait_for of Python 3.11 now and then
             await asyncio.Event().wait()
-        _end_if_cancelled(before)
+        end_if_cancelled(before)
         raise AssertionError("it goes on")
 
     task = asyncio.create_task(work())
@@ -31,9 +31,9 @@ async def test_the_farewell_of_a_cancelled_task_goes_on() -> None:
     async def work() -> str:
         with contextlib.suppress(asyncio.CancelledError):
             await asyncio.Event().wait()
-        before = _cancellations()
+        before = cancellations()
         await asyncio.sleep(0)
-        _end_if_cancelled(before)
+        end_if_cancelled(before)
         return "said"
 
     task = asyncio.create_task(work())

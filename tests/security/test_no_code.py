@@ -231,7 +231,7 @@ def sources() -> dict[str, str]:
             "connections to other computers",
             r"create_connection\(|sock_connect\(|rfc2217\.Serial|urllib\.request|http\.client|import requests"
             r"|ClientSession|aiomqtt\.Client\(",
-            {"ports/tcp.py", "ports/rfc2217.py", "bridge/mqtt/client.py"},
+            {"ports/tcp.py", "ports/rfc2217.py", "bridge/mqtt/connection.py"},
         ),
     ],
 )

@@ -2,7 +2,10 @@
 
 - ``broker``: Address, TLS, user and password of the broker; the folder for the state of an edge node
 - ``client``: The face of MQTT over one connection to a broker, with aiomqtt
+- ``connection``: A connection to a broker with aiomqtt: limits, errors, end
 - ``edge_node``: The edge node: births, data, deaths and commands in their order. Knows no network and no clock
+- ``fleet``: All segments of a broker from their statuses, births and deaths
+- ``fleet_reader``: The statuses of a broker read over one connection that is made again; publishes nothing by itself
 - ``limited_client``: A client that reads no more than its share of what the broker sends
 - ``payload``: Payloads of Sparkplug B: nodes of the tree as metrics, and the metrics of commands
 - ``session_file``: The number of the MQTT session on disk (bdSeq), and the lock against a second gateway

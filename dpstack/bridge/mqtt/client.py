@@ -17,15 +17,22 @@ from pathlib import Path
 from typing import ClassVar, Final
 
 import aiomqtt
-from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.mqtt.broker import Broker
-from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, EdgeNode, NodeSetup, OrderWish
-from dpstack.bridge.mqtt.limited_client import MOST_PACKET, LimitedClient
+from dpstack.bridge.mqtt.connection import (
+    LastError,
+    cancellations,
+    close,
+    connect,
+    end_if_cancelled,
+    make_client,
+    text_of,
+)
+from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, NodeSetup, OrderWish
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.mqtt.status import EXPIRY_S, StatusSource, topic_of
 from dpstack.bridge.orders import Orders
@@ -33,9 +40,6 @@ from dpstack.bridge.tree import Change, PlantTree
 from dpstack.text import printable
 from dpstack.trace import Severity
 
-#: s for the TCP connection with TLS, and for each answer of the broker
-CONNECT_S: Final = 5.0
-ANSWER_S: Final = 5.0
 #: s for the farewell at the end of the run
 _FAREWELL_S: Final = 2.0
 #: s until the next try: the first, and the longest; each is up to half longer or shorter, so that a thousand gateways
@@ -47,35 +51,10 @@ _TAKEN_OVER_PAUSE_S: Final = 60.0
 _TAKEN_OVER_AFTER: Final = 4
 #: a session that lasted so many s was a good one
 _GOOD_S: Final = 30.0
-#: messages that wait to be read
-_MOST_WAITING: Final = 100
 #: orders that wait for their result
 _MOST_ORDERS: Final = 256
-#: reason codes of MQTT 5 (2.4)
-_DISCONNECT_WITH_WILL: Final = 0x04
+#: reason code of MQTT 5 (2.4)
 _TAKEN_OVER: Final = 0x8E
-
-
-class _Inbox(asyncio.Queue[aiomqtt.Message]):
-    """Messages that wait to be read. One for which there is no room is counted."""
-
-    lost = 0
-
-    def put_nowait(self, item: aiomqtt.Message) -> None:
-        if self.full():
-            self.lost += 1
-        else:
-            super().put_nowait(item)
-
-
-class _LastError(logging.Handler):
-    """The last error that the library logs: why a socket was lost, for instance by a certificate of ours that has
-    expired, which the broker says behind the handshake."""
-
-    text = ""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.text = record.getMessage()
 
 
 class MqttFace(Face):
@@ -109,7 +88,7 @@ class MqttFace(Face):
         self._node: EdgeNode | None = None
         self._wake = asyncio.Event()
         self.connected = self._was_connected = False
-        self._last_error = _LastError(logging.ERROR)
+        self._last_error = LastError(logging.ERROR)
         self._giving: set[asyncio.Task[None]] = set()
 
     async def open(self) -> None:
@@ -160,7 +139,7 @@ class MqttFace(Face):
                         Severity.ERROR,
                     )
                 else:
-                    why = self._last_error.text or _text_of(error)
+                    why = self._last_error.text or text_of(error)
                     self.tell(f"broker {self._place}: {printable(why)}; it is tried again", Severity.WARNING)
             else:
                 failed, ended_early, pause = 0, 0, self._again_s
@@ -184,20 +163,26 @@ class MqttFace(Face):
         node, numbers = self._node, self._numbers
         assert node is not None
         assert numbers is not None, "open() comes first"
-        before = _cancellations()
+        before = cancellations()
         try:
             number = await asyncio.to_thread(numbers.next)
         except OSError as error:
             raise OSError(f"the number of the session cannot be written in {self._folder}: {error.strerror}") from None
         connection = node.connect(number, time.time())
-        client = self._client(connection)
+        client = make_client(
+            self._broker,
+            self._tls,
+            self._last_error,
+            connection.client_id,
+            will=connection.will,
+        )
         try:
-            await _connect(client)
+            await connect(client)
             for topic in connection.subscriptions:
                 for code in await client.subscribe(topic, qos=1):
                     if isinstance(code, ReasonCode) and code.is_failure:
                         raise aiomqtt.MqttError(f"it refuses the subscription of {topic}: {code}")
-            _end_if_cancelled(before)
+            end_if_cancelled(before)
             node.connected()
             if self._status is not None:
                 self._status.begin(number)
@@ -208,7 +193,7 @@ class MqttFace(Face):
             self.connected = False
             node.disconnected()
             self._count_lost(client)
-            await _close(client)
+            await close(client)
 
     async def _exchange(self, node: EdgeNode, client: aiomqtt.Client) -> Disconnect:
         sending = asyncio.create_task(self._send(node, client), name="dpstack mqtt: sending")
@@ -231,18 +216,18 @@ class MqttFace(Face):
 
     async def _send(self, node: EdgeNode, client: aiomqtt.Client) -> Disconnect:
         loop = asyncio.get_running_loop()
-        before = _cancellations()
+        before = cancellations()
         while True:
             status = None if self._status is None else self._status.next(loop.time(), time.time())
             if status is not None:
                 await self._publish_status(client, status)
-                _end_if_cancelled(before)
+                end_if_cancelled(before)
             message = node.next(time.time(), loop.time())
             if isinstance(message, Disconnect):
                 return message
             if message is not None:
                 await client.publish(message.topic, message.payload, qos=message.qos, retain=False)
-                _end_if_cancelled(before)
+                end_if_cancelled(before)
                 await asyncio.sleep(0)  # births of many slaves: others have their turn between
                 continue
             self._wake.clear()
@@ -298,75 +283,6 @@ class MqttFace(Face):
                 f"{lost} messages of the broker came faster than they could be read: they are lost", Severity.WARNING
             )
 
-    def _client(self, connection: Connection) -> aiomqtt.Client:
-        broker = self._broker
-        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
-        properties.SessionExpiryInterval = 0
-        properties.ReceiveMaximum = _MOST_WAITING
-        properties.MaximumPacketSize = MOST_PACKET
-        # its own log is for its authors; errors are told
-        logger = logging.Logger("dpstack mqtt", logging.ERROR)
-        logger.addHandler(self._last_error)
-        client = LimitedClient(
-            broker.host,
-            broker.port,
-            username=broker.user or None,
-            password=broker.password or None,
-            logger=logger,
-            identifier=connection.client_id,
-            queue_type=_Inbox,
-            protocol=aiomqtt.ProtocolVersion.V5,
-            will=aiomqtt.Will(connection.will.topic, connection.will.payload, connection.will.qos, retain=False),
-            timeout=ANSWER_S,
-            keepalive=broker.keepalive_s,
-            clean_start=True,
-            max_queued_incoming_messages=_MOST_WAITING,
-            properties=properties,
-            tls_context=self._tls,
-        )
-        client._client.connect_timeout = CONNECT_S
-        return client
-
-
-def _cancellations() -> int:
-    task = asyncio.current_task()
-    return 0 if task is None else task.cancelling()
-
-
-def _end_if_cancelled(before: int) -> None:
-    """Raise a cancellation since ``before`` that nobody has seen, else the face would never end: ``asyncio.wait_for``,
-    which aiomqtt uses, swallows one that comes when its future is just done (Python before 3.12)."""
-    if _cancellations() > before:
-        raise asyncio.CancelledError
-
-
-async def _connect(client: aiomqtt.Client) -> None:
-    """Connect. TCP and TLS block a thread: a cancellation leaves it alone, and closes later what it opens."""
-    connecting = asyncio.ensure_future(client.__aenter__())
-    try:
-        await asyncio.shield(connecting)
-    except asyncio.CancelledError:
-        connecting.add_done_callback(lambda _: connecting.cancelled() or connecting.exception())
-        connecting.add_done_callback(lambda _: client._client._sock_close())
-        raise
-
-
-async def _close(client: aiomqtt.Client) -> None:
-    """End a connection, whatever its state: DISCONNECT with "Disconnect with Will Message" where it still works
-    (tck-id-payloads-ndeath-will-message-publisher-disconnect-mqtt50), then the socket."""
-    paho, gone = client._client, client._disconnected
-    code = None
-    if not gone.done() and paho.is_connected():
-        code = ReasonCode(PacketTypes.DISCONNECT, identifier=_DISCONNECT_WITH_WILL)
-    try:
-        if code is not None and paho.disconnect(code) == MQTTErrorCode.MQTT_ERR_SUCCESS:
-            await asyncio.wait((gone,), timeout=1.0)
-    finally:
-        paho._sock_close()
-        for future in (gone, client._connected):
-            if future.done() and not future.cancelled():
-                future.exception()  # asyncio reports one that nobody has asked for
-
 
 def _is_taken_over(error: BaseException) -> bool:
     cause: BaseException | None = error
@@ -376,10 +292,3 @@ def _is_taken_over(error: BaseException) -> bool:
             return True
         cause = cause.__cause__
     return False
-
-
-def _text_of(error: BaseException) -> str:
-    """The reason of an error of the connection; a text of the libraries, which hold no secrets."""
-    cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
-    code = getattr(cause, "rc", None)
-    return str(code) if isinstance(code, ReasonCode) else str(cause) or type(error).__name__

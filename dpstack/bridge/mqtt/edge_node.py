@@ -25,6 +25,7 @@ from dpstack.bridge.mqtt.payload import (
     BDSEQ,
     DATA_TYPES,
     LATEST_MS,
+    REBIRTH,
     DataType,
     Given,
     MetricKind,
@@ -50,7 +51,6 @@ _SEQUENCE: Final = 256
 _REBIRTH_S: Final = 1.0
 #: octets of a STATE message
 _MOST_STATE: Final = 1024
-_REBIRTH: Final = "Node Control/Rebirth"
 _LAST_COMMAND: Final = "Last command"
 
 
@@ -422,7 +422,7 @@ class EdgeNode:
         samples = [self._sample(node, one.id, reading, now_ms) for one, reading in readings]
         samples += [self._sample(node, f"own/{name}", self._own_reading(name), now_ms) for name, _ in _OWN]
         samples.append(Sample(self._kinds["own/bdSeq"], Reading(self._number, Reason.GOOD), now_ms))
-        rebirth = MetricKind(_REBIRTH, None, DataType.BOOLEAN, writable=True, text="true: publish all births again")
+        rebirth = MetricKind(REBIRTH, None, DataType.BOOLEAN, writable=True, text="true: publish all births again")
         samples.append(Sample(rebirth, Reading(False, Reason.GOOD), now_ms))
         return Publish(self._setup.topic("NBIRTH"), birth(samples, self._seq, now_ms))
 
@@ -500,7 +500,7 @@ class EdgeNode:
             return ()
         wishes: list[OrderWish] = []
         for given in command.metrics:
-            if device is None and given.name == _REBIRTH:
+            if device is None and given.name == REBIRTH:
                 # a rebirth is harmless, so it needs no age
                 self._rebirth_asked = self._rebirth_asked or given.value is True
                 continue

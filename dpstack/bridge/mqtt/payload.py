@@ -141,6 +141,15 @@ def node_death(number: int, now_ms: int) -> bytes:
     return payload.SerializeToString()
 
 
+def rebirth_command(now_ms: int) -> bytes:
+    """The payload of an NCMD that asks an edge node for all births."""
+    payload = pb.Payload(timestamp=now_ms)
+    payload.metrics.add(name=REBIRTH, datatype=DataType.BOOLEAN, timestamp=now_ms, boolean_value=True)
+    return payload.SerializeToString()
+
+
+#: the metric by which a host asks for all births
+REBIRTH: Final = "Node Control/Rebirth"
 #: the number of a session, 0 to 255, in NBIRTH and NDEATH. Its type is INT64 in all rules of 5.4
 BDSEQ: Final = MetricKind("bdSeq", None, DataType.INT64, text="number of this MQTT session")
 

@@ -1,6 +1,8 @@
 """Commands that look at a plant: on a page, on the screen, in words.
 
 - ``diag``: ``dpstack diag``: diagnosis, configuration, inputs and outputs of any station
+- ``fleet``: ``dpstack fleet``: all segments of a broker
+- ``fleet_view``: Its table on a terminal, and its lines elsewhere
 - ``plot``: ``dpstack plot``: a recording drawn
 - ``web``: ``dpstack web``: the page in the browser
 - ``why``: ``dpstack why``: why a slave is not in data exchange

@@ -1,0 +1,133 @@
+"""A connection to a broker with aiomqtt: its limits, errors and end, for a gateway and for ``dpstack fleet``."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import ssl
+from typing import Final
+
+import aiomqtt
+from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from dpstack.bridge.mqtt.broker import Broker
+from dpstack.bridge.mqtt.edge_node import Publish
+from dpstack.bridge.mqtt.limited_client import MOST_PACKET, LimitedClient
+
+#: s for the TCP connection with TLS, and for each answer of the broker
+CONNECT_S: Final = 5.0
+ANSWER_S: Final = 5.0
+#: messages that wait to be read
+MOST_WAITING: Final = 100
+#: reason code of MQTT 5 (2.4)
+_DISCONNECT_WITH_WILL: Final = 0x04
+
+
+class Inbox(asyncio.Queue[aiomqtt.Message]):
+    """Messages that wait to be read. One for which there is no room is counted."""
+
+    lost = 0
+
+    def put_nowait(self, item: aiomqtt.Message) -> None:
+        if self.full():
+            self.lost += 1
+        else:
+            super().put_nowait(item)
+
+
+class LastError(logging.Handler):
+    """The last error that the library logs: why a socket was lost, for instance by a certificate of ours that has
+    expired, which the broker says behind the handshake."""
+
+    text = ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.text = record.getMessage()
+
+
+def make_client(
+    broker: Broker,
+    tls: ssl.SSLContext | None,
+    errors: logging.Handler,
+    client_id: str,
+    *,
+    most_waiting: int = MOST_WAITING,
+    will: Publish | None = None,
+) -> aiomqtt.Client:
+    """A client that is not connected yet. ``most_waiting``: messages that may wait to be read."""
+    properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+    properties.SessionExpiryInterval = 0
+    properties.ReceiveMaximum = MOST_WAITING
+    properties.MaximumPacketSize = MOST_PACKET
+    # its own log is for its authors; errors are told
+    logger = logging.Logger("dpstack mqtt", logging.ERROR)
+    logger.addHandler(errors)
+    client = LimitedClient(
+        broker.host,
+        broker.port,
+        username=broker.user or None,
+        password=broker.password or None,
+        logger=logger,
+        identifier=client_id,
+        queue_type=Inbox,
+        protocol=aiomqtt.ProtocolVersion.V5,
+        will=None if will is None else aiomqtt.Will(will.topic, will.payload, will.qos, retain=False),
+        timeout=ANSWER_S,
+        keepalive=broker.keepalive_s,
+        clean_start=True,
+        max_queued_incoming_messages=most_waiting,
+        properties=properties,
+        tls_context=tls,
+    )
+    client._client.connect_timeout = CONNECT_S
+    return client
+
+
+def cancellations() -> int:
+    task = asyncio.current_task()
+    return 0 if task is None else task.cancelling()
+
+
+def end_if_cancelled(before: int) -> None:
+    """Raise a cancellation since ``before`` that nobody has seen, else the face would never end: ``asyncio.wait_for``,
+    which aiomqtt uses, swallows one that comes when its future is just done (Python before 3.12)."""
+    if cancellations() > before:
+        raise asyncio.CancelledError
+
+
+async def connect(client: aiomqtt.Client) -> None:
+    """Connect. TCP and TLS block a thread: a cancellation leaves it alone, and closes later what it opens."""
+    connecting = asyncio.ensure_future(client.__aenter__())
+    try:
+        await asyncio.shield(connecting)
+    except asyncio.CancelledError:
+        connecting.add_done_callback(lambda _: connecting.cancelled() or connecting.exception())
+        connecting.add_done_callback(lambda _: client._client._sock_close())
+        raise
+
+
+async def close(client: aiomqtt.Client) -> None:
+    """End a connection, whatever its state: DISCONNECT with "Disconnect with Will Message" where it still works
+    (tck-id-payloads-ndeath-will-message-publisher-disconnect-mqtt50), then the socket."""
+    paho, gone = client._client, client._disconnected
+    code = None
+    if not gone.done() and paho.is_connected():
+        code = ReasonCode(PacketTypes.DISCONNECT, identifier=_DISCONNECT_WITH_WILL)
+    try:
+        if code is not None and paho.disconnect(code) == MQTTErrorCode.MQTT_ERR_SUCCESS:
+            await asyncio.wait((gone,), timeout=1.0)
+    finally:
+        paho._sock_close()
+        for future in (gone, client._connected):
+            if future.done() and not future.cancelled():
+                future.exception()  # asyncio reports one that nobody has asked for
+
+
+def text_of(error: BaseException) -> str:
+    """The reason of an error of the connection; a text of the libraries, which hold no secrets."""
+    cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
+    code = getattr(cause, "rc", None)
+    return str(code) if isinstance(code, ReasonCode) else str(cause) or type(error).__name__

@@ -1,0 +1,187 @@
+"""All segments of a broker as their statuses, births and deaths show them: messages in, changed segments out.
+
+Knows no network and no clock. Whatever a broker sends, memory is bounded: :data:`MOST_SEGMENTS` segments, each with a
+bounded status; what does not fit is counted. ``now``: s by a clock that nobody sets.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final
+
+from dpstack.bridge.mqtt.edge_node import NAMESPACE
+from dpstack.bridge.mqtt.payload import BDSEQ, read_command, rebirth_command
+from dpstack.bridge.mqtt.status import CRITICAL, ENDED, EXPIRY_S, GOOD, WARNING, Status, read_status
+from dpstack.bridge.names import SPARKPLUG_ID
+from dpstack.text import printable
+
+MOST_SEGMENTS: Final = 10_000
+#: characters of a group or node
+_MOST_NAME: Final = 120
+_STATUS: Final = "status"
+
+
+class State(Enum):
+    """State of a segment, worst first."""
+
+    #: the broker has published its NDEATH
+    DEAD = "dead"
+    #: no status for 30 s
+    SILENT = "silent"
+    LOST = "lost slaves"
+    CRITICAL = "critical"
+    UNKNOWN = "unknown"
+    WARNING = "warning"
+    ENDED = "ended"
+    OK = "ok"
+
+
+#: states that make the end of ``dpstack fleet`` a finding
+BAD: Final = frozenset({State.DEAD, State.SILENT, State.LOST, State.CRITICAL})
+_RANK: Final = {state: number for number, state in enumerate(State)}
+
+
+@dataclass(slots=True)
+class Segment:
+    """``heard``: when its gateway published ``status``; ``until``: when that is too old; ``since``: when ``state``
+    began."""
+
+    group: str
+    node: str
+    status: Status
+    heard: float
+    until: float
+    dead: bool = False
+    state: State = State.UNKNOWN
+    since: float = 0.0
+
+
+@dataclass(slots=True)
+class Fleet:
+    """``group``: of the segments that are taken; None: all. ``left_out``: messages of segments for which there was no
+    room; ``broken``: messages that are no status, with the reason of the last one in ``why_broken``."""
+
+    group: str | None = None
+    most: int = MOST_SEGMENTS
+    left_out: int = 0
+    broken: int = 0
+    why_broken: str = ""
+    _segments: dict[tuple[str, str], Segment] = field(default_factory=dict)
+
+    @property
+    def subscriptions(self) -> tuple[str, ...]:
+        group = "+" if self.group is None else self.group
+        return (f"{NAMESPACE}/{group}/NDEATH/+", f"{NAMESPACE}/{group}/NBIRTH/+", f"dpstack/{group}/+/{_STATUS}")
+
+    def __len__(self) -> int:
+        return len(self._segments)
+
+    def __iter__(self) -> Iterator[Segment]:
+        """The worst first, then by group and node."""
+        return iter(sorted(self._segments.values(), key=lambda one: (_RANK[one.state], one.group, one.node)))
+
+    def get(self, group: str, node: str) -> Segment | None:
+        return self._segments.get((group, node))
+
+    def counts(self) -> dict[State, int]:
+        """The number of segments in each state that there is, worst first."""
+        found = Counter(one.state for one in self._segments.values())
+        return {state: found[state] for state in State if found[state]}
+
+    def receive(self, topic: str, payload: bytes, now: float, *, expiry: int | None = None) -> Segment | None:
+        """Take a message; ``expiry``: s of its message expiry that are left. Nothing that it may hold raises. Returns
+        the segment where people should see a change."""
+        match topic.split("/", 4):
+            case ["dpstack", group, node, end] if end == _STATUS:
+                return self._take_status(group, node, payload, now, expiry)
+            case [name, group, kind, node] if name == NAMESPACE:
+                segment = self._segments.get((group, node))
+                if segment is None:
+                    return None
+                if kind == "NBIRTH" and segment.dead:
+                    # of a gateway that is back; its status comes behind it
+                    segment.dead = False
+                    segment.heard, segment.until = now, now + EXPIRY_S
+                elif kind == "NDEATH" and _session_of(payload) == segment.status.session:
+                    segment.dead = True
+                return self._judge(segment, now)
+        return None
+
+    def tick(self, now: float) -> list[Segment]:
+        """The segments that have become silent."""
+        return [one for one in self._segments.values() if self._judge(one, now) is not None]
+
+    def _take_status(self, group: str, node: str, payload: bytes, now: float, expiry: int | None) -> Segment | None:
+        if not payload:
+            return None  # somebody has removed the retained message: the segment becomes silent
+        for name in (group, node):
+            if not 0 < len(name) <= _MOST_NAME or SPARKPLUG_ID.valid(name) != name:
+                self._refuse("a name of group or node that Sparkplug does not permit")
+                return None
+        if self.group is not None and group != self.group:
+            return None
+        try:
+            status = read_status(payload)
+        except ValueError as error:
+            self._refuse(f"{printable(group)}/{printable(node)}: {error}")
+            return None
+        left = EXPIRY_S if expiry is None else min(max(0, expiry), EXPIRY_S)
+        segment = self._segments.get((group, node))
+        if segment is None:
+            if len(self._segments) >= self.most:
+                self.left_out += 1
+                return None
+            segment = Segment(group, node, status, now, now)
+            self._segments[group, node] = segment
+            before = None
+        else:
+            before = segment.status
+        segment.status, segment.dead = status, False
+        segment.heard, segment.until = now - (EXPIRY_S - left), now + left
+        changed = before is None or _seen(before) != _seen(status)
+        return self._judge(segment, now) or (segment if changed else None)
+
+    def _refuse(self, why: str) -> None:
+        self.broken += 1
+        self.why_broken = why
+
+    def _judge(self, segment: Segment, now: float) -> Segment | None:
+        """The segment where its state has changed."""
+        status = segment.status
+        if status.state == ENDED:
+            state = State.ENDED
+        elif segment.dead:
+            state = State.DEAD
+        elif now >= segment.until:
+            state = State.SILENT
+        elif status.verdict == CRITICAL:
+            state = State.LOST if status.lost_count else State.CRITICAL
+        else:
+            state = {GOOD: State.OK, WARNING: State.WARNING}.get(status.verdict, State.UNKNOWN)
+        if state is segment.state and segment.since:
+            return None
+        segment.state = state
+        segment.since = segment.heard if state is State.SILENT else now
+        return segment
+
+
+def _seen(status: Status) -> tuple[object, ...]:
+    """What people see of a status, without its time."""
+    return (status.state, status.verdict, status.reasons, status.lost, status.more_lost, status.versions)
+
+
+def _session_of(payload: bytes) -> object:
+    """The bdSeq of an NDEATH; None where there is none."""
+    try:
+        metrics = read_command(payload).metrics
+    except ValueError:
+        return None
+    return next((one.value for one in metrics if one.name == BDSEQ.name), None)
+
+
+def rebirth_of(group: str, node: str, now_ms: int) -> tuple[str, bytes]:
+    """Topic and payload of the request for all births of an edge node."""
+    return f"{NAMESPACE}/{group}/NCMD/{node}", rebirth_command(now_ms)

@@ -1,0 +1,196 @@
+"""Reads the statuses of all segments of a broker over one connection, which is made again when it is lost.
+
+It subscribes and publishes nothing, but where the caller asks for births.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import random
+import secrets
+import time
+from collections.abc import Callable
+from typing import Final
+
+import aiomqtt
+from paho.mqtt.reasoncodes import ReasonCode
+
+from dpstack.bridge.mqtt.broker import Broker
+from dpstack.bridge.mqtt.connection import (
+    LastError,
+    cancellations,
+    close,
+    connect,
+    end_if_cancelled,
+    make_client,
+    text_of,
+)
+from dpstack.bridge.mqtt.fleet import Fleet, Segment, rebirth_of
+from dpstack.errors import UsageError
+from dpstack.text import printable, shortened
+
+#: messages that wait to be read: the retained ones come all at once
+_MOST_WAITING: Final = 1000
+#: messages that are read before others have their turn
+_AT_ONCE: Final = 100
+#: s between two looks at the time
+_TICK_S: Final = 0.5
+#: s until the next try: the first, and the longest; each is up to half longer or shorter
+_PAUSE_S: Final = 1.0
+_LONGEST_PAUSE_S: Final = 30.0
+#: s for the retained statuses, until all known gateways are asked for births
+_LEARNING_S: Final = 2.0
+#: s between two requests for births, so that not all gateways publish at once
+_REBIRTH_S: Final = 0.05
+#: reason codes of MQTT 5 (3.2.2.2): bad user name or password, not authorized, bad authentication method
+_REFUSED: Final = frozenset({0x86, 0x87, 0x8C})
+ALL: Final = "all"
+
+
+class FleetReader:
+    """``fleet``: is kept up to date; ``changed`` is called with each segment that people should see anew, ``told`` with
+    remarks about the broker. ``rebirth``: None, :data:`ALL` or (group, node): asked for births once.
+
+    ``connected``: whether the connection stands; ``was_connected``: whether it ever did; ``lost``: messages that came
+    faster than they could be read.
+    """
+
+    def __init__(
+        self,
+        broker: Broker,
+        fleet: Fleet,
+        *,
+        changed: Callable[[Segment], object],
+        told: Callable[[str], object],
+        rebirth: str | tuple[str, str] | None = None,
+        again_s: float = _PAUSE_S,
+    ) -> None:
+        self.connected = self.was_connected = False
+        self._lost_before = 0
+        self._queue: object = None
+        self._broker = broker
+        self._fleet = fleet
+        self._changed = changed
+        self._told = told
+        self._rebirth = rebirth
+        self._again_s = again_s
+        self._tls = broker.tls_context()
+        self._error = LastError(logging.ERROR)
+        self._last_told = ""
+
+    @property
+    def lost(self) -> int:
+        return self._lost_before + int(getattr(self._queue, "lost", 0))
+
+    async def run(self) -> None:
+        """Read until cancelled. Raises UsageError where the broker refuses user or password at the first connection."""
+        ticking = asyncio.create_task(self._tick(), name="dpstack fleet: time")
+        try:
+            await self._connect_again_and_again()
+        finally:
+            ticking.cancel()
+            await asyncio.gather(ticking, return_exceptions=True)
+
+    async def _connect_again_and_again(self) -> None:
+        loop = asyncio.get_running_loop()
+        failed = 0
+        while True:
+            began, self._error.text = loop.time(), ""
+            try:
+                await self._session()
+            except (aiomqtt.MqttError, OSError, ValueError) as error:
+                why = shortened(printable(self._error.text or text_of(error)), 200)
+                if _is_refused(error) and not self.was_connected:
+                    raise UsageError(
+                        f"broker {self._place} refuses user or password ({why}): give --user and --password-env or "
+                        f"--password-file as the broker knows them"
+                    ) from None
+                failed = 0 if loop.time() - began > _LONGEST_PAUSE_S else failed + 1
+                self._tell(f"broker {self._place}: {why}; it is tried again")
+            pause = min(self._again_s * 2 ** min(failed, 10), _LONGEST_PAUSE_S)
+            await asyncio.sleep(pause * random.uniform(0.5, 1.5))
+
+    @property
+    def _place(self) -> str:
+        return f"{self._broker.host}:{self._broker.port}"
+
+    def _tell(self, text: str) -> None:
+        """Tell a remark; one that is the same as the last one is left out."""
+        if text != self._last_told:
+            self._last_told = text
+            self._told(text)
+
+    async def _session(self) -> None:
+        before = cancellations()
+        client = make_client(
+            self._broker,
+            self._tls,
+            self._error,
+            f"dpstack-fleet-{secrets.token_hex(6)}",
+            most_waiting=_MOST_WAITING,
+        )
+        self._queue = client._queue
+        asking = None
+        try:
+            await connect(client)
+            for topic in self._fleet.subscriptions:
+                for code in await client.subscribe(topic, qos=0):
+                    if isinstance(code, ReasonCode) and code.is_failure:
+                        raise aiomqtt.MqttError(f"it refuses the subscription of {topic}: {code}")
+            end_if_cancelled(before)
+            self.connected = self.was_connected = True
+            self._tell(f"connected to {self._place}")
+            if self._rebirth is not None:
+                asking = asyncio.create_task(self._ask_for_births(client), name="dpstack fleet: births")
+            await self._read(client)
+        finally:
+            self.connected = False
+            if asking is not None:
+                asking.cancel()
+                await asyncio.gather(asking, return_exceptions=True)
+            self._lost_before, self._queue = self.lost, None
+            await close(client)
+
+    async def _read(self, client: aiomqtt.Client) -> None:
+        loop = asyncio.get_running_loop()
+        count = 0
+        async for message in client.messages:
+            payload = message.payload if isinstance(message.payload, bytes) else b""
+            expiry = getattr(message.properties, "MessageExpiryInterval", None)
+            segment = self._fleet.receive(str(message.topic), payload, loop.time(), expiry=expiry)
+            if segment is not None:
+                self._changed(segment)
+            count += 1
+            if count % _AT_ONCE == 0:
+                await asyncio.sleep(0)
+
+    async def _tick(self) -> None:
+        """Find the segments that have become silent."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await asyncio.sleep(_TICK_S)
+            for segment in self._fleet.tick(loop.time()):
+                self._changed(segment)
+
+    async def _ask_for_births(self, client: aiomqtt.Client) -> None:
+        if self._rebirth == ALL:
+            await asyncio.sleep(_LEARNING_S)
+            asked = [(one.group, one.node) for one in self._fleet]
+        else:
+            assert isinstance(self._rebirth, tuple)
+            asked = [self._rebirth]
+        self._rebirth = None
+        with contextlib.suppress(aiomqtt.MqttError):
+            for number, (group, node) in enumerate(asked):
+                if number:
+                    await asyncio.sleep(_REBIRTH_S)
+                topic, payload = rebirth_of(group, node, round(time.time() * 1000))
+                await client.publish(topic, payload)
+            self._tell(f"asked for births: {len(asked)} gateway{'' if len(asked) == 1 else 's'}")
+
+
+def _is_refused(error: BaseException) -> bool:
+    code = getattr(error, "rc", None)
+    return isinstance(code, ReasonCode) and code.value in _REFUSED

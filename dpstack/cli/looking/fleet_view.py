@@ -1,0 +1,201 @@
+"""The segments of a broker: a table that is redrawn on a terminal, a line a change elsewhere, or JSON lines."""
+
+from __future__ import annotations
+
+import asyncio
+from datetime import UTC, datetime
+from time import time
+from typing import TYPE_CHECKING, Any, Final
+
+from dpstack.cli.terminal import output
+from dpstack.text import printable, shortened
+
+if TYPE_CHECKING:
+    from dpstack.bridge.mqtt.fleet import Fleet, Segment
+    from dpstack.bridge.mqtt.fleet_reader import FleetReader
+
+_REFRESH_S: Final = 0.5
+#: by the state of a segment
+_STYLES: Final = {
+    "dead": "bold red",
+    "silent": "bold red",
+    "lost slaves": "red",
+    "critical": "red",
+    "unknown": "yellow",
+    "warning": "yellow",
+    "ended": "dim",
+    "ok": "green",
+}
+_COLUMNS: Final = ("state", "group", "node", "lost slaves, reasons", "age")
+#: columns of the names of a group and of a node, and lines of a table with one segment
+_MOST_NAME: Final = 28
+_LEAST: Final = 6
+#: segments that are named when the screen has ended
+_LAST: Final = 20
+
+
+class FleetView:
+    """``redraws``: :meth:`watch` draws a table; else each change is a line. ``reader``: is set before the first use."""
+
+    def __init__(self, fleet: Fleet, place: str, *, json: bool, redraws: bool) -> None:
+        self.redraws = redraws
+        self.reader: FleetReader | None = None
+        self._fleet = fleet
+        self._place = place
+        self._json = json
+        self._remark = f"connecting to {place}"
+        if json:
+            output.json_line({"event": "start", "time": _time(time()), "broker": place})
+        elif not redraws:
+            output.line(f"{self._remark}; Ctrl-C ends", "bold")
+
+    def show(self, segment: Segment) -> None:
+        """A segment has changed."""
+        if self._json:
+            output.json_line({"event": "segment", "time": _time(time()), **self._as_dict(segment)})
+        elif not self.redraws:
+            where, why = printable(f"{segment.group}/{segment.node}"), _why(segment)
+            text = f"{_clock(time())}  {where}: {segment.state.value}{': ' if why else ''}{why}"
+            output.line(f"{text}, since {_clock(_wall(segment.since))}", _STYLES[segment.state.value])
+
+    def tell(self, text: str) -> None:
+        """A remark about the broker."""
+        self._remark = text
+        assert self.reader is not None
+        if self._json:
+            connected = self.reader.connected
+            output.json_line({"event": "broker", "time": _time(time()), "connected": connected, "text": text})
+        elif not self.redraws:
+            output.warn(text)
+
+    def end(self) -> bool:
+        """Print the summary. Returns whether a segment is dead, silent or critical."""
+        from dpstack.bridge.mqtt.fleet import BAD
+
+        states = {state.value: count for state, count in self._fleet.counts().items()}
+        found = any(one.state in BAD for one in self._fleet)
+        if self._json:
+            summary = {"event": "summary", "time": _time(time()), "segments": len(self._fleet), "states": states}
+            output.json_line(summary | self._losses())
+            return found
+        if self.redraws:
+            bad = [one for one in self._fleet if one.state in BAD]
+            if self._remark:
+                output.line(self._remark)
+            for one in bad[:_LAST]:
+                where = printable(f"{one.group}/{one.node}")
+                output.line(f"{where}: {one.state.value}: {_why(one)}", _STYLES[one.state.value])
+            if len(bad) > _LAST:
+                output.line(f"and {len(bad) - _LAST} more")
+        output.line(self._counts())
+        if troubles := self._troubles():
+            output.line(troubles)
+        return found
+
+    async def watch(self) -> None:
+        """Redraw the table until cancelled; then the terminal has its text of before again."""
+        from rich.live import Live
+
+        with output.guarded(), Live(self.picture(), auto_refresh=False, screen=True) as live:
+            while True:
+                await asyncio.sleep(_REFRESH_S)
+                live.update(self.picture(), refresh=True)
+
+    def picture(self) -> Any:
+        """The table at this moment, no higher than the terminal: the worst segments where there is no room for all."""
+        from rich.console import Console, Group
+
+        from dpstack.cli.terminal import drawing
+
+        console = Console()
+        bad = next((one.state.value for one in self._fleet), "unknown")
+        head = [drawing.shown(f"{self._place}  {self._counts()}", f"bold {_STYLES[bad]}")]
+        head += [drawing.shown(text, "yellow") for text in (self._remark, self._troubles()) if text]
+        room = console.height - 1 - sum(len(console.render_lines(one)) for one in head)
+        fleet = [one for one, _ in zip(self._fleet, range(max(1, room)), strict=False)]
+        while True:
+            out = len(self._fleet) - len(fleet)
+            title = f"{out} more segments, none of them worse: the window is too small" if out else ""
+            rows = [self._row(one, console.width) for one in fleet]
+            styles = [_STYLES[one.state.value] for one in fleet]
+            table = drawing.rich_table(title, _COLUMNS, rows, console.width, styles)
+            over = len(console.render_lines(table)) - max(_LEAST, room)
+            if over <= 0 or len(fleet) <= 1:
+                return Group(*head, *([table] if fleet else []))
+            del fleet[-max(1, over // 2) :]
+
+    def _row(self, one: Segment, width: int) -> tuple[object, ...]:
+        names = [shortened(printable(name), _MOST_NAME) for name in (one.group, one.node)]
+        since = f"since {_clock(_wall(one.since))}"
+        age = since if one.state.value in ("dead", "silent", "ended") else f"{max(0.0, _now() - one.heard):.0f} s"
+        # all others, the borders, and a space on either side of each column
+        room = width - sum(map(len, (one.state.value, *names, age))) - 3 * len(_COLUMNS) - 1
+        return (one.state.value, *names, shortened(_why(one), max(24, room)), age)
+
+    def _counts(self) -> str:
+        states = ", ".join(f"{count} {state.value}" for state, count in self._fleet.counts().items())
+        count = len(self._fleet)
+        return f"{count} segment{'' if count == 1 else 's'}{': ' if states else ''}{states}"
+
+    def _losses(self) -> dict[str, int]:
+        assert self.reader is not None
+        return {"left_out": self._fleet.left_out, "broken": self._fleet.broken, "lost": self.reader.lost}
+
+    def _troubles(self) -> str:
+        fleet, losses = self._fleet, self._losses()
+        texts = []
+        if losses["left_out"]:
+            texts.append(f"{losses['left_out']} messages of more than {fleet.most} segments left out")
+        if losses["broken"]:
+            texts.append(f"{losses['broken']} messages that are no status ({fleet.why_broken})")
+        if losses["lost"]:
+            texts.append(f"{losses['lost']} messages came faster than they could be read")
+        return "; ".join(texts)
+
+    def _as_dict(self, one: Segment) -> dict[str, object]:
+        status = one.status
+        return {
+            "group": one.group,
+            "node": one.node,
+            "state": one.state.value.replace(" ", "_"),
+            "since": _time(_wall(one.since)),
+            "age_s": round(max(0.0, _now() - one.heard), 1),
+            "verdict": status.verdict,
+            "reasons": status.reasons,
+            "slaves": status.slaves,
+            "lost": [{"address": slave.address, "name": slave.name, "state": slave.state} for slave in status.lost],
+            "more_lost": status.more_lost,
+            "versions": dict(status.versions),
+        }
+
+
+def _why(one: Segment) -> str:
+    """Lost slaves and reasons of a segment; of one that is gone, what it said last."""
+    status = one.status
+    texts = [f"{slave.address} {slave.name} ({slave.state})" for slave in status.lost]
+    if status.more_lost:
+        texts.append(f"and {status.more_lost} more")
+    lost = ", ".join(texts)
+    # the first reason counts the lost slaves
+    reasons = "; ".join(status.reasons[1:] if status.lost else status.reasons)
+    return "; ".join(text for text in (lost, reasons) if text)
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+def _wall(at: float) -> float:
+    """A time of the loop's clock in s since 1970, by the clock of this computer."""
+    return time() - (_now() - at)
+
+
+def _time(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _clock(seconds: float) -> str:
+    """The time of day on this computer, in s since 1970; with the day where it is another one."""
+    when = datetime.fromtimestamp(seconds).astimezone()
+    today = datetime.fromtimestamp(time()).astimezone().date()
+    return when.strftime("%H:%M:%S" if when.date() == today else "%Y-%m-%d %H:%M:%S")
