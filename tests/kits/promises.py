@@ -18,6 +18,7 @@ _TRUST: Final = "api/control/test_control_trust.py::"
 _RIGHTS: Final = "web/test_web_rights.py::"
 _SERVER: Final = "web/test_web_server.py::"
 _OPCUA: Final = "bridge_opcua/test_opcua_face.py::"
+_FLEET: Final = "bridge_mqtt/"
 _CODE: Final = "security/test_no_code.py::"
 #: for each promise the tests that show it, below tests/
 PROMISES: Final[dict[str, tuple[str, ...]]] = {
@@ -186,6 +187,12 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     "G12": (
         _OPCUA + "test_wrong_passwords_certificates_and_channels_are_refused",
         "bridge_opcua/test_opcua_users.py::test_a_file_that_others_can_read_or_that_has_no_user_is_refused",
+    ),
+    "G13": (
+        _FLEET + "test_fleet_reader.py::test_it_publishes_nothing_and_comes_back",
+        _FLEET + "test_fleet.py::test_bounds",
+        _FLEET + "test_fleet.py::test_no_message_raises_and_an_old_status_is_never_shown_as_alive",
+        _FLEET + "test_segment_status.py::test_texts_are_printable",
     ),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",

@@ -151,6 +151,7 @@ def folder() -> Iterator[Path]:
         "monitor --port port --baud 500000",
         "decode 10 03 02 49 4E 16",
         "plot none.csv --json",
+        "fleet --mqtt mqtt://127.0.0.1:9 --seconds 2 --json",
         "wireshark where",
         "ports",
         "doctor",

@@ -33,8 +33,6 @@ from dpstack.text import printable, shortened
 
 #: messages that wait to be read: the retained ones come all at once
 _MOST_WAITING: Final = 1000
-#: messages that are read before others have their turn
-_AT_ONCE: Final = 100
 #: s between two looks at the time
 _TICK_S: Final = 0.5
 #: s until the next try: the first, and the longest; each is up to half longer or shorter
@@ -154,17 +152,20 @@ class FleetReader:
             await close(client)
 
     async def _read(self, client: aiomqtt.Client) -> None:
-        loop = asyncio.get_running_loop()
-        count = 0
+        inbox = client._queue
         async for message in client.messages:
-            payload = message.payload if isinstance(message.payload, bytes) else b""
-            expiry = getattr(message.properties, "MessageExpiryInterval", None)
-            segment = self._fleet.receive(str(message.topic), payload, loop.time(), expiry=expiry)
-            if segment is not None:
-                self._changed(segment)
-            count += 1
-            if count % _AT_ONCE == 0:
-                await asyncio.sleep(0)
+            self._take(message)
+            # each of them costs the library several turns of the loop, and one more message comes in each
+            while not inbox.empty():
+                self._take(inbox.get_nowait())
+
+    def _take(self, message: aiomqtt.Message) -> None:
+        payload = message.payload if isinstance(message.payload, bytes) else b""
+        expiry = getattr(message.properties, "MessageExpiryInterval", None)
+        now = asyncio.get_running_loop().time()
+        segment = self._fleet.receive(str(message.topic), payload, now, expiry=expiry)
+        if segment is not None:
+            self._changed(segment)
 
     async def _tick(self) -> None:
         """Find the segments that have become silent."""

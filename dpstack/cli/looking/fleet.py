@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from dpstack.bridge.mqtt.broker import Broker
 
 _ALL: Final = "all"
+#: options by the keys of a configuration
+_OPTIONS: Final = {"url": "--mqtt", "password_env": "--password-env", "password_file": "--password-file"}
 
 
 def add_to(parser: Parser) -> None:
@@ -59,7 +61,7 @@ def execute(args: argparse.Namespace) -> int:
     async def run() -> int:
         view = FleetView(fleet, place, json=args.json, redraws=output.redraws() and not args.json)
         reader = FleetReader(broker, fleet, changed=view.show, told=view.tell, rebirth=rebirth)
-        view.reader = reader
+        view.begin(reader)
         with StopSignal() as stop:
             reading = asyncio.ensure_future(reader.run())
             watching = [reading, *([asyncio.ensure_future(view.watch())] if view.redraws else [])]
@@ -99,9 +101,8 @@ def _own_words() -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        key, colon, rest = str(error).partition(": ")
-        named = f"--{key.replace('_', '-')}" if colon and key.replace("_", "").isalpha() else key
-        raise UsageError(f"fleet: {'--mqtt' if named == '--url' else named}{colon}{rest}") from None
+        key, space, rest = str(error).partition(" ")
+        raise UsageError(f"{_OPTIONS.get(key.rstrip(':'), key)}{':' * key.endswith(':')}{space}{rest}") from None
 
 
 def _name(text: str, option: str) -> str:

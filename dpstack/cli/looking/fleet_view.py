@@ -35,18 +35,22 @@ _LAST: Final = 20
 
 
 class FleetView:
-    """``redraws``: :meth:`watch` draws a table; else each change is a line. ``reader``: is set before the first use."""
+    """``redraws``: :meth:`watch` draws a table; else each change is a line. :meth:`begin` comes first."""
 
     def __init__(self, fleet: Fleet, place: str, *, json: bool, redraws: bool) -> None:
         self.redraws = redraws
-        self.reader: FleetReader | None = None
+        self._reader: FleetReader | None = None
         self._fleet = fleet
         self._place = place
         self._json = json
         self._remark = f"connecting to {place}"
-        if json:
-            output.json_line({"event": "start", "time": _time(time()), "broker": place})
-        elif not redraws:
+
+    def begin(self, reader: FleetReader) -> None:
+        """Print the first line."""
+        self._reader = reader
+        if self._json:
+            output.json_line({"event": "start", "time": _time(time()), "broker": self._place})
+        elif not self.redraws:
             output.line(f"{self._remark}; Ctrl-C ends", "bold")
 
     def show(self, segment: Segment) -> None:
@@ -61,9 +65,9 @@ class FleetView:
     def tell(self, text: str) -> None:
         """A remark about the broker."""
         self._remark = text
-        assert self.reader is not None
+        assert self._reader is not None
         if self._json:
-            connected = self.reader.connected
+            connected = self._reader.connected
             output.json_line({"event": "broker", "time": _time(time()), "connected": connected, "text": text})
         elif not self.redraws:
             output.warn(text)
@@ -72,7 +76,7 @@ class FleetView:
         """Print the summary. Returns whether a segment is dead, silent or critical."""
         from dpstack.bridge.mqtt.fleet import BAD
 
-        states = {state.value: count for state, count in self._fleet.counts().items()}
+        states = {state.value.replace(" ", "_"): count for state, count in self._fleet.counts().items()}
         found = any(one.state in BAD for one in self._fleet)
         if self._json:
             summary = {"event": "summary", "time": _time(time()), "segments": len(self._fleet), "states": states}
@@ -138,8 +142,8 @@ class FleetView:
         return f"{count} segment{'' if count == 1 else 's'}{': ' if states else ''}{states}"
 
     def _losses(self) -> dict[str, int]:
-        assert self.reader is not None
-        return {"left_out": self._fleet.left_out, "broken": self._fleet.broken, "lost": self.reader.lost}
+        assert self._reader is not None
+        return {"left_out": self._fleet.left_out, "broken": self._fleet.broken, "lost": self._reader.lost}
 
     def _troubles(self) -> str:
         fleet, losses = self._fleet, self._losses()

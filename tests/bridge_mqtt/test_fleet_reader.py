@@ -1,0 +1,103 @@
+"""The reader of a fleet at a broker that the test holds: it publishes nothing, and takes whatever comes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+
+import pytest
+from fake_broker import PUBLISH, FakeBroker, publish
+from test_fleet import DEATH, LOST, TOPIC, status
+
+from dpstack.bridge.mqtt.broker import Broker
+from dpstack.bridge.mqtt.fleet import Fleet, Segment, State
+from dpstack.bridge.mqtt.fleet_reader import FleetReader
+from dpstack.bridge.mqtt.payload import node_death
+from dpstack.errors import UsageError
+
+
+class Seen:
+    """``changes``: node and state of each change; ``told``: remarks."""
+
+    def __init__(self, broker: FakeBroker, rebirth: str | tuple[str, str] | None = None) -> None:
+        self.fleet = Fleet()
+        self.changes: list[tuple[str, State]] = []
+        self.told: list[str] = []
+        self.reader = FleetReader(
+            Broker(url=broker.url),
+            self.fleet,
+            changed=self.change,
+            told=self.told.append,
+            rebirth=rebirth,
+            again_s=0.02,
+        )
+
+    def change(self, segment: Segment) -> None:
+        self.changes.append((segment.node, segment.state))
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        task = asyncio.create_task(self.reader.run())
+        try:
+            yield
+        finally:
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await asyncio.wait_for(task, 5)
+
+    async def until(self, found: Callable[[], object]) -> None:
+        async with asyncio.timeout(10):
+            while not found():  # noqa: ASYNC110  tells nobody of its changes
+                await asyncio.sleep(0.005)
+
+
+async def test_it_publishes_nothing_and_comes_back() -> None:
+    broker = FakeBroker(
+        retained=[publish(TOPIC, status(), expiry=20, retain=True), publish("dpstack/g/n/status", b"{")]
+    )
+    async with broker:
+        seen = Seen(broker)
+        async with seen.running():
+            await seen.until(lambda: seen.fleet.broken)
+            assert seen.changes == [("line 7", State.OK)]
+            broker.send(publish(DEATH, node_death(5, 1)) + publish("spBv1.0/x/NBIRTH/y", b"\xff" * 1000))
+            await seen.until(lambda: seen.changes[-1][1] is State.DEAD)
+            broker.cut()
+            await seen.until(lambda: any("it is tried again" in text for text in seen.told))
+            broker.retained[0] = publish(TOPIC, status(**LOST), expiry=20, retain=True)
+            await seen.until(lambda: seen.changes[-1][1] is State.LOST)
+            assert seen.reader.connected
+        assert PUBLISH not in broker.kinds()
+
+
+@pytest.mark.parametrize("rebirth", ["all", ("hall 3", "line 7")])
+async def test_it_asks_for_births_once(rebirth: str | tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dpstack.bridge.mqtt.fleet_reader._LEARNING_S", 0.05)
+    async with FakeBroker(retained=[publish(TOPIC, status())]) as broker:
+        seen = Seen(broker, rebirth)
+        async with seen.running():
+            await seen.until(lambda: "asked for births: 1 gateway" in seen.told)
+            broker.cut()
+            await seen.until(lambda: len([kind for kind, _ in broker.received if kind == 1]) == 2)
+            await seen.until(lambda: seen.reader.connected)
+    asked = [body for kind, body in broker.received if kind == PUBLISH]
+    assert len(asked) == 1
+    assert b"spBv1.0/hall 3/NCMD/line 7" in asked[0]
+    assert b"Node Control/Rebirth" in asked[0]
+
+
+async def test_a_wrong_password_is_an_error_at_once() -> None:
+    async with FakeBroker(refuses=0x86) as broker:
+        seen = Seen(broker)
+        with pytest.raises(UsageError, match="refuses user or password"):
+            await asyncio.wait_for(seen.reader.run(), 10)
+
+
+async def test_many_retained_statuses_at_once() -> None:
+    retained = [publish(f"dpstack/g/{number}/status", status(), expiry=30, retain=True) for number in range(3000)]
+    async with FakeBroker(retained=retained) as broker:
+        seen = Seen(broker)
+        async with seen.running():
+            await seen.until(lambda: len(seen.fleet) + seen.reader.lost == 3000)
+            assert seen.reader.lost == 0

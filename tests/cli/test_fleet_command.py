@@ -1,0 +1,145 @@
+"""``dpstack fleet``: what it refuses, its table, its lines, its JSON, its exit codes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from rich.console import Console
+
+from dpstack.bridge.mqtt.fleet import Fleet, State
+from dpstack.bridge.mqtt.fleet_reader import FleetReader
+from dpstack.cli.looking.fleet_view import FleetView
+from dpstack.cli.main import main
+
+GOOD: dict[str, Any] = {
+    "version": 1, "sent": 4e9, "session": 5, "versions": {"dpstack": "0.1.0"}, "state": "running", "verdict": "good",
+    "reasons": [], "slaves": 3, "lost": [], "more_lost": 0,
+}  # fmt: skip
+LOST: dict[str, Any] = GOOD | {
+    "verdict": "critical",
+    "reasons": ["2 of 3 slaves are not in data exchange", "slave 5: fault of the drive"],
+    "lost": [{"address": 8, "name": "valves\x1b[2J", "state": "offline"}],
+    "more_lost": 1,
+}
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("--mqtt http://x", "--mqtt 'http://x': write mqtt://HOST:PORT"),
+        ("--mqtt mqtt://me:sesame@x", "--mqtt: user and password have keys of their own"),
+        ("--mqtt mqtt://x --password-env NO_SUCH", "--password-env: the environment has no variable 'NO_SUCH'"),
+        ("--mqtt mqtt://x --password-file /none", "--password-file /none"),
+        ("--mqtt mqtt://x --ca /none", "need TLS"),
+        ("--mqtt mqtts://x --ca /none", "ca /none"),
+        ("--mqtt mqtt://x --group a/b", "--group 'a/b': MQTT does not permit this name"),
+        ("--mqtt mqtt://x --rebirth gateway", "write GROUP/NODE, or all"),
+        ("", "--mqtt"),
+    ],
+)
+def test_wrong_use(words: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        code = main(["fleet", *words.split()])
+    except SystemExit as end:
+        code = int(end.code or 0)
+    said = capsys.readouterr()
+    assert code == 2
+    assert said.out == ""
+    assert text in said.err
+    assert "sesame" not in said.err
+
+
+def test_without_the_extra_it_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main(["fleet", "--mqtt", "mqtt://x"]) == 2
+    assert "dpstack fleet needs aiomqtt: pip install 'dpstack[mqtt]'" in capsys.readouterr().err
+
+
+def test_a_broker_that_is_not_there_is_told_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fleet", "--mqtt", "mqtt://127.0.0.1:9", "--seconds", "0.3"]) == 1
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1
+    assert "broker 127.0.0.1:9: " in said.err
+    assert "it is tried again" in said.err
+    assert said.out.splitlines()[-1] == "0 segments"
+
+
+def fill(fleet: Fleet, now: float) -> None:
+    for node, given in (("a", GOOD), ("b", LOST), ("c", GOOD | {"state": "ended"})):
+        fleet.receive(f"dpstack/hall 3/{node}/status", json.dumps(given).encode(), now, expiry=27)
+    for number in range(40):
+        fleet.receive(f"dpstack/more/{number}/status", json.dumps(GOOD).encode(), now)
+
+
+def in_loop(work: Callable[[Fleet, float], None]) -> None:
+    async def run() -> None:
+        fleet, now = Fleet(), asyncio.get_running_loop().time()
+        fill(fleet, now)
+        work(fleet, now)
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize(("width", "height"), [(100, 24), (40, 12), (200, 60)])
+def test_the_table_shows_the_worst_first_and_fits(width: int, height: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("LINES", str(height))
+
+    def work(fleet: Fleet, now: float) -> None:
+        view = FleetView(fleet, "broker:1883", json=False, redraws=True)
+        view.begin(cast("FleetReader", SimpleNamespace(lost=0, connected=True)))
+        console = Console(width=width, height=height)
+        with console.capture() as got:
+            console.print(view.picture())
+        lines = got.get().splitlines()
+        assert len(lines) <= height
+        flat = " ".join(got.get().split())
+        assert "43 segments: 1 lost slaves, 1 ended, 41 ok" in flat
+        assert "\x1b[2J" not in got.get()
+        if width == 200:
+            assert "more segments" not in flat
+            row = next(line for line in lines if "lost slaves" in line and "hall 3" in line)
+            assert r"8 valves\x1b[2J (offline), and 1 more; slave 5: fault of the drive" in row
+            assert " 3 s " in row  # 27 of 30 s were left
+            assert lines.index(row) < next(at for at, line in enumerate(lines) if " ended " in line and "hall" in line)
+        elif width == 100:
+            assert "more segments, none of them worse" in flat
+
+    in_loop(work)
+
+
+def test_json_and_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    def work(fleet: Fleet, now: float) -> None:
+        segment = fleet.get("hall 3", "b")
+        assert segment is not None
+        for json_ in (True, False):
+            view = FleetView(fleet, "broker:1883", json=json_, redraws=False)
+            view.begin(cast("FleetReader", SimpleNamespace(lost=2, connected=True)))
+            view.tell("connected to broker:1883")
+            view.show(segment)
+            assert view.end()
+
+    in_loop(work)
+    lines = capsys.readouterr().out.splitlines()
+    start, broker, shown, summary = map(json.loads, lines[:4])
+    assert (start["event"], start["broker"]) == ("start", "broker:1883")
+    assert (broker["connected"], broker["text"]) == (True, "connected to broker:1883")
+    assert (shown["group"], shown["node"], shown["state"], shown["more_lost"]) == ("hall 3", "b", "lost_slaves", 1)
+    assert 2.9 < shown["age_s"] < 9
+    assert (summary["segments"], summary["lost"]) == (43, 2)
+    assert summary["states"] == {"lost_slaves": 1, "ended": 1, "ok": 41}
+    assert r"hall 3/b: lost slaves: 8 valves\x1b[2J (offline), and 1 more" in lines[5]
+    assert lines[-1] == "2 messages came faster than they could be read"
+
+
+def test_the_pages_name_each_state() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "fleet.md").read_text()
+    assert all(f"| {state.value} |" in page for state in State)
