@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager, suppress
 
 import pytest
 from fake_broker import PUBLISH, FakeBroker, publish
-from test_fleet import DEATH, LOST, TOPIC, status
+from fleet_kit import DEATH, LOST, TOPIC, status
 
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.fleet import Fleet, Segment, State

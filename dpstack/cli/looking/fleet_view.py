@@ -64,7 +64,7 @@ class FleetView:
 
     def tell(self, text: str) -> None:
         """A remark about the broker."""
-        self._remark = text
+        self._remark = "" if text.startswith("connected") else text  # segments say more
         assert self._reader is not None
         if self._json:
             connected = self._reader.connected

@@ -1,8 +1,8 @@
 """Messages of a broker, whatever they hold, for the view of a fleet.
 
 The input is pieces: the first octet of each chooses the topic and the rest of the message expiry, the rest is the
-payload, or bends a right status. Judged: nothing raises; memory is bounded; every text of the view is printable; nothing
-that is old is shown as alive; right messages are shown afterwards.
+payload, or bends a right status. Judged: nothing raises; memory is bounded; every text of the view is printable;
+nothing that is old is shown as alive; right messages are shown afterwards.
 """
 
 from __future__ import annotations
