@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from importlib.metadata import PackageNotFoundError, version
 from typing import ClassVar, NamedTuple
 
 from dpstack.bridge.tree import Change, PlantTree
@@ -98,3 +99,11 @@ class Teller:
         if line != self._last:
             self._last = line
             self._tell(line, severity)
+
+
+def product_version() -> str:
+    """The version of dpstack; empty where it is not installed."""
+    try:
+        return version("dpstack")
+    except PackageNotFoundError:
+        return ""

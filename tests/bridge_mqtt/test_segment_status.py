@@ -15,7 +15,7 @@ from dpstack.bridge.mqtt.status import EXPIRY_S, MOST_LOST, MOST_OCTETS, StatusS
 from dpstack.bridge.tree import PlantTree
 
 VERSIONS = {"dpstack": "0.1.0", "python": "3.11.2"}
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "fleet.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "segment-status.md"
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def test_the_example_of_the_page(rig: Rig) -> None:
     payload = source.next(rig.clock, 1_700_000_000.25)
     assert payload is not None
     text = PAGE.read_text()
-    shown = text.partition("<!-- a status -->")[2].partition("```json\n")[2].partition("```")[0]
+    shown = text.partition("```json\n")[2].partition("```")[0]
     assert json.loads(shown) == json.loads(payload)
 
 

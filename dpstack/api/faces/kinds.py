@@ -13,9 +13,8 @@ from platform import python_version
 from socket import gethostname
 from typing import Any, Final, NamedTuple
 
-from dpstack import __version__
 from dpstack.api.config.faces import MetricsConfig, MqttConfig, OpcUaConfig
-from dpstack.bridge.face import Face, FaceState, Tell
+from dpstack.bridge.face import Face, FaceState, Tell, product_version
 from dpstack.bridge.names import SPARKPLUG_ID
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
@@ -61,7 +60,7 @@ def _mqtt(config: MqttConfig, parts: Parts) -> Face:
     setup = NodeSetup(config.group, node, config.primary_host, config.interval_ms / 1000)
     orders = parts.orders(config.allow_commands, config.command_max_age_s) if config.allow_commands else None
     folder = state_folder(config.group, node)
-    versions = {"dpstack": __version__, "python": python_version()} if config.status else None
+    versions = {"dpstack": product_version(), "python": python_version()} if config.status else None
     return MqttFace(parts.tree, parts.tell, broker=broker, setup=setup, folder=folder, orders=orders, versions=versions)
 
 

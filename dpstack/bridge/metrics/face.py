@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from http import HTTPStatus
-from importlib.metadata import PackageNotFoundError, version
 from typing import ClassVar, Final
 
 from prometheus_client import generate_latest
 from prometheus_client.core import Metric as Family
 from prometheus_client.registry import Collector as OneFamily
 
-from dpstack.bridge.face import Face, FaceState, Tell
+from dpstack.bridge.face import Face, FaceState, Tell, product_version
 from dpstack.bridge.metrics.collector import Collector
 from dpstack.bridge.metrics.health import Health, liveness, readiness
 from dpstack.bridge.metrics.http_server import Answer, HttpServer
@@ -39,7 +38,7 @@ class MetricsFace(Face):
         bus_pid: Callable[[], int | None] = lambda: None,
     ) -> None:
         super().__init__(tree, tell)
-        self.collector = Collector(tree, faces=faces, bus_pid=bus_pid, version=_version())
+        self.collector = Collector(tree, faces=faces, bus_pid=bus_pid, version=product_version())
         #: (host, port) on which it listens, once it is open
         self.address: tuple[str, int] | None = None
         self._listen = listen
@@ -114,14 +113,6 @@ class _One(OneFamily):
 
     def collect(self) -> Iterator[Family]:
         yield self._family
-
-
-def _version() -> str:
-    """The version of dpstack; empty where it is not installed."""
-    try:
-        return version("dpstack")
-    except PackageNotFoundError:
-        return ""
 
 
 async def _health(health: Health) -> Answer:

@@ -9,6 +9,6 @@
 - ``limited_client``: A client that reads no more than its share of what the broker sends
 - ``payload``: Payloads of Sparkplug B: nodes of the tree as metrics, and the metrics of commands
 - ``session_file``: The number of the MQTT session on disk (bdSeq), and the lock against a second gateway
-- ``status``: The status of a segment for ``dpstack fleet``: its content, when it is due, and its reader
 - ``sparkplug_pb2``: The messages of Sparkplug B, made from sparkplug.proto by tools/make_sparkplug_proto.py
+- ``status``: The status of a segment for ``dpstack fleet``: its content, when it is due, and its reader
 """
