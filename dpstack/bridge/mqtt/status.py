@@ -1,7 +1,7 @@
 """The status of a segment as one retained JSON message: made by its gateway, read by ``dpstack fleet``.
 
-docs/reference/segment-status.md has the schema. The caller publishes it with a message expiry of :data:`EXPIRY_S`, so that a
-broker forgets the status of a gateway that is gone. Knows no network and no clock.
+docs/reference/segment-status.md has the schema. The caller publishes it with a message expiry of
+:data:`EXPIRY_S`, so that a broker forgets the status of a gateway that is gone. Knows no network and no clock.
 """
 
 from __future__ import annotations
