@@ -95,9 +95,9 @@ async def test_a_wrong_password_is_an_error_at_once() -> None:
 
 
 async def test_many_retained_statuses_at_once() -> None:
-    retained = [publish(f"dpstack/g/{number}/status", status(), expiry=30, retain=True) for number in range(3000)]
+    retained = [publish(f"dpstack/g/{number}/status", status(), expiry=30, retain=True) for number in range(1500)]
     async with FakeBroker(retained=retained) as broker:
         seen = Seen(broker)
         async with seen.running():
-            await seen.until(lambda: len(seen.fleet) + seen.reader.lost == 3000)
+            await seen.until(lambda: len(seen.fleet) + seen.reader.lost == 1500)
             assert seen.reader.lost == 0
