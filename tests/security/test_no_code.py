@@ -230,7 +230,7 @@ def sources() -> dict[str, str]:
         (
             "connections to other computers",
             r"create_connection\(|sock_connect\(|rfc2217\.Serial|urllib\.request|http\.client|import requests"
-            r"|ClientSession|aiomqtt\.Client\(",
+            r"|ClientSession|aiomqtt\.Client\(|(?<!class )LimitedClient\(",
             {"ports/tcp.py", "ports/rfc2217.py", "bridge/mqtt/connection.py"},
         ),
     ],
