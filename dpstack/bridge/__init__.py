@@ -4,7 +4,7 @@ The tree reads no clock, no file and no network: the caller gives items and the 
 libraries are not needed. docs/explanation/bridge.md has the rules.
 
 - ``metrics/``: Prometheus metrics and health over HTTP
-- ``mqtt/``: MQTT 5 with Sparkplug B 3.0: the bus as an edge node, its slaves as devices
+- ``mqtt/``: MQTT 5 with Sparkplug B 3.0 (the bus as an edge node, its slaves as devices) or plain JSON
 - ``opcua/``: OPC UA: typed nodes, orders, alarms, history
 - ``conditions``: Diagnoses, faults and alarms as conditions that are active, acknowledged, retained
 - ``face``: The base class of a face, which publishes the tree

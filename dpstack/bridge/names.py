@@ -44,6 +44,8 @@ class NameRule:
 SPARKPLUG_ID: Final = NameRule("Sparkplug", "+/#", 120, fold=True)
 #: one level of the name of a metric; ``/`` separates levels. Names should not differ in case only (6.4.6)
 SPARKPLUG_METRIC: Final = NameRule("Sparkplug", "/+#", 120, fold=True)
+#: slaves and values of plain JSON: a level of a topic
+MQTT_NAME: Final = NameRule("MQTT", "+/#", 120, fold=True)
 #: a QualifiedName has 512 characters at most (Part 3, 8.3); the reserved ones have a meaning in a path (Part 4, A.2)
 OPCUA_BROWSE: Final = NameRule("OPC UA", "/.<>:#!&", 200)
 #: the value of a label: every text in UTF-8

@@ -33,9 +33,10 @@ class MqttConfig(FaceConfig, frozen=True, kw_only=True):
     """The keys of [mqtt], as docs/reference/configuration.md has them.
 
     url: the broker: `"mqtt://HOST:PORT"`, or with TLS `"mqtts://HOST:PORT"`. Left out: it must be given
-    group: the Sparkplug group. Left out: it must be given
+    format: `"sparkplug"`: [Sparkplug B](sparkplug.md); `"json"`: [topics with plain JSON](mqtt-json.md)
+    group: the Sparkplug group, or with JSON the second level of all topics. Left out: it must be given
     node: the edge node; each program that publishes a bus needs one of its own. Left out: the name of the computer
-    primary_host: the Sparkplug host without which nothing is published. Left out: births wait for nobody
+    primary_host: the Sparkplug host without which nothing is published; not with JSON. Left out: births wait for nobody
     allow_commands: the [orders](bridge.md#orders) that hosts may give: `"valves.lamp"`, `"hoist.start"`, `"hoist.*"`
     command_max_age_s: the greatest difference between the time of an order and the clock of this computer
     interval_ms: the values of a device are published no more often
@@ -52,6 +53,7 @@ class MqttConfig(FaceConfig, frozen=True, kw_only=True):
 
     url: str
     group: str
+    format: Literal["sparkplug", "json"] = "sparkplug"
     node: str = ""
     primary_host: str = ""
     allow_commands: Annotated[tuple[str, ...], Key(read=read_names)] = ()

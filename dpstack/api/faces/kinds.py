@@ -18,6 +18,7 @@ from dpstack.bridge.face import Face, FaceState, Tell, product_version
 from dpstack.bridge.names import SPARKPLUG_ID
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
+from dpstack.errors import ConfigError
 
 
 class Parts(NamedTuple):
@@ -45,8 +46,12 @@ class FaceKind(NamedTuple):
 def _mqtt(config: MqttConfig, parts: Parts) -> Face:
     from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
     from dpstack.bridge.mqtt.client import MqttFace
-    from dpstack.bridge.mqtt.edge_node import NodeSetup
+    from dpstack.bridge.mqtt.edge_node import EdgeNode, NodeSetup
+    from dpstack.bridge.mqtt.json_node import JsonNode
+    from dpstack.bridge.mqtt.plant_node import PlantNode
 
+    if config.format == "json" and config.primary_host:
+        raise ConfigError('primary_host: plain JSON knows none; take it out, or write format = "sparkplug"')
     broker = Broker(
         url=config.url,
         ca=Path(config.ca) if config.ca else None,
@@ -61,7 +66,17 @@ def _mqtt(config: MqttConfig, parts: Parts) -> Face:
     orders = parts.orders(config.allow_commands, config.command_max_age_s) if config.allow_commands else None
     folder = state_folder(config.group, node)
     versions = {"dpstack": product_version(), "python": python_version()} if config.status else None
-    return MqttFace(parts.tree, parts.tell, broker=broker, setup=setup, folder=folder, orders=orders, versions=versions)
+    make_node: type[PlantNode] = JsonNode if config.format == "json" else EdgeNode
+    return MqttFace(
+        parts.tree,
+        parts.tell,
+        broker=broker,
+        setup=setup,
+        folder=folder,
+        orders=orders,
+        make_node=make_node,
+        versions=versions,
+    )
 
 
 def _metrics(config: MetricsConfig, parts: Parts) -> Face:

@@ -1,4 +1,4 @@
-"""A plant as an edge node of Sparkplug B 3.0 over MQTT 5 (extra ``mqtt``).
+"""A plant over MQTT 5 (extra ``mqtt``): an edge node of Sparkplug B 3.0, or topics with plain JSON.
 
 - ``broker``: Address, TLS, user and password of the broker; the folder for the state of an edge node
 - ``client``: The face of MQTT over one connection to a broker, with aiomqtt
@@ -6,8 +6,11 @@
 - ``edge_node``: The edge node: births, data, deaths and commands in their order. Knows no network and no clock
 - ``fleet``: All segments of a broker from their statuses, births and deaths
 - ``fleet_reader``: The statuses of a broker read over one connection that is made again; publishes nothing by itself
+- ``json_node``: Topics with plain JSON: values, conditions, orders, results. Knows no network and no clock
+- ``json_payload``: Payloads of plain JSON: values, conditions, results; orders that come
 - ``limited_client``: A client that reads no more than its share of what the broker sends
 - ``payload``: Payloads of Sparkplug B: nodes of the tree as metrics, and the metrics of commands
+- ``plant_node``: The interface between the client and what it publishes
 - ``session_file``: The number of the MQTT session on disk (bdSeq), and the lock against a second gateway
 - ``sparkplug_pb2``: The messages of Sparkplug B, made from sparkplug.proto by tools/make_sparkplug_proto.py
 - ``status``: The status of a segment for ``dpstack fleet``: its content, when it is due, and its reader

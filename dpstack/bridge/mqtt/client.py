@@ -1,7 +1,7 @@
-"""The face of MQTT: an edge node of Sparkplug B over one connection to a broker, with aiomqtt.
+"""The face of MQTT: a plant in Sparkplug B or plain JSON over one connection to a broker, with aiomqtt.
 
 One task sends, one reads. A broker that is slow, stopped or gone costs neither memory nor time of others: values that
-change meanwhile replace one another in the edge node, and each call has a limit.
+change meanwhile replace one another in the node, and each call has a limit.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ from dpstack.bridge.mqtt.connection import (
     make_client,
     text_of,
 )
-from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, NodeSetup, OrderWish
+from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, NodeSetup, OrderWish, Publish
+from dpstack.bridge.mqtt.plant_node import PlantNode
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.mqtt.status import EXPIRY_S, StatusSource, topic_of
 from dpstack.bridge.orders import Orders
@@ -60,7 +61,7 @@ _TAKEN_OVER: Final = 0x8E
 class MqttFace(Face):
     """``folder``: for the number of the session (:func:`dpstack.bridge.mqtt.broker.state_folder`). ``orders``: None:
     hosts may give no orders. ``versions``: of programs, for the status of the segment; None: none is published.
-    ``again_s``: s until the first new try."""
+    ``make_node``: the class for its payloads. ``again_s``: s until the first new try."""
 
     name: ClassVar[str] = "mqtt"
 
@@ -75,6 +76,7 @@ class MqttFace(Face):
         orders: Orders | None = None,
         versions: Mapping[str, str] | None = None,
         again_s: float = _PAUSE_S,
+        make_node: type[PlantNode] = EdgeNode,
     ) -> None:
         super().__init__(tree, tell)
         self._broker = broker
@@ -83,9 +85,10 @@ class MqttFace(Face):
         self._orders = orders
         self._status = None if versions is None else StatusSource(tree, versions)
         self._again_s = again_s
+        self._make_node = make_node
         self._tls: ssl.SSLContext | None = None
         self._numbers: SessionFile | None = None
-        self._node: EdgeNode | None = None
+        self._node: PlantNode | None = None
         self._wake = asyncio.Event()
         self.connected = self._was_connected = False
         self._last_error = LastError(logging.ERROR)
@@ -95,12 +98,12 @@ class MqttFace(Face):
         """Read the certificates, take the folder. Raises ConfigError."""
         self._tls = await asyncio.to_thread(self._broker.tls_context)
         self._numbers = numbers = await asyncio.to_thread(SessionFile, self._folder)
-        if numbers.damaged:
+        if numbers.damaged and self._make_node.counts_sessions:
             self.tell(
                 f"the number of the last session in {self._folder} is damaged: one session without values comes first",
                 Severity.WARNING,
             )
-        self._node = EdgeNode(
+        self._node = self._make_node(
             self._setup,
             self.tree,
             allowed=self._allowed,
@@ -195,7 +198,7 @@ class MqttFace(Face):
             self._count_lost(client)
             await close(client)
 
-    async def _exchange(self, node: EdgeNode, client: aiomqtt.Client) -> Disconnect:
+    async def _exchange(self, node: PlantNode, client: aiomqtt.Client) -> Disconnect:
         sending = asyncio.create_task(self._send(node, client), name="dpstack mqtt: sending")
         reading = asyncio.create_task(self._read(node, client), name="dpstack mqtt: reading")
         tasks = (sending, reading)
@@ -214,7 +217,7 @@ class MqttFace(Face):
             raise error  # it knows why the connection has ended
         return sending.result()
 
-    async def _send(self, node: EdgeNode, client: aiomqtt.Client) -> Disconnect:
+    async def _send(self, node: PlantNode, client: aiomqtt.Client) -> Disconnect:
         loop = asyncio.get_running_loop()
         before = cancellations()
         while True:
@@ -226,7 +229,7 @@ class MqttFace(Face):
             if isinstance(message, Disconnect):
                 return message
             if message is not None:
-                await client.publish(message.topic, message.payload, qos=message.qos, retain=False)
+                await _publish(client, message)
                 end_if_cancelled(before)
                 await asyncio.sleep(0)  # births of many slaves: others have their turn between
                 continue
@@ -239,12 +242,10 @@ class MqttFace(Face):
                     await self._wake.wait()
 
     async def _publish_status(self, client: aiomqtt.Client, payload: bytes) -> None:
-        properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
-        properties.MessageExpiryInterval = EXPIRY_S
         topic = topic_of(self._setup.group, self._setup.node)
-        await client.publish(topic, payload, retain=True, properties=properties)
+        await _publish(client, Publish(topic, payload, retain=True, expiry_s=EXPIRY_S))
 
-    async def _read(self, node: EdgeNode, client: aiomqtt.Client) -> None:
+    async def _read(self, node: PlantNode, client: aiomqtt.Client) -> None:
         async for message in client.messages:
             payload = message.payload if isinstance(message.payload, bytes) else b""
             wishes = node.receive(str(message.topic), payload, time.time(), retained=message.retain)
@@ -252,7 +253,7 @@ class MqttFace(Face):
                 self._give(node, wish)
             self._wake.set()
 
-    async def _say_farewell(self, node: EdgeNode, client: aiomqtt.Client) -> None:
+    async def _say_farewell(self, node: PlantNode, client: aiomqtt.Client) -> None:
         node.end("the run has ended")
         with contextlib.suppress(TimeoutError, aiomqtt.MqttError, OSError):
             async with asyncio.timeout(_FAREWELL_S):
@@ -261,7 +262,7 @@ class MqttFace(Face):
                     await self._publish_status(client, status.last(time.time()))
                 await self._send(node, client)
 
-    def _give(self, node: EdgeNode, wish: OrderWish) -> None:
+    def _give(self, node: PlantNode, wish: OrderWish) -> None:
         if len(self._giving) >= _MOST_ORDERS:
             node.answer(wish, "refused", "too many orders wait", time.time())
             return
@@ -269,7 +270,7 @@ class MqttFace(Face):
         self._giving.add(task)
         task.add_done_callback(self._giving.discard)
 
-    async def _carry_out(self, node: EdgeNode, wish: OrderWish) -> None:
+    async def _carry_out(self, node: PlantNode, wish: OrderWish) -> None:
         assert self._orders is not None, "without orders no metric can be written"
         result = await self._orders.give(wish.name, wish.value, made_at=wish.made_at)
         node.answer(wish, result.result, result.reason, time.time())
@@ -282,6 +283,16 @@ class MqttFace(Face):
             self.tell(
                 f"{lost} messages of the broker came faster than they could be read: they are lost", Severity.WARNING
             )
+
+async def _publish(client: aiomqtt.Client, message: Publish) -> None:
+    properties = None
+    if message.expiry_s:
+        properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+        properties.MessageExpiryInterval = message.expiry_s
+    await client.publish(
+        message.topic, message.payload, qos=message.qos, retain=message.retain, properties=properties
+    )
+
 
 
 def _is_taken_over(error: BaseException) -> bool:

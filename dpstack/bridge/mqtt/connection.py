@@ -74,7 +74,7 @@ def make_client(
         identifier=client_id,
         queue_type=Inbox,
         protocol=aiomqtt.ProtocolVersion.V5,
-        will=None if will is None else aiomqtt.Will(will.topic, will.payload, will.qos, retain=False),
+        will=None if will is None else aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
         timeout=ANSWER_S,
         keepalive=broker.keepalive_s,
         clean_start=True,

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 from dpstack.bridge.mqtt.payload import (
     BDSEQ,
@@ -55,11 +55,13 @@ _LAST_COMMAND: Final = "Last command"
 
 
 class Publish(NamedTuple):
-    """A message for the broker. Quality of service is 0 and it is not retained, but for the will."""
+    """A message for the broker. ``expiry_s``: s after which the broker forgets it; 0: never."""
 
     topic: str
     payload: bytes
     qos: int = 0
+    retain: bool = False
+    expiry_s: int = 0
 
 
 class Disconnect(NamedTuple):
@@ -147,6 +149,8 @@ class EdgeNode:
 
     ``phase``: see :class:`Phase`. ``merged``: values that newer ones replaced before they were published.
     """
+
+    counts_sessions: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -1,0 +1,406 @@
+"""A plant as topics with plain JSON: values, conditions, orders and their results, in their order.
+
+The interface is that of :class:`~dpstack.bridge.mqtt.edge_node.EdgeNode`: the caller owns the connection, the time and
+the tree. docs/reference/mqtt-json.md has all topics, and the reasons for this layout.
+
+All topics but the results are retained with a message expiry, and sent again long before it. So the broker forgets
+what nobody keeps up to date. A message is made when it is asked for, with the values of that moment: nothing waits in
+memory but the names of the topics that have news.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from typing import ClassVar, Final, NamedTuple
+
+from dpstack.bridge.conditions import Condition
+from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, NodeSetup, OrderWish, Phase, Publish
+from dpstack.bridge.mqtt.json_payload import condition_payload, read_order, result_payload, values_payload
+from dpstack.bridge.names import MQTT_NAME, unique_names
+from dpstack.bridge.nodes import Node, Order
+from dpstack.bridge.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
+
+NAMESPACE: Final = "dpstack"
+#: s after which the broker forgets a message, at least; it is sent again three times as often
+EXPIRY_S: Final = 30
+#: results that wait to be sent
+_MOST_RESULTS: Final = 256
+#: the last level of the topics of a slave, or of the bus, in the order in which they are sent first: whoever sees
+#: ``online`` has seen the values
+_STATE, _ONLINE, _CONDITION = "state", "online", "condition"
+_SAID: Final = (b"false", b"true")
+
+
+class _Key(NamedTuple):
+    """A topic by its content, whatever the names are. ``slave`` None: the bus; ``id``: of a condition."""
+
+    slave: int | None
+    part: str
+    id: str = ""
+
+
+class _Sent(NamedTuple):
+    """A topic that the broker keeps. ``at``: the time by ``clock``."""
+
+    topic: str
+    at: float
+
+
+class JsonNode:
+    """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
+    ``clear_first``: has no meaning here, as no message has the number of the session.
+
+    ``lost_results``: results of orders that were too many to wait.
+    """
+
+    counts_sessions: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        setup: NodeSetup,
+        tree: PlantTree,
+        *,
+        allowed: Callable[[], Collection[str]] = tuple,
+        tell: Callable[[str], object] = lambda _: None,
+        clear_first: bool = False,
+    ) -> None:
+        self.phase = Phase.OFFLINE
+        self.lost_results = 0
+        self._tree = tree
+        self._allowed = allowed
+        self._tell = tell
+        self._client_id = f"{setup.group}/{setup.node}"
+        self._base = f"{NAMESPACE}/{setup.group}/{setup.node}"
+        self._interval_s = setup.interval_s
+        self._expiry_s = max(EXPIRY_S, math.ceil(3 * setup.interval_s))
+        self._leaving = ""
+        self._is_told = False
+        #: the clock of the computer less that of the stream, in s
+        self._offset = 0.0
+        # names; all of them are made anew with the nodes
+        self._folders: dict[int | None, str] = {}
+        self._parts: dict[_Key, list[tuple[str, Node]]] = {}
+        self._key_of: dict[str, _Key] = {}
+        self._orders: dict[tuple[str, str], Order] = {}
+        # messages
+        #: topics with news; True: they do not wait for the interval
+        self._waiting: dict[_Key, bool] = {}
+        #: topics that the broker keeps, the one first that was sent first
+        self._sent: dict[_Key, _Sent] = {}
+        #: topics that the broker shall forget
+        self._gone: dict[str, None] = {}
+        #: conditions that have ended and are acknowledged: the tree has forgotten them
+        self._ended: dict[str, Condition] = {}
+        self._results: deque[bytes] = deque()
+        self._is_turn_of_results = False
+        self._rename()
+
+    # --- the connection -------------------------------------------------------------------------------------------
+
+    def connect(self, number: int, wall: float) -> Connection:
+        """Begin a session."""
+        self.disconnected()
+        self.phase = Phase.CONNECTING
+        will = Publish(self._online_topic, _SAID[False], qos=1, retain=True)
+        return Connection(self._client_id, will, (f"{self._base}/slave/+/set/+",))
+
+    def connected(self) -> None:
+        """The broker has taken connection and subscription."""
+        if self.phase is not Phase.CONNECTING:
+            return
+        self.phase, self._leaving = Phase.ONLINE, ""
+        for key in list(self._sent):
+            if key.part == _CONDITION and self._tree.conditions.get(key.id) is None:
+                self._forget(key)
+        self._mark_all()
+
+    def disconnected(self) -> None:
+        """The connection is gone, or was not made. The broker may keep what was sent; the next session corrects it."""
+        self.phase = Phase.OFFLINE
+        self._waiting.clear()
+        self._ended.clear()
+
+    def end(self, why: str) -> None:
+        """An ordered end: ``online`` becomes false, good values become stale, and the end of the connection comes."""
+        if self.phase is not Phase.ONLINE:
+            return
+        self.phase, self._leaving, self._is_told = Phase.LEAVING, why, False
+        kept = [key for key in self._sent if key.part != _CONDITION]
+        self._waiting = dict.fromkeys(sorted(kept, key=lambda key: key.part != _ONLINE), True)
+
+    @property
+    def _online_topic(self) -> str:
+        return f"{self._base}/{_ONLINE}"
+
+    # --- the tree -------------------------------------------------------------------------------------------------
+
+    def take(self, changes: Iterable[Change], wall: float) -> None:
+        """Take changes of the tree."""
+        for change in changes:
+            match change:
+                case Changed(node=node):
+                    self._mark(self._key_of.get(node.id))
+                case Born(slave=slave):
+                    self._mark_parts(slave)
+                    self._mark(_Key(slave, _ONLINE), urgent=True)
+                case Died(slave=slave):
+                    self._mark(_Key(slave, _ONLINE), urgent=True)
+                    self._mark_parts(slave)
+                case Condition():
+                    self._take_condition(change)
+                case NodesChanged():
+                    self._rename()
+                case ClockSet(offset=offset):
+                    self._offset = offset
+                    if self.phase is Phase.ONLINE:
+                        self._tell("the clock of this computer was set: all values are published again, with new times")
+                        self._mark_all()
+
+    def _mark(self, key: _Key | None, *, urgent: bool = False) -> None:
+        """The topic has news. Urgent ones go out in the order of their last mark."""
+        if key is None or self.phase is not Phase.ONLINE:
+            return
+        if urgent:
+            self._waiting.pop(key, None)
+        self._waiting[key] = urgent or self._waiting.get(key, False)
+
+    def _mark_parts(self, slave: int | None) -> None:
+        for key in self._parts:
+            if key.slave == slave:
+                self._mark(key, urgent=True)
+
+    def _mark_all(self) -> None:
+        """All topics are sent; those that say ``online`` behind the others."""
+        for key in self._parts:
+            self._mark(key, urgent=True)
+        for condition in self._tree.conditions:
+            self._mark(_Key(condition.slave, _CONDITION, condition.id), urgent=True)
+        for slave in (*self._tree.slaves, None):
+            self._mark(_Key(slave, _ONLINE), urgent=True)
+
+    def _take_condition(self, condition: Condition) -> None:
+        key = _Key(condition.slave, _CONDITION, condition.id)
+        self._ended.pop(condition.id, None)
+        if condition.retain:
+            self._mark(key)
+        elif key in self._sent:
+            self._ended[condition.id] = condition
+            self._mark(key)
+
+    def _rename(self) -> None:
+        """Names of all slaves, values and orders. Topics of other names than before are taken from the broker."""
+        tree = self._tree
+        slaves = tree.slaves
+        ids = unique_names(MQTT_NAME, [(f"slave {address}", one.name) for address, one in slaves.items()])
+        for text in ids.changed:
+            self._tell(text)
+        folders = {address: ids.names[f"slave {address}"] for address in slaves}
+        self._folders = {None: "bus", **{address: f"slave/{name}" for address, name in folders.items()}}
+        self._parts, self._key_of, self._orders = {}, {}, {}
+        allowed = {name: tree.orders[name] for name in self._allowed() if name in tree.orders}
+        for address in (None, *slaves):
+            self._add_parts(address, [node for node, _ in tree.readings(address)])
+        for key, members in self._parts.items():
+            for name, node in members:
+                if node.order is not None and key.slave is not None and allowed.get(node.order.name) == node.order:
+                    self._orders[folders[key.slave], name] = node.order
+        for order in allowed.values():
+            if order.command[0] == "drive":
+                self._orders[folders[order.slave], order.command[-1]] = order
+        for key, sent in list(self._sent.items()):
+            if self._topic(key) != sent.topic:
+                self._forget(key)
+        for key in (*self._parts, *(_Key(slave, _ONLINE) for slave in slaves)):
+            if key not in self._sent:
+                self._mark(key, urgent=True)
+        for condition in tree.conditions:
+            if (key := _Key(condition.slave, _CONDITION, condition.id)) not in self._sent:
+                self._mark(key)
+
+    def _add_parts(self, slave: int | None, nodes: Sequence[Node]) -> None:
+        parts: dict[str, list[Node]] = {}
+        for node in nodes:
+            # the topics of a bus without a node would say nothing
+            parts.setdefault(node.path[0].lower() if len(node.path) > 1 else _STATE, []).append(node)
+        for part, inside in parts.items():
+            key = _Key(slave, part)
+            names = unique_names(MQTT_NAME, [(node.id, _wanted(node)) for node in inside])
+            for text in names.changed:
+                self._tell(text)
+            self._parts[key] = [(names.names[node.id], node) for node in inside]
+            self._key_of |= dict.fromkeys((node.id for node in inside), key)
+
+    def _forget(self, key: _Key) -> None:
+        """The broker shall forget a topic."""
+        self._gone[self._sent.pop(key).topic] = None
+
+    def _topic(self, key: _Key) -> str | None:
+        """None where nothing has this topic any more."""
+        if key.part == _ONLINE and key.slave is None:
+            return self._online_topic
+        folder = self._folders.get(key.slave)
+        if folder is None:
+            return None
+        if key.part == _CONDITION:
+            # its id begins with bus/ or slave/N/; the rest is different for each
+            rest = key.id.split("/", 1 if key.slave is None else 2)[-1]
+            return f"{self._base}/{folder}/{_CONDITION}/{rest.translate(_ESCAPES)}"
+        is_there = key.part == _ONLINE or key in self._parts
+        return f"{self._base}/{folder}/{key.part}" if is_there else None
+
+    # --- messages out ---------------------------------------------------------------------------------------------
+
+    def next(self, wall: float, clock: float) -> Publish | Disconnect | None:
+        """The next message, or the end of the connection; None: nothing is to be sent now."""
+        if self.phase is Phase.LEAVING:
+            return self._farewell(wall, clock)
+        if self.phase is not Phase.ONLINE or self._tree.plant is None:
+            return None
+        if self._gone:
+            return self._next_gone()
+        # whoever gives orders at any rate gets every second message at most: values do not wait for them
+        self._is_turn_of_results = not self._is_turn_of_results
+        if self._results and self._is_turn_of_results:
+            return self._next_result()
+        for key in self._due_keys(clock):
+            self._waiting.pop(key, None)
+            if (message := self._publish(key, wall, clock)) is not None:
+                return message
+        if self._results:
+            return self._next_result()
+        return self._next_gone() if self._gone else None
+
+    def due(self, clock: float) -> float:
+        """The time by ``clock`` at which :meth:`next` has a message, if nothing happens before; infinite: none."""
+        if self.phase is Phase.LEAVING:
+            return clock
+        if self.phase is not Phase.ONLINE or self._tree.plant is None:
+            return math.inf
+        if self._gone or self._results:
+            return clock
+        first = min((clock if urgent else self._due_at(key) for key, urgent in self._waiting.items()), default=math.inf)
+        oldest = next(iter(self._sent.values()), None)
+        return first if oldest is None else min(first, oldest.at + self._expiry_s / 3)
+
+    def _due_keys(self, clock: float) -> Iterator[_Key]:
+        """Topics to send now: urgent ones, those with news, those that the broker would forget soon."""
+        while (key := next((key for key, urgent in self._waiting.items() if urgent), None)) is not None:
+            yield key
+        while (key := next((key for key in self._waiting if self._due_at(key) <= clock), None)) is not None:
+            yield key
+        while self._sent:
+            key, sent = next(iter(self._sent.items()))
+            if sent.at + self._expiry_s / 3 > clock:
+                return
+            yield key
+
+    def _due_at(self, key: _Key) -> float:
+        sent = self._sent.get(key)
+        return -math.inf if sent is None else sent.at + self._interval_s
+
+    def _next_gone(self) -> Publish:
+        """A topic to forget, before another one gets its name."""
+        topic = next(iter(self._gone))
+        del self._gone[topic]
+        return Publish(topic, b"", retain=True)
+
+    def _next_result(self) -> Publish:
+        return Publish(f"{self._base}/result", self._results.popleft())
+
+    def _publish(self, key: _Key, wall: float, clock: float) -> Publish | None:
+        topic = self._topic(key)
+        if topic is None:
+            return None
+        expiry_s = self._expiry_s
+        is_kept = True
+        if key.part == _ONLINE:
+            alive = self.phase is Phase.ONLINE and self._tree.is_alive(None) and self._tree.is_alive(key.slave)
+            payload = _SAID[alive]
+            if key.slave is None and not alive:
+                expiry_s = 0  # as the will: what is not there stays so
+        elif key.part == _CONDITION:
+            condition = self._tree.conditions.get(key.id) or self._ended.pop(key.id, None)
+            if condition is None:
+                if key in self._sent:
+                    self._forget(key)
+                return None
+            # one that has ended is sent once more, and expires
+            is_kept = condition.retain
+            payload = condition_payload(condition, self._offset, wall)
+        else:
+            readings = {node.id: reading for node, reading in self._tree.readings(key.slave)}
+            members = [(name, node, readings[node.id]) for name, node in self._parts[key]]
+            payload = values_payload(members, self._offset, wall, self._leaving)
+        self._sent.pop(key, None)
+        if is_kept:
+            self._sent[key] = _Sent(topic, clock)
+        return Publish(topic, payload, retain=True, expiry_s=expiry_s)
+
+    def _farewell(self, wall: float, clock: float) -> Publish | Disconnect:
+        """That nobody is there any more comes first, as the time may be short."""
+        if not self._is_told:
+            self._is_told = True
+            self._waiting.pop(_Key(None, _ONLINE), None)
+            return Publish(self._online_topic, _SAID[False], retain=True)
+        if self._gone:
+            return self._next_gone()
+        if self._results:
+            return self._next_result()
+        while self._waiting:
+            key = next(iter(self._waiting))
+            del self._waiting[key]
+            if (message := self._publish(key, wall, clock)) is not None:
+                return message
+        return Disconnect(self._leaving)
+
+    # --- messages in ----------------------------------------------------------------------------------------------
+
+    def receive(self, topic: str, payload: bytes, wall: float, *, retained: bool = False) -> Sequence[OrderWish]:
+        """Take a message of the broker; nothing that it may hold raises. Returns an order for the run, whose result
+        :meth:`answer` takes."""
+        below = topic.removeprefix(f"{self._base}/slave/")
+        levels = below.split("/")
+        if self.phase is not Phase.ONLINE or below == topic or len(levels) != 3 or levels[1] != "set":
+            return ()
+        slave, _, name = levels
+        try:
+            return (self._wish(slave, name, payload, retained=retained),)
+        except ValueError as error:
+            self._add_result(f"{slave}.{name}", None, "refused", str(error), wall)
+            return ()
+
+    def answer(self, wish: OrderWish, result: str, reason: str, wall: float) -> None:
+        """The result of an order of :meth:`receive`: ``done``, or ``refused`` with the reason."""
+        self._add_result(wish.name, wish.made_at, result, reason, wall)
+
+    def _wish(self, slave: str, name: str, payload: bytes, *, retained: bool) -> OrderWish:
+        """The order that a message means. Raises ValueError with the reason where there is none."""
+        if retained:
+            raise ValueError("the broker had kept this order: nobody knows how old it is")
+        order = self._orders.get((slave, name))
+        if order is None:
+            raise ValueError("there is no such order, or allow_commands does not list it")
+        value, made_at = read_order(payload)
+        if not self._tree.is_alive(order.slave):
+            raise ValueError("the slave is not in data exchange")
+        return OrderWish(order.name, value, made_at)
+
+    def _add_result(self, name: str, made_at: float | None, result: str, reason: str, wall: float) -> None:
+        if len(self._results) >= _MOST_RESULTS:
+            self.lost_results += 1
+            self._tell("results of orders came faster than they could be sent: the oldest are lost")
+            self._results.popleft()
+        self._results.append(result_payload(name, made_at, result, reason, wall))
+
+
+#: in the last levels of the topic of a condition, which may hold texts of a drive: different ids stay different
+_ESCAPES: Final[Mapping[int, str]] = str.maketrans({"%": "%25", "+": "%2B", "#": "%23"})
+
+
+def _wanted(node: Node) -> str:
+    """The name of a value in its topic: that of a named value, or a word of dpstack for a program."""
+    if node.path[0] in ("Inputs", "Outputs"):
+        return node.path[-1]
+    return "_".join(node.path[1:] or node.path).lower().replace(" ", "_")

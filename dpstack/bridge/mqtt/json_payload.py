@@ -1,0 +1,164 @@
+"""Payloads of plain JSON: values, conditions and results for people without Sparkplug; orders that come.
+
+Times are texts of ISO 8601 in UTC, for instance ``2026-11-23T13:00:00.250Z``. docs/reference/mqtt-json.md has each
+payload.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from dpstack.bridge.conditions import Condition
+from dpstack.bridge.nodes import Node
+from dpstack.bridge.quality import Quality, Reading, Value, clean
+from dpstack.text import json_text, printable, shortened
+
+#: octets of an order from a stranger: the longest value is the hex text of 244 octets
+MOST_OCTETS: Final = 2048
+#: s since 1970 at the end of the year 9999; a sender that gives milliseconds is far above the other limit
+_LATEST: Final = 253_402_300_799.0
+_SURELY_MS: Final = 1e11
+#: characters of a time
+_MOST_TIME: Final = 40
+#: characters of a name or reason in a result
+_MOST_TEXT: Final = 300
+_EXAMPLE: Final = '{"value": true, "time": "2026-11-23T13:00:00Z"}'
+_NAMES: Final = {Quality.GOOD: "good", Quality.STALE: "stale", Quality.BAD: "bad"}
+
+
+def time_text(seconds: float) -> str:
+    """The time ``seconds`` since 1970 with three decimals; one that cannot be is moved to the nearest one."""
+    moved = min(max(0.0, seconds), _LATEST)
+    return datetime.fromtimestamp(moved, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def values_payload(readings: Iterable[tuple[str, Node, Reading]], offset: float, wall: float, ended: str) -> bytes:
+    """Values by name. ``offset``: the clock of the computer less that of the stream; ``wall``: now, which no source
+    time exceeds. ``ended``: the reason why nobody keeps good values up to date from now on; empty: somebody does."""
+    times: dict[float, str] = {}  # many values of a slave have the same one
+    found: dict[str, object] = {}
+    for name, node, reading in readings:
+        value, quality, reason = reading.value, reading.quality, reading.text
+        if ended and quality is Quality.GOOD:
+            quality, reason = Quality.STALE, ended
+        time = None
+        if reading.time:
+            time = times.get(reading.time)
+            if time is None:
+                time = times[reading.time] = time_text(min(reading.time + offset, wall))
+        found[name] = {
+            "value": value.hex(" ") if isinstance(value, bytes) else value,
+            "unit": node.unit,
+            "quality": _NAMES[quality],
+            "reason": clean(reason),
+            "time": time,
+        }
+    return json_text(found).encode()
+
+
+def condition_payload(condition: Condition, offset: float, wall: float) -> bytes:
+    """A diagnosis, fault or alarm. ``offset``, ``wall``: as for :func:`values_payload`."""
+    return json_text(
+        {
+            "title": condition.title,
+            "text": condition.text,
+            "severity": condition.level.name.lower(),
+            "active": condition.active,
+            "acknowledged": condition.acked,
+            "since": time_text(min(condition.since + offset, wall)),
+            "time": time_text(min(condition.time + offset, wall)),
+        }
+    ).encode()
+
+
+def result_payload(order: str, made_at: float | None, result: str, reason: str, wall: float) -> bytes:
+    """The result of an order; ``made_at``: the time that its sender gave."""
+    return json_text(
+        {
+            "order": _short(order),
+            "order_time": None if made_at is None else time_text(made_at),
+            "result": result,
+            "reason": _short(reason),
+            "time": time_text(wall),
+        }
+    ).encode()
+
+
+def _short(text: str) -> str:
+    return shortened(printable(text[: _MOST_TEXT + 1]), _MOST_TEXT)
+
+
+def read_order(octets: bytes) -> tuple[Value, float]:
+    """Value, and time of the sender in s since 1970, of an order. Raises ValueError with a reason; ``octets`` may be
+    anything."""
+    if len(octets) > MOST_OCTETS:
+        raise ValueError(f"the payload has {len(octets)} octets, at most {MOST_OCTETS} are taken")
+    try:
+        given = json.loads(
+            octets.decode(), object_pairs_hook=_object, parse_constant=_constant, parse_float=_finite_float
+        )
+    except UnicodeDecodeError:
+        raise ValueError("the payload is not UTF-8") from None
+    except json.JSONDecodeError:
+        raise ValueError(f"the payload is no JSON: write for instance {_EXAMPLE}") from None
+    except RecursionError:
+        raise ValueError("the payload is nested too deeply") from None
+    if not isinstance(given, dict):
+        raise ValueError(f"the payload is no JSON object: write for instance {_EXAMPLE}")
+    for key in given:
+        if key not in ("value", "time"):
+            raise ValueError(f"unknown member {_key(key)}: an order has value and time")
+    value = given.get("value")
+    if value is not None and not isinstance(value, (bool, int, float, str)):
+        raise ValueError("its value is neither a number, a text, true nor false")
+    if given.get("time") is None:
+        raise ValueError("it has no time: add the time of now, so that no order is carried out late")
+    return value, _time_of(given["time"])
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a member stands twice in the payload")
+    return found
+
+
+def _constant(text: str) -> float:
+    raise ValueError(f"{text} is no number")
+
+
+def _finite_float(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError("a number of the payload is too great")
+    return number
+
+
+def _time_of(given: object) -> float:
+    if isinstance(given, str):
+        try:
+            if len(given) > _MOST_TIME:
+                raise ValueError
+            time = datetime.fromisoformat(given)
+        except ValueError:
+            raise ValueError("its time is none of ISO 8601, for instance 2026-11-23T13:00:00Z") from None
+        if time.tzinfo is None:
+            raise ValueError("its time has no time zone: write Z behind one of UTC")
+        seconds = time.timestamp()
+    elif isinstance(given, (int, float)) and not isinstance(given, bool):
+        if given > _SURELY_MS:
+            raise ValueError("its time is too great: a number counts seconds since 1970, not milliseconds")
+        seconds = float(given) if given >= 0 else -1.0
+    else:
+        raise ValueError("its time is neither a text nor a number")
+    if seconds < 0:
+        raise ValueError("its time is before 1970")
+    return seconds
+
+
+def _key(key: str) -> str:
+    return f"'{shortened(printable(key[:61]))}'"
