@@ -1,0 +1,309 @@
+"""Plain JSON: topics, payloads, orders and their refusals, as a broker with expiry and a subscriber sees them."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from edge_node_rig import GROUP, HOIST, NODE, PLANT, VALVES
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
+
+from dpstack.bridge.mqtt.edge_node import Disconnect, NodeSetup, OrderWish, Publish
+from dpstack.bridge.mqtt.json_node import JsonNode
+from dpstack.bridge.mqtt.json_payload import read_order
+from dpstack.bridge.tree import ClockSet, PlantTree
+
+BASE = f"dpstack/{GROUP}/{NODE}"
+ALLOWED = ("valves.lamp", "valves.speed", "hoist.start", "hoist.speed")
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "mqtt-json.md"
+
+
+class Rig:
+    """A node, and a broker that keeps retained messages until they expire. Time passes in :meth:`wait` only."""
+
+    def __init__(self, *, interval_s: float = 1.0) -> None:
+        self.clock, self.started = 1000.0, 1_700_000_000.0
+        self.told: list[str] = []
+        self.plant: dict[str, Any] = copy.deepcopy(PLANT)
+        self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
+        self.tree = PlantTree()
+        self.node = JsonNode(
+            NodeSetup(GROUP, NODE, "", interval_s), self.tree, allowed=lambda: ALLOWED, tell=self.told.append
+        )
+        #: payload and time of expiry by topic
+        self.kept: dict[str, tuple[bytes, float]] = {}
+        self.sent: list[Publish] = []
+        self.will: Publish | None = None
+        self.give_plant()
+
+    @property
+    def wall(self) -> float:
+        return self.started + self.clock - 1000.0
+
+    def give_plant(self) -> None:
+        self.node.take(self.tree.apply({"plant": copy.deepcopy(self.plant)}, self.clock), self.wall)
+        self.give_values()
+
+    def give_values(self) -> None:
+        slaves = {one: copy.deepcopy(self.values[one]) for one in self.plant["slaves"]}
+        bus = {"stale": False, "mode": "operate"}
+        body = {"t": self.clock - 1000.0, "whole": True, "bus": bus, "slaves": slaves}
+        self.node.take(self.tree.apply({"snapshot": body}, self.clock), self.wall)
+
+    def connect(self) -> None:
+        self.will = self.node.connect(1, self.wall).will
+        self.node.connected()
+        self.pump()
+
+    def die(self) -> None:
+        """SIGKILL: the broker publishes the will."""
+        assert self.will is not None
+        self.keep(self.will)
+        self.node.disconnected()
+
+    def keep(self, message: Publish) -> None:
+        assert message.retain == (message.topic != f"{BASE}/result")
+        if message.retain and message.payload:
+            self.kept[message.topic] = message.payload, self.clock + (message.expiry_s or math.inf)
+        elif message.retain:
+            self.kept.pop(message.topic, None)
+
+    def pump(self) -> list[Publish]:
+        found: list[Publish] = []
+        while (message := self.node.next(self.wall, self.clock)) is not None:
+            if isinstance(message, Disconnect):
+                self.die()
+                break
+            assert message.topic.split("/", 3)[:3] == BASE.split("/")
+            self.keep(message)
+            found.append(message)
+            assert len(found) < 1000
+        else:
+            assert self.node.due(self.clock) > self.clock
+        self.sent += found
+        return found
+
+    def wait(self, seconds: float, *, stream: bool = True) -> None:
+        for _ in range(math.ceil(seconds)):
+            self.clock += min(seconds, 1.0)
+            if stream:
+                self.give_values()
+            else:
+                self.node.take(self.tree.tick(self.clock), self.wall)
+            if stream:
+                self.pump()
+        self.kept = {topic: one for topic, one in self.kept.items() if one[1] > self.clock}
+
+    def seen(self, topic: str) -> Any:
+        return json.loads(self.kept[f"{BASE}/{topic}"][0])
+
+    def order(self, topic: str, payload: object, *, retained: bool = False) -> list[OrderWish]:
+        octets = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+        return list(self.node.receive(f"{BASE}/slave/{topic}", octets, self.wall, retained=retained))
+
+    def result(self) -> Any:
+        self.wait(1.0)
+        return json.loads([one for one in self.sent if one.topic == f"{BASE}/result"][-1].payload)
+
+
+@pytest.fixture
+def rig() -> Rig:
+    made = Rig()
+    made.connect()
+    return made
+
+
+def test_every_topic_is_in_the_table_of_the_page_and_values_come_before_online(rig: Rig) -> None:
+    assert {topic.removeprefix(f"{BASE}/") for topic in rig.kept} == {
+        "online", "bus/state", "bus/statistics",
+        *(f"slave/{name}/{part}" for name in ("hoist", "valves") for part in ("online", "state", "statistics")),
+        "slave/hoist/drive", "slave/valves/inputs", "slave/valves/outputs",
+    }  # fmt: skip
+    assert rig.sent[-1] == Publish(f"{BASE}/online", b"true", retain=True, expiry_s=30)
+    assert rig.seen("slave/valves/inputs")["level"] == {
+        "value": 12.5, "unit": "bar", "quality": "good", "reason": "", "time": "2023-11-14T22:13:19.999Z"
+    }  # fmt: skip
+    page = PAGE.read_text(encoding="utf-8")
+    rows = [line.split("|")[1].strip(" `") for line in page.splitlines() if line.startswith("| `")]
+    for topic in rig.kept:
+        general = topic.removeprefix(f"{BASE}/").replace("hoist", "SLAVE").replace("valves", "SLAVE")
+        assert general in rows, general
+    example = page.split("```json\n")[1].split("```")[0]
+    assert json.loads(example) == rig.seen("slave/valves/inputs")
+
+
+def test_a_slave_that_leaves_is_stale_with_the_reason_at_once(rig: Rig) -> None:
+    rig.values["8"]["state"] = "offline"
+    rig.give_values()
+    sent = rig.pump()
+    assert (sent[0].topic, sent[0].payload) == (f"{BASE}/slave/valves/online", b"false")
+    level = rig.seen("slave/valves/inputs")["level"]
+    assert (level["value"], level["quality"]) == (12.5, "stale")
+    assert level["reason"] == "the slave is not in data exchange: offline"
+    assert rig.seen("slave/valves/state")["state"]["quality"] == "good"
+    assert rig.seen("slave/valves/condition/fault")["active"] is True
+    rig.values["8"]["state"] = "data_exchange"
+    rig.give_values()
+    assert rig.pump()[-1].payload != b"false"
+    assert rig.seen("slave/valves/online") is True
+    assert rig.seen("slave/valves/inputs")["level"]["quality"] == "good"
+    rig.wait(1.0)
+    assert rig.seen("slave/valves/condition/fault")["active"] is False
+
+
+def test_values_merge_within_the_interval_and_are_renewed_before_they_expire(rig: Rig) -> None:
+    rig.values["8"]["fields"]["count"] = 1
+    rig.clock += 0.1
+    rig.give_values()
+    assert rig.pump() == []
+    rig.values["8"]["fields"]["count"] = 2
+    rig.wait(1.0)
+    assert [one.topic for one in rig.sent].count(f"{BASE}/slave/valves/inputs") == 2
+    assert rig.seen("slave/valves/inputs")["count"]["value"] == 2
+    before = set(rig.kept)
+    rig.wait(60.0)
+    assert set(rig.kept) == before
+
+
+def test_after_sigkill_the_will_stays_and_all_else_is_forgotten(rig: Rig) -> None:
+    rig.die()
+    assert rig.seen("online") is False
+    rig.wait(31.0, stream=False)
+    assert rig.kept == {f"{BASE}/online": (b"false", math.inf)}
+
+
+def test_an_ordered_end_says_so_first_and_leaves_nothing_good(rig: Rig) -> None:
+    rig.node.end("the run has ended")
+    sent = rig.pump()
+    assert sent[0] == Publish(f"{BASE}/online", b"false", retain=True)
+    for topic, (payload, _) in rig.kept.items():
+        assert b'"good"' not in payload, topic
+        assert not topic.endswith("online") or payload == b"false"
+    assert rig.seen("slave/valves/inputs")["level"]["reason"] == "the run has ended"
+
+
+def test_a_bus_that_is_silent_is_not_online(rig: Rig) -> None:
+    rig.wait(3.0, stream=False)
+    sent = rig.pump()
+    assert b"good" not in b"".join(one.payload for one in sent)
+    assert rig.seen("online") is rig.seen("slave/hoist/online") is False
+    assert rig.seen("bus/condition/dead")["severity"] == "error"
+
+
+def test_a_slave_that_is_removed_or_renamed_leaves_no_topic(rig: Rig) -> None:
+    del rig.plant["slaves"]["3"]
+    rig.plant["slaves"]["8"]["name"] = "a/b"
+    rig.give_plant()
+    rig.pump()
+    left = {topic.split("/")[4] for topic in rig.kept if topic.startswith(f"{BASE}/slave/")}
+    assert left == {"a_b"}
+    assert rig.told == ["'a/b' (slave 8) is called 'a_b': MQTT does not permit this name"]
+
+
+def test_names_that_two_slaves_swap_stay_right(rig: Rig) -> None:
+    slaves = rig.plant["slaves"]
+    slaves["3"]["name"], slaves["8"]["name"] = "valves", "hoist"
+    rig.give_plant()
+    rig.pump()
+    assert "level" in rig.seen("slave/hoist/inputs")
+    assert f"{BASE}/slave/valves/inputs" not in rig.kept
+
+
+def test_a_clock_that_was_set_gives_new_times(rig: Rig) -> None:
+    rig.node.take([ClockSet(-3600.0)], rig.wall)
+    rig.pump()
+    assert rig.seen("slave/valves/inputs")["level"]["time"] == "2023-11-14T21:13:19.999Z"
+
+
+@pytest.mark.parametrize(
+    ("topic", "payload", "wish"),
+    [
+        ("valves/set/lamp", {"value": True, "time": "2023-11-14T22:13:20Z"}, ("valves.lamp", True)),
+        ("valves/set/speed", {"value": 7, "time": 1_700_000_000.0}, ("valves.speed", 7)),
+        ("hoist/set/start", {"time": "2023-11-14T23:13:20+01:00"}, ("hoist.start", None)),
+        ("hoist/set/speed", {"value": 0.25, "time": 1_700_000_000}, ("hoist.speed", 0.25)),
+    ],
+)
+def test_an_order_that_is_listed(rig: Rig, topic: str, payload: object, wish: tuple[str, object]) -> None:
+    assert rig.order(topic, payload) == [OrderWish(*wish, 1_700_000_000.0)]
+    rig.node.answer(OrderWish(*wish, 1_700_000_000.0), "done", "", rig.wall)
+    made = rig.result()
+    assert (made["order"], made["result"], made["order_time"]) == (wish[0], "done", "2023-11-14T22:13:20.000Z")
+
+
+NOW = '"time": 1700000000'
+NO_JSON = 'the payload is no JSON: write for instance {"value": true, "time": "2026-11-23T13:00:00Z"}'
+
+
+@pytest.mark.parametrize(
+    ("octets", "reason"),
+    [
+        (b"", NO_JSON),
+        (b"true", 'the payload is no JSON object: write for instance {"value": true, "time": "2026-11-23T13:00:00Z"}'),
+        (b"[" * 2000, "the payload is nested too deeply"),
+        (b'{"a":' * 400, NO_JSON),
+        (bytes(1_000_000), "the payload has 1000000 octets, at most 2048 are taken"),
+        (b'{"value": NaN, %s}' % NOW.encode(), "NaN is no number"),
+        (b'{"value": -Infinity, %s}' % NOW.encode(), "-Infinity is no number"),
+        (b'{"value": 1e999, %s}' % NOW.encode(), "a number of the payload is too great"),
+        (b'{"value": 1, "value": 2, %s}' % NOW.encode(), "a member stands twice in the payload"),
+        (b'{"value": {"x": 1}, %s}' % NOW.encode(), "its value is neither a number, a text, true nor false"),
+        (b'{"valeu": 1, %s}' % NOW.encode(), "unknown member 'valeu': an order has value and time"),
+        (b'{"\\u001b[2J": 1}', "unknown member '\\x1b[2J': an order has value and time"),
+        (b'{"value": "\xff"}', "the payload is not UTF-8"),
+        (b'{"value": 1}', "it has no time: add the time of now, so that no order is carried out late"),
+        (b'{"time": "2023-11-14T22:13:20"}', "its time has no time zone: write Z behind one of UTC"),
+        (b'{"time": "now"}', "its time is none of ISO 8601, for instance 2026-11-23T13:00:00Z"),
+        (b'{"time": 1700000000000}', "its time is too great: a number counts seconds since 1970, not milliseconds"),
+        (b'{"time": true}', "its time is neither a text nor a number"),
+        (b'{"time": -1}', "its time is before 1970"),
+    ],
+)  # fmt: skip
+def test_an_order_that_cannot_be_is_refused_with_its_reason(rig: Rig, octets: bytes, reason: str) -> None:
+    assert rig.order("valves/set/lamp", octets) == []
+    made = rig.result()
+    assert (made["order"], made["result"], made["reason"]) == ("valves.lamp", "refused", reason)
+
+
+def test_what_is_kept_not_listed_or_not_in_data_exchange_is_refused(rig: Rig) -> None:
+    right = {"value": True, "time": 1_700_000_000}
+    assert rig.order("valves/set/lamp", right, retained=True) == []
+    assert rig.result()["reason"] == "the broker had kept this order: nobody knows how old it is"
+    for topic in ("hoist/set/stop", "valves/set/level", "pump/set/lamp"):
+        assert rig.order(topic, right) == []
+        assert rig.result()["reason"] == "there is no such order, or allow_commands does not list it"
+    assert rig.order("valves/set/lamp/more", right) == rig.order("valves/get/lamp", right) == []
+    rig.values["8"]["state"] = "offline"
+    rig.give_values()
+    assert rig.order("valves/set/lamp", right) == []
+    assert rig.result()["reason"] == "the slave is not in data exchange"
+
+
+def test_a_flood_of_orders_is_bounded_and_values_do_not_wait_for_it(rig: Rig) -> None:
+    rig.clock += 1.0
+    rig.values["8"]["state"] = "offline"
+    rig.give_values()
+    for _ in range(1000):
+        rig.order("valves/set/lamp", b"x")
+    assert rig.node.lost_results == 1000 - 256
+    assert "results of orders came faster" in rig.told[-1]
+    first = [one.topic for one in rig.pump()[:2]]
+    assert f"{BASE}/slave/valves/online" in first
+
+
+@examples(100)
+@given(
+    st.binary(max_size=80) | st.text(max_size=60).map(lambda text: json.dumps({"value": text, "time": text}).encode())
+)
+def test_garbage_is_no_order(octets: bytes) -> None:
+    refused: Callable[[bytes], object] = read_order
+    with pytest.raises(ValueError, match=".") as caught:
+        refused(octets)
+    assert str(caught.value).isprintable()
