@@ -88,6 +88,10 @@ def test_errors_of_reading_name_the_line(text: str, error: str) -> None:
             'url = "mqtt://x"\ngroup = "a/b"',
             "plant:14: [mqtt]: group 'a/b': MQTT does not permit this name",
         ),
+        (
+            LEAST + 'format = "json"\nprimary_host = "scada"',
+            "plant:16: [mqtt]: primary_host: plain JSON knows none; take it out, or write format",
+        ),
         (LEAST + 'cert = "c.pem"', "plant:12: [mqtt]: ca, cert and key need TLS: write mqtts:// in url; correct it"),
         (LEAST + 'user = "anna"\npassword_env = "NO_SUCH"', "plant:16: [mqtt]: password_env: the environment has no"),
         (LEAST + 'allow_commands = ["valves.lmap"]', "plant:15: [mqtt]: allow_commands: 'valves.lmap' fits no order"),

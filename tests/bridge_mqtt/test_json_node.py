@@ -128,7 +128,7 @@ def test_every_topic_is_in_the_table_of_the_page_and_values_come_before_online(r
     }  # fmt: skip
     assert rig.sent[-1] == Publish(f"{BASE}/online", b"true", retain=True, expiry_s=30)
     assert rig.seen("slave/valves/inputs")["level"] == {
-        "value": 12.5, "unit": "bar", "quality": "good", "reason": "", "time": "2023-11-14T22:13:19.999Z"
+        "value": 12.5, "unit": "bar", "quality": "good", "reason": "", "time": "2023-11-14T22:13:19.998Z"
     }  # fmt: skip
     page = PAGE.read_text(encoding="utf-8")
     rows = [line.split("|")[1].strip(" `") for line in page.splitlines() if line.startswith("| `")]
@@ -219,7 +219,7 @@ def test_names_that_two_slaves_swap_stay_right(rig: Rig) -> None:
 def test_a_clock_that_was_set_gives_new_times(rig: Rig) -> None:
     rig.node.take([ClockSet(-3600.0)], rig.wall)
     rig.pump()
-    assert rig.seen("slave/valves/inputs")["level"]["time"] == "2023-11-14T21:13:19.999Z"
+    assert rig.seen("slave/valves/inputs")["level"]["time"] == "2023-11-14T21:13:19.998Z"
 
 
 @pytest.mark.parametrize(
@@ -304,6 +304,6 @@ def test_a_flood_of_orders_is_bounded_and_values_do_not_wait_for_it(rig: Rig) ->
 )
 def test_garbage_is_no_order(octets: bytes) -> None:
     refused: Callable[[bytes], object] = read_order
-    with pytest.raises(ValueError, match=".") as caught:
+    with pytest.raises(ValueError, match=r".") as caught:
         refused(octets)
     assert str(caught.value).isprintable()
