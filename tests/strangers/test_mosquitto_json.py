@@ -69,14 +69,15 @@ async def test_the_whole_way(tmp_path: Path, broker: Mosquitto) -> None:
         level = (await until(broker, "slave/valves/inputs", '"good"'))["level"]
         assert level["time"].endswith("Z")
         kept = broker.clients("mosquitto_sub", "-t", f"{BASE}/slave/valves/inputs", "-C", "1", "-F", "%E")
-        assert 0 < int(subprocess.run(kept, check=True, capture_output=True, timeout=LONGEST_S).stdout) <= 30
-        made = await order(broker, "lamp", {"value": True, "time": time.time()})
-        assert (made["order"], made["result"]) == ("valves.lamp", "done"), made
+        made = await asyncio.to_thread(subprocess.run, kept, check=True, capture_output=True, timeout=LONGEST_S)
+        assert 0 < int(made.stdout) <= 30
+        result = await order(broker, "lamp", {"value": True, "time": time.time()})
+        assert (result["order"], result["result"]) == ("valves.lamp", "done"), result
         await until(broker, "slave/valves/outputs", '"lamp": {"value": true')
-        made = await order(broker, "speed", {"value": 1, "time": time.time()})
-        assert made["reason"] == "there is no such order, or allow_commands does not list it"
-        made = await order(broker, "lamp", {"value": False, "time": time.time() - 60})
-        assert "s old by the clock of this computer" in made["reason"]
+        result = await order(broker, "speed", {"value": 1, "time": time.time()})
+        assert result["reason"] == "there is no such order, or allow_commands does not list it"
+        result = await order(broker, "lamp", {"value": False, "time": time.time() - 60})
+        assert "s old by the clock of this computer" in result["reason"]
         run_.kill()
         await run_.wait()
         assert await until(broker, "online", "false") is False
