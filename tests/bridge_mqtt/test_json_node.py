@@ -18,6 +18,7 @@ from property_kit import examples
 from dpstack.bridge.mqtt.edge_node import Disconnect, NodeSetup, OrderWish, Publish
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.json_payload import read_order
+from dpstack.bridge.quality import Value
 from dpstack.bridge.tree import ClockSet, PlantTree
 
 BASE = f"dpstack/{GROUP}/{NODE}"
@@ -231,7 +232,7 @@ def test_a_clock_that_was_set_gives_new_times(rig: Rig) -> None:
         ("hoist/set/speed", {"value": 0.25, "time": 1_700_000_000}, ("hoist.speed", 0.25)),
     ],
 )
-def test_an_order_that_is_listed(rig: Rig, topic: str, payload: object, wish: tuple[str, object]) -> None:
+def test_an_order_that_is_listed(rig: Rig, topic: str, payload: object, wish: tuple[str, Value]) -> None:
     assert rig.order(topic, payload) == [OrderWish(*wish, 1_700_000_000.0)]
     rig.node.answer(OrderWish(*wish, 1_700_000_000.0), "done", "", rig.wall)
     made = rig.result()

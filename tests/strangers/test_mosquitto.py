@@ -1,4 +1,4 @@
-"""The face of MQTT against mosquitto and its own clients: births, wills, restarts, commands, TLS.
+"""The face of MQTT against mosquitto and its own clients: births, wills, restarts, commands, TLS; plain JSON.
 
 A subscriber is mosquitto_sub; what it gets is judged by a host that knows only the specification.
 """
@@ -591,3 +591,66 @@ async def test_dpstack_run_publishes_its_plant_and_takes_a_command(tmp_path: Pat
             if run_.returncode is None:
                 run_.kill()
                 await run_.wait()
+
+
+JSON = f"dpstack/{GROUP}/{NODE}"
+
+
+async def json_message(broker: Mosquitto, topic: str, *options: str) -> tuple[bool, Any]:
+    """The next message: whether the broker had kept it, and its payload."""
+    words = broker.clients("mosquitto_sub", "-t", f"{JSON}/{topic}", "-C", "1", "-W", "20", "-F", "%r %p", *options)
+    made = await asyncio.to_thread(subprocess.run, words, check=True, capture_output=True, timeout=LONGEST_S)
+    kept, _, payload = made.stdout.decode().partition(" ")
+    return kept == "1", json.loads(payload)
+
+
+async def json_until(broker: Mosquitto, topic: str, wanted: str) -> Any:
+    end = time.monotonic() + LONGEST_S
+    while wanted not in json.dumps((found := await json_message(broker, topic))[1]):
+        assert time.monotonic() < end, found
+    return found[1]
+
+
+async def json_order(broker: Mosquitto, name: str, payload: object) -> Any:
+    """Send an order; returns its result."""
+    before = broker.subscriptions()
+    listening = asyncio.create_task(json_message(broker, "result"))
+    while broker.subscriptions() == before:  # noqa: ASYNC110  the log of the broker tells nobody
+        await asyncio.sleep(0.02)
+    topic = f"{JSON}/slave/valves/set/{name}"
+    await run(broker.clients("mosquitto_pub", "-q", "1", "-t", topic, "-m", json.dumps(payload)))
+    kept, result = await listening
+    assert not kept
+    return result
+
+
+async def test_plain_json_from_values_and_orders_to_the_will(tmp_path: Path, broker: Mosquitto) -> None:
+    config = tmp_path / "plant.toml"
+    config.write_text(CONFIG.format(port=broker.port, group=GROUP, node=NODE) + 'format = "json"\n')
+    run_ = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "dpstack", "run", str(config)),
+        env=os.environ | {"XDG_STATE_HOME": str(tmp_path)},
+        stdout=asyncio.subprocess.DEVNULL,
+    )
+    try:
+        await json_until(broker, "slave/valves/online", "true")
+        await json_until(broker, "online", "true")
+        level = (await json_until(broker, "slave/valves/inputs", '"good"'))["level"]
+        assert level["time"].endswith("Z")
+        kept = broker.clients("mosquitto_sub", "-t", f"{JSON}/slave/valves/inputs", "-C", "1", "-F", "%E")
+        made = await asyncio.to_thread(subprocess.run, kept, check=True, capture_output=True, timeout=LONGEST_S)
+        assert 0 < int(made.stdout) <= 30
+        result = await json_order(broker, "lamp", {"value": True, "time": time.time()})
+        assert (result["order"], result["result"]) == ("valves.lamp", "done"), result
+        await json_until(broker, "slave/valves/outputs", '"lamp": {"value": true')
+        result = await json_order(broker, "speed", {"value": 1, "time": time.time()})
+        assert result["reason"] == "there is no such order, or allow_commands does not list it"
+        result = await json_order(broker, "lamp", {"value": False, "time": time.time() - 60})
+        assert "s old by the clock of this computer" in result["reason"]
+        run_.kill()
+        await run_.wait()
+        assert await json_until(broker, "online", "false") is False
+    finally:
+        if run_.returncode is None:
+            run_.kill()
+            await run_.wait()
