@@ -284,15 +284,13 @@ class MqttFace(Face):
                 f"{lost} messages of the broker came faster than they could be read: they are lost", Severity.WARNING
             )
 
+
 async def _publish(client: aiomqtt.Client, message: Publish) -> None:
     properties = None
     if message.expiry_s:
         properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
         properties.MessageExpiryInterval = message.expiry_s
-    await client.publish(
-        message.topic, message.payload, qos=message.qos, retain=message.retain, properties=properties
-    )
-
+    await client.publish(message.topic, message.payload, qos=message.qos, retain=message.retain, properties=properties)
 
 
 def _is_taken_over(error: BaseException) -> bool:
