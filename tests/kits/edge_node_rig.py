@@ -106,7 +106,7 @@ class Rig:
         self.numbers.close()
 
     def take(self, changes: list[Change]) -> None:
-        self.node.take([*changes, *self.clock_changes()], self.wall)
+        self.node.take([*changes, *self.clock_changes()], self.wall, self.clock)
 
     def clock_changes(self) -> list[ClockSet]:
         """As a gateway: the clock of the computer was set."""

@@ -40,6 +40,7 @@ class MqttConfig(FaceConfig, frozen=True, kw_only=True):
     allow_commands: the [orders](bridge.md#orders) that hosts may give: `"valves.lamp"`, `"hoist.start"`, `"hoist.*"`
     command_max_age_s: the greatest difference between the time of an order and the clock of this computer
     interval_ms: the values of a device are published no more often
+    store_mb: disk space in MB for [values that cannot be delivered](sparkplug.md#store-and-forward); 0: they are lost
     ca: certificates (PEM) by which that of the broker is judged. Left out: those of the system
     cert: the certificate (PEM) of this program. Left out: none
     key: the key (PEM) of `cert`. Left out: none
@@ -59,6 +60,7 @@ class MqttConfig(FaceConfig, frozen=True, kw_only=True):
     allow_commands: Annotated[tuple[str, ...], Key(read=read_names)] = ()
     command_max_age_s: Annotated[float, Key(0.1, 3600, "s")] = 2
     interval_ms: Annotated[int, Key(10, 3_600_000)] = 1000
+    store_mb: Annotated[int, Key(0, 10_000)] = 100
     ca: Annotated[str, Key(read=_file)] = ""
     cert: Annotated[str, Key(read=_file)] = ""
     key: Annotated[str, Key(read=_file)] = ""

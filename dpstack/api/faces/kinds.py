@@ -75,6 +75,7 @@ def _mqtt(config: MqttConfig, parts: Parts) -> Face:
         folder=folder,
         orders=orders,
         make_node=make_node,
+        store_mb=0 if config.format == "json" else config.store_mb,
         versions=versions,
     )
 

@@ -6,6 +6,9 @@
 - ``edge_node``: The edge node: births, data, deaths and commands in their order. Knows no network and no clock
 - ``fleet``: All segments of a broker from their statuses, births and deaths
 - ``fleet_reader``: The statuses of a broker read over one connection that is made again; publishes nothing by itself
+- ``history``: Store and forward in memory: values that could not be delivered, and those that are confirmed
+- ``history_file``: Values that could not be delivered on disk (SQLite), bounded, the oldest dropped first
+- ``history_keeper``: Moves them between memory and disk, in a thread of its own
 - ``json_node``: Topics with plain JSON: values, conditions, orders, results. Knows no network and no clock
 - ``json_payload``: Payloads of plain JSON: values, conditions, results; orders that come
 - ``limited_client``: A client that reads no more than its share of what the broker sends

@@ -33,6 +33,8 @@ from dpstack.bridge.mqtt.connection import (
     text_of,
 )
 from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, NodeSetup, OrderWish, Publish
+from dpstack.bridge.mqtt.history import History
+from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.plant_node import PlantNode
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.mqtt.status import EXPIRY_S, StatusSource, topic_of
@@ -52,6 +54,10 @@ _TAKEN_OVER_PAUSE_S: Final = 60.0
 _TAKEN_OVER_AFTER: Final = 4
 #: a session that lasted so many s was a good one
 _GOOD_S: Final = 30.0
+#: s between two round trips by which the broker confirms what was sent; and for those at the end of the run
+_ROUND_S: Final = 2.0
+_LAST_ROUND_S: Final = 0.5
+_LAST_WRITE_S: Final = 0.5
 #: orders that wait for their result
 _MOST_ORDERS: Final = 256
 #: reason code of MQTT 5 (2.4)
@@ -61,7 +67,8 @@ _TAKEN_OVER: Final = 0x8E
 class MqttFace(Face):
     """``folder``: for the number of the session (:func:`dpstack.bridge.mqtt.broker.state_folder`). ``orders``: None:
     hosts may give no orders. ``versions``: of programs, for the status of the segment; None: none is published.
-    ``make_node``: the class for its payloads. ``again_s``: s until the first new try."""
+    ``store_mb``: MB for values that cannot be delivered; 0: they are lost. ``make_node``: the class for its payloads.
+    ``again_s``: s until the first new try."""
 
     name: ClassVar[str] = "mqtt"
 
@@ -75,6 +82,7 @@ class MqttFace(Face):
         folder: Path,
         orders: Orders | None = None,
         versions: Mapping[str, str] | None = None,
+        store_mb: int = 0,
         again_s: float = _PAUSE_S,
         make_node: type[PlantNode] = EdgeNode,
     ) -> None:
@@ -90,9 +98,16 @@ class MqttFace(Face):
         self._numbers: SessionFile | None = None
         self._node: PlantNode | None = None
         self._wake = asyncio.Event()
+        self._history = History() if store_mb else None
+        self._keeper: HistoryKeeper | None = None
+        if self._history is not None:
+            self._keeper = HistoryKeeper(self._history, folder, store_mb, tell, self._wake.set)
+        self._round_wanted = asyncio.Event()
         self.connected = self._was_connected = False
         self._last_error = LastError(logging.ERROR)
         self._giving: set[asyncio.Task[None]] = set()
+        #: messages of the broker that were too many at once
+        self._lost = 0
 
     async def open(self) -> None:
         """Read the certificates, take the folder. Raises ConfigError."""
@@ -109,6 +124,7 @@ class MqttFace(Face):
             allowed=self._allowed,
             tell=lambda text: self.tell(text, Severity.WARNING),
             clear_first=numbers.damaged,
+            history=self._history,
         )
 
     def _allowed(self) -> frozenset[str]:
@@ -116,12 +132,22 @@ class MqttFace(Face):
 
     def take(self, changes: Sequence[Change]) -> None:
         if self._node is not None:
-            self._node.take(changes, time.time())
+            self._node.take(changes, time.time(), _clock())
             if self._status is not None:
                 self._status.changed()
             self._wake.set()
+            if self._history is not None:
+                self.dropped = self._lost + self._history.dropped
 
     async def serve(self) -> None:
+        keeping = None if self._keeper is None else asyncio.create_task(self._keeper.serve(), name="dpstack mqtt: disk")
+        try:
+            await self._serve()
+        finally:
+            if self._keeper is not None and keeping is not None:
+                await self._keep_rest(self._keeper, keeping)
+
+    async def _serve(self) -> None:
         loop = asyncio.get_running_loop()
         failed = ended_early = 0
         while True:
@@ -152,6 +178,8 @@ class MqttFace(Face):
     def close(self) -> None:
         for task in self._giving:
             task.cancel()
+        if self._keeper is not None:
+            self._keeper.close()
         if self._numbers is not None:
             self._numbers.close()
 
@@ -201,20 +229,23 @@ class MqttFace(Face):
     async def _exchange(self, node: PlantNode, client: aiomqtt.Client) -> Disconnect:
         sending = asyncio.create_task(self._send(node, client), name="dpstack mqtt: sending")
         reading = asyncio.create_task(self._read(node, client), name="dpstack mqtt: reading")
-        tasks = (sending, reading)
+        confirming = asyncio.create_task(self._confirm(client), name="dpstack mqtt: confirming")
+        tasks = (sending, reading, confirming)
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         except asyncio.CancelledError:
-            sending.cancel()
-            await asyncio.wait((sending,))
+            for task in (sending, confirming):
+                task.cancel()
+            await asyncio.wait((sending, confirming))
             await self._say_farewell(node, client)
             raise
         finally:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-        if not reading.cancelled() and (error := reading.exception()) is not None:
-            raise error  # it knows why the connection has ended
+        for task in (reading, confirming):
+            if not task.cancelled() and (error := task.exception()) is not None:
+                raise error  # the first one knows why the connection has ended
         return sending.result()
 
     async def _send(self, node: PlantNode, client: aiomqtt.Client) -> Disconnect:
@@ -225,7 +256,7 @@ class MqttFace(Face):
             if status is not None:
                 await self._publish_status(client, status)
                 end_if_cancelled(before)
-            message = node.next(time.time(), loop.time())
+            message = node.next(time.time(), _clock())
             if isinstance(message, Disconnect):
                 return message
             if message is not None:
@@ -234,11 +265,12 @@ class MqttFace(Face):
                 await asyncio.sleep(0)  # births of many slaves: others have their turn between
                 continue
             self._wake.clear()
-            due = node.due(loop.time())
+            self._look_after_history()
+            wait_s = node.due(_clock()) - _clock()
             if self._status is not None:
-                due = min(due, self._status.due(loop.time()))
+                wait_s = min(wait_s, self._status.due(loop.time()) - loop.time())
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout_at(min(due, loop.time() + 3600)):
+                async with asyncio.timeout_at(loop.time() + min(wait_s, 3600)):
                     await self._wake.wait()
 
     async def _publish_status(self, client: aiomqtt.Client, payload: bytes) -> None:
@@ -254,6 +286,9 @@ class MqttFace(Face):
             self._wake.set()
 
     async def _say_farewell(self, node: PlantNode, client: aiomqtt.Client) -> None:
+        with contextlib.suppress(TimeoutError, aiomqtt.MqttError, OSError):
+            async with asyncio.timeout(_LAST_ROUND_S):
+                await self._round_trip(client)
         node.end("the run has ended")
         with contextlib.suppress(TimeoutError, aiomqtt.MqttError, OSError):
             async with asyncio.timeout(_FAREWELL_S):
@@ -261,6 +296,48 @@ class MqttFace(Face):
                 if status is not None:
                     await self._publish_status(client, status.last(time.time()))
                 await self._send(node, client)
+
+    # --- history --------------------------------------------------------------------------------------------------
+
+    def _look_after_history(self) -> None:
+        """Nothing is to be sent at this moment: the disk and the next round trip may have to begin."""
+        if self._history is not None and self._keeper is not None:
+            if self._history.needs_disk:
+                self._keeper.wake()
+            if self._history.is_chunk_sent:
+                self._round_wanted.set()
+
+    async def _confirm(self, client: aiomqtt.Client) -> None:
+        """Confirm what was sent by round trips on this connection. Raises MqttError where the broker does not answer:
+        then nobody knows what it has read."""
+        before = cancellations()
+        while True:
+            self._round_wanted.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_ROUND_S):
+                    await self._round_wanted.wait()
+            await self._round_trip(client)
+            end_if_cancelled(before)
+
+    async def _round_trip(self, client: aiomqtt.Client) -> None:
+        history, keeper = self._history, self._keeper
+        if history is None or keeper is None or not history.is_unconfirmed:
+            return
+        number = history.begin_round()
+        # nobody has subscribed it; the broker answers in the order of what it reads
+        await client.unsubscribe(f"{self._setup.topic('NCMD')}/round-trip")
+        history.confirm(number)
+        keeper.wake()
+
+    async def _keep_rest(self, keeper: HistoryKeeper, keeping: asyncio.Task[None]) -> None:
+        """At the end of the run: what was not delivered goes to the disk."""
+        keeping.cancel()
+        await asyncio.gather(keeping, return_exceptions=True)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_LAST_WRITE_S):
+                await keeper.finish()
+
+    # --- orders ---------------------------------------------------------------------------------------------------
 
     def _give(self, node: PlantNode, wish: OrderWish) -> None:
         if len(self._giving) >= _MOST_ORDERS:
@@ -279,10 +356,16 @@ class MqttFace(Face):
     def _count_lost(self, client: aiomqtt.Client) -> None:
         lost = getattr(client._queue, "lost", 0)
         if lost:
+            self._lost += lost
             self.dropped += lost
             self.tell(
                 f"{lost} messages of the broker came faster than they could be read: they are lost", Severity.WARNING
             )
+
+
+def _clock() -> float:
+    """s since the start of the computer, also while it slept."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
 async def _publish(client: aiomqtt.Client, message: Publish) -> None:

@@ -8,8 +8,9 @@ The bus is the edge node, its slaves are the devices. The caller owns the connec
 - it asks for the next message whenever it can send one (:meth:`~EdgeNode.next`)
 
 A message is made when it is asked for, with the values of that moment: a slow broker gets fewer of them, and nothing
-waits in memory but the last value of each metric. ``wall``: s since 1970 by the clock of the computer, which may jump;
-``clock``: s by a clock that nobody sets.
+waits in memory but the last value of each metric. With a :class:`~dpstack.bridge.mqtt.history.History`, values that
+could not be delivered are kept there, and follow as history. ``wall``: s since 1970 by the clock of the computer, which
+may jump; ``clock``: s since the start of the computer, by a clock that nobody sets.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import ClassVar, Final, NamedTuple
 
+from dpstack.bridge.mqtt.history import Absent, Entry, History
 from dpstack.bridge.mqtt.payload import (
     BDSEQ,
     DATA_TYPES,
@@ -145,7 +147,8 @@ class _Device:
 class EdgeNode:
     """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
     ``clear_first``: the number of the last session is not known. So one session without births comes before the
-    others: the broker has published the old will when the first births come.
+    others: the broker has published the old will when the first births come. ``history``: keeps values that could not
+    be delivered; None: they are lost.
 
     ``phase``: see :class:`Phase`. ``merged``: values that newer ones replaced before they were published.
     """
@@ -160,6 +163,7 @@ class EdgeNode:
         allowed: Callable[[], Collection[str]] = tuple,
         tell: Callable[[str], object] = lambda _: None,
         clear_first: bool = False,
+        history: History | None = None,
     ) -> None:
         self.phase = Phase.OFFLINE
         self.merged = 0
@@ -198,6 +202,14 @@ class EdgeNode:
         self._own: dict[str, tuple[Value, str, float]] = {}
         #: the clock of the computer less that of the stream, in s
         self._offset = 0.0
+        # history
+        self._history = history
+        self._clock = 0.0
+        self._was_born = False
+        #: devices by their id
+        self._slave_of: dict[str, int] = {}
+        #: values that are stale as their device has died: DDEATH says it
+        self._dying: dict[int, list[Entry]] = {}
         self._rename()
 
     # --- the connection -------------------------------------------------------------------------------------------
@@ -247,6 +259,9 @@ class EdgeNode:
         self._end_session()
 
     def _end_session(self) -> None:
+        self._keep_pending()
+        if self._history is not None:
+            self._history.session_ended()
         self._node = None
         self._devices.clear()
         self._births.clear()
@@ -256,15 +271,20 @@ class EdgeNode:
 
     # --- the tree -------------------------------------------------------------------------------------------------
 
-    def take(self, changes: Iterable[Change], wall: float) -> None:
+    def take(self, changes: Sequence[Change], wall: float, clock: float) -> None:
         """Take changes of the tree."""
+        self._clock = clock
+        self._set_clock(changes, wall, clock)
+        died = {change.slave for change in changes if isinstance(change, Died)}
         for change in changes:
             match change:
                 case Changed(node=node, reading=reading):
                     owner = self._node if node.slave is None else self._devices.get(node.slave)
                     if owner is not None:
-                        self.merged += node.id in owner.pending
+                        self._replace(node.slave, owner, node.id, clock)
                         owner.pending[node.id] = reading
+                    else:
+                        self._keep_change(node.slave, node.id, reading, has_died=node.slave in died)
                 case Born(slave=None):
                     self._show("Bus running", True, wall)
                 case Died(slave=None):
@@ -275,8 +295,7 @@ class EdgeNode:
                     self._lose(slave)
                 case NodesChanged():
                     self._rename()
-                case ClockSet(offset=offset):
-                    self._offset = offset
+                case ClockSet():
                     if self._node is not None:
                         self._tell("the clock of this computer was set: all values are published again, with new times")
                         self._needs_birth = True
@@ -285,6 +304,7 @@ class EdgeNode:
         """The DBIRTH of a slave does not hold any more."""
         device = self._devices.pop(slave, None)
         if device is not None:
+            self._keep_pending_of(slave, device)
             self._deaths[slave] = device.name
         self._births.pop(slave, None)
 
@@ -294,6 +314,7 @@ class EdgeNode:
         slaves = tree.slaves
         ids = unique_names(SPARKPLUG_ID, [(f"slave {address}", one.name) for address, one in slaves.items()])
         ids_before, self._device_ids = self._device_ids, {one: ids.names[f"slave {one}"] for one in slaves}
+        self._slave_of = {name: one for one, name in self._device_ids.items()}
         for text in ids.changed:
             self._tell(text)
         self._kinds, self._orders, self._keys, self._bare_orders = {}, {}, {}, {}
@@ -378,9 +399,10 @@ class EdgeNode:
             return Publish(self._setup.topic("NDEATH"), node_death(self._number, _ms(wall)))
         if self.phase is not Phase.ONLINE or self._tree.plant is None:
             return None
-        now_ms = _ms(wall)
+        now_ms, self._clock = _ms(wall), clock
         if self._deaths:
             slave = next(iter(self._deaths))
+            self._was_sent(self._dying.pop(slave, ()))
             return Publish(self._setup.topic("DDEATH", self._deaths.pop(slave)), device_death(self._next_seq(), now_ms))
         if self._rebirth_asked:
             if clock < self._born_at + _REBIRTH_S:
@@ -397,7 +419,7 @@ class EdgeNode:
         for slave_or_none, owner in ((None, self._node), *self._devices.items()):
             if owner.pending and clock >= owner.due:
                 return self._data(slave_or_none, owner, now_ms, clock)
-        return None
+        return self._historical(wall, clock)
 
     def due(self, clock: float) -> float:
         """The time by ``clock`` at which :meth:`next` has a message, if nothing happens before; infinite: none."""
@@ -409,12 +431,16 @@ class EdgeNode:
             return clock
         if self._rebirth_asked:
             return self._born_at + _REBIRTH_S
-        return min((owner.due for owner in self._owners() if owner.pending), default=math.inf)
+        history = math.inf if self._history is None else self._history.next_due()
+        return min(history, *(owner.due for owner in self._owners() if owner.pending), math.inf)
 
     def _node_birth(self, now_ms: int, clock: float) -> Publish:
         self._needs_birth = self._rebirth_asked = False
         self._born_at = clock
         self._seq = 0
+        self._keep_pending()
+        if self._history is not None:
+            self._history.session_began()
         self._node = node = _Device("")
         node.due = clock + self._setup.interval_s
         self._devices.clear()
@@ -428,11 +454,16 @@ class EdgeNode:
         samples.append(Sample(self._kinds["own/bdSeq"], Reading(self._number, Reason.GOOD), now_ms))
         rebirth = MetricKind(REBIRTH, None, DataType.BOOLEAN, writable=True, text="true: publish all births again")
         samples.append(Sample(rebirth, Reading(False, Reason.GOOD), now_ms))
+        self._is_covered(None, readings)
         return Publish(self._setup.topic("NBIRTH"), birth(samples, self._seq, now_ms))
 
     def _device_birth(self, slave: int, now_ms: int, clock: float) -> Publish:
+        before = self._devices.get(slave)
+        if before is not None:
+            self._keep_pending_of(slave, before)
         device = self._devices[slave] = _Device(self._device_ids[slave])
         device.due = clock + self._setup.interval_s
+        self._is_covered(slave, self._tree.readings(slave))
         samples = [self._sample(device, one.id, reading, now_ms) for one, reading in self._tree.readings(slave)]
         for key in self._bare_orders.get(slave, ()):
             # as Node Control/Rebirth: it is false, and a host writes true
@@ -443,6 +474,7 @@ class EdgeNode:
     def _data(self, slave: int | None, owner: _Device, now_ms: int, clock: float) -> Publish:
         pending, owner.pending = owner.pending, {}
         owner.due = clock + self._setup.interval_s
+        self._was_sent(self._entries(slave, pending))
         samples = [self._sample(owner, key, reading, now_ms) for key, reading in pending.items()]
         kind, device = ("NDATA", None) if slave is None else ("DDATA", owner.name)
         return Publish(self._setup.topic(kind, device), data(samples, self._next_seq(), now_ms))
@@ -453,11 +485,13 @@ class EdgeNode:
             owner.not_good.discard(key)
         else:
             owner.not_good.add(key)
-        if key.startswith("own/"):
-            time_ms = _ms(reading.time)
-        else:
-            time_ms = _ms(reading.time + self._offset) if reading.time else now_ms
-        return Sample(self._kinds[key], reading, min(time_ms, now_ms), told)
+        return Sample(self._kinds[key], reading, self._time_ms(key, reading, now_ms), told)
+
+    def _time_ms(self, key: str, reading: Reading, now_ms: int) -> int:
+        """The time of a value by the clock of the computer."""
+        if not reading.time:
+            return now_ms
+        return min(_ms(reading.time if key.startswith("own/") else reading.time + self._offset), now_ms)
 
     def _owners(self) -> Iterator[_Device]:
         """Edge node and devices that have had their births in this session."""
@@ -469,12 +503,116 @@ class EdgeNode:
         self._seq = (self._seq + 1) % _SEQUENCE
         return self._seq
 
+    # --- history --------------------------------------------------------------------------------------------------
+
+    def _set_clock(self, changes: Sequence[Change], wall: float, clock: float) -> None:
+        """Changes that come with ClockSet have the new times."""
+        offsets = [change.offset for change in changes if isinstance(change, ClockSet)]
+        if offsets:
+            self._offset = offsets[-1]
+        if self._history is not None and (offsets or self._history.offset_ms is None):
+            self._history.offset_ms = _offset_ms(wall, clock)
+
+    def _entries(self, slave: int | None, readings: Mapping[str, Reading]) -> list[Entry]:
+        """Values as they are kept: of a metric as hosts know it."""
+        if self._history is None or self._history.offset_ms is None:
+            return []
+        device = None if slave is None else self._device_ids.get(slave)
+        offset_ms, found = self._history.offset_ms, []
+        now_ms = round(self._clock * 1000) + offset_ms
+        for key, reading in readings.items():
+            kind = self._kinds.get(key)
+            if kind is not None and (slave is None or device is not None):
+                at_ms = self._time_ms(key, reading, now_ms) - offset_ms
+                what = (device, kind.name, int(kind.type), kind.unit)
+                found.append(Entry(*what, at_ms, offset_ms, reading.value, reading.reason, reading.note))
+        return found
+
+    def _keep_change(self, slave: int | None, key: str, reading: Reading, *, has_died: bool) -> None:
+        """Keep a change that no data can carry now. A device that is dead has none, but those of its death."""
+        if reading.value is None and reading.reason is Reason.WAITING:
+            return
+        if slave in self._deaths:
+            self._dying.setdefault(slave, []).extend(self._entries(slave, {key: reading}))
+        elif slave is None or has_died or self._tree.is_alive(slave):
+            self._keep(self._entries(slave, {key: reading}))
+
+    def _replace(self, slave: int | None, owner: _Device, key: str, clock: float) -> None:
+        """A newer value takes the place of one that was not sent: it is kept where it was its turn already."""
+        before = owner.pending.get(key)
+        if before is not None:
+            self.merged += 1
+            if clock >= owner.due:
+                self._keep(self._entries(slave, {key: before}))
+
+    def _keep_pending(self) -> None:
+        """What was not sent, and what the deaths would have said."""
+        if self._node is not None:
+            self._keep_pending_of(None, self._node)
+        for slave, device in self._devices.items():
+            self._keep_pending_of(slave, device)
+        for entries in self._dying.values():
+            self._keep(entries)
+        self._dying.clear()
+
+    def _keep_pending_of(self, slave: int | None, owner: _Device) -> None:
+        self._keep(self._entries(slave, owner.pending))
+        owner.pending = {}
+
+    def _keep(self, entries: Iterable[Entry]) -> None:
+        if self._history is not None:
+            for entry in entries:
+                self._history.keep(entry)
+
+    def _was_sent(self, entries: Iterable[Entry]) -> None:
+        if self._history is not None:
+            self._history.sent(entries)
+
+    def _is_covered(self, slave: int | None, readings: Iterable[tuple[Node, Reading]]) -> None:
+        """A birth has these values. Those that wait in memory since the program began are in its first birth, whatever
+        their times."""
+        if self._history is None:
+            return
+        for node, reading in readings:
+            for entry in self._entries(slave, {node.id: reading}):
+                at_ms = entry.at_ms if self._was_born else None
+                self._history.covered(entry.device, entry.metric, reading, at_ms)
+        self._history.look_again()
+
+    def _historical(self, wall: float, clock: float) -> Publish | None:
+        """History, behind all births and the data of this moment."""
+        if self._history is None:
+            return None
+        self._was_born = True
+        now_ms = _ms(wall)
+        found = self._history.next_samples(self._find, self._unborn, now_ms, _offset_ms(wall, clock), clock)
+        if found is None:
+            return None
+        device, samples = found
+        kind = "NDATA" if device is None else "DDATA"
+        return Publish(self._setup.topic(kind, device), data(samples, self._next_seq(), now_ms))
+
+    def _find(self, entry: Entry) -> MetricKind | Absent:
+        """The metric of a kept value in the births of this session."""
+        slave = None if entry.device is None else self._slave_of.get(entry.device)
+        key = None if entry.device is not None and slave is None else self._keys.get((slave, entry.metric))
+        kind = None if key is None else self._kinds[key]
+        if kind is None or (int(kind.type), kind.unit) != (entry.type, entry.unit):
+            return Absent.UNKNOWN
+        return kind if slave is None or slave in self._devices else Absent.WAITING
+
+    def _unborn(self) -> list[str]:
+        """Devices without a birth in this session."""
+        return [name for slave, name in self._device_ids.items() if slave not in self._devices]
+
     # --- metrics of the edge node itself --------------------------------------------------------------------------
 
     def _show(self, name: str, value: Value, wall: float) -> None:
         self._own[name] = (value, "", wall)
         if self._node is not None:
             self._node.pending[f"own/{name}"] = self._own_reading(name)
+        else:
+            self._keep(self._entries(None, {f"own/{name}": self._own_reading(name)}))
 
     def _own_reading(self, name: str) -> Reading:
         value, note, time = self._own[name]
@@ -614,6 +752,10 @@ def _read_state(payload: bytes) -> tuple[bool, float] | None:
     if not isinstance(online, bool) or isinstance(time, bool) or not isinstance(time, (int, float)):
         return None
     return (online, time) if 0 <= time <= LATEST_MS else None
+
+
+def _offset_ms(wall: float, clock: float) -> int:
+    return round((wall - clock) * 1000)
 
 
 def _ms(seconds: float) -> int:

@@ -17,6 +17,7 @@ from typing import ClassVar, Final, NamedTuple
 
 from dpstack.bridge.conditions import Condition
 from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, NodeSetup, OrderWish, Phase, Publish
+from dpstack.bridge.mqtt.history import History
 from dpstack.bridge.mqtt.json_payload import condition_payload, read_order, result_payload, values_payload
 from dpstack.bridge.names import MQTT_NAME, unique_names
 from dpstack.bridge.nodes import Node, Order
@@ -65,7 +66,9 @@ class JsonNode:
         allowed: Callable[[], Collection[str]] = tuple,
         tell: Callable[[str], object] = lambda _: None,
         clear_first: bool = False,
+        history: History | None = None,
     ) -> None:
+        assert history is None, "plain JSON has no flag for history"
         self.phase = Phase.OFFLINE
         self.lost_results = 0
         self._tree = tree
@@ -136,7 +139,7 @@ class JsonNode:
 
     # --- the tree -------------------------------------------------------------------------------------------------
 
-    def take(self, changes: Iterable[Change], wall: float) -> None:
+    def take(self, changes: Sequence[Change], wall: float, clock: float) -> None:
         """Take changes of the tree."""
         for change in changes:
             match change:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import ClassVar, Protocol
 
 from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, NodeSetup, OrderWish, Publish
+from dpstack.bridge.mqtt.history import History
 from dpstack.bridge.tree import Change, PlantTree
 
 
@@ -27,6 +28,7 @@ class PlantNode(Protocol):
         allowed: Callable[[], Collection[str]],
         tell: Callable[[str], object],
         clear_first: bool,
+        history: History | None,
     ) -> None: ...
 
     def connect(self, number: int, wall: float) -> Connection: ...
@@ -37,7 +39,7 @@ class PlantNode(Protocol):
 
     def end(self, why: str) -> None: ...
 
-    def take(self, changes: Iterable[Change], wall: float) -> None: ...
+    def take(self, changes: Sequence[Change], wall: float, clock: float) -> None: ...
 
     def next(self, wall: float, clock: float) -> Publish | Disconnect | None: ...
 

@@ -49,7 +49,7 @@ class _Session:
         slaves = {"3": _FINE | {"drive": {"state": "ready"}}, "8": _FINE, "9": _FINE | {"state": "offline"}}
         whole = {"t": 1.0, "whole": True, "bus": {"stale": False}, "slaves": slaves}
         for item in ({"plant": _PLANT}, {"snapshot": whole}):
-            self.node.take(self.tree.apply(item, 0.0), _NOW)
+            self.node.take(self.tree.apply(item, 0.0), _NOW, 0.0)
         self.connect()
 
     def connect(self) -> None:

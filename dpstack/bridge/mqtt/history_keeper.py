@@ -1,0 +1,264 @@
+"""Moves values that could not be delivered between the memory and the disk, in a thread of its own.
+
+A disk that is slow, full, read-only or damaged delays nobody: the newest values wait in memory meanwhile, it is told
+once, and tried again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any, Final, TypeVar
+
+from dpstack.bridge.face import Tell
+from dpstack.bridge.mqtt.history import CHUNK, History
+from dpstack.bridge.mqtt.history_file import (
+    MOST_IN_BATCH,
+    NAME,
+    HistoryDamaged,
+    HistoryError,
+    HistoryFile,
+    boot_id,
+    move_aside,
+)
+from dpstack.text import printable
+from dpstack.trace import Severity
+
+T = TypeVar("T")
+
+#: s between two looks whether something waits for the disk: a SIGKILL or loss of power costs the values of so long
+PERIOD_S: Final = 1.0
+#: s until a disk that has failed is tried again
+_RETRY_S: Final = 30.0
+#: s between two remarks about values that were lost
+_REMARK_S: Final = 600.0
+_MB: Final = 1_000_000
+
+
+class DiskThread:
+    """Carries out calls in one thread, which never delays the end of the program."""
+
+    def __init__(self, name: str) -> None:
+        self._calls: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        threading.Thread(target=self._run, name=name, daemon=True).start()
+
+    async def call(self, function: Callable[..., T], *arguments: Any) -> T:
+        """The result of ``function``, or what it raises. It goes on where the caller is cancelled."""
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[T] = loop.create_future()
+
+        def finish(result: T | None, error: BaseException | None) -> None:
+            if future.done():
+                return
+            if error is None:
+                future.set_result(result)  # type: ignore[arg-type]
+            else:
+                future.set_exception(error)
+
+        def work() -> None:
+            result, failed = None, None
+            try:
+                result = function(*arguments)
+            except BaseException as error:
+                failed = error
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                loop.call_soon_threadsafe(finish, result, failed)
+
+        self._calls.put(work)
+        return await future
+
+    def run_last(self, function: Callable[[], object]) -> None:
+        """Have ``function`` called behind all others, and end the thread. Does not wait."""
+
+        def work() -> None:
+            with contextlib.suppress(Exception):
+                function()
+
+        self._calls.put(work)
+        self._calls.put(None)
+
+    def _run(self) -> None:
+        while (call := self._calls.get()) is not None:
+            call()
+
+
+class HistoryKeeper:
+    """``folder``: of the edge node; ``most_mb``: MB of the file. ``changed``: called when there may be something to be
+    sent. ``retry_s``: see :data:`_RETRY_S`."""
+
+    def __init__(
+        self,
+        history: History,
+        folder: Path,
+        most_mb: int,
+        tell: Tell,
+        changed: Callable[[], object],
+        *,
+        retry_s: float = _RETRY_S,
+    ) -> None:
+        self._history = history
+        self._folder = folder
+        self._most_mb = most_mb
+        self._tell = tell
+        self._changed = changed
+        self._retry_s = retry_s
+        self._disk: DiskThread | None = None
+        self._boot = boot_id()
+        self._file: HistoryFile | None = None
+        self._failed_at: float | None = None
+        self._wake = asyncio.Event()
+        self._moved_at = -math.inf
+        self._written_offset_ms: int | None = None
+        self._told_dropped = 0
+        self._remark_due = 0.0
+        self._one_at_a_time = asyncio.Lock()
+
+    def wake(self) -> None:
+        """Something is to be read or taken off the disk."""
+        self._wake.set()
+
+    async def serve(self) -> None:
+        """Runs until it is cancelled."""
+        while True:
+            await self.step()
+            self._wake.clear()
+            if self._history.needs_disk and self._file is not None:
+                continue
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(PERIOD_S):
+                    await self._wake.wait()
+
+    async def step(self) -> None:
+        """One look: write what is new, take off what is done, read what is wanted."""
+        async with self._one_at_a_time:
+            try:
+                file = await self._opened()
+                if file is not None:
+                    await self._write(file)
+                    await self._read(file)
+            except HistoryError as error:
+                await self._fail(error)
+            self._tell_losses()
+
+    async def finish(self) -> None:
+        """Write what waits, at the end of the run."""
+        for _ in range(self._history.waiting // MOST_IN_BATCH + 1):
+            await self.step()
+
+    def close(self) -> None:
+        """Close the file, without waiting for the disk."""
+        if self._disk is not None:
+            self._disk.run_last(lambda: None if self._file is None else self._file.close())
+            self._disk = None
+
+    # --- a look -------------------------------------------------------------------------------------------------------
+
+    async def _opened(self) -> HistoryFile | None:
+        """The file; None: it is not time for another try."""
+        now = asyncio.get_running_loop().time()
+        if self._file is not None or (self._failed_at is not None and now < self._failed_at + self._retry_s):
+            return self._file
+        # a file that is looked at as a whole takes its time
+        self._file = file = await self._call(HistoryFile, self._folder, self._most_mb * _MB, self._boot)
+        if self._failed_at is not None:
+            self._failed_at = None
+            self._tell(f"values that cannot be delivered are kept again in {self._place}", Severity.INFO)
+        if file.count:
+            self._tell(f"{file.count} values of an earlier time wait in {self._place}", Severity.INFO)
+        return file
+
+    async def _write(self, file: HistoryFile) -> None:
+        history = self._history
+        while entries := history.take_new(MOST_IN_BATCH):
+            try:
+                await self._call(file.append, entries, history.offset_ms)
+            except BaseException:
+                # a cancelled call may have written them: twice is better than never
+                history.not_stored()
+                raise
+            history.stored()
+            self._written_offset_ms = history.offset_ms
+            self._count(file)
+            self._changed()
+        if file.count and history.offset_ms != self._written_offset_ms:
+            await self._call(file.append, (), history.offset_ms)  # the clock was set: it dates those on the disk
+            self._written_offset_ms = history.offset_ms
+
+    async def _read(self, file: HistoryFile) -> None:
+        history = self._history
+        done = history.take_done()
+        if done:
+            await self._call(file.delete, done)
+            self._changed()
+            if not file.count:
+                self._tell("all values that waited have been delivered", Severity.INFO)
+        without = history.take_wanted()
+        if without is not None:
+            chunk = []
+            try:
+                chunk = await self._call(file.read, CHUNK, without) if file.count else []
+            finally:
+                history.give(chunk)
+            self._count(file)
+            if chunk:
+                self._changed()
+
+    async def _call(self, function: Callable[..., T], *arguments: Any) -> T:
+        if self._disk is None:
+            self._disk = DiskThread("dpstack mqtt: history")
+        try:
+            return await self._disk.call(function, *arguments)
+        except (HistoryError, asyncio.CancelledError):
+            raise
+        except Exception as error:  # a file that SQLite takes for sound may hold anything
+            raise HistoryDamaged(printable(f"{type(error).__name__}: {error}")) from error
+
+    async def _fail(self, error: HistoryError) -> None:
+        """Tell it, and do without the file for a while. A damaged file is moved aside."""
+        if self._file is not None:
+            self._count(self._file)
+            await self._call(self._file.close)
+            self._file = None
+        now = asyncio.get_running_loop().time()
+        is_first, self._failed_at = self._failed_at is None, now
+        if isinstance(error, HistoryDamaged):
+            try:
+                name = await self._call(move_aside, self._folder)
+            except HistoryError as another:
+                error = another
+            else:
+                if now > self._moved_at + self._retry_s:
+                    self._failed_at, self._moved_at = None, now  # else it waits: the disk itself may be damaged
+                text = f"{self._place} cannot be read ({error}): it is {name} now, its values are not sent; a new one begins"
+                self._tell(text, Severity.ERROR)
+                return
+        if is_first:
+            text = (
+                f"values that cannot be delivered are not kept on the disk, as {self._place} cannot be used: {error}; "
+                f"it is tried again every {self._retry_s:.0f} s"
+            )
+            self._tell(text, Severity.ERROR)
+
+    @property
+    def _place(self) -> Path:
+        return self._folder / NAME
+
+    # --- losses -------------------------------------------------------------------------------------------------------
+
+    def _count(self, file: HistoryFile) -> None:
+        history = self._history
+        history.displaced += file.displaced
+        history.unreadable += file.unreadable
+        file.displaced = file.unreadable = 0
+
+    def _tell_losses(self) -> None:
+        dropped, now = self._history.dropped, asyncio.get_running_loop().time()
+        if dropped == self._told_dropped or now < self._remark_due:
+            return
+        self._told_dropped, self._remark_due = dropped, now + _REMARK_S
+        self._tell(f"{dropped} values that could not be delivered are lost: {self._history.losses}", Severity.WARNING)
