@@ -32,9 +32,12 @@ _PAGE: Final = 4096
 _LOG_PAGES: Final = 32
 _LOG_ROOM: Final = 600_000
 _FEWEST_PAGES: Final = 32
-#: entries of a batch, and octets (about) of one without texts
+#: entries of a batch, and octets (about) of one without texts; octets of one transaction
 MOST_IN_BATCH: Final = CHUNK
 _ENTRY_OCTETS: Final = 48
+_MOST_WRITTEN: Final = 50_000
+#: a value that is longer gets pages of its own
+_MOST_INSIDE: Final = 900
 #: free pages that are given back to the disk at once
 _SHRINK_PAGES: Final = 64
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
@@ -57,7 +60,7 @@ class HistoryError(Exception):
     """The file cannot be used now, for instance as the disk is full. One line."""
 
 
-class HistoryDamaged(HistoryError):
+class DamagedHistoryError(HistoryError):
     """The file is damaged, or another program made it."""
 
 
@@ -75,7 +78,7 @@ class HistoryFile:
     ``count``: entries in it. ``displaced``, ``unreadable``: entries that were dropped for want of room, or as they
     could not be read.
 
-    Each call raises HistoryDamaged or HistoryError; close it then.
+    Each call raises DamagedHistoryError or HistoryError; close it then.
     """
 
     def __init__(self, folder: Path, most_octets: int, boot: str) -> None:
@@ -93,7 +96,7 @@ class HistoryFile:
                 self._prepare(boot)
         except (TypeError, ValueError):
             self._sql.close()
-            raise HistoryDamaged("it is damaged") from None
+            raise DamagedHistoryError("it is damaged") from None
         except BaseException:
             self._sql.close()
             raise
@@ -118,12 +121,12 @@ class HistoryFile:
                 sql.execute(f"PRAGMA user_version = {_VERSION}")
         head = self._one("PRAGMA application_id"), self._one("PRAGMA user_version")
         if head != (_APPLICATION, _VERSION):
-            raise HistoryDamaged("it is a file of another program or version")
+            raise DamagedHistoryError("it is a file of another program or version")
         tables = [text for (text,) in sql.execute("SELECT sql FROM sqlite_schema WHERE sql IS NOT NULL ORDER BY rowid")]
         if tables != list(_TABLES):
-            raise HistoryDamaged("it has other tables")
+            raise DamagedHistoryError("it has other tables")
         if self._one("PRAGMA quick_check(1)") != "ok":
-            raise HistoryDamaged("it is damaged")
+            raise DamagedHistoryError("it is damaged")
         with self._transaction():
             sql.execute("DELETE FROM clocks WHERE boot_id != ? AND boot NOT IN (SELECT boot FROM entries)", (boot,))
             sql.execute(
@@ -167,8 +170,19 @@ class HistoryFile:
     def append(self, entries: Sequence[Entry], offset_ms: int | None = None) -> None:
         """Write entries; they are on the disk then. ``offset_ms``: the offset of the clock of the computer now, by
         which later readers date them."""
+        part, octets = list[Entry](), 0
+        for entry in entries:
+            part.append(entry)
+            octets += _octets(entry)
+            if octets >= _MOST_WRITTEN:
+                self._append(part, octets, offset_ms)
+                part, octets = [], 0
+        if part or not entries:
+            self._append(part, octets, offset_ms)
+
+    def _append(self, entries: Sequence[Entry], octets: int, offset_ms: int | None) -> None:
         with _errors(), self._undone_whole(), self._transaction():
-            self._make_room(sum(_ENTRY_OCTETS + _text_octets(entry) for entry in entries), len(entries))
+            self._make_room(octets, len(entries))
             self._sql.executemany(
                 "INSERT INTO entries VALUES (?, ?, ?, ?, ?, ?, ?, ?)", [self._row(entry) for entry in entries]
             )
@@ -226,7 +240,7 @@ class HistoryFile:
                 "SELECT boot, at_ms, id FROM entries ORDER BY boot, at_ms, id LIMIT 1 OFFSET ?", (number - 1,)
             ).fetchone()
             if last is None:
-                raise HistoryDamaged("it has fewer values than were counted")
+                raise DamagedHistoryError("it has fewer values than were counted")
             self._sql.execute("DELETE FROM entries WHERE (boot, at_ms, id) <= (?, ?, ?)", last)
             self.count -= number
             self.displaced += number
@@ -310,14 +324,18 @@ def _errors() -> Iterator[None]:
     except sqlite3.Error as error:
         text = printable(str(error)) or type(error).__name__
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-        raise (HistoryDamaged if code in _DAMAGED else HistoryError)(text) from None
+        raise (DamagedHistoryError if code in _DAMAGED else HistoryError)(text) from None
     except OSError as error:
         raise HistoryError(printable(error.strerror or str(error))) from None
 
 
-def _text_octets(entry: Entry) -> int:
-    value = len(entry.value) * 2 if isinstance(entry.value, (str, bytes)) else 8
-    return value + 2 * len(entry.note)
+def _octets(entry: Entry) -> int:
+    """Octets of an entry in the file, about."""
+    value = entry.value
+    texts = len(value.encode("utf-8", "replace")) if isinstance(value, str) else 0
+    texts += len(value) if isinstance(value, bytes) else 0
+    texts += len(entry.note.encode("utf-8", "replace"))
+    return _ENTRY_OCTETS + texts + (0 if texts <= _MOST_INSIDE else (texts // _PAGE + 1) * _PAGE)
 
 
 def _text(octets: bytes) -> str:

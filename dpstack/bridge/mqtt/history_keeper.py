@@ -20,7 +20,7 @@ from dpstack.bridge.mqtt.history import CHUNK, History
 from dpstack.bridge.mqtt.history_file import (
     MOST_IN_BATCH,
     NAME,
-    HistoryDamaged,
+    DamagedHistoryError,
     HistoryError,
     HistoryFile,
     boot_id,
@@ -216,7 +216,7 @@ class HistoryKeeper:
         except (HistoryError, asyncio.CancelledError):
             raise
         except Exception as error:  # a file that SQLite takes for sound may hold anything
-            raise HistoryDamaged(printable(f"{type(error).__name__}: {error}")) from error
+            raise DamagedHistoryError(printable(f"{type(error).__name__}: {error}")) from error
 
     async def _fail(self, error: HistoryError) -> None:
         """Tell it, and do without the file for a while. A damaged file is moved aside."""
@@ -226,7 +226,7 @@ class HistoryKeeper:
             self._file = None
         now = asyncio.get_running_loop().time()
         is_first, self._failed_at = self._failed_at is None, now
-        if isinstance(error, HistoryDamaged):
+        if isinstance(error, DamagedHistoryError):
             try:
                 name = await self._call(move_aside, self._folder)
             except HistoryError as another:
@@ -234,8 +234,10 @@ class HistoryKeeper:
             else:
                 if now > self._moved_at + self._retry_s:
                     self._failed_at, self._moved_at = None, now  # else it waits: the disk itself may be damaged
-                text = f"{self._place} cannot be read ({error}): it is {name} now, its values are not sent; a new one begins"
-                self._tell(text, Severity.ERROR)
+                self._tell(
+                    f"{self._place} cannot be read ({error}): it is {name} now, its values are not sent; a new one begins",
+                    Severity.ERROR,
+                )
                 return
         if is_first:
             text = (

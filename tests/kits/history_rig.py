@@ -1,0 +1,198 @@
+"""An edge node with store and forward in virtual time: a wire that loses what was not delivered, a real file, and a
+host that knows only the specification. A counter of the plant shows what has arrived."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+from edge_node_rig import Rig
+
+from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, Publish
+from dpstack.bridge.mqtt.history import CHUNK, History
+from dpstack.bridge.mqtt.history_file import HistoryFile
+from dpstack.bridge.mqtt.session_file import SessionFile
+from dpstack.bridge.tree import PlantTree
+
+#: a folder in memory where there is one: the file writes to the disk each time
+MEMORY: Final = "/dev/shm" if os.path.isdir("/dev/shm") else None
+COUNTER: Final = {"name": "number", "type": "u32", "at": "u32@4"}
+
+
+class HistoryRig(Rig):
+    """``given``: the time (by the clock of the start of the computer, which goes on over restarts) of each number of
+    the counter; ``arrived``: times of each number at the host, as metric and as history; ``excused``: numbers that a
+    SIGKILL may have cost."""
+
+    def __init__(self, folder: Path, *, store: int = 10_000_000, memory: int = 20_000, primary_host: str = "") -> None:
+        self.store, self.memory = store, memory
+        self.boot = 1
+        #: the start of the computer, as seen by a clock that goes on for ever
+        self.boot_at = 0.0
+        self.wire: list[Publish] = []
+        self.given: dict[int, float] = {}
+        self.arrived: dict[int, list[tuple[float, bool]]] = {}
+        self.unsafe: set[int] = set()
+        self.excused: set[int] = set()
+        self.dropped = 0
+        self.history: History | None = None
+        self.file: HistoryFile | None = None
+        self.aliases: dict[int, str] = {}
+        super().__init__(folder, primary_host=primary_host, interval_s=0.0)
+        self.plant["slaves"]["8"]["inputs"].append(COUNTER)
+        self.values["8"]["fields"]["number"] = 0
+
+    # --- the gateway ----------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        if self.numbers is not None:
+            self.numbers.close()
+        if self.file is not None:
+            self.file.close()
+        if self.history is not None:
+            self.dropped += self.history.dropped
+        self.numbers = SessionFile(self.folder)
+        self.file = HistoryFile(self.folder, self.store, f"boot {self.boot}")
+        self.history = History(self.memory)
+        self.tree = PlantTree()
+        self.node = EdgeNode(self.setup, self.tree, tell=self.told.append, history=self.history)
+
+    def close(self) -> None:
+        super().close()
+        assert self.file is not None
+        self.file.close()
+
+    def kill(self) -> None:
+        """SIGKILL: memory is gone; the stream of the next process has a beginning of its own."""
+        self.excused |= self.unsafe
+        self.unsafe.clear()
+        self.connection = None
+        self.wire.clear()
+        self.plant["started"] = self.wall
+        self.stream, self.stream_offset = 0.0, self.offset
+        self.start()
+        self.give_plant()
+
+    def reboot(self, *, off_s: float, wall: float | None) -> None:
+        """The computer is off for a while. ``wall``: its clock then, None: it went on."""
+        self.boot_at += self.clock + off_s
+        now = self.wall + off_s if wall is None else wall
+        self.clock, self.boot = 5.0, self.boot + 1
+        self.boot_at -= self.clock
+        self.offset = now - self.clock
+        self.kill()
+
+    def count(self) -> None:
+        """The plant counts, and the gateway sees it."""
+        self.clock += 0.25
+        self.stream += 0.25
+        number = self.values["8"]["fields"]["number"] = self.values["8"]["fields"]["number"] + 1
+        if self.values["8"]["state"] == "data_exchange":
+            self.given[number] = self.boot_at + self.clock
+            self.unsafe.add(number)
+        self.give_values()
+
+    def step_disk(self) -> None:
+        """The work of the thread."""
+        history, file = self.history, self.file
+        assert history is not None
+        assert file is not None
+        while new := history.take_new():
+            file.append(new, history.offset_ms)
+            history.stored()
+        file.delete(history.take_done())
+        without = history.take_wanted()
+        if without is not None:
+            history.give(file.read(CHUNK, without))
+        history.displaced += file.displaced
+        file.displaced = 0
+        if self.connection is None:
+            self.unsafe.clear()
+
+    # --- the network ----------------------------------------------------------------------------------------------
+
+    def pump(self, most: int = 10_000) -> int:
+        """Send messages; they are on the wire then."""
+        for count in range(most):
+            if self.connection is None:
+                return count
+            message = self.node.next(self.wall, self.clock)
+            if message is None:
+                assert self.node.due(self.clock) > self.clock
+                return count
+            if isinstance(message, Disconnect):
+                self.deliver()
+                self.connection = None
+                self.publish_wills()
+                self.node.disconnected()
+                return count
+            self.wire.append(message)
+        return most
+
+    def deliver(self, most: int = 1_000_000) -> None:
+        for message in self.wire[:most]:
+            self.host.feed(message.topic, message.payload, qos=message.qos)
+            self._look(message)
+        del self.wire[:most]
+
+    def cut(self) -> None:
+        self.wire.clear()
+        super().cut()
+
+    def round_trip(self, *, comes_back: bool = True) -> None:
+        if self.connection is None:
+            return
+        assert self.history is not None
+        number = self.history.begin_round()
+        self.deliver()
+        if comes_back:
+            self.history.confirm(number)
+
+    def settle(self) -> None:
+        """All is delivered: history goes out with its pace."""
+        for _ in range(40):
+            if self.connection is None:
+                self.connect()
+            self.pump()
+            self.round_trip()
+            self.step_disk()
+            self.wait(0.1)
+            self.values["8"]["state"] = "data_exchange"
+        self.pump()
+        self.round_trip()
+
+    # --- the host ---------------------------------------------------------------------------------------------------
+
+    def _look(self, message: Publish) -> None:
+        """Note the numbers that have arrived; history is in order, and behind the births."""
+        kind, device, payload = self.host.messages[-1]
+        if device != "valves":
+            return
+        before = 0.0
+        for metric in payload.metrics:
+            if kind == "DBIRTH" and metric.name == "Inputs/number":
+                assert metric.alias is not None
+                self.alias_of_number = metric.alias
+            if metric.alias != self.alias_of_number or metric.null:
+                continue
+            number, time = metric.value(8), (metric.timestamp or 0) / 1000
+            self.arrived.setdefault(number, []).append((time, metric.historical))
+            if metric.historical:
+                assert time >= before
+                before = time
+                # the plant had it until it had the next one; a jump of the clock of up to 1 s is none
+                now = self.boot_at + self.clock
+                first, last = self.given.get(number, self.boot_at), self.given.get(number + 1, now)
+                time -= self.offset - self.boot_at
+                assert first - 1.2 < time < last + 1.2, (number, time, first, last)
+
+    alias_of_number = -1
+
+    def check_numbers(self) -> None:
+        """Each number has arrived, or is counted as dropped, or was in the memory of a process that was killed."""
+        assert self.history is not None
+        missing = self.given.keys() - self.arrived.keys() - self.excused
+        assert len(missing) <= self.dropped + self.history.dropped, (sorted(missing), self.history.losses)
+
+
