@@ -101,6 +101,8 @@ class HistoryRig(Rig):
         while new := history.take_new():
             file.append(new, history.offset_ms)
             history.stored()
+        if file.count:
+            file.append((), history.offset_ms)
         file.delete(history.take_done())
         without = history.take_wanted()
         if without is not None:

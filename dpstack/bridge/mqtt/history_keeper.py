@@ -165,9 +165,6 @@ class HistoryKeeper:
             return self._file
         # a file that is looked at as a whole takes its time
         self._file = file = await self._call(HistoryFile, self._folder, self._most_mb * _MB, self._boot)
-        if self._failed_at is not None:
-            self._failed_at = None
-            self._tell(f"values that cannot be delivered are kept again in {self._place}", Severity.INFO)
         if file.count:
             self._tell(f"{file.count} values of an earlier time wait in {self._place}", Severity.INFO)
         return file
@@ -182,6 +179,9 @@ class HistoryKeeper:
                 history.not_stored()
                 raise
             history.stored()
+            if self._failed_at is not None:
+                self._failed_at = None
+                self._tell(f"values that cannot be delivered are kept again in {self._place}", Severity.INFO)
             self._written_offset_ms = history.offset_ms
             self._count(file)
             self._changed()

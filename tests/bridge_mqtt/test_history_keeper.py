@@ -1,0 +1,171 @@
+"""Values that could not be delivered on their way between memory and disk: a disk that is full, damaged, read-only or
+slow delays nobody, is told, and is tried again."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from test_history_file import OFFSET, entry
+
+from dpstack.bridge.mqtt import history_keeper
+from dpstack.bridge.mqtt.history import Entry, History, Kept
+from dpstack.bridge.mqtt.history_file import NAME, HistoryError, HistoryFile
+from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
+from dpstack.bridge.mqtt.payload import DataType, MetricKind
+from dpstack.trace import Severity
+
+
+NOW = OFFSET + 10**9
+
+
+class Bench:
+    def __init__(self, folder: Path, *, most: int = 20_000) -> None:
+        self.folder = folder
+        self.told: list[str] = []
+        self.history = History(most)
+        self.keeper = HistoryKeeper(self.history, folder, 1, self.tell, lambda: None, retry_s=0.0)
+
+    def tell(self, text: str, severity: Severity) -> None:
+        self.told.append(text.replace(str(self.folder), "FOLDER"))
+
+    def keep(self, first: int, last: int) -> None:
+        for number in range(first, last + 1):
+            self.history.keep(entry(number))
+
+    def stored(self) -> list[object]:
+        file = HistoryFile(self.folder, 1_000_000, "a")
+        found = [kept.entry.value for kept in file.read(100_000)]
+        file.close()
+        return found
+
+
+@contextmanager
+def full(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    def append(*_: object) -> None:
+        raise HistoryError("database or disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(HistoryFile, "append", append)
+        yield
+
+
+async def closed(bench: Bench) -> None:
+    """The file is closed: another one may be opened."""
+    assert bench.keeper._file is not None
+    await bench.keeper._call(bench.keeper._file.close)
+    bench.keeper.close()
+
+
+async def test_a_full_disk_is_told_once_and_what_memory_holds_comes_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path, most=10)
+    with full(monkeypatch):
+        for number in range(1, 20):
+            bench.keep(number, number)
+            await bench.keeper.step()
+    await bench.keeper.step()
+    await closed(bench)
+    assert bench.told[0] == (
+        "values that cannot be delivered are not kept on the disk, as FOLDER/history.sqlite cannot be used: database or "
+        "disk is full; it is tried again every 0 s"
+    )
+    assert bench.told[1] == (
+        "1 values that could not be delivered are lost: 1 more than fit in memory while the disk could not take them"
+    )
+    assert bench.told[2:] == ["values that cannot be delivered are kept again in FOLDER/history.sqlite"]
+    assert bench.stored() == list(range(10, 20))
+    assert bench.history.dropped == 9
+
+
+async def test_a_damaged_file_is_moved_aside_and_a_new_one_begins(tmp_path: Path) -> None:
+    (tmp_path / NAME).write_bytes(b"SQLite format 3\x00 and so on" * 100)
+    bench = Bench(tmp_path)
+    bench.keep(1, 3)
+    await bench.keeper.step()
+    await bench.keeper.step()
+    await closed(bench)
+    assert bench.told == [
+        "FOLDER/history.sqlite cannot be read (file is not a database): it is history.damaged-1.sqlite now, its values "
+        "are not sent; a new one begins"
+    ]
+    assert (tmp_path / "history.damaged-1.sqlite").read_bytes().startswith(b"SQLite format 3\x00 and")
+    assert bench.stored() == [1, 2, 3]
+
+
+async def test_a_fault_of_the_program_in_the_thread_ends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path)
+    await bench.keeper.step()
+
+    def read(*_: object) -> list[Kept]:
+        raise KeyError("something")
+
+    bench.history.next_samples(lambda _: pytest.fail(), tuple, NOW, OFFSET, 0.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(HistoryFile, "read", read)
+        bench.keep(1, 1)
+        await bench.keeper.step()
+    assert "KeyError" in bench.told[0]
+    await bench.keeper.step()
+    await closed(bench)
+
+
+async def test_a_slow_disk_delays_nobody_and_the_end_takes_no_longer_than_its_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path)
+    await bench.keeper.step()
+    written: list[Entry] = []
+
+    def append(_: HistoryFile, entries: list[Entry], __: object) -> None:
+        time.sleep(0.2)
+        written.extend(entries)
+
+    monkeypatch.setattr(HistoryFile, "append", append)
+    monkeypatch.setattr(history_keeper, "PERIOD_S", 0.001)
+    serving = asyncio.create_task(bench.keeper.serve())
+    bench.keep(1, 3)
+    slowest = 0.0
+    while not written:
+        began = time.monotonic()
+        await asyncio.sleep(0.001)
+        slowest = max(slowest, time.monotonic() - began)
+    assert slowest < 0.15
+    bench.keep(4, 5)
+    serving.cancel()
+    await asyncio.gather(serving, return_exceptions=True)
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.01):
+            await bench.keeper.finish()
+    bench.keeper.close()  # the thread is busy: nobody waits for it
+
+
+async def test_history_is_read_behind_what_was_written_and_leaves_the_disk_when_it_is_confirmed(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.keep(1, 5)
+    await bench.keeper.step()
+    history = bench.history
+    history.session_began()
+    bench.keep(6, 6)
+    for clock in (0.0, 1.0):
+        assert history.next_samples(lambda _: pytest.fail(), list, NOW, OFFSET, clock) is None
+        assert history.needs_disk
+    await bench.keeper.step()
+    assert not history.needs_disk
+    kind = MetricKind("Inputs/number", 7, DataType.UINT64)
+    found = history.next_samples(lambda _: kind, list, NOW, OFFSET, 2.0)
+    assert found is not None
+    assert [sample.reading.value for sample in found[1]] == [1, 2, 3, 4, 5, 6]
+    assert [sample.told for sample in found[1]] == [True] + [False] * 5
+    history.confirm(history.begin_round())
+    await bench.keeper.step()
+    await closed(bench)
+    assert bench.stored() == []
+    assert bench.told == ["all values that waited have been delivered"]
