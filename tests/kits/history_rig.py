@@ -185,7 +185,7 @@ class HistoryRig(Rig):
                 before = time
                 # the plant had it until it had the next one; a jump of the clock of up to 1 s is none
                 now = self.boot_at + self.clock
-                first, last = self.given.get(number, self.boot_at), self.given.get(number + 1, now)
+                first, last = self.given.get(number, 0.0), self.given.get(number + 1, now)
                 time -= self.offset - self.boot_at
                 assert first - 1.2 < time < last + 1.2, (number, time, first, last)
 

@@ -74,7 +74,9 @@ class Subscriber:
 class Plant:
     """A tree with two slaves, fed by the test, and a face on it."""
 
-    def __init__(self, folder: Path, broker: Broker, *, primary_host: str = "", orders: bool = True) -> None:
+    def __init__(
+        self, folder: Path, broker: Broker, *, primary_host: str = "", orders: bool = True, store_mb: int = 0
+    ) -> None:
         self.told: list[str] = []
         self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
         self.plant = PLANT | {"started": time.time()}
@@ -88,6 +90,7 @@ class Plant:
             setup=NodeSetup(GROUP, NODE, primary_host, interval_s=0.05),
             folder=folder / "state",
             orders=Orders(self.tree, self.carry_out, ["valves.lamp", "valves.speed"]) if orders else None,
+            store_mb=store_mb,
             again_s=0.1,
         )
         self.began = time.monotonic()
