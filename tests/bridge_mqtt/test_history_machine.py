@@ -16,13 +16,12 @@ from property_kit import examples
 class HistoryMachine(RuleBasedStateMachine):
     """A gateway whose connection comes and goes."""
 
-    STORE = 10_000_000
-    HOST = ""
+    MEMORY = 20_000
 
     def __init__(self) -> None:
         super().__init__()
         self._folder = tempfile.TemporaryDirectory(prefix="dpsph", dir=MEMORY)
-        self.rig = HistoryRig(Path(self._folder.name) / "state", store=self.STORE)
+        self.rig = HistoryRig(Path(self._folder.name) / "state", memory=self.MEMORY)
         self.rig.give_plant()
 
     def teardown(self) -> None:
@@ -98,5 +97,13 @@ class HistoryMachine(RuleBasedStateMachine):
             self.rig.wait(1.0)
 
 
+class SmallMemoryMachine(HistoryMachine):
+    """Memory is full before the disk takes it."""
+
+    MEMORY = 12
+
+
+SmallMemoryMachine.TestCase.settings = settings(examples(5, soak=200), stateful_step_count=30)
+TestSmallMemory = SmallMemoryMachine.TestCase
 HistoryMachine.TestCase.settings = settings(examples(15, soak=400), stateful_step_count=30)
 TestHistory = HistoryMachine.TestCase

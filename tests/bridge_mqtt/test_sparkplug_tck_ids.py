@@ -12,6 +12,7 @@ from typing import Final
 
 import pytest
 from edge_node_rig import GROUP, NODE, PLANT, Rig, metric
+from history_rig import HistoryRig
 from sparkplug_host import FIELD_OF, Payload, read_payload
 
 from dpstack.bridge.mqtt.edge_node import Disconnect, Phase
@@ -330,7 +331,6 @@ def test_sequence_numbers(course: Course) -> None:
     "payloads-nbirth-timestamp payloads-ndata-timestamp payloads-dbirth-timestamp payloads-ddata-timestamp",
     "payloads-ddeath-timestamp payloads-timestamp-in-UTC payloads-metric-timestamp-in-UTC",
     "payloads-name-birth-data-requirement",
-    "operational-behavior-data-publish-nbirth-order operational-behavior-data-publish-dbirth-order",
 )
 def test_timestamps_are_milliseconds_since_1970_and_in_order(course: Course) -> None:
     for payload in course.live:
@@ -339,6 +339,26 @@ def test_timestamps_are_milliseconds_since_1970_and_in_order(course: Course) -> 
         times = [one.timestamp or 0 for one in payload.metrics]
         assert times == sorted(times)
         assert all(1_699_999_999_000 <= one <= payload.timestamp for one in times)
+
+
+@shows("operational-behavior-data-publish-nbirth-order operational-behavior-data-publish-dbirth-order")
+def test_values_are_in_order_of_time_and_history_is_marked(tmp_path: Path) -> None:
+    """The rule binds metrics with is_historical = false; those of history are in order, too."""
+    rig = HistoryRig(tmp_path)
+    rig.give_plant()
+    for _ in range(4):
+        rig.count()
+    rig.values["8"]["inputs_age_ms"] = 90.0  # older than the facts of the master
+    rig.step_disk()
+    rig.settle()
+    rig.close()
+    marked = set()
+    for _, _, payload in rig.host.messages:
+        for historical in (False, True):
+            times = [one.timestamp or 0 for one in payload.metrics if bool(one.historical) is historical]
+            assert times == sorted(times)
+            marked |= {historical} if times else set()
+    assert marked == {False, True}
 
 
 @shows(
