@@ -5,105 +5,119 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Final, NamedTuple
 
 from history_rig import MEMORY, HistoryRig
-from hypothesis import settings
+from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 from property_kit import examples
 
 
-class HistoryMachine(RuleBasedStateMachine):
-    """A gateway whose connection comes and goes."""
+class Traffic(NamedTuple):
+    """The plant counts, and values go out: each time some messages are sent, of which some arrive; then perhaps a round
+    trip, during which the plant goes on. ``disk``: the thread works before."""
 
-    MEMORY = 20_000
+    counts: int
+    sent: int
+    delivered: int
+    confirmed: str
+    ends: bool
+    disk: bool
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._folder = tempfile.TemporaryDirectory(prefix="dpsph", dir=MEMORY)
-        self.rig = HistoryRig(Path(self._folder.name) / "state", memory=self.MEMORY)
-        self.rig.give_plant()
 
-    def teardown(self) -> None:
+#: most of the course: the connection works, or breaks among messages
+TRAFFIC: Final = st.builds(
+    Traffic,
+    counts=st.integers(1, 3),
+    sent=st.sampled_from([10_000, 1, 2]),
+    delivered=st.sampled_from([10_000, 0, 1, 2]),
+    confirmed=st.sampled_from(["yes", "no", "lost"]),
+    ends=st.sampled_from([False, False, True]),
+    disk=st.booleans(),
+)
+EVENTS: Final = ("kill", "reboot", "reboot late", "end", "back", "on", "far on", "lost", "there", "rebirth")
+#: the connection is tried and the disk is looked at between
+STEPS: Final = st.lists(
+    st.one_of(TRAFFIC, TRAFFIC, TRAFFIC, st.just("disk"), st.sampled_from(EVENTS)), min_size=10, max_size=30
+)
+
+
+def traffic(rig: HistoryRig, step: Traffic) -> None:
+    if rig.connection is None:
+        rig.connect()
+        rig.pump()
+    if step.disk:
+        rig.step_disk()
+    for _ in range(step.counts):
+        rig.count()
+    rig.pump(step.sent)
+    rig.deliver(step.delivered)
+    if step.confirmed != "no" and rig.connection is not None:
+        number = rig.begin_round()
+        rig.count()
+        rig.pump(step.sent)
+        if step.confirmed == "yes":
+            rig.end_round(number)
+    if step.ends:
+        rig.cut()
+        rig.publish_wills()
+        rig.count()
+
+
+def event(rig: HistoryRig, what: str) -> None:
+    match what:
+        case "kill":
+            rig.publish_wills()
+            rig.kill()
+        case "reboot" | "reboot late":
+            rig.publish_wills()
+            rig.reboot(off_s=1.0 if what == "reboot" else 5000.0, wall=None)
+        case "end":
+            rig.node.end("the run has ended")
+            rig.pump()
+        case "back" | "on" | "far on":
+            rig.offset += {"back": -3600.0, "on": 7.0, "far on": 1e6}[what]
+            rig.wait(0.1)
+            rig.step_disk()  # an end of the computer within this second would date what is there by the old clock
+        case "lost" | "there":
+            rig.values["8"]["state"] = "offline" if what == "lost" else "data_exchange"
+            rig.wait(0.1)
+        case "rebirth" if rig.connection is not None:
+            rig.rebirth()
+            rig.wait(1.0)
+
+
+def course(steps: list[Traffic | str], *, memory: int) -> HistoryRig:
+    """Carry out ``steps``; all is delivered at the end."""
+    with tempfile.TemporaryDirectory(prefix="dpsph", dir=MEMORY) as folder:
+        rig = HistoryRig(Path(folder) / "state", memory=memory)
         try:
-            if self.rig.wall < 1.6e9:
-                self.rig.offset = 1.75e9
-            self.rig.settle()
-            self.rig.check_numbers()
-            assert self.rig.file is not None
-            assert self.rig.file.count == 0
+            rig.give_plant()
+            for step in steps:
+                if isinstance(step, Traffic):
+                    traffic(rig, step)
+                elif step == "disk":
+                    rig.step_disk()
+                else:
+                    event(rig, step)
+            rig.settle()
+            rig.check_numbers()
+            assert rig.file is not None
+            assert rig.file.count == 0
+            return rig
         finally:
-            self.rig.close()
-            self._folder.cleanup()
-
-    @rule(times=st.integers(1, 6))
-    def count(self, times: int) -> None:
-        for _ in range(times):
-            self.rig.count()
-
-    @precondition(lambda self: self.rig.connection is None)
-    @rule()
-    def connect(self) -> None:
-        self.rig.connect()
-
-    @rule(sent=st.sampled_from([1, 2, 3, 10_000]), delivered=st.sampled_from([0, 1, 2, 10_000]))
-    def exchange(self, sent: int, delivered: int) -> None:
-        self.rig.pump(sent)
-        self.rig.deliver(delivered)
-
-    @rule(comes_back=st.booleans())
-    def round_trip(self, comes_back: bool) -> None:
-        self.rig.round_trip(comes_back=comes_back)
-
-    @rule()
-    def disk(self) -> None:
-        self.rig.step_disk()
-
-    @rule()
-    def cut(self) -> None:
-        self.rig.cut()
-        self.rig.publish_wills()
-
-    @rule()
-    def kill(self) -> None:
-        self.rig.publish_wills()
-        self.rig.kill()
-
-    @rule()
-    def ordered_end(self) -> None:
-        self.rig.node.end("the run has ended")
-        self.rig.pump()
-
-    @rule(off_s=st.sampled_from([1.0, 5000.0]))
-    def reboot(self, off_s: float) -> None:
-        self.rig.publish_wills()
-        self.rig.reboot(off_s=off_s, wall=None)
-
-    @rule(seconds=st.sampled_from([-3600.0, 7.0, 1e6]))
-    def clock_is_set(self, seconds: float) -> None:
-        self.rig.offset += seconds
-        self.rig.wait(0.1)
-        self.rig.step_disk()  # an end of the computer within this second would date what is there by the old clock
-
-    @rule(state=st.sampled_from(["offline", "data_exchange"]))
-    def slave(self, state: str) -> None:
-        self.rig.values["8"]["state"] = state
-        self.rig.wait(0.1)
-
-    @rule()
-    def rebirth(self) -> None:
-        if self.rig.connection is not None:
-            self.rig.rebirth()
-            self.rig.wait(1.0)
+            rig.close()
 
 
-class SmallMemoryMachine(HistoryMachine):
-    """Memory is full before the disk takes it."""
+@examples(15, soak=1000)
+@given(STEPS)
+def test_every_number_arrives_or_was_in_the_memory_of_a_process_that_was_killed(steps: list[Traffic | str]) -> None:
+    rig = course(steps, memory=20_000)
+    assert rig.history is not None
+    assert rig.dropped + rig.history.dropped == 0
 
-    MEMORY = 12
 
-
-SmallMemoryMachine.TestCase.settings = settings(examples(5, soak=200), stateful_step_count=30)
-TestSmallMemory = SmallMemoryMachine.TestCase
-HistoryMachine.TestCase.settings = settings(examples(15, soak=400), stateful_step_count=30)
-TestHistory = HistoryMachine.TestCase
+@examples(5, soak=300)
+@given(STEPS)
+def test_numbers_for_which_memory_has_no_room_are_counted(steps: list[Traffic | str]) -> None:
+    course(steps, memory=12)

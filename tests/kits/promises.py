@@ -194,6 +194,13 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         _FLEET + "test_fleet.py::test_no_message_raises_and_an_old_status_is_never_shown_as_alive",
         _FLEET + "test_segment_status.py::test_texts_are_printable",
     ),
+    "G14": (
+        "bridge_mqtt/test_history_file.py::test_others_cannot_read_it_whatever_the_umask",
+        "bridge_mqtt/test_history_file.py::test_a_folder_or_file_that_cannot_be_used_is_told",
+        "bridge_mqtt/test_history_file.py::test_the_oldest_go_first_and_the_file_keeps_its_limit",
+        "bridge_mqtt/test_history_keeper.py::test_a_full_disk_is_told_once_and_what_memory_holds_comes_later",
+        "bridge_mqtt/test_history_keeper.py::test_a_slow_disk_delays_nobody_and_the_end_takes_no_longer_than_its_limit",
+    ),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",
         "api/server/test_inputs_over_time.py::test_code_needs_a_word_for_it",

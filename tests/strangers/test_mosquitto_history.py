@@ -84,7 +84,9 @@ async def test_the_broker_is_killed_and_the_primary_host_goes_and_no_number_is_m
             async with following(broker) as subscriber:
                 host = subscriber.host
                 # births wait for the host, so the subscriber is there before them
-                await plant.until(lambda: [t.startswith("connected") for t in plant.told].count(True) >= max(1, waiting))
+                await plant.until(
+                    lambda: [t.startswith("connected") for t in plant.told].count(True) >= max(1, waiting)
+                )
                 await asyncio.sleep(0.5)
                 await state(broker, online=True, time=turn * 1000)
                 await plant.until(lambda: host.alive == {"hoist", "valves"})  # noqa: B023
