@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -47,7 +48,7 @@ def test_births_come_first_then_history_by_the_aliases_of_these_births(rig: Hist
     alias = rig.host.alias("Inputs/number", "valves")
     found = [(one.value(8), (one.timestamp or 0) / 1000) for one in history(rig) if one.alias == alias]
     assert [number for number, _ in found] == [1, 2, 3, 4, 5]
-    steps = [later[1] - earlier[1] for earlier, later in zip(found, found[1:], strict=False)]
+    steps = [later[1] - earlier[1] for earlier, later in pairwise(found)]
     assert steps == pytest.approx([0.25] * 4, abs=0.002)
     rig.check_numbers()
     assert rig.history is not None

@@ -10,15 +10,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from test_history_file import OFFSET, entry
+from history_rig import OFFSET, entry
 
 from dpstack.bridge.mqtt import history_keeper
 from dpstack.bridge.mqtt.history import Entry, History, Kept
 from dpstack.bridge.mqtt.history_file import NAME, HistoryError, HistoryFile
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.payload import DataType, MetricKind
+from dpstack.bridge.quality import Value
 from dpstack.trace import Severity
-
 
 NOW = OFFSET + 10**9
 
@@ -37,7 +37,7 @@ class Bench:
         for number in range(first, last + 1):
             self.history.keep(entry(number))
 
-    def stored(self) -> list[object]:
+    def stored(self) -> list[Value]:
         file = HistoryFile(self.folder, 1_000_000, "a")
         found = [kept.entry.value for kept in file.read(100_000)]
         file.close()
@@ -52,6 +52,10 @@ def full(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with monkeypatch.context() as patch:
         patch.setattr(HistoryFile, "append", append)
         yield
+
+
+def no_entry(entry: Entry) -> MetricKind:
+    raise AssertionError(entry)
 
 
 async def closed(bench: Bench) -> None:
@@ -72,8 +76,8 @@ async def test_a_full_disk_is_told_once_and_what_memory_holds_comes_later(
     await bench.keeper.step()
     await closed(bench)
     assert bench.told[0] == (
-        "values that cannot be delivered are not kept on the disk, as FOLDER/history.sqlite cannot be used: database or "
-        "disk is full; it is tried again every 0 s"
+        "values that cannot be delivered are not kept on the disk, as FOLDER/history.sqlite cannot be used: database "
+        "or disk is full; it is tried again every 0 s"
     )
     assert bench.told[1] == (
         "1 values that could not be delivered are lost: 1 more than fit in memory while the disk could not take them"
@@ -107,7 +111,7 @@ async def test_a_fault_of_the_program_in_the_thread_ends_nothing(
     def read(*_: object) -> list[Kept]:
         raise KeyError("something")
 
-    bench.history.next_samples(lambda _: pytest.fail(), tuple, NOW, OFFSET, 0.0)
+    bench.history.next_samples(no_entry, tuple, NOW, OFFSET, 0.0)
     with monkeypatch.context() as patch:
         patch.setattr(HistoryFile, "read", read)
         bench.keep(1, 1)
@@ -155,7 +159,7 @@ async def test_history_is_read_behind_what_was_written_and_leaves_the_disk_when_
     history.session_began()
     bench.keep(6, 6)
     for clock in (0.0, 1.0):
-        assert history.next_samples(lambda _: pytest.fail(), list, NOW, OFFSET, clock) is None
+        assert history.next_samples(no_entry, list, NOW, OFFSET, clock) is None
         assert history.needs_disk
     await bench.keeper.step()
     assert not history.needs_disk

@@ -10,14 +10,26 @@ from typing import Final
 from edge_node_rig import Rig
 
 from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, Publish
-from dpstack.bridge.mqtt.history import CHUNK, History
+from dpstack.bridge.mqtt.history import CHUNK, EARLIEST_MS, Entry, History
 from dpstack.bridge.mqtt.history_file import HistoryFile
+from dpstack.bridge.mqtt.payload import DataType
 from dpstack.bridge.mqtt.session_file import SessionFile
+from dpstack.bridge.quality import Reason
 from dpstack.bridge.tree import PlantTree
 
 #: a folder in memory where there is one: the file writes to the disk each time
 MEMORY: Final = "/dev/shm" if os.path.isdir("/dev/shm") else None
 COUNTER: Final = {"name": "number", "type": "u32", "at": "u32@4"}
+
+MB: Final = 1_000_000
+OFFSET: Final = EARLIEST_MS + 10**11
+
+
+def entry(
+    number: int, *, device: str | None = "valves", at_ms: int | None = None, offset_ms: int = OFFSET, note: str = ""
+) -> Entry:
+    at = number * 10 if at_ms is None else at_ms
+    return Entry(device, "Inputs/number", DataType.UINT64, "bar", at, offset_ms, number, Reason.GOOD, note)
 
 
 class HistoryRig(Rig):
@@ -28,7 +40,8 @@ class HistoryRig(Rig):
     def __init__(self, folder: Path, *, store: int = 10_000_000, memory: int = 20_000, primary_host: str = "") -> None:
         self.store, self.memory = store, memory
         self.boot = 1
-        self.wire: list[Publish] = []
+        #: messages with the offset of the clock at their time
+        self.wire: list[tuple[Publish, float]] = []
         self.given: set[int] = set()
         self.arrived: set[int] = set()
         self.held: dict[tuple[int, int], tuple[float, float]] = {}
@@ -134,13 +147,13 @@ class HistoryRig(Rig):
                 self.publish_wills()
                 self.node.disconnected()
                 return count
-            self.wire.append(message)
+            self.wire.append((message, self.offset))
         return most
 
     def deliver(self, most: int = 1_000_000) -> None:
-        for message in self.wire[:most]:
+        for message, offset in self.wire[:most]:
             self.host.feed(message.topic, message.payload, qos=message.qos)
-            self._look(message)
+            self._look(offset)
         del self.wire[:most]
 
     def cut(self) -> None:
@@ -179,13 +192,14 @@ class HistoryRig(Rig):
             was_lost = self.values["8"]["state"] != "data_exchange"
             self.values["8"]["state"] = "data_exchange"
             self.wait(0.1)
-            if self.history is not None and self.file is not None and not was_lost:
-                if not (self.history.is_unconfirmed or self.history.waiting or self.file.count):
-                    break
+            assert self.history is not None
+            assert self.file is not None
+            if not (was_lost or self.history.is_unconfirmed or self.history.waiting or self.file.count):
+                break
 
     # --- the host ---------------------------------------------------------------------------------------------------
 
-    def _look(self, message: Publish) -> None:
+    def _look(self, offset: float) -> None:
         """Note the numbers that have arrived; history is in order, and behind the births."""
         kind, device, payload = self.host.messages[-1]
         if device != "valves":
@@ -203,7 +217,7 @@ class HistoryRig(Rig):
                 before = time
                 # of which start it is, the host cannot know; a jump of the clock of up to 1 s is none
                 times = {
-                    boot: (time - self.offsets.get(boot, self.offset), first, last)
+                    boot: (time - self.offsets.get(boot, offset), first, last)
                     for (one, boot), (first, last) in self.held.items()
                     if one == number
                 }

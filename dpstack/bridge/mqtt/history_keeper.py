@@ -234,10 +234,8 @@ class HistoryKeeper:
             else:
                 if now > self._moved_at + self._retry_s:
                     self._failed_at, self._moved_at = None, now  # else it waits: the disk itself may be damaged
-                self._tell(
-                    f"{self._place} cannot be read ({error}): it is {name} now, its values are not sent; a new one begins",
-                    Severity.ERROR,
-                )
+                text = f"it is {name} now, its values are not sent; a new one begins"
+                self._tell(f"{self._place} cannot be read ({error}): {text}", Severity.ERROR)
                 return
         if is_first:
             text = (
