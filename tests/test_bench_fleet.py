@@ -37,7 +37,7 @@ class Collecting(Face):
         self._node.connected()
 
     def take(self, changes: Sequence[Change]) -> None:
-        self._node.take(changes, self._now)
+        self._node.take(changes, self._now, self._now)
         self._send()
 
     @property
