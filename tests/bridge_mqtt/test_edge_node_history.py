@@ -139,6 +139,24 @@ def test_what_the_broker_has_not_confirmed_comes_again(rig: HistoryRig) -> None:
     assert [one.value(8) for one in history(rig) if one.alias == rig.alias_of_number] == [1, 2]
 
 
+def test_a_round_trip_does_not_confirm_history_that_was_sent_behind_its_request(rig: HistoryRig) -> None:
+    outage(rig, 3)
+    rig.connect()
+    rig.pump()
+    rig.step_disk()
+    assert rig.file is not None
+    before = rig.file.count
+    number = rig.begin_round()
+    assert rig.pump() == 1
+    rig.end_round(number)
+    rig.step_disk()
+    assert rig.file.count == before
+    rig.cut()  # it was lost on its way
+    rig.publish_wills()
+    rig.settle()
+    rig.check_numbers()
+
+
 def test_a_connection_that_confirms_everything_writes_nothing(rig: HistoryRig) -> None:
     assert rig.file is not None
     rig.settle()

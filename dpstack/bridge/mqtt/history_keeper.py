@@ -108,7 +108,7 @@ class HistoryKeeper:
         self._changed = changed
         self._retry_s = retry_s
         self._disk: DiskThread | None = None
-        self._boot = boot_id()
+        self._boot = ""
         self._file: HistoryFile | None = None
         self._failed_at: float | None = None
         self._wake = asyncio.Event()
@@ -163,6 +163,7 @@ class HistoryKeeper:
         now = asyncio.get_running_loop().time()
         if self._file is not None or (self._failed_at is not None and now < self._failed_at + self._retry_s):
             return self._file
+        self._boot = self._boot or await self._call(boot_id)
         # a file that is looked at as a whole takes its time
         self._file = file = await self._call(HistoryFile, self._folder, self._most_mb * _MB, self._boot)
         if file.count:
