@@ -49,14 +49,14 @@ class Rig:
         return self.started + self.clock - 1000.0
 
     def give_plant(self) -> None:
-        self.node.take(self.tree.apply({"plant": copy.deepcopy(self.plant)}, self.clock), self.wall)
+        self.node.take(self.tree.apply({"plant": copy.deepcopy(self.plant)}, self.clock), self.wall, 0.0)
         self.give_values()
 
     def give_values(self) -> None:
         slaves = {one: copy.deepcopy(self.values[one]) for one in self.plant["slaves"]}
         bus = {"stale": False, "mode": "operate"}
         body = {"t": self.clock - 1000.0, "whole": True, "bus": bus, "slaves": slaves}
-        self.node.take(self.tree.apply({"snapshot": body}, self.clock), self.wall)
+        self.node.take(self.tree.apply({"snapshot": body}, self.clock), self.wall, 0.0)
 
     def connect(self) -> None:
         self.will = self.node.connect(1, self.wall).will
@@ -97,7 +97,7 @@ class Rig:
             if stream:
                 self.give_values()
             else:
-                self.node.take(self.tree.tick(self.clock), self.wall)
+                self.node.take(self.tree.tick(self.clock), self.wall, 0.0)
             if stream:
                 self.pump()
         self.kept = {topic: one for topic, one in self.kept.items() if one[1] > self.clock}
@@ -218,7 +218,7 @@ def test_names_that_two_slaves_swap_stay_right(rig: Rig) -> None:
 
 
 def test_a_clock_that_was_set_gives_new_times(rig: Rig) -> None:
-    rig.node.take([ClockSet(-3600.0)], rig.wall)
+    rig.node.take([ClockSet(-3600.0)], rig.wall, 0.0)
     rig.pump()
     assert rig.seen("slave/valves/inputs")["level"]["time"] == "2023-11-14T21:13:19.998Z"
 

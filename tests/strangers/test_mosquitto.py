@@ -6,7 +6,6 @@ A subscriber is mosquitto_sub; what it gets is judged by a host that knows only 
 from __future__ import annotations
 
 import asyncio
-import copy
 import gc
 import json
 import os
@@ -14,143 +13,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-from edge_node_rig import GROUP, HOIST, NODE, PLANT, VALVES, metric
-from mosquitto_kit import LONGEST_S, Mosquitto, wait_for
-from sparkplug_host import Host, tag
+from edge_node_rig import GROUP, NODE, metric
+from mosquitto_kit import LONGEST_S, Mosquitto, Plant, following, plain, run, until
+from sparkplug_host import tag
 
-from dpstack.bridge.face import Tell
 from dpstack.bridge.mqtt.broker import Broker
-from dpstack.bridge.mqtt.client import MqttFace
-from dpstack.bridge.mqtt.edge_node import NodeSetup
-from dpstack.bridge.orders import Orders
-from dpstack.bridge.tree import PlantTree
-from dpstack.trace import Severity
 
 pytestmark = pytest.mark.strangers
-
-
-class Subscriber:
-    """mosquitto_sub with a host behind it. ``retained``: flags of what came."""
-
-    def __init__(self, broker: Mosquitto, *options: str) -> None:
-        self.host = Host(GROUP, NODE)
-        self.flags: set[str] = set()
-        self.broken: BaseException | None = None
-        self.program = subprocess.Popen(
-            broker.clients("mosquitto_sub", "-t", f"spBv1.0/{GROUP}/#", "-q", "1", "-F", "%r %q %x %t", *options),
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-
-    async def follow(self) -> None:
-        assert self.program.stdout is not None
-        while line := await asyncio.to_thread(self.program.stdout.readline):
-            retained, qos, octets, topic = line.rstrip("\n").split(" ", 3)
-            self.flags.add(retained)
-            if topic.split("/")[2] in ("NCMD", "DCMD"):
-                continue
-            try:
-                self.host.feed(topic, bytes.fromhex(octets), qos=int(qos) if "DEATH" in topic else 0)
-            except BaseException as error:
-                self.broken = error
-                raise
-
-    def kinds(self) -> list[str]:
-        return [kind for kind, _, _ in self.host.messages]
-
-    def end(self) -> None:
-        self.program.kill()
-        self.program.wait()
-        assert self.program.stdout is not None
-        self.program.stdout.close()
-
-
-class Plant:
-    """A tree with two slaves, fed by the test, and a face on it."""
-
-    def __init__(
-        self, folder: Path, broker: Broker, *, primary_host: str = "", orders: bool = True, store_mb: int = 0
-    ) -> None:
-        self.told: list[str] = []
-        self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
-        self.plant = PLANT | {"started": time.time()}
-        self.tree = PlantTree()
-        self.carried_out: list[tuple[str, ...]] = []
-        tell: Tell = self.tell
-        self.face = MqttFace(
-            self.tree,
-            tell,
-            broker=broker,
-            setup=NodeSetup(GROUP, NODE, primary_host, interval_s=0.05),
-            folder=folder / "state",
-            orders=Orders(self.tree, self.carry_out, ["valves.lamp", "valves.speed"]) if orders else None,
-            store_mb=store_mb,
-            again_s=0.1,
-        )
-        self.began = time.monotonic()
-
-    def tell(self, text: str, severity: Severity) -> None:
-        self.told.append(text)
-
-    async def carry_out(self, *words: str) -> None:
-        self.carried_out.append(words)
-        if words[1] == "8.lamp=on":
-            self.values["8"]["fields"]["lamp"] = True
-
-    async def feed(self) -> None:
-        self.face.take(self.tree.apply({"plant": self.plant}, time.monotonic()))
-        while True:
-            now = time.monotonic()
-            body = {
-                "t": now - self.began,
-                "whole": True,
-                "bus": {"stale": False, "mode": "operate"},
-                "slaves": copy.deepcopy(self.values),
-            }
-            self.face.take(self.tree.apply({"snapshot": body}, now))
-            await asyncio.sleep(0.05)
-
-    @asynccontextmanager
-    async def running(self) -> AsyncIterator[None]:
-        await self.face.open()
-        tasks = [asyncio.create_task(self.feed()), asyncio.create_task(self.face.serve())]
-        try:
-            yield
-        finally:
-            for task in tasks:
-                task.cancel()
-            ends = await asyncio.gather(*tasks, return_exceptions=True)
-            self.face.close()
-            assert [type(one) for one in ends] == [asyncio.CancelledError] * 2, ends
-
-    async def until(self, found: Callable[[], object]) -> None:
-        try:
-            async with asyncio.timeout(LONGEST_S):
-                while not found():  # noqa: ASYNC110  tells nobody of its changes
-                    await asyncio.sleep(0.02)
-        except TimeoutError:
-            raise AssertionError(self.told) from None
-
-
-@asynccontextmanager
-async def following(broker: Mosquitto, *options: str) -> AsyncIterator[Subscriber]:
-    """Enter it before the plant is published: births are not retained."""
-    before = broker.subscriptions()
-    subscriber = Subscriber(broker, *options)
-    task = asyncio.create_task(subscriber.follow())
-    await asyncio.to_thread(wait_for, lambda: broker.subscriptions() > before)
-    try:
-        yield subscriber
-    finally:
-        subscriber.end()
-        await asyncio.gather(task, return_exceptions=True)
-        assert subscriber.broken is None, subscriber.broken
 
 
 @pytest.fixture
@@ -158,10 +33,6 @@ def broker(tmp_path: Path) -> Iterator[Mosquitto]:
     made = Mosquitto(tmp_path)
     yield made
     made.kill()
-
-
-def plain(broker: Mosquitto) -> Broker:
-    return Broker(url=f"mqtt://127.0.0.1:{broker.port}", keepalive_s=2)
 
 
 async def test_births_data_and_an_ordered_end(tmp_path: Path, broker: Mosquitto) -> None:
@@ -191,7 +62,7 @@ KILLED = """
 import asyncio, sys
 from pathlib import Path
 sys.path[:0] = {path!r}
-from test_mosquitto import Plant
+from mosquitto_kit import Plant
 from dpstack.bridge.mqtt.broker import Broker
 async def main():
     plant = Plant(Path({folder!r}), Broker(url={url!r}, keepalive_s=2))
@@ -319,10 +190,6 @@ async def test_a_network_that_is_cut_in_silence(tmp_path: Path, broker: Mosquitt
             await plant.until(lambda: len(host.alive) == 2)
             assert (host.number or 0) >= 1
             assert host.metric("Inputs/level", "valves").value == 77.0
-
-
-async def run(command: list[str]) -> None:
-    await asyncio.to_thread(subprocess.run, command, check=True, timeout=LONGEST_S, capture_output=True)
 
 
 async def command(broker: Mosquitto, device: str, *metrics: bytes, age: float = 0.0) -> None:
@@ -503,12 +370,6 @@ node = "{node}"
 interval_ms = 50
 allow_commands = ["valves.lamp"]
 """
-
-
-async def until(found: Callable[[], object]) -> None:
-    async with asyncio.timeout(LONGEST_S):
-        while not found():  # noqa: ASYNC110  told by another program
-            await asyncio.sleep(0.02)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])

@@ -15,15 +15,8 @@ from typing import Final
 import pytest
 from edge_node_rig import GROUP, NODE
 from history_rig import COUNTER
+from mosquitto_kit import Mosquitto, Plant, following, plain, run, until
 from sparkplug_host import Host
-from test_mosquitto import (  # type: ignore[import-not-found]  # beside this file
-    Mosquitto,
-    Plant,
-    following,
-    plain,
-    run,
-    until,
-)
 
 pytestmark = pytest.mark.strangers
 

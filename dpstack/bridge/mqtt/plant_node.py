@@ -6,7 +6,7 @@ plain JSON. The client owns the connection and the time; see ``edge_node`` for `
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import ClassVar, Protocol
 
 from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, NodeSetup, OrderWish, Publish
