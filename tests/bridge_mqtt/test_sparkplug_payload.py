@@ -148,6 +148,8 @@ def only(octets: bytes) -> Given:
         (metric("x", whole=2**32 - 3), DataType.INT8, -3),
         (metric("x", long=2**64 - 3), DataType.INT64, -3),
         (metric("x", whole=2**32 - 3, datatype=3), DataType.DOUBLE, -3),
+        (metric("x", whole=253, datatype=1), DataType.INT8, -3),  # as Tahu writes it in Python
+        (metric("x", whole=2**16 - 3, datatype=2), DataType.INT16, -3),
         (metric("x", whole=200), DataType.INT8, 200),  # out of its range: the order refuses it
         (metric("x", text="on"), DataType.STRING, "on"),
         (metric("x", text="on", datatype=14), DataType.STRING, "on"),

@@ -208,8 +208,9 @@ def _given(metric: pb.Metric) -> Given:
 def value_given(given: Given, wanted: DataType) -> bool | int | float | str | bytes:
     """The value of a metric in a command for a metric of type ``wanted``. Raises ValueError with a reason.
 
-    Numbers of 8 to 32 bits are one field on the wire, as uint32 in two's complement; so the type decides. A sender may
-    name another type that fits.
+    Numbers of 8 to 32 bits are one field on the wire, as uint32 in two's complement; so the type decides. Senders that
+    name the type may fill up to 32 bits (Tahu in Java and JavaScript) or not (Tahu in Python, pysparkplug). A sender
+    may name another type that fits.
     """
     value = given.value
     if value is None:
@@ -219,7 +220,8 @@ def value_given(given: Given, wanted: DataType) -> bool | int | float | str | by
     except ValueError:
         raise ValueError(f"its type {given.datatype} is none that a value can have here") from None
     if isinstance(value, int) and not isinstance(value, bool) and type_ in _WHOLE:
-        value = _signed(value, 64 if value > _MASK_32 or type_ in _LONG else 32) if type_ in _SIGNED else value
+        if type_ in _SIGNED:
+            value = _signed(value, _width(value, type_, is_named=given.datatype is not None))
     elif not _fits(value, type_):
         raise ValueError(f"its value is no {type_.name}")
     if wanted in _WHOLE:
@@ -239,6 +241,14 @@ def _fits(value: object, type_: DataType) -> bool:
     if type_ in (DataType.FLOAT, DataType.DOUBLE):
         return isinstance(value, float)
     return isinstance(value, {DataType.BOOLEAN: bool, DataType.BYTES: bytes}.get(type_, ()))
+
+
+def _width(value: int, type_: DataType, *, is_named: bool) -> int:
+    """Bits of the two's complement of ``value``."""
+    if value > _MASK_32 or type_ in _LONG:
+        return 64
+    bits = {DataType.INT8: 8, DataType.INT16: 16}.get(type_, 32)
+    return bits if is_named and value < 1 << bits else 32
 
 
 def _signed(value: int, bits: int) -> int:
