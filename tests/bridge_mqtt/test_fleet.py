@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fleet_kit import BIRTH, DEATH, LOST, TOPIC, status
+from fleet_kit import BIRTH, DEATH, LOST, ONLINE, TOPIC, status
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -67,6 +67,25 @@ def test_a_death_counts_for_its_session_only() -> None:
     assert state_of(fleet) is State.ENDED
 
 
+def test_a_will_in_json_counts_for_its_session_only() -> None:
+    fleet = Fleet()
+    assert fleet.receive(ONLINE, b"false", 99.0, session=5) is None  # nothing is known of this gateway
+    fleet.receive(TOPIC, status(), 100.0)
+    assert fleet.receive(ONLINE, b"false", 101.0) is None  # its bus is gone, it says so itself
+    assert fleet.receive(ONLINE, b"false", 101.0, session=4) is None
+    assert state_of(fleet) is State.OK
+    assert fleet.receive(ONLINE, b"false", 102.0, session=5) is not None
+    assert state_of(fleet) is State.DEAD
+    assert fleet.receive(ONLINE, b"false", 102.0, session=5) is None
+    assert fleet.receive(TOPIC, status(session=6), 103.0) is not None
+    assert fleet.receive(ONLINE, b"false", 103.0, session=5) is None  # the broker had kept it
+    assert fleet.receive(ONLINE, b"true", 104.0) is None
+    assert state_of(fleet) is State.OK
+    fleet.receive(TOPIC, status(session=6, state="ended"), 105.0)
+    assert fleet.receive(ONLINE, b"false", 105.0, session=6) is None
+    assert state_of(fleet) is State.ENDED
+
+
 def test_the_worst_come_first() -> None:
     fleet = Fleet()
     for node, changes in (("a", {}), ("b", {"state": "ended"}), ("c", LOST), ("d", {}), ("e", {"verdict": "warning"})):
@@ -103,7 +122,7 @@ def test_a_rebirth_is_the_command_of_sparkplug() -> None:
     assert (metric.name, metric.value, metric.datatype) == ("Node Control/Rebirth", True, 11)
 
 
-TOPICS = st.sampled_from([TOPIC, DEATH, BIRTH, "dpstack/a/b", "dpstack/a/b/status/c", "", "spBv1.0/a/NDEATH"])
+TOPICS = st.sampled_from([TOPIC, DEATH, BIRTH, ONLINE, "dpstack/a/b", "dpstack/a/b/status/c", "", "spBv1.0/a/NDEATH"])
 PAYLOADS = st.binary(max_size=40) | st.sampled_from([status(), status(**LOST), status(state="ended"), node_death(5, 1)])
 
 
@@ -112,7 +131,7 @@ def test_no_message_raises_and_an_old_status_is_never_shown_as_alive(
     messages: list[tuple[str, bytes, int | None]],
 ) -> None:
     fleet = Fleet()
-    for number, (topic, payload, expiry) in enumerate(messages):
-        fleet.receive(topic, payload, float(number), expiry=expiry)
+    for number, (topic, payload, extra) in enumerate(messages):
+        fleet.receive(topic, payload, float(number), expiry=extra, session=extra)
     fleet.tick(len(messages) + 31.0)
     assert all(one.state in (State.DEAD, State.SILENT, State.ENDED) for one in fleet)

@@ -7,8 +7,8 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 
 import pytest
-from fake_broker import PUBLISH, FakeBroker, publish
-from fleet_kit import DEATH, LOST, TOPIC, status
+from fake_broker import PUBLISH, FakeBroker, publish, user_property
+from fleet_kit import DEATH, LOST, ONLINE, TOPIC, status
 
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.fleet import Fleet, Segment, State
@@ -69,6 +69,19 @@ async def test_it_publishes_nothing_and_comes_back() -> None:
             await seen.until(lambda: seen.changes[-1][1] is State.LOST)
             assert seen.reader.connected
         assert PUBLISH not in broker.kinds()
+
+
+async def test_a_will_in_json_is_known_by_its_user_property() -> None:
+    async with FakeBroker(retained=[publish(TOPIC, status(), expiry=20, retain=True)]) as broker:
+        seen = Seen(broker)
+        async with seen.running():
+            await seen.until(lambda: seen.changes)
+            for name, value in (("session", "4"), ("session", "5" * 90), ("session", "\u0665"), ("other", "5")):
+                broker.send(publish(ONLINE, b"false", user=user_property(name, value)))
+            broker.send(publish(ONLINE, b"false"))
+            broker.send(publish(ONLINE, b"false", user=user_property("other", "x") + user_property("session", "5")))
+            await seen.until(lambda: len(seen.changes) > 1)
+    assert seen.changes == [("line 7", State.OK), ("line 7", State.DEAD)]
 
 
 @pytest.mark.parametrize("rebirth", ["all", ("hall 3", "line 7")])

@@ -22,9 +22,17 @@ def packet(kind: int, body: bytes, flags: int = 0) -> bytes:
             return bytes([kind << 4 | flags]) + bytes(octets) + body
 
 
-def publish(topic: str, payload: bytes, *, expiry: int | None = None, retain: bool = False) -> bytes:
+def text(given: str) -> bytes:
+    return struct.pack(">H", len(given.encode())) + given.encode()
+
+
+def user_property(name: str, value: str) -> bytes:
+    return b"\x26" + text(name) + text(value)
+
+
+def publish(topic: str, payload: bytes, *, expiry: int | None = None, retain: bool = False, user: bytes = b"") -> bytes:
     name = topic.encode()
-    properties = b"" if expiry is None else b"\x02" + struct.pack(">I", expiry)
+    properties = (b"" if expiry is None else b"\x02" + struct.pack(">I", expiry)) + user
     return packet(
         PUBLISH, struct.pack(">H", len(name)) + name + bytes([len(properties)]) + properties + payload, retain
     )
@@ -36,7 +44,7 @@ class FakeBroker:
     its last subscription (:attr:`topics` of them). ``received``: (kind, body) of the packets of all clients."""
 
     refuses: int = 0
-    topics: int = 3
+    topics: int = 4
     retained: list[bytes] = field(default_factory=list)
     received: list[tuple[int, bytes]] = field(default_factory=list)
     writers: list[asyncio.StreamWriter] = field(default_factory=list)

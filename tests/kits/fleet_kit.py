@@ -11,6 +11,7 @@ GOOD: dict[str, Any] = {
 }  # fmt: skip
 LOST = {"verdict": "critical", "lost": [{"address": 8, "name": "valves", "state": "offline"}]}
 TOPIC = "dpstack/hall 3/line 7/status"
+ONLINE = "dpstack/hall 3/line 7/online"
 DEATH, BIRTH = "spBv1.0/hall 3/NDEATH/line 7", "spBv1.0/hall 3/NBIRTH/line 7"
 
 

@@ -44,9 +44,11 @@ ident = 0x1234
 url = "mqtt://127.0.0.1:{port}"
 group = "hall 3"
 node = "{node}"
+format = "{format}"
 keepalive_s = 2
 """
-NODES = ("north", "south", "west")
+#: by the format of each: the will of south is that of plain JSON
+NODES = {"north": "sparkplug", "south": "json", "west": "sparkplug"}
 
 
 class Screen:
@@ -123,9 +125,9 @@ def test_three_gateways(tmp_path: Path, broker: Mosquitto, starter: Starter, mon
     fleet = starter("fleet", "--mqtt", url, "--json")
     fleet.wait_for('"connected":true')
     gateways: dict[str, Program] = {}
-    for node in NODES:
+    for node, form in NODES.items():
         config = tmp_path / f"{node}.toml"
-        config.write_text(CONFIG.format(port=broker.port, node=node))
+        config.write_text(CONFIG.format(port=broker.port, node=node, format=form))
         (tmp_path / node).mkdir(mode=0o700)
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / node))  # each one is called "virtual"
         gateways[node] = starter("run", str(config), "--json")

@@ -22,6 +22,9 @@ CONNECT_S: Final = 5.0
 ANSWER_S: Final = 5.0
 #: messages that wait to be read
 MOST_WAITING: Final = 100
+#: user property of a will: the number of its session
+_SESSION: Final = "session"
+_MOST_DIGITS: Final = 9
 #: reason code of MQTT 5 (2.4)
 _DISCONNECT_WITH_WILL: Final = 0x04
 
@@ -74,7 +77,7 @@ def make_client(
         identifier=client_id,
         queue_type=Inbox,
         protocol=aiomqtt.ProtocolVersion.V5,
-        will=None if will is None else aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
+        will=None if will is None else _will(will),
         timeout=ANSWER_S,
         keepalive=broker.keepalive_s,
         clean_start=True,
@@ -84,6 +87,22 @@ def make_client(
     )
     client._client.connect_timeout = CONNECT_S
     return client
+
+
+def _will(will: Publish) -> aiomqtt.Will:
+    properties = None
+    if will.session is not None:
+        properties = Properties(PacketTypes.WILLMESSAGE)  # type: ignore[no-untyped-call]
+        properties.UserProperty = (_SESSION, str(will.session))
+    return aiomqtt.Will(will.topic, will.payload, will.qos, will.retain, properties)
+
+
+def session_of(message: aiomqtt.Message) -> int | None:
+    """The number of the session whose will ``message`` is; None where it has none that :func:`make_client` gives."""
+    for name, text in getattr(message.properties, "UserProperty", ()):
+        if name == _SESSION and len(text) <= _MOST_DIGITS and text.isascii() and text.isdecimal():
+            return int(text)
+    return None
 
 
 def cancellations() -> int:

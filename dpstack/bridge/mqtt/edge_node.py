@@ -57,13 +57,15 @@ _LAST_COMMAND: Final = "Last command"
 
 
 class Publish(NamedTuple):
-    """A message for the broker. ``expiry_s``: s after which the broker forgets it; 0: never."""
+    """A message for the broker. ``expiry_s``: s after which the broker forgets it; 0: never. ``session``: of a will
+    whose payload does not have it, the number of its session, as a user property."""
 
     topic: str
     payload: bytes
     qos: int = 0
     retain: bool = False
     expiry_s: int = 0
+    session: int | None = None
 
 
 class Disconnect(NamedTuple):

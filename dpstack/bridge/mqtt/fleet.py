@@ -1,4 +1,4 @@
-"""All segments of a broker as their statuses, births and deaths show them: messages in, changed segments out.
+"""All segments of a broker as their statuses, births, deaths and wills show them: messages in, changed segments out.
 
 Knows no network and no clock. Whatever a broker sends, memory is bounded: :data:`MOST_SEGMENTS` segments, each with a
 bounded status; what does not fit is counted. ``now``: s by a clock that nobody sets.
@@ -22,12 +22,14 @@ MOST_SEGMENTS: Final = 10_000
 #: characters of a group or node
 _MOST_NAME: Final = 120
 _STATUS: Final = "status"
+#: of a gateway with plain JSON
+_ONLINE: Final = "online"
 
 
 class State(Enum):
     """State of a segment, worst first."""
 
-    #: the broker has published its NDEATH
+    #: the broker has published its NDEATH, or its will in plain JSON
     DEAD = "dead"
     #: no status for 30 s
     SILENT = "silent"
@@ -74,7 +76,13 @@ class Fleet:
     @property
     def subscriptions(self) -> tuple[str, ...]:
         group = "+" if self.group is None else self.group
-        return (f"{NAMESPACE}/{group}/NDEATH/+", f"{NAMESPACE}/{group}/NBIRTH/+", f"dpstack/{group}/+/{_STATUS}")
+        # in this order: a will that the broker has kept comes behind the status of its session
+        return (
+            f"{NAMESPACE}/{group}/NDEATH/+",
+            f"{NAMESPACE}/{group}/NBIRTH/+",
+            f"dpstack/{group}/+/{_STATUS}",
+            f"dpstack/{group}/+/{_ONLINE}",
+        )
 
     def __len__(self) -> int:
         return len(self._segments)
@@ -91,12 +99,21 @@ class Fleet:
         found = Counter(one.state for one in self._segments.values())
         return {state: found[state] for state in State if found[state]}
 
-    def receive(self, topic: str, payload: bytes, now: float, *, expiry: int | None = None) -> Segment | None:
-        """Take a message; ``expiry``: s of its message expiry that are left. Nothing that it may hold raises. Returns
-        the segment where people should see a change."""
+    def receive(
+        self, topic: str, payload: bytes, now: float, *, expiry: int | None = None, session: int | None = None
+    ) -> Segment | None:
+        """Take a message; ``expiry``: s of its message expiry that are left; ``session``: the number of the session
+        whose will it is. Nothing that it may hold raises. Returns the segment where people should see a change."""
         match topic.split("/", 4):
             case ["dpstack", group, node, end] if end == _STATUS:
                 return self._take_status(group, node, payload, now, expiry)
+            case ["dpstack", group, node, end] if end == _ONLINE:
+                # without a session the gateway says it itself: its bus is gone, which its status says, too
+                segment = self._segments.get((group, node))
+                if segment is None or session is None or session != segment.status.session:
+                    return None
+                segment.dead = True
+                return self._judge(segment, now)
             case [name, group, kind, node] if name == NAMESPACE:
                 segment = self._segments.get((group, node))
                 if segment is None:

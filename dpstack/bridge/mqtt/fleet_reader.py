@@ -25,6 +25,7 @@ from dpstack.bridge.mqtt.connection import (
     connect,
     end_if_cancelled,
     make_client,
+    session_of,
     text_of,
 )
 from dpstack.bridge.mqtt.fleet import Fleet, Segment, rebirth_of
@@ -163,7 +164,7 @@ class FleetReader:
         payload = message.payload if isinstance(message.payload, bytes) else b""
         expiry = getattr(message.properties, "MessageExpiryInterval", None)
         now = asyncio.get_running_loop().time()
-        segment = self._fleet.receive(str(message.topic), payload, now, expiry=expiry)
+        segment = self._fleet.receive(str(message.topic), payload, now, expiry=expiry, session=session_of(message))
         if segment is not None:
             self._changed(segment)
 

@@ -51,7 +51,7 @@ class _Sent(NamedTuple):
 
 class JsonNode:
     """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
-    ``clear_first``: has no meaning here, as no message has the number of the session.
+    ``clear_first``: has no meaning here, as only the will has the number of the session.
 
     ``lost_results``: results of orders that were too many to wait.
     """
@@ -106,7 +106,7 @@ class JsonNode:
         """Begin a session."""
         self.disconnected()
         self.phase = Phase.CONNECTING
-        will = Publish(self._online_topic, _SAID[False], qos=1, retain=True)
+        will = Publish(self._online_topic, _SAID[False], qos=1, retain=True, session=number)
         return Connection(self._client_id, will, (f"{self._base}/slave/+/set/+",))
 
     def connected(self) -> None:

@@ -1,8 +1,8 @@
 """Messages of a broker, whatever they hold, for the view of a fleet.
 
-The input is pieces: the first octet of each chooses the topic and the rest of the message expiry, the rest is the
-payload, or bends a right status. Judged: nothing raises; memory is bounded; every text of the view is printable;
-nothing that is old is shown as alive; right messages are shown afterwards.
+The input is pieces: the first octet of each chooses the topic, the rest of the message expiry and the session of a
+will, the rest is the payload, or bends a right status. Judged: nothing raises; memory is bounded; every text of the
+view is printable; nothing that is old is shown as alive; right messages are shown afterwards.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _GOOD: dict[str, Any] = {
 }  # fmt: skip
 _TOPICS = (
     "dpstack/g/n/status", "dpstack/g/m/status", "dpstack/g/\x1b/status", "spBv1.0/g/NDEATH/n", "spBv1.0/g/NBIRTH/n",
-    "dpstack/g/n/m/status", "dpstack/g/k/status", "",
+    "dpstack/g/n/m/status", "dpstack/g/k/status", "dpstack/g/n/online",
 )  # fmt: skip
 _MOST = 2
 
@@ -34,7 +34,11 @@ def run(octets: bytes) -> None:
         now += 0.5
         if choice & 0x40:
             payload = text_of(bent(_GOOD, Cutter(payload))).encode()
-        fleet.receive(_TOPICS[choice % 8], payload, now, expiry=choice & 0x38 if choice & 0x80 else None)
+        expiry, session = choice & 0x38, choice >> 3 & 7
+        if choice & 0x80:
+            fleet.receive(_TOPICS[choice % 8], payload, now, expiry=expiry, session=session)
+        else:
+            fleet.receive(_TOPICS[choice % 8], payload, now)
         _judge(fleet)
     fleet.tick(now + 31)
     assert all(one.state in (State.DEAD, State.SILENT, State.ENDED) for one in fleet)

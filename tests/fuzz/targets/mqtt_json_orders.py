@@ -3,8 +3,8 @@
 The input is pieces: the first octet of each chooses the topic, whether the broker had kept the message and whether the
 rest bends a right order; else the rest is the payload. Judged: nothing raises; an order comes only of a message that
 the broker had not kept, of a listed name, of a slave in data exchange, and is the very one that ``json`` of Python
-reads; each message to a topic of orders has one result, with printable texts, and results that wait are bounded; a right
-order is one afterwards.
+reads; each message to a topic of orders has one result, with printable texts, and results that wait are bounded; a
+right order is one afterwards.
 """
 
 from __future__ import annotations

@@ -1,0 +1,62 @@
+"""The face of plain JSON at a broker that the test holds: what it publishes, and its will."""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+from pathlib import Path
+
+import pytest
+from edge_node_rig import FINE, GROUP, HOIST, NODE, PLANT, VALVES
+from fake_broker import CONNECT, PUBLISH, FakeBroker, text, user_property
+
+from dpstack.bridge.mqtt.broker import Broker, read_password
+from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.mqtt.json_node import JsonNode
+from dpstack.bridge.tree import PlantTree
+
+BASE = f"dpstack/{GROUP}/{NODE}"
+
+
+async def test_no_secret_is_published_and_the_will_has_the_number_of_its_session(tmp_path: Path) -> None:
+    secret = tmp_path / "hidden.password"
+    secret.touch(mode=0o600)
+    secret.write_text("sesame opens\n")
+    told: list[str] = []
+    async with FakeBroker(topics=1) as broker:
+        tree = PlantTree()
+        face = MqttFace(
+            tree,
+            lambda remark, severity: told.append(remark),
+            broker=Broker(url=broker.url, user="the gateway", password=read_password("", secret)),
+            setup=NodeSetup(GROUP, NODE),
+            folder=tmp_path / "state",
+            versions={"dpstack": "0.1.0"},
+            make_node=JsonNode,
+        )
+        await face.open()
+        slaves = {"3": HOIST, "8": VALVES | FINE}
+        for item in (
+            {"plant": PLANT},
+            {"snapshot": {"t": 1.0, "whole": True, "bus": {"stale": False}, "slaves": slaves}},
+        ):
+            face.take(tree.apply(copy.deepcopy(item), 0.0))
+        serving = asyncio.create_task(face.serve())
+        async with asyncio.timeout(10):
+            while not any(body.startswith(text(f"{BASE}/online")) for _, body in broker.received):  # noqa: ASYNC110
+                await asyncio.sleep(0.005)  # the broker tells nobody of its packets
+        serving.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await serving
+        face.close()
+    sent = [body for kind, body in broker.received if kind == PUBLISH]
+    for suffix in ("status", "slave/valves/inputs", "slave/hoist/drive", "bus/state", "online"):
+        assert any(body.startswith(text(f"{BASE}/{suffix}")) for body in sent), suffix
+    (connect,) = [body for kind, body in broker.received if kind == CONNECT]
+    assert text("sesame opens") in connect
+    properties = user_property("session", "0")
+    assert bytes([len(properties)]) + properties + text(f"{BASE}/online") + text("false") in connect
+    for body in (*sent, *(remark.encode() for remark in told)):
+        for hidden in (b"sesame", b"the gateway", b"hidden.password", str(tmp_path).encode()):
+            assert hidden not in body
