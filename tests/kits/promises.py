@@ -19,6 +19,7 @@ _RIGHTS: Final = "web/test_web_rights.py::"
 _SERVER: Final = "web/test_web_server.py::"
 _OPCUA: Final = "bridge_opcua/test_opcua_face.py::"
 _FLEET: Final = "bridge_mqtt/"
+_JSON: Final = "bridge_mqtt/test_json_node.py::"
 _CODE: Final = "security/test_no_code.py::"
 #: for each promise the tests that show it, below tests/
 PROMISES: Final[dict[str, tuple[str, ...]]] = {
@@ -200,6 +201,19 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "bridge_mqtt/test_history_file.py::test_the_oldest_go_first_and_the_file_keeps_its_limit",
         "bridge_mqtt/test_history_keeper.py::test_a_full_disk_is_told_once_and_what_memory_holds_comes_later",
         "bridge_mqtt/test_history_keeper.py::test_a_slow_disk_delays_nobody_and_the_end_takes_no_longer_than_its_limit",
+    ),
+    "G15": (
+        _JSON + "test_what_is_kept_not_listed_or_not_in_data_exchange_is_refused",
+        _JSON + "test_an_order_that_cannot_be_is_refused_with_its_reason",
+        _JSON + "test_an_order_that_is_listed",
+        _JSON + "test_a_flood_of_orders_is_bounded_and_values_do_not_wait_for_it",
+        _JSON + "test_garbage_is_no_order",
+        "bridge/test_orders.py::test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come",
+    ),
+    "G16": (
+        _FLEET + "test_mqtt_secrets.py::test_no_secret_is_published_and_a_will_has_the_number_of_its_session",
+        _FLEET + "test_mqtt_broker.py::test_an_address_that_is_none_is_refused_and_no_text_holds_a_password",
+        _FLEET + "test_mqtt_broker.py::test_passwords_come_from_the_environment_or_from_a_file_of_ones_own",
     ),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",

@@ -1,4 +1,4 @@
-"""The face of plain JSON at a broker that the test holds: what it publishes, and its will."""
+"""The faces of MQTT at a broker that the test holds: no secret in what they publish, and their wills."""
 
 from __future__ import annotations
 
@@ -12,14 +12,28 @@ from fake_broker import CONNECT, PUBLISH, FakeBroker, text, user_property
 
 from dpstack.bridge.mqtt.broker import Broker, read_password
 from dpstack.bridge.mqtt.client import MqttFace
-from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.mqtt.edge_node import EdgeNode, NodeSetup
 from dpstack.bridge.mqtt.json_node import JsonNode
+from dpstack.bridge.mqtt.plant_node import PlantNode
 from dpstack.bridge.tree import PlantTree
 
-BASE = f"dpstack/{GROUP}/{NODE}"
+BASE, SPARKPLUG = f"dpstack/{GROUP}/{NODE}", f"spBv1.0/{GROUP}"
+SESSION = user_property("session", "0")
+#: topics that are published, the last one last; and the end of the will
+JSON = (
+    [f"{BASE}/{one}" for one in ("status", "slave/valves/inputs", "slave/hoist/drive", "bus/state", "online")],
+    bytes([len(SESSION)]) + SESSION + text(f"{BASE}/online") + text("false"),
+)
+BIRTHS = (
+    [f"{BASE}/status", *(f"{SPARKPLUG}/{one}" for one in (f"NBIRTH/{NODE}", f"DBIRTH/{NODE}/valves"))],
+    b"\0" + text(f"{SPARKPLUG}/NDEATH/{NODE}"),
+)
 
 
-async def test_no_secret_is_published_and_the_will_has_the_number_of_its_session(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("make_node", "topics", "will"), [(JsonNode, *JSON), (EdgeNode, *BIRTHS)])
+async def test_no_secret_is_published_and_a_will_has_the_number_of_its_session(
+    tmp_path: Path, make_node: type[PlantNode], topics: list[str], will: bytes
+) -> None:
     secret = tmp_path / "hidden.password"
     secret.touch(mode=0o600)
     secret.write_text("sesame opens\n")
@@ -33,7 +47,7 @@ async def test_no_secret_is_published_and_the_will_has_the_number_of_its_session
             setup=NodeSetup(GROUP, NODE),
             folder=tmp_path / "state",
             versions={"dpstack": "0.1.0"},
-            make_node=JsonNode,
+            make_node=make_node,
         )
         await face.open()
         slaves = {"3": HOIST, "8": VALVES | FINE}
@@ -44,19 +58,18 @@ async def test_no_secret_is_published_and_the_will_has_the_number_of_its_session
             face.take(tree.apply(copy.deepcopy(item), 0.0))
         serving = asyncio.create_task(face.serve())
         async with asyncio.timeout(10):
-            while not any(body.startswith(text(f"{BASE}/online")) for _, body in broker.received):  # noqa: ASYNC110
+            while not any(body.startswith(text(topics[-1])) for _, body in broker.received):  # noqa: ASYNC110
                 await asyncio.sleep(0.005)  # the broker tells nobody of its packets
         serving.cancel()
         with pytest.raises(asyncio.CancelledError):
             await serving
         face.close()
     sent = [body for kind, body in broker.received if kind == PUBLISH]
-    for suffix in ("status", "slave/valves/inputs", "slave/hoist/drive", "bus/state", "online"):
-        assert any(body.startswith(text(f"{BASE}/{suffix}")) for body in sent), suffix
+    for topic in topics:
+        assert any(body.startswith(text(topic)) for body in sent), topic
     (connect,) = [body for kind, body in broker.received if kind == CONNECT]
     assert text("sesame opens") in connect
-    properties = user_property("session", "0")
-    assert bytes([len(properties)]) + properties + text(f"{BASE}/online") + text("false") in connect
+    assert will in connect
     for body in (*sent, *(remark.encode() for remark in told)):
         for hidden in (b"sesame", b"the gateway", b"hidden.password", str(tmp_path).encode()):
             assert hidden not in body
