@@ -30,6 +30,7 @@ from dpstack.api.bus import opening as _opening
 from dpstack.api.bus import recording as _recording
 from dpstack.api.bus import sync_freeze as _sync_freeze
 from dpstack.api.bus.driver_choice import is_free_for_process as _is_free_for_process
+from dpstack.api.faces import publishing as _publishing
 from dpstack.api.server import server as _server
 from dpstack.api.slave import alarms as _alarms
 from dpstack.api.slave import class2 as _class2
@@ -49,6 +50,7 @@ __all__ = [
     "Group",
     "Items",
     "LiveStream",
+    "Publishing",
     "Reader",
     "RecordParameters",
     "ServedSlave",
@@ -57,6 +59,7 @@ __all__ = [
     "SlaveServer",
     "find_baud",
     "open_bus",
+    "publish",
     "serve_slave",
     "serve_slaves",
 ]
@@ -74,6 +77,7 @@ Connection = blocking_class(_class2.Connection)
 Class2 = blocking_class(_class2.Class2)
 BusRecording = blocking_class(_recording.BusRecording)
 Bus = blocking_class(_bus.Bus)
+Publishing = blocking_class(_publishing.Publishing)
 ServedSlave = blocking_class(_server.ServedSlave)
 SlaveServer = blocking_class(_server.SlaveServer)
 
@@ -88,6 +92,7 @@ def _open_bus(config: Any = None, *, slaves: Any = (), **given: Any) -> _bus.Bus
 
 
 open_bus = blocking_function(_open_bus)
+publish = blocking_function(_publishing.publish)
 find_baud = blocking_function(_find_baud.find_baud)
 serve_slave = blocking_function(_server.serve_slave)
 serve_slaves = blocking_function(_server.serve_slaves)

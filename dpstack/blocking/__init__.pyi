@@ -59,6 +59,7 @@ __all__ = [
     "Group",
     "Items",
     "LiveStream",
+    "Publishing",
     "Reader",
     "RecordParameters",
     "ServedSlave",
@@ -67,6 +68,7 @@ __all__ = [
     "SlaveServer",
     "find_baud",
     "open_bus",
+    "publish",
     "serve_slave",
     "serve_slaves",
 ]
@@ -503,6 +505,16 @@ class Bus:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
 
+class Publishing:
+    @property
+    def remarks(self) -> list[str]: ...
+    @property
+    def faces(self) -> tuple[str, ...]: ...
+    def __enter__(self) -> Publishing: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
 class ServedSlave:
     @property
     def device(self) -> Device: ...
@@ -582,6 +594,7 @@ def open_bus(
     world: World | None = None,
     **bus: object,
 ) -> Bus: ...
+def publish(bus: Bus, **tables: Mapping[str, object]) -> Publishing: ...
 def serve_slave(
     device: Device,
     *,

@@ -50,9 +50,14 @@ def publish(bus: Bus, **tables: Mapping[str, object]) -> Publishing:
     the bus where it has a process of its own. A face that fails ends alone; a notice of the bus tells it. Leaving the
     block ends them, which takes 4.5 s at most, and 1 s while the bus is open.
 
-    Raises ConfigError here; on entering UsageError where the package of an extra is missing, and PortError or
-    ConfigError where a face cannot begin.
+    Raises ConfigError here, and UsageError for anything but a bus; on entering UsageError where the package of an extra
+    is missing, and PortError or ConfigError where a face cannot begin.
     """
+    if not isinstance(bus, Bus):
+        raise UsageError(
+            "publish: it takes a bus of the same module: dpstack.publish one of dpstack.open_bus, "
+            "dpstack.blocking.publish one of dpstack.blocking.open_bus"
+        )
     source = Source("publish") if tables else bus.config.source
     made = read_faces(source, tables) if tables else bus.config.faces
     if not made:
@@ -65,6 +70,9 @@ class Publishing:
 
     It may be entered before the bus is opened: so a face that cannot begin is known before anything goes on the bus.
     """
+
+    #: remarks that came when the bus had ended, or never was open
+    remarks: list[str]
 
     def __init__(
         self,
@@ -86,8 +94,7 @@ class Publishing:
         self._running: asyncio.Task[None] | None = None
         self._has_told = False
         self._untold: list[tuple[str, Severity]] = []
-        #: remarks that came when the bus had ended, or never was open
-        self.remarks: list[str] = []
+        self.remarks = []
 
     @property
     def faces(self) -> tuple[str, ...]:

@@ -1,0 +1,77 @@
+"""``dpstack.blocking.publish``: faces that begin before the bus and end after it, or within it."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import probe_face
+import pytest
+from blocking_kit import target_of
+from probe_face import ProbeFace
+from process_kit import eventually
+
+import dpstack
+from dpstack import blocking
+from dpstack.errors import PortError, UsageError
+
+FAN: dict[str, Any] = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
+
+
+@pytest.fixture(autouse=True)
+def probe() -> Iterator[None]:
+    probe_face.register()
+    yield
+    probe_face.forget()
+
+
+def opened() -> blocking.Bus:
+    return blocking.open_bus(port="virtual", baud=500_000, slaves=[FAN])
+
+
+def test_around_the_bus_and_inside_it() -> None:
+    bus = opened()
+    with blocking.publish(bus, probe={}) as faces:
+        [face] = ProbeFace.made
+        assert faces.faces == ("probe",)
+        assert face.course[0] == "open"
+        assert not bus.is_open
+        with bus:
+            bus.ready(60)
+            bus.operate()
+            eventually(lambda: len(face.lives) == 2, "births")
+            with blocking.publish(bus, probe={}):
+                within = ProbeFace.made[1]
+                eventually(lambda: len(within.lives) == 2, "births of the face within")
+            assert within.course[-1] == "close"
+            assert bus.is_open
+    assert face.course[2:] == ["last: Died 4, Died None", "close"]
+    assert faces.faces == ()
+    assert faces.remarks == []
+
+
+def test_what_cannot_begin_is_an_error_before_the_bus_opens() -> None:
+    bus = opened()
+    with pytest.raises(UsageError, match="takes a bus of the same module"):
+        dpstack.publish(bus, probe={})  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="no face is given"):
+        blocking.publish(bus)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        table = {"port": taken.getsockname()[1]}
+        with pytest.raises(PortError, match="Address already in use"), blocking.publish(bus, probe=table), bus:
+            pytest.fail("the bus was opened")
+    assert not bus.is_open
+
+
+def test_ctrl_c_in_the_block_ends_bus_and_faces() -> None:
+    bus = opened()
+
+    def use() -> None:
+        with blocking.publish(bus, probe={}), bus:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        use()
+    assert ProbeFace.made[0].course[-1] == "close"
+    assert not target_of(bus).is_open
