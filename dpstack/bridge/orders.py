@@ -64,6 +64,11 @@ class _RefusedError(Exception):
         self.kind = kind
 
 
+class _ChangedError(_RefusedError):
+    def __init__(self) -> None:
+        super().__init__("the configuration of the bus has changed meanwhile")
+
+
 class Orders:
     """Gives orders of ``tree`` to the run: ``carry_out(*words)`` with the words of its control socket.
 
@@ -95,6 +100,11 @@ class Orders:
         self._remark_at = -_REMARK_S
         self._untold = 0
 
+    def sets_output(self, name: str) -> bool:
+        """Whether :meth:`give_outputs` takes the order ``name``."""
+        order = self._tree.orders.get(name)
+        return order is not None and order.command[0] == "set"
+
     @property
     def allowed(self) -> tuple[Order, ...]:
         """The orders of the plant that :meth:`give` takes."""
@@ -120,38 +130,70 @@ class Orders:
             return 0.0 if late_s is None else late_s + loop.time() - came
 
         try:
-            await self._give(name, value, made_at, age)
-        except _RefusedError as error:
-            result = OrderResult(name, "refused", str(error), error.kind)
-        except DpError as error:
-            result = OrderResult(name, "refused", clean(str(error)))
+            order, words = self._judge(name, value, made_at, age)
+            if _halts_drive(order):
+                self._halts[order.slave] += 1
+                with self._counted(order.slave, spare=MOST_OF_A_SLAVE):
+                    await self._carry(words)
+            else:
+                await self._carry_in_turn([order], words, age)
         except Exception as error:  # whatever the run does: the sender gets a result
-            result = OrderResult(name, "refused", clean(f"{type(error).__name__}: {error}"))
-        else:
-            result = OrderResult(name, "done")
-        self._remark(result)
-        return result
+            return self._told(_refused(name, error))
+        return self._told(OrderResult(name, "done"))
 
-    async def _give(self, name: str, value: object, made_at: float | None, age: Callable[[], float]) -> None:
+    async def give_outputs(self, given: Sequence[tuple[str, object]], *, made_at: float) -> list[OrderResult]:
+        """Set outputs of one slave, by name and value, so that all of them change in one Data_Exchange. Each is judged
+        as by :meth:`give`, and one that is refused leaves the others; but the run takes those as one order, and refuses
+        all where it refuses one. Results and the rest: as of :meth:`give`."""
+
+        def age() -> float:
+            return self._now() - made_at
+
+        results: list[OrderResult | None] = []
+        orders: list[Order] = []
+        words = ["set"]
+        for name, value in given:
+            try:
+                order, (command, *arguments) = self._judge(clean(name), value, made_at, age)
+                if command != "set" or (orders and order.slave != orders[0].slave):
+                    raise _ChangedError
+            except Exception as error:
+                results.append(self._told(_refused(clean(name), error)))
+            else:
+                orders.append(order)
+                words += arguments
+                results.append(None)
+        failed: Exception | None = None
+        try:
+            if orders:
+                await self._carry_in_turn(orders, words, age)
+        except Exception as error:
+            failed = error
+        rest = iter(OrderResult(one.name, "done") if failed is None else _refused(one.name, failed) for one in orders)
+        return [self._told(next(rest)) if one is None else one for one in results]
+
+    def _judge(
+        self, name: str, value: object, made_at: float | None, age: Callable[[], float]
+    ) -> tuple[Order, tuple[str, ...]]:
+        """An order that comes, and its words. Raises _RefusedError."""
         order = self._find(name)
         self._judge_age(age())
         try:
             words = order.words(_plain(value))
         except ValueError as error:
             raise _RefusedError(str(error), Refusal.TYPE) from None
-        halts_drive = order.command[-1] in _HALTS
-        self._refuse_twice(name, made_at, halts_drive=halts_drive)
-        if halts_drive:
-            self._halts[order.slave] += 1
-            with self._counted(order.slave, spare=MOST_OF_A_SLAVE):
-                await self._carry(words)
-            return
-        halts = self._halts[order.slave]
-        with self._counted(order.slave):
-            async with self._turns.setdefault(order.slave, asyncio.Lock()):
-                if self._find(name) != order:
-                    raise _RefusedError("the configuration of the bus has changed meanwhile")
-                if self._halts[order.slave] != halts:
+        self._refuse_twice(name, made_at, halts_drive=_halts_drive(order))
+        return order, words
+
+    async def _carry_in_turn(self, orders: Sequence[Order], words: Sequence[str], age: Callable[[], float]) -> None:
+        """Carry out ``words``, which are those of ``orders`` to one slave, when its turn has come."""
+        slave = orders[0].slave
+        halts = self._halts[slave]
+        with self._counted(slave):
+            async with self._turns.setdefault(slave, asyncio.Lock()):
+                if any(self._find(order.name) != order for order in orders):
+                    raise _ChangedError
+                if self._halts[slave] != halts:
                     raise _RefusedError("a later order has stopped the drive meanwhile")
                 self._judge_age(age())
                 await self._carry(words)
@@ -213,6 +255,10 @@ class Orders:
         finally:
             self._waiting[slave] -= 1
 
+    def _told(self, result: OrderResult) -> OrderResult:
+        self._remark(result)
+        return result
+
     def _remark(self, result: OrderResult) -> None:
         """Orders that are refused come from outside, at any rate: they are told once a second."""
         if self._tell is None:
@@ -227,6 +273,18 @@ class Orders:
         more = f" ({self._untold} more were refused before)" if self._untold else ""
         self._remark_at, self._untold = now, 0
         self._tell(f"order {result.name} refused: {result.reason}{more}", Severity.WARNING)
+
+
+def _halts_drive(order: Order) -> bool:
+    return order.command[-1] in _HALTS
+
+
+def _refused(name: str, error: Exception) -> OrderResult:
+    """The result of an order that has failed by ``error``."""
+    if isinstance(error, _RefusedError):
+        return OrderResult(name, "refused", str(error), error.kind)
+    text = str(error) if isinstance(error, DpError) else f"{type(error).__name__}: {error}"
+    return OrderResult(name, "refused", clean(text))
 
 
 def is_allowed(allow: Iterable[str], name: str) -> bool:

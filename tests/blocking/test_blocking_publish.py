@@ -34,9 +34,9 @@ def test_around_the_bus_and_inside_it() -> None:
     bus = opened()
     with blocking.publish(bus, probe={}) as faces:
         [face] = ProbeFace.made
-        assert faces.faces == ("probe",)
+        assert list(faces.faces) == ["probe"]
         assert face.course[0] == "open"
-        assert not bus.is_open
+        assert not target_of(bus).is_open
         with bus:
             bus.ready(60)
             bus.operate()
@@ -47,7 +47,7 @@ def test_around_the_bus_and_inside_it() -> None:
             assert within.course[-1] == "close"
             assert bus.is_open
     assert face.course[2:] == ["last: Died 4, Died None", "close"]
-    assert faces.faces == ()
+    assert list(faces.faces) == []
     assert faces.remarks == []
 
 

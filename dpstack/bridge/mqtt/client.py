@@ -105,7 +105,8 @@ class MqttFace(Face):
         self._round_wanted = asyncio.Event()
         self.connected = self._was_connected = False
         self._last_error = LastError(logging.ERROR)
-        self._giving: set[asyncio.Task[None]] = set()
+        #: orders that are carried out, and their number by task
+        self._giving: dict[asyncio.Task[None], int] = {}
         #: messages of the broker that were too many at once
         self._lost = 0
 
@@ -281,8 +282,7 @@ class MqttFace(Face):
         async for message in client.messages:
             payload = message.payload if isinstance(message.payload, bytes) else b""
             wishes = node.receive(str(message.topic), payload, time.time(), retained=message.retain)
-            for wish in wishes:
-                self._give(node, wish)
+            self._give_all(node, wishes)
             self._wake.set()
 
     async def _say_farewell(self, node: PlantNode, client: aiomqtt.Client) -> None:
@@ -339,18 +339,41 @@ class MqttFace(Face):
 
     # --- orders ---------------------------------------------------------------------------------------------------
 
-    def _give(self, node: PlantNode, wish: OrderWish) -> None:
-        if len(self._giving) >= _MOST_ORDERS:
-            node.answer(wish, "refused", "too many orders wait", time.time())
+    def _give_all(self, node: PlantNode, wishes: Sequence[OrderWish]) -> None:
+        """Give the orders of one message, which are all to one slave. Its outputs change together."""
+        if not wishes:
             return
-        task = asyncio.create_task(self._carry_out(node, wish), name=f"dpstack mqtt: {wish.name}")
-        self._giving.add(task)
-        task.add_done_callback(self._giving.discard)
-
-    async def _carry_out(self, node: PlantNode, wish: OrderWish) -> None:
         assert self._orders is not None, "without orders no metric can be written"
-        result = await self._orders.give(wish.name, wish.value, made_at=wish.made_at)
-        node.answer(wish, result.result, result.reason, time.time())
+        outputs: list[OrderWish] = []
+        for wish in wishes:
+            if self._orders.sets_output(wish.name):
+                outputs.append(wish)
+            else:
+                self._give(node, [wish])
+        if outputs:
+            self._give(node, outputs)
+
+    def _give(self, node: PlantNode, wishes: Sequence[OrderWish]) -> None:
+        if sum(self._giving.values()) + len(wishes) > _MOST_ORDERS:
+            for wish in wishes:
+                node.answer(wish, "refused", "too many orders wait", time.time())
+            return
+        task = asyncio.create_task(self._carry_out(node, wishes), name=f"dpstack mqtt: {wishes[0].name}")
+        self._giving[task] = len(wishes)
+        task.add_done_callback(self._giving.pop)
+
+    async def _carry_out(self, node: PlantNode, wishes: Sequence[OrderWish]) -> None:
+        assert self._orders is not None
+        first = wishes[0]
+        if len(wishes) > 1:
+            given = [(wish.name, wish.value) for wish in wishes]
+            results = await self._orders.give_outputs(given, made_at=first.made_at)
+        else:
+            results = [await self._orders.give(first.name, first.value, made_at=first.made_at)]
+        # the last answer is the one that people see: a refused one, if there is any
+        answers = sorted(zip(wishes, results, strict=True), key=lambda answer: answer[1].result != "done")
+        for wish, result in answers:
+            node.answer(wish, result.result, result.reason, time.time())
         self._wake.set()
 
     def _count_lost(self, client: aiomqtt.Client) -> None:

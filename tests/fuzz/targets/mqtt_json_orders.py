@@ -55,7 +55,7 @@ class _Session:
         slaves = {"3": _FINE | {"drive": {"state": "ready"}}, "8": _FINE, "9": _FINE | {"state": "offline"}}
         whole = {"t": 1.0, "whole": True, "bus": {"stale": False}, "slaves": slaves}
         for item in ({"plant": _PLANT}, {"snapshot": whole}):
-            self.node.take(tree.apply(item, 0.0), _NOW)
+            self.node.take(tree.apply(item, 0.0), _NOW, 0.0)
         self.node.connect(1, _NOW)
         self.node.connected()
         assert self.results() == 0

@@ -1,0 +1,56 @@
+"""Orders from a broker that the test holds to a run that the test is."""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from edge_node_rig import GROUP, HOIST, NODE, PLANT, VALVES
+from fake_broker import FakeBroker, publish, text
+
+from dpstack.bridge.mqtt import sparkplug_pb2 as pb
+from dpstack.bridge.mqtt.broker import Broker
+from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.orders import Orders
+from dpstack.bridge.tree import PlantTree
+
+
+async def test_outputs_of_one_command_change_together(tmp_path: Path) -> None:
+    carried: list[tuple[str, ...]] = []
+    tree = PlantTree()
+
+    async def carry_out(*words: str) -> None:
+        carried.append(words)
+
+    async with FakeBroker() as broker:
+        face = MqttFace(
+            tree,
+            lambda remark, severity: None,
+            broker=Broker(url=broker.url),
+            setup=NodeSetup(GROUP, NODE),
+            folder=tmp_path / "state",
+            orders=Orders(tree, carry_out, ["valves.*"]),
+        )
+        await face.open()
+        whole = {"t": 1.0, "whole": True, "bus": {"stale": False}, "slaves": {"3": HOIST, "8": VALVES}}
+        for item in ({"plant": PLANT}, {"snapshot": whole}):
+            face.take(tree.apply(copy.deepcopy(item), 0.0))
+        serving = asyncio.create_task(face.serve())
+        async with asyncio.timeout(10):
+            birth = text(f"spBv1.0/{GROUP}/DBIRTH/{NODE}/valves")
+            while not any(body.startswith(birth) for _, body in broker.received):  # noqa: ASYNC110
+                await asyncio.sleep(0.005)  # the broker tells nobody of its packets
+            metrics = [pb.Metric(name="Outputs/lamp", boolean_value=True), pb.Metric(name="Outputs/speed", int_value=7)]
+            command = pb.Payload(timestamp=round(time.time() * 1000), metrics=metrics)
+            broker.send(publish(f"spBv1.0/{GROUP}/DCMD/{NODE}/valves", command.SerializeToString()))
+            while not carried:  # noqa: ASYNC110
+                await asyncio.sleep(0.005)
+        serving.cancel()
+        with suppress(asyncio.CancelledError):
+            await serving
+        face.close()
+    assert carried == [("set", "8.lamp=on", "8.speed=7")]
