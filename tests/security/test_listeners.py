@@ -30,6 +30,8 @@ PLANT = (
     '[bus]\nport = "{port}"\nbaud = 500000\n[[slave]]\nname = "a"\naddress = 3\ndrive = "demag-dedrive"\n'
     '[[slave]]\nname = "b"\naddress = 8\nident = 0x1234\nconfig = "20 10"\n'
 )
+#: audit events of a connection to a broker: its own end is bound to no address and no port before it connects
+CLIENT = {"socket.__new__ (2, 1, 6)", "socket.bind (('', 0),)"}
 #: seconds for which a command that does not end by itself is watched after it has begun
 _WATCHED_S = 2.0
 _START_S = 60.0
@@ -165,7 +167,9 @@ def test_no_command_listens_on_a_network(folder: Path, command: str) -> None:
     assert not {one for one in watched.listening if not one.startswith("unix ")}
     unix = {Path(one.removeprefix("unix ")).name for one in watched.listening}
     assert all(name.endswith(".sock") for name in unix)
-    events = watched.audit.read_text().splitlines()
+    events = set(watched.audit.read_text().splitlines())
+    if command.startswith("fleet"):
+        events -= CLIENT
     assert not [one for one in events if not one.startswith("socket.bind (") or "/proc/self/fd/" not in one]
     assert bool(unix) is command.startswith(("run", "sim", "segment"))
 
