@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import pytest
 from edge_node_rig import GROUP, NODE, Rig
+from history_rig import HistoryRig
 
 from dpstack.bridge.mqtt.payload import DATA_TYPES, DataType, MetricKind, Sample, birth, read_command, value_given
 from dpstack.bridge.quality import LIMITS, Reading, Reason, Value
@@ -18,15 +19,27 @@ pytestmark = pytest.mark.strangers
 
 VERSION: Final = "1.0.3"
 NOW: Final = 1_700_000_000_123
-#: reads payloads as hex, one a line, writes them as JSON; a line that begins with { is a payload to encode
+#: reads payloads as hex, one a line, writes them as JSON; a line that begins with { is a payload to encode. It reads no
+#: value without a type, which data have in births only (tck-id-payloads-metric-datatype-not-req): so each metric gets
+#: the type that a birth gave to its alias, as a host does it
 PROGRAM: Final = """
 const spb = require("sparkplug-payload").get("spBv1.0");
+const Payload = require("sparkplug-payload/lib/sparkplugPayloadProto").org.eclipse.tahu.protobuf.Payload;
+const types = {};
+const typed = (octets) => {
+    const payload = Payload.decode(octets);
+    for (const metric of payload.metrics) {
+        if (metric.datatype) types[metric.alias] = metric.datatype;
+        else if (types[metric.alias]) metric.datatype = types[metric.alias];
+    }
+    return Payload.encode(payload).finish();
+};
 const plain = (key, value) => value && value.constructor && value.constructor.name === "Long" ? "" + value : value;
 for (const line of require("fs").readFileSync(0, "utf8").trim().split("\\n")) {
     if (line.startsWith("{")) {
         console.log(Buffer.from(spb.encodePayload(JSON.parse(line))).toString("hex"));
     } else {
-        console.log(JSON.stringify(spb.decodePayload(Buffer.from(line, "hex")), plain));
+        console.log(JSON.stringify(spb.decodePayload(typed(Buffer.from(line, "hex"))), plain));
     }
 }
 """
@@ -105,12 +118,54 @@ def test_the_messages_of_a_session(folder: Path, tmp_path: Path) -> None:
     assert [int(one["seq"]) for one in found[:4]] == [0, 1, 2, 3]
     names = {one["name"]: one for one in found[2]["metrics"]}
     assert (names["Inputs/count"]["type"], names["Inputs/count"]["value"]) == ("Int8", -3)
-    # it reads no value without a type, which data have in births only (tck-id-payloads-metric-datatype-not-req)
     data = {int(one["alias"]): one for one in found[3]["metrics"]}
     assert data[int(names["Inputs/limit"]["alias"])]["properties"]["Quality"]["value"] == 500
     (number,) = found[4]["metrics"]
     assert (number["name"], int(number["value"])) == ("bdSeq", 0)
     assert rig.sent[0].topic == f"spBv1.0/{GROUP}/NBIRTH/{NODE}"
+
+
+def test_births_come_first_and_then_history_in_order(folder: Path, tmp_path: Path) -> None:
+    """Five values of an outage, and one behind it; the values that the birth has do not come again."""
+    rig = HistoryRig(tmp_path)
+    rig.give_plant()
+    rig.connect()
+    rig.pump()
+    rig.round_trip()
+    rig.cut()
+    wall = rig.wall
+    for _ in range(5):
+        rig.count()
+    rig.step_disk()
+    rig.connect()
+    published = []
+    for _ in range(10):
+        rig.pump()
+        published += [message for message, _ in rig.wire]
+        rig.round_trip()
+        rig.step_disk()
+        rig.wait(0.1)
+    rig.count()
+    rig.pump()
+    published += [message for message, _ in rig.wire]
+    rig.close()
+    found = [json.loads(line) for line in asked(folder, [one.payload.hex() for one in published])]
+    kinds = [one.topic.split("/")[2] for one in published]
+    old = [any(metric.get("isHistorical") for metric in one["metrics"]) for one in found]
+    assert kinds[:3] == ["NBIRTH", "DBIRTH", "DBIRTH"]
+    assert not any(old[:3])
+    assert [kind for kind, is_old in zip(kinds, old, strict=True) if is_old] == ["NDATA", "DDATA"]
+    assert [int(one["seq"]) for one in found] == list(range(len(found)))
+    births = {metric["name"]: metric for metric in found[2]["metrics"]}
+    counter = births["Inputs/number"]
+    values = [
+        (bool(metric.get("isHistorical")), int(metric["value"]), int(metric["timestamp"]) / 1000 - wall)
+        for one in found[3:]
+        for metric in one["metrics"]
+        if metric["alias"] == counter["alias"]
+    ]
+    assert [(is_old, value) for is_old, value, _ in values] == [(True, n) for n in range(1, 6)] + [(False, 6)]
+    assert [at for _, _, at in values[:5]] == pytest.approx([0.25 * n for n in range(1, 6)], abs=0.01)
 
 
 @pytest.mark.parametrize(
