@@ -91,6 +91,13 @@ anonymous = "read"
 """
 
 
+#: of ``probe_face``, with the way in which it fails
+PROBE: Final = """
+[probe]
+fails = "{}"
+"""
+
+
 class Recorder:
     """The process of ``recording_slave``."""
 
@@ -153,7 +160,8 @@ class Program:
             text = PLANT.format(port=link, driver=row.driver) + row.tables.replace("FOLDER", str(folder))
             plant.write_text(text, encoding="utf-8")
             files = [argument.replace("FOLDER", str(folder)) for argument in row.arguments]
-            command = [sys.executable, "-m", "dpstack.cli.main", "run", str(plant)]
+            main = [str(KITS / "ends_run.py")] if "[probe]" in row.tables else ["-m", "dpstack.cli.main"]
+            command = [sys.executable, *main, "run", str(plant)]
             command += ["--outputs", f"4={LIVE}", f"5={LIVE_LAMPS}", "--plain", *files]
         else:
             file = "ends_blocking.py" if row.program == "blocking" else "ends_faults.py"
@@ -327,6 +335,13 @@ def send_twice(number: int) -> Act:
     return act
 
 
+def end_beside_a_face(program: Program, recorder: Recorder) -> None:
+    """The outputs are safe while the program still waits for its face, or for what that has left behind."""
+    os.kill(program.pid, signal.SIGTERM)
+    wait_for(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
+    assert program.process.poll() is None, "nobody has waited for the face"
+
+
 def hang_up(_: Program, recorder: Recorder) -> None:
     recorder.say("hang up")
 
@@ -387,10 +402,23 @@ def wait_for(condition: Callable[[], bool], what: str, seconds: float = HANG_S) 
         time.sleep(0.02)
 
 
-def full_disk(program: Program, _: Recorder) -> None:
+def no_room(program: Program) -> None:
     """No file of the program may grow any more."""
     for pid in processes_of(program):
         resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, 1))
+
+
+def full_store(program: Program, recorder: Recorder) -> None:
+    """No file may grow, the store of MQTT meets this, and the bus goes on; then comes an ordered end."""
+    no_room(program)
+    text = "are not kept on the disk"
+    wait_for(lambda: any(text in line for line in program.written["out"]), "the remark of the store")
+    assert exchanges(recorder), "the bus does not go on"
+    os.kill(program.pid, signal.SIGTERM)
+
+
+def full_disk(program: Program, _: Recorder) -> None:
+    no_room(program)
     time.sleep(1.2)  # so long the log and the recording are kept back at most
     os.kill(program.pid, signal.SIGTERM)
 
@@ -514,6 +542,12 @@ STOPS: Final = {
     "stopped (SIGSTOP)": stop_bus_process,
     "stopped (SIGSTOP), and goes on": stop_bus_process_and_go_on,
 }
+#: how a face hangs at its end: the key ``fails`` of ``probe_face``
+FACE_ENDS: Final = {
+    "end": "it does not end",
+    "thread": "a thread of it goes on at its end",
+    "loop": "it blocks its event loop at its end",
+}
 #: file descriptors with which ``dpstack run`` begins, but cannot open its bus
 FEW_HANDLES: Final = {"asyncio": 6, "process": 10}
 #: at the start of ``dpstack run`` and of applications: no room for the memory that bus process and application share
@@ -565,6 +599,11 @@ def rows() -> list[Row]:
                 for n in (signal.SIGTERM, signal.SIGKILL)
             ),
             faced("metrics, MQTT and OPC UA, and SIGINT twice", act=send_twice(signal.SIGINT)),
+            *(
+                run("face", f"{text}, and SIGTERM", tables=PROBE.format(fails), act=end_beside_a_face)
+                for fails, text in FACE_ENDS.items()
+            ),
+            run("full disk", "of the store of MQTT, without a broker", tables=FACES, act=full_store),
         ]
         for option in ("--plain", "--json"):
             text = f"its reader has gone (`{option}`)"
@@ -582,6 +621,11 @@ def rows() -> list[Row]:
         # noticed if a telegram is due before the bus process reads the order to end
         text = "stopped (SIGSTOP), and the program gets SIGINT"
         found.append(make("bus process", text, act=stop_bus_process_and_end, may_tell="Stalled"))
+    beside = functools.partial(Row, "bus process", driver="process", program="run", tables=FACES, may_go_on=True)
+    found += [
+        beside(f"{name_of(n)}, beside metrics, MQTT and OPC UA", act=send_to_bus_process(n))
+        for n in (signal.SIGTERM, signal.SIGKILL)
+    ]
     watched = functools.partial(Row, "stopped", driver="process", way="waits_alive", may_go_on=True)
     found += [
         watched("by SIGSTOP, with `application_watchdog_ms`", act=stop),
@@ -677,11 +721,12 @@ _VARIABLE: Final = (
     (re.compile(r"pid \d+"), "pid N"),
     (re.compile(r"vanished \([^)]*\)"), "vanished (WHY)"),
     (re.compile(r"\b\d+(\.\d+)? (ms|s|rows|rounds|telegrams)\b"), r"N \2"),
+    (re.compile(r"\bline \d+\b"), "line N"),
 )
 #: what Python itself says; and events of a busy computer
 _NO_STORY: Final = re.compile(
     r"^($|  |Traceback|Task |task:|future:|handle:|source_traceback|Exception |During|The above|sys:1|AttributeError)"
-    r"|^SlaveFaulted: .*(taken up again|wants parameters again)|^Notice: .*telegrams dropped"
+    r"|^SlaveFaulted: .*(taken up again|wants parameters again)|^Notice: .*telegrams dropped|^dpstack: probe: born "
 )
 _MOST: Final = 150
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Final
 
 from dpstack.api.config.faces import FACES, FaceConfig, read_names
 from dpstack.api.config.table import Key
@@ -17,6 +18,9 @@ from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import Born, Change, Changed, Died
 from dpstack.errors import PortError
 from dpstack.trace import Severity
+
+#: s for which the failures "thread" and "loop" last, which nobody can end
+HANG_S: Final = 8.0
 
 
 class ProbeConfig(FaceConfig, frozen=True, kw_only=True):
@@ -70,6 +74,10 @@ class ProbeFace(Face):
             self.course.append("last: " + ", ".join(f"{type(one).__name__} {one.slave}" for one in self.lives[-2:]))
             if self.config.fails == "end":
                 await asyncio.Event().wait()
+            if self.config.fails == "thread":
+                await asyncio.to_thread(time.sleep, HANG_S)
+            if self.config.fails == "loop":
+                time.sleep(HANG_S)  # noqa: ASYNC251  the failure
 
     def close(self) -> None:
         self.course.append("close")
