@@ -128,7 +128,7 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         if args.recordings:
             _record_by_signals(bus, args.recordings)
         elif args.faces:
-            _publish_by_signals(bus, json.loads(args.faces))
+            _publish_by_signals(bus, json.loads(args.faces), events)
             writing = asyncio.create_task(_write(bus))
             stack.callback(writing.cancel)
         if args.cycle_ms:
@@ -235,8 +235,9 @@ def _burn(ended: Ended) -> None:
         number = number * 1_103_515_245 % 2_147_483_647
 
 
-def _publish_by_signals(bus: Any, tables: dict[str, Any]) -> None:
-    """SIGUSR1 begins the faces of ``tables``, SIGUSR2 ends them; a line says when that is done."""
+def _publish_by_signals(bus: Any, tables: dict[str, Any], events: list[tuple[str, int, str]]) -> None:
+    """SIGUSR1 begins the faces of ``tables``, SIGUSR2 ends them; a line says when that is done, with the remarks of the
+    faces that have come among ``events`` meanwhile."""
     from dpstack import publish
 
     loop = asyncio.get_running_loop()
@@ -249,7 +250,8 @@ def _publish_by_signals(bus: Any, tables: dict[str, Any]) -> None:
                 await asyncio.sleep(_LOOK_S)
             told(faces=publishing.faces)
             await end.wait()
-        told(faces=())
+        told(faces=(), remarks=[text for name, _, text in events if name == "Notice" and text.startswith("faces: ")])
+        events.clear()
 
     def begin() -> None:
         ends.append(asyncio.Event())

@@ -264,12 +264,15 @@ class Bench:
         """Have a master begin its recording or its faces, or end them."""
         os.kill(self._master.pid, signal.SIGUSR1 if on else signal.SIGUSR2)
 
-    def switch_faces(self, *, on: bool) -> None:
-        """As :meth:`switch`, and wait until the faces serve, or have ended. Raises RuntimeError where they do not."""
+    def switch_faces(self, *, on: bool) -> list[str]:
+        """As :meth:`switch`, and wait until the faces serve, or have ended. Returns the remarks of faces that have
+        ended. Raises RuntimeError where they do not."""
         self.switch(on=on)
-        faces = json.loads(self._master.line(60.0) or "{}").get("faces")
+        answer = json.loads(self._master.line(60.0) or "{}")
+        faces = answer.get("faces")
         if bool(faces) is not on:
             raise RuntimeError(f"the faces do not {'serve' if on else 'end'}: {faces}")
+        return list(answer.get("remarks", ()))
 
     def opened_at(self) -> int:
         """When the master's port was opened, in ns; only with a probe."""

@@ -1,5 +1,6 @@
 """Benchmarks of gateways, which publish a plant: ``python -m bench faces`` and ``python -m bench fleet``.
 
+- ``backlog``: A backlog in the store of MQTT, and its arrival at a subscriber
 - ``bus``: A gateway as users run it: a bus with a process of its own on a port, published by MQTT
 - ``face_ends``: Clients and brokers around the faces of the benchmark ``faces``
 - ``faces``: The benchmark ``faces``: the cost of all faces of a gateway to its bus

@@ -11,6 +11,9 @@ input. All faces publish everything. Around them is one of these:
 - ``hostile``: a broker that sends commands of up to a megabyte as fast as they are read
 - ``greedy``: two clients that subscribe to everything, one of which never reads; four scrapers without a pause
 - ``full``: the broker is gone, and the disk of the state is full (a file system of its own, which needs root)
+- ``backlog``: mosquitto comes back when the faces have kept values for a while, and history flows beside the others
+
+The store of MQTT has its default size; its remarks and the size of its file become notes.
 
 The wire and the masters are those of the benchmark ``record``. With the driver process the bus's own process is
 measured for itself; the goals are about that one.
@@ -37,9 +40,11 @@ from bench.jitter import Cycles, Lateness
 from bench.masters import DRIVERS
 from bench.options import count, duration, slaves
 from bench.paired import interval
-from bench.plant.programs import free_port
+from bench.plant.backlog import Arrivals, Backlog
+from bench.plant.programs import free_port, wait_for
 from bench.report import Report
 from bench.rig import Bench, Process, Processors, available, bench, note_disturbance, pinned
+from dpstack.bridge.mqtt.history_file import NAME
 from dpstack.units import baud_text
 
 _BAUDS: Final = (500_000, 12_000_000)
@@ -55,9 +60,22 @@ _SETTLE_S: Final = 2.0
 _SUBSCRIBE_S: Final = 5.0
 #: octets of the file system that is filled
 _DISK: Final = 1 << 20
-AROUND: Final = ("well", "gone", "stuck", "stopped", "hostile", "greedy", "full")
+#: s until the store has met the full disk: it writes once a second
+_FULL_S: Final = 2.5
+#: s without a broker: for the values of the backlog, of which the faces keep the first ones; and before each slice
+_KEEP_S: Final = 5.0
+_OUTAGE_S: Final = 2.0
+_BACKLOG: Final = 50_000
+#: s from the return of the broker to the first values of the backlog
+_BACK_S: Final = 60.0
+#: s before the end of a slice at which history still came
+_LAST_S: Final = 0.5
+_GROUP, _NODE = "bench", "one"
+AROUND: Final = ("well", "gone", "stuck", "stopped", "hostile", "greedy", "full", "backlog")
 _CLIENTS: Final = {"well": ("scraper", "opcua"), "greedy": (*("scraper",) * 4, "opcua", "opcua-deaf")}
 _BROKERS: Final = {"well": "mosquitto", "stopped": "mosquitto", "greedy": "mosquitto", "stuck": "stuck"}
+#: those that need it
+_MOSQUITTO: Final = {"backlog", *(around for around, kind in _BROKERS.items() if kind == "mosquitto")}
 
 
 def run(argv: list[str]) -> Report:
@@ -74,7 +92,7 @@ def run(argv: list[str]) -> Report:
     args = parser.parse_args(argv)
     report = Report("faces")
     if shutil.which("mosquitto") is None:
-        without = [one for one in args.around if _BROKERS.get(one) != "mosquitto"]
+        without = [one for one in args.around if one not in _MOSQUITTO]
         report.notes.append(f"{', '.join(set(args.around) - set(without))}: left out, mosquitto is not installed")
         args.around = without
     with pinned() as where:
@@ -170,6 +188,9 @@ class _Plant:
         self._port = 0
         self._broker: subprocess.Popen[bytes] | None = None
         self._ports = (free_port(), free_port())
+        self._backlog: Backlog | None = None
+        self._remarks: set[str] = set()
+        self._largest = 0
 
     def __enter__(self) -> _Plant:
         with contextlib.ExitStack() as stack:
@@ -181,7 +202,7 @@ class _Plant:
             self._port = self._begin_broker(stack)
             metrics, opcua = self._ports
             self.tables = {
-                "mqtt": {"url": f"mqtt://127.0.0.1:{self._port}", "group": "bench", "node": "one", "interval_ms": 100},
+                "mqtt": {"url": f"mqtt://127.0.0.1:{self._port}", "group": _GROUP, "node": _NODE, "interval_ms": 100},
                 "metrics": {"listen": f"127.0.0.1:{metrics}"},
                 "opcua": {"listen": f"127.0.0.1:{opcua}", "anonymous": "read"},
             }
@@ -193,21 +214,76 @@ class _Plant:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+        if self._largest:
+            self._notes.append(f"{self._title}: the store of MQTT had {self._largest} octets at most")
+        self._notes += [f"{self._title}: {remark}" for remark in sorted(self._remarks)]
 
     @contextlib.contextmanager
     def published(self, running: Bench, *, on: bool) -> Iterator[None]:
         """Within it the faces serve where ``on``, and what is around them does its worst."""
-        if on:
-            running.switch_faces(on=True)
-        time.sleep(_SUBSCRIBE_S if on and self._around in _CLIENTS else _SETTLE_S)
-        undo = self._do_worst() if on else None
-        try:
+        if not on:
+            time.sleep(_SETTLE_S)
             yield
-        finally:
-            if undo is not None:
-                undo()
-            if on:
-                running.switch_faces(on=False)
+            return
+        if self._around == "backlog":
+            self._wait_with_backlog(running)
+        running.switch_faces(on=True)
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._end_faces, running)
+            if self._around == "backlog":
+                stack.enter_context(self._broker_back())
+            else:
+                time.sleep(_SUBSCRIBE_S if self._around in _CLIENTS else _SETTLE_S)
+            undo = self._do_worst()
+            try:
+                yield
+            finally:
+                if undo is not None:
+                    undo()
+
+    def _end_faces(self, running: Bench) -> None:
+        self._largest = max(self._largest, *(self._octets(NAME + suffix) for suffix in ("", "-wal")))
+        place = str(self._store)
+        self._remarks |= {text.replace(place, NAME) for text in running.switch_faces(on=False) if place in text}
+
+    @property
+    def _store(self) -> Path:
+        return self._folder / "state" / "dpstack" / f"{_GROUP}.{_NODE}" / NAME
+
+    def _octets(self, name: str) -> int:
+        try:
+            return self._store.with_name(name).stat().st_size
+        except OSError:
+            return 0
+
+    def _wait_with_backlog(self, running: Bench) -> None:
+        """The values of an outage wait in the store."""
+        if self._backlog is None:
+            running.switch_faces(on=True)
+            time.sleep(_KEEP_S)
+            running.switch_faces(on=False)
+            self._backlog = Backlog(self._store, _BACKLOG)
+        self._backlog.put_back()
+
+    @contextlib.contextmanager
+    def _broker_back(self) -> Iterator[None]:
+        """The broker comes after a while; then history flows. What arrives within the block becomes a note."""
+        time.sleep(_OUTAGE_S)
+        arrivals = Arrivals(_GROUP)
+        with contextlib.ExitStack() as stack:
+            self._begin_mosquitto(stack, self._port)
+            stack.enter_context(arrivals.counting(self._port, _BACK_S))
+            wait_for(lambda: arrivals.historical, "history", _BACK_S)
+            began, historical, live = time.monotonic(), arrivals.historical, arrivals.live
+            yield
+            ended = time.monotonic()
+            over = (
+                "" if arrivals.last > ended - _LAST_S else "; the backlog was over before the end: take shorter slices"
+            )
+            self._notes.append(
+                f"{self._title}: in {ended - began:.1f} s {arrivals.historical - historical} values of history "
+                f"arrived, and {arrivals.live - live} others{over}"
+            )
 
     def _do_worst(self) -> Callable[[], object] | None:
         if self._around == "stopped" and self._broker is not None:
@@ -219,6 +295,7 @@ class _Plant:
             with contextlib.suppress(OSError), filler.open("wb", buffering=0) as full:
                 while full.write(bytes(4096)):
                     pass
+            time.sleep(_FULL_S)
             return lambda: filler.unlink(missing_ok=True)
         return None
 

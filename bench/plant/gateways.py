@@ -22,6 +22,7 @@ from typing import ClassVar, Final
 
 from bench.plant.programs import rss_kib
 from bench.plant.stream import GROUP, INTERVAL_S, Recording, node_name, replay
+from dpstack.api.config.faces import MqttConfig
 from dpstack.bridge.face import Face
 from dpstack.bridge.gateway import Gateway
 from dpstack.bridge.mqtt.broker import Broker
@@ -32,6 +33,8 @@ from dpstack.trace import Severity
 
 #: streams begin at so many places of the recording
 _PLACES: Final = 50
+#: of the store of each, as in a configuration without this key
+_STORE_MB: Final = MqttConfig(url="mqtt://localhost", group=GROUP).store_mb
 
 
 class _NoFace(Face):
@@ -69,6 +72,7 @@ class Fleet:
             broker=Broker(url=f"mqtt://127.0.0.1:{self._broker}"),
             setup=NodeSetup(GROUP, node, interval_s=self._interval_s),
             folder=self._folder / node,
+            store_mb=_STORE_MB,
         )
 
     async def run(self, number: int) -> None:
