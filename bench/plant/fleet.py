@@ -186,6 +186,7 @@ class _Run:
         self._report.exact("breaches of Sparkplug B that the host found", verdict.breaches, "", goal=0)
         self._report.exact("NDEATH whose bdSeq is not that of the last NBIRTH", verdict.unpaired, "", goal=0)
         self._report.exact("messages that the host could not judge, as a birth was missed", verdict.unjudged, "")
+        self._report.exact("values of history that came after restarts of the broker", verdict.historical, "")
         self._report.notes += verdict.faults
 
     @contextlib.contextmanager

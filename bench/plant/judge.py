@@ -51,7 +51,7 @@ class Verdict:
     kind of message, ``peaks``: messages of the busiest second, ``metrics``: values in data. ``largest``: metrics and
     octets of the largest births. ``breaches``: of the specification, ``faults``: texts of the first ones; ``unpaired``:
     deaths whose number is not that of the last birth; ``unjudged``: messages of nodes without a birth, as behind a
-    breach or a gap of the subscriber."""
+    breach or a gap of the subscriber; ``historical``: values that came as history."""
 
     births: list[tuple[str, str, int]] = field(default_factory=list)
     deaths: list[tuple[str, str, int]] = field(default_factory=list)
@@ -63,6 +63,7 @@ class Verdict:
     breaches: int = 0
     unpaired: int = 0
     unjudged: int = 0
+    historical: int = 0
 
 
 class _Follower:
@@ -126,7 +127,9 @@ def _follow(verdict: Verdict, nodes: dict[str, _Follower], group: str, message: 
         if len(verdict.faults) < _MOST_FAULTS:
             verdict.faults.append(f"{kind} of {node} {device}: {type(error).__name__} {str(error)[:200]}")
         return 0
-    values = len(host.messages[-1][2].metrics) if host.messages else 0
+    metrics = host.messages[-1][2].metrics if host.messages else []
+    values = len(metrics)
+    verdict.historical += sum(metric.historical for metric in metrics)
     if kind == "NDEATH":
         number = _number_of(message.payload)
         if one.last_number is not None and number != one.last_number:

@@ -28,5 +28,6 @@ def test_a_small_fleet_is_measured() -> None:
     assert values["broker back to births of a gateway: samples"] == 4
     assert values["NDEATH by the broker, from SIGKILL of the gateway: samples"] == 2
     assert values["messages"] > 4
+    assert values["values of history that came after restarts of the broker"] > 0
     assert values["NBIRTH, the largest: metrics"] > values["DBIRTH, the largest: metrics"] > 4
     assert values["memory of a gateway in a process of many, all"] > 0
