@@ -34,8 +34,8 @@ Drivers, ports, programs:
   drivers on a clock and a line of the test; ``far_ends``: other ends of ports; ``fake_adapter``: serial driver and
   sysfs in memory; ``baud_rig``: traffic behind a UART.
 - ``programs``: ``dpstack`` as a program; ``control_kit``: control sockets and a client of octets; ``cli_kit``:
-  commands in the process of the test; ``ends_programs``, ``ends_kit``: programs that end a bus in every way, and the
-  last telegrams to a slave.
+  commands in the process of the test; ``ends_programs``, ``ends_run``, ``ends_kit``: programs that end a bus in every
+  way, and the last telegrams to a slave.
 
 Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``, ``fuji_kit``, ``keb_kit``, ``imo_kit``,
 ``ls_kit``; ``acyclic_kit`` (record 47).
