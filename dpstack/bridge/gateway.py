@@ -12,6 +12,7 @@ from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.quality import clean
 from dpstack.bridge.tree import Change, ClockSet, PlantTree, Remark
 from dpstack.errors import DpError
+from dpstack.live.state import end_of
 from dpstack.text import printable, shortened, traceback_text
 from dpstack.trace import Severity
 
@@ -78,11 +79,11 @@ class Gateway:
         try:
             while not (reading.done() and self._waiting.empty()):
                 self._step(await self._next_items(reading))
-            why = "the live stream has ended"
-            if not reading.cancelled() and reading.exception() is not None:
-                why = f"the live stream has ended by an error: {clean(str(reading.exception()))}"
+            why, error = "the live stream has ended", None if reading.cancelled() else reading.exception()
+            if error is not None:
+                why = f"the live stream has ended by an error: {clean(str(error))}"
             # a bus that has ended has said so itself
-            self._step([] if self.tree.has_ended else [{"end": {"text": why}}])
+            self._step([] if self.tree.has_ended else [end_of(why, failed=error is not None)])
             await reading
         finally:
             reading.cancel()

@@ -56,11 +56,17 @@ class Reason(Enum):
     STREAM_LATE = "the live stream of the bus arrives late", Quality.STALE, 0x408F_0000
     SEARCHING = "the bus searches its baud rate", Quality.STALE, 0x408F_0000
     ENDED = "the bus has ended", Quality.STALE, 0x408F_0000
+    #: for instance its process was killed
+    FAILED = "a fault has ended the bus", Quality.STALE, 0x408F_0000
 
     def __init__(self, text: str, quality: Quality, status: int) -> None:
         self.text = text
         self.quality = quality
         self.opcua_status = status
+
+    def with_note(self, note: str) -> str:
+        """The reason and further facts in one line."""
+        return f"{self.text}: {note}" if note else self.text
 
 
 #: BadNoCommunication: there is not even an old value
@@ -93,7 +99,7 @@ class Reading(NamedTuple):
     @property
     def text(self) -> str:
         """The reason in one line; empty for a good value."""
-        return f"{self.reason.text}: {self.note}" if self.note else self.reason.text
+        return self.reason.with_note(self.note)
 
 
 def clean(text: object) -> str:

@@ -142,7 +142,9 @@ class PlantTree:
         self._delay: float | None = None
         self._late = False
         self._silent_process = False
+        #: text of the end; and whether a fault has ended the bus
         self._end: str | None = None
+        self._failed = False
         self._orders: dict[str, Order] = {}
         self._told: set[str] = set()
         self._forgotten = 0
@@ -172,8 +174,13 @@ class PlantTree:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the bus has said that it ended."""
+        """Whether the bus has said that it ended, in order or by a fault."""
         return self._end is not None
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether a fault has ended the bus, for instance SIGKILL of its process."""
+        return self._end is not None and self._failed
 
     @property
     def t(self) -> float:
@@ -237,6 +244,7 @@ class PlantTree:
             found += self._remark("events of the bus were lost: alarms among them are not shown")
         elif "end" in item:
             self._end = clean(item["end"]["text"]) or "the bus has ended"
+            self._failed = item["end"].get("failed") is True
         return found
 
     def tick(self, now: float) -> list[Change]:
@@ -250,7 +258,7 @@ class PlantTree:
         bus = list(self._compare(self._bus, (trouble, None), now))
         if self._bus.born and trouble is not None:
             self._bus.born = False
-            found = [*slaves, Died(None, _line(trouble)), *bus]
+            found = [*slaves, Died(None, Reason.with_note(*trouble)), *bus]
         elif not self._bus.born and trouble is None:
             self._bus.born = True
             found = [*bus, Born(None), *slaves]
@@ -387,7 +395,7 @@ class PlantTree:
         """The reason why no value of the bus is good; None: nothing is in the way."""
         assert self._plant is not None
         if self._end is not None:
-            return Reason.ENDED, self._end
+            return Reason.FAILED if self._failed else Reason.ENDED, self._end
         if self._heard is None:
             return Reason.WAITING, ""
         if now - self._heard > self._silent_s or now < self._heard:
@@ -439,7 +447,7 @@ class PlantTree:
         found: list[Change] = []
         if branch.born and own is not None and own[0] not in _OF_VALUES:
             branch.born = False
-            found.append(Died(branch.slave, _line(own)))
+            found.append(Died(branch.slave, Reason.with_note(*own)))
         found += self._compare(branch, (trouble, own), now)
         if not branch.born and own is None:
             branch.born = True
@@ -589,7 +597,7 @@ class PlantTree:
         found: list[Condition | None] = []
         if trouble is not None and trouble[0] is not Reason.WAITING:
             level = Level.WARNING if trouble[0] in (Reason.SEARCHING, Reason.ENDED) else Level.ERROR
-            found.append(self.conditions.show("bus/dead", None, "bus", _line(trouble), level, time))
+            found.append(self.conditions.show("bus/dead", None, "bus", Reason.with_note(*trouble), level, time))
         elif trouble is None:
             found.append(self.conditions.end("bus/dead", time))
         if trouble is None:
@@ -622,11 +630,6 @@ def _look_up(values: Mapping[str, Any], node: Node) -> tuple[object, bool]:
     elif isinstance(found, Mapping) and node.type == TEXT:
         found = found.get("because") or found.get("text")
     return found, True
-
-
-def _line(trouble: tuple[Reason, str]) -> str:
-    reason, note = trouble
-    return f"{reason.text}: {note}" if note else reason.text
 
 
 def _float(given: object, default: float = 0.0) -> float:

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
+from dpstack.bridge.conditions import Level
 from dpstack.bridge.quality import FLOAT, Reason, clean, value_of
 from dpstack.bridge.tree import EXCHANGING, Change, NodesChanged, PlantTree
 from dpstack.monitor.thresholds import Thresholds
@@ -25,8 +26,11 @@ _MOST_LOSSES: Final = 16
 #: reasons of the bus
 _MOST_REASONS: Final = 16
 _DEACTIVATED: Final = "deactivated"
-#: a bus that has ended, or does not run yet, has no fault
+#: a bus that has ended in order, or does not run yet, has no fault
 _NOT_JUDGED: Final = frozenset({Reason.WAITING, Reason.SEARCHING, Reason.ENDED})
+#: conditions of a slave that are judged by its values
+_OF_VALUES: Final = ("fault", "diagnosis")
+_BEGINS: Final = "the bus begins"
 _COUNTERS: Final = ("telegrams", "retries", "timeouts", "late", "wrong")
 
 
@@ -38,10 +42,12 @@ class Verdict(NamedTuple):
 
 
 class _Past:
-    """The past of one slave: since when it is not in data exchange, and when it left it (s of the stream)."""
+    """The past of one slave: since when it is not in data exchange, and when it left it (s of the stream).
+
+    ``was_alive``: it has been born since the master serves it."""
 
     def __init__(self, t: float) -> None:
-        self.exchanged = False
+        self.exchanged = self.was_alive = False
         self.away_since = t
         self.losses: deque[float] = deque(maxlen=_MOST_LOSSES)
 
@@ -64,17 +70,22 @@ class Judge:
         self._limits = limits or Thresholds()
         self._samples: deque[_Sample] = deque()
         self._past: dict[int, _Past] = {}
+        #: the master has been in the ring and in operate, since the nodes are these
+        self._has_run = False
 
     def take(self, changes: Sequence[Change]) -> None:
         """Note losses, and now and then the counters."""
         if any(isinstance(change, NodesChanged) for change in changes):
             self._samples.clear()
             self._past.clear()
+            self._has_run = False
         tree = self._tree
         if not tree.is_alive(None):
             self._samples.clear()  # behind a death the counters may begin anew
             return
-        t = tree.t
+        t, bus = tree.t, tree.values(None)
+        runs = bus.get("in_ring") is True and (self._reads_only() or bus.get("mode") == "operate")
+        self._has_run = self._has_run or runs
         for address in tree.slaves:
             self._follow(address, t)
         if not self._samples or not 0 <= t - self._samples[-1].t < _SAMPLE_S:
@@ -89,9 +100,11 @@ class Judge:
         tree, limits = self._tree, self._limits
         trouble = tree.trouble(None)
         if not tree.is_alive(None):
-            reason = Reason.WAITING if trouble is None else trouble[0]
-            level = UNKNOWN if reason in _NOT_JUDGED else CRITICAL
-            return Verdict(level, (reason.text,)), dict.fromkeys(tree.slaves, Verdict(UNKNOWN, (reason.text,)))
+            reason, note = (Reason.WAITING, "") if trouble is None else trouble
+            begins = reason is Reason.BUS_STALE and self._begins()
+            text = _BEGINS if begins else reason.with_note(note)
+            level = UNKNOWN if begins or reason in _NOT_JUDGED else CRITICAL
+            return Verdict(level, (text,)), dict.fromkeys(tree.slaves, Verdict(UNKNOWN, (text,)))
         now = self._sample(tree.t)
         before = self._samples[0] if self._samples else now
         slaves = {address: self._of_slave(address, before, now) for address in tree.slaves}
@@ -100,8 +113,22 @@ class Judge:
             level, reasons = slaves[address]
             if level in (WARNING, CRITICAL):
                 found.append((level, f"slave {address} ({clean(described.name)}): {reasons[0]}"))
-        doubt = "" if now.t - before.t >= limits.min_seconds else "the bus runs for too short a time"
+        doubt = _BEGINS if self._begins() else "" if now.t - before.t >= limits.min_seconds else "the bus runs for too short a time"
         return _verdict(found, doubt), slaves
+
+    def lost(self) -> list[int]:
+        """The slaves that are lost at this moment, by address: the master serves them, and they are not in data
+        exchange with valid inputs. One that begins has :attr:`Thresholds.bring_up_s` for it. None of a dead bus."""
+        tree = self._tree
+        if not tree.is_alive(None) or not self._is_served():
+            return []
+        return [address for address in tree.slaves if self._is_lost(address)]
+
+    def _is_lost(self, address: int) -> bool:
+        past = self._past.get(address)
+        if past is None or self._tree.is_alive(address) or self._tree.values(address).get("state") == _DEACTIVATED:
+            return False
+        return past.was_alive or self._tree.t - past.away_since >= self._limits.bring_up_s
 
     def _follow(self, address: int, t: float) -> None:
         past = self._past.setdefault(address, _Past(t))
@@ -113,7 +140,16 @@ class Judge:
                 past.losses.append(t)
         elif state == _DEACTIVATED or not self._is_served():
             past.away_since = t
+            past.was_alive = False
+        past.was_alive = past.was_alive or self._tree.is_alive(address)
         past.exchanged = exchanges
+
+    def _begins(self) -> bool:
+        """Whether the bus has begun, and has not had the time to run."""
+        return not self._has_run and self._tree.t < self._limits.bring_up_s
+
+    def _reads_only(self) -> bool:
+        return (self._tree.plant or {}).get("read_only") is True
 
     def _is_served(self) -> bool:
         """Whether the master serves its slaves: else they leave data exchange by order."""
@@ -129,10 +165,12 @@ class Judge:
 
     def _of_bus(self, before: _Sample, now: _Sample) -> Iterator[tuple[str, str]]:
         values, limits = self._tree.values(None), self._limits
-        if values.get("in_ring") is False:
+        if values.get("in_ring") is False and not self._begins():
             yield CRITICAL, "the master is not in the token ring"
-        reads = (self._tree.plant or {}).get("read_only") is True
-        if values.get("mode") != "operate" and not reads:
+        if clear := values.get("clear"):
+            why = clean(clear.get("because"))
+            yield CRITICAL, f"the master went to Clear by itself{': ' if why else ''}{why}"
+        elif values.get("mode") != "operate" and not self._reads_only() and not self._begins():
             yield WARNING, f"the master is in {clean(values.get('mode')) or 'an unknown mode'}, not in operate"
         damaged = now.damaged - before.damaged
         whole = now.telegrams - before.telegrams + damaged
@@ -173,6 +211,9 @@ class Judge:
         unusual = clean(values.get("conspicuous"))
         if unusual:
             found.append((WARNING, f"it has a diagnosis: {unusual}"))
+        for one in self._tree.conditions.of(address):
+            if one.active and one.level >= Level.WARNING and one.id.split("/", 2)[2] not in _OF_VALUES:
+                found.append((WARNING, f"{one.title}: {one.text}" if one.text else one.title))
         if enough:
             return _verdict(found, "")
         return _verdict(found, f"too few requests: {max(0.0, requests):.0f}, {limits.min_requests:g} are needed")

@@ -182,8 +182,9 @@ class EventBody(TypedDict, total=False):
     silent: bool
 
 
-class EndBody(TypedDict):
-    text: str
+class EndBody(TypedDict, total=False):
+    text: Required[str]
+    failed: bool
 
 
 class AnyItem(TypedDict, total=False):

@@ -6,7 +6,7 @@ Items of the stream, each a dict with one key (docs/reference/live.md):
 - ``snapshot``: state and values; whole after ``plant``, later only the keys that have changed
 - ``event``: an event as a line of ``dpstack run --json``, with wall clock, severity and text
 - ``lost``: the number of events that this reader missed
-- ``end``: the bus has ended; the last item
+- ``end``: the bus has ended, in order or by a fault; the last item
 """
 
 from __future__ import annotations
@@ -21,6 +21,11 @@ from dpstack.live.items import check_item
 Item = dict[str, Any]
 #: events that a :class:`LiveState` keeps
 DEPTH: Final = 1000
+
+
+def end_of(text: str, *, failed: bool) -> Item:
+    """The item ``end``. ``failed``: a fault has ended the bus, and not an order."""
+    return {"end": {"text": text, "failed": True} if failed else {"text": text}}
 
 
 def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
@@ -43,7 +48,7 @@ def merge(into: dict[str, Any], snapshot: Mapping[str, Any]) -> None:
 class LiveState:
     """``plant``: None before the first one. ``bus`` and ``slaves`` (by address as text): the merged snapshots, ``t``
     their time in s since the start, -1 before the first. ``events``: the last ones, oldest first. ``lost``: events that
-    did not arrive. ``end``: its text; None while the bus runs.
+    did not arrive. ``end``: its text; None while the bus runs. ``failed``: a fault has ended it.
     """
 
     def __init__(self) -> None:
@@ -54,6 +59,7 @@ class LiveState:
         self.events: deque[dict[str, Any]] = deque(maxlen=DEPTH)
         self.lost = 0
         self.end: str | None = None
+        self.failed = False
 
     def apply(self, item: Mapping[str, Any]) -> None:
         """Take the next item. Raises ValueError for something else than an item; unknown keys are left out."""
@@ -63,7 +69,7 @@ class LiveState:
     def apply_checked(self, item: Mapping[str, Any]) -> None:
         """Take the next item, which :func:`~dpstack.live.items.check_item` has judged."""
         if "plant" in item:
-            self.plant, self.end = dict(item["plant"]), None
+            self.plant, self.end, self.failed = dict(item["plant"]), None, False
             self.t, self.bus, self.slaves = -1.0, {}, {}
         elif "snapshot" in item:
             snapshot = item["snapshot"]
@@ -75,7 +81,7 @@ class LiveState:
         elif "lost" in item:
             self.lost += int(item["lost"])
         elif "end" in item:
-            self.end = str(item["end"]["text"])
+            self.end, self.failed = str(item["end"]["text"]), item["end"].get("failed") is True
 
     def whole(self) -> list[Item]:
         """The items that bring a new reader here: plant, whole snapshot, events, ``end``."""
@@ -87,5 +93,5 @@ class LiveState:
             items.append({"snapshot": {"t": self.t, "whole": True, "bus": dict(self.bus), "slaves": slaves}})
         items += ({"event": event} for event in self.events)
         if self.end is not None:
-            items.append({"end": {"text": self.end}})
+            items.append(end_of(self.end, failed=self.failed))
         return items

@@ -256,7 +256,7 @@ class BusCore(BusBase):
 
             self._live = LiveFeed(self)
             if self._over is not None:
-                self._live.end(str(self._over))
+                self._live.end(str(self._over), failed=isinstance(self._over, BusError))
         return self._live
 
     def record(self, recording: BusRecording) -> None:
@@ -344,7 +344,7 @@ class BusCore(BusBase):
         self.services.end(self._over)
         self._events.end()
         if self._live is not None:
-            self._live.end(str(self._over))
+            self._live.end(str(self._over), failed=isinstance(self._over, BusError))
         self._waiters.check()
 
 

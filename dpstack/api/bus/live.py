@@ -30,7 +30,7 @@ from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, Slav
 from dpstack.errors import UsageError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.live.pending import Pending
-from dpstack.live.state import Item, difference
+from dpstack.live.state import Item, difference, end_of
 from dpstack.record.rows import iso_time
 from dpstack.stats import Histogram
 from dpstack.trace import Event
@@ -174,11 +174,11 @@ class LiveFeed:
             # a later reader must not get an old snapshot
             self._plant, self._now = None, {"bus": {}, "slaves": {}}
 
-    def end(self, why: str) -> None:
-        """The bus has ended: hand out its last snapshot, and the end."""
+    def end(self, why: str, *, failed: bool) -> None:
+        """The bus has ended, by a fault where ``failed``: hand out its last snapshot, and the end."""
         if self._end is not None:
             return
-        self._end = {"end": {"text": why}}
+        self._end = end_of(why, failed=failed)
         if self._readers and self._plant is not None:
             self._hand_out(self._slave_changes(self._bus.slaves))
             self._figures_at = -math.inf

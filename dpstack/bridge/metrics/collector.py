@@ -80,11 +80,11 @@ class Collector:
         families.add(table.BUS_UP, alive)
         families.add(table.STREAM_UP, stream_comes(tree))
         families.add(table.STREAM_LOST, tree.lost)
+        verdict, verdicts = self._judge.judge()
+        for one in VERDICTS:
+            families.add(table.BUS_VERDICT, one == verdict.level, one)
         if alive:
-            verdict, verdicts = self._judge.judge()
             self._add_bus(families, tree.values(None))
-            for one in VERDICTS:
-                families.add(table.BUS_VERDICT, one == verdict.level, one)
             for address, described in tree.slaves.items():
                 name = self._names.names.get(f"slave {address}", described.name)
                 labels = str(address), PROMETHEUS_LABEL.valid(name)

@@ -10,7 +10,7 @@ from dpstack.bridge.verdicts import CRITICAL, WARNING, Verdict
 from dpstack.text import printable
 
 #: reasons for which no value of the stream is of this moment
-_NO_STREAM: Final = frozenset({Reason.WAITING, Reason.STREAM_SILENT, Reason.STREAM_LATE, Reason.ENDED})
+_NO_STREAM: Final = frozenset({Reason.WAITING, Reason.STREAM_SILENT, Reason.STREAM_LATE, Reason.ENDED, Reason.FAILED})
 _DEACTIVATED: Final = "deactivated"
 
 
@@ -69,4 +69,4 @@ def readiness(tree: PlantTree, verdict: Verdict) -> Health:
 def _line(reason: Reason, note: str) -> str:
     if reason is Reason.WAITING:
         return "the bus is not open yet"
-    return printable(f"{reason.text}: {note}" if note else reason.text)
+    return printable(reason.with_note(note))

@@ -135,7 +135,7 @@ class MqttFace(Face):
         if self._node is not None:
             self._node.take(changes, time.time(), _clock())
             if self._status is not None:
-                self._status.changed()
+                self._status.take(changes)
             self._wake.set()
             if self._history is not None:
                 self.dropped = self._lost + self._history.dropped

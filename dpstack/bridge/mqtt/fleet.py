@@ -14,8 +14,9 @@ from typing import Final
 
 from dpstack.bridge.mqtt.edge_node import NAMESPACE
 from dpstack.bridge.mqtt.payload import BDSEQ, read_command, rebirth_command
-from dpstack.bridge.mqtt.status import CRITICAL, ENDED, EXPIRY_S, GOOD, WARNING, Status, read_status
+from dpstack.bridge.mqtt.status import ENDED, EXPIRY_S, FAILED, Status, read_status
 from dpstack.bridge.names import SPARKPLUG_ID
+from dpstack.bridge.verdicts import CRITICAL, GOOD, WARNING
 from dpstack.text import printable
 
 MOST_SEGMENTS: Final = 10_000
@@ -43,6 +44,7 @@ class State(Enum):
 
 #: states that make the end of ``dpstack fleet`` a finding
 BAD: Final = frozenset({State.DEAD, State.SILENT, State.LOST, State.CRITICAL})
+_STATES: Final = {GOOD: State.OK, WARNING: State.WARNING, CRITICAL: State.CRITICAL}
 _RANK: Final = {state: number for number, state in enumerate(State)}
 
 
@@ -170,14 +172,16 @@ class Fleet:
         status = segment.status
         if status.state == ENDED:
             state = State.ENDED
+        elif status.state == FAILED:
+            state = State.CRITICAL  # its gateway says more than its death
         elif segment.dead:
             state = State.DEAD
         elif now >= segment.until:
             state = State.SILENT
-        elif status.verdict == CRITICAL:
-            state = State.LOST if status.lost_count else State.CRITICAL
+        elif status.lost_count:
+            state = State.LOST
         else:
-            state = {GOOD: State.OK, WARNING: State.WARNING}.get(status.verdict, State.UNKNOWN)
+            state = _STATES.get(status.verdict, State.UNKNOWN)
         if state is segment.state and segment.since:
             return None
         segment.state = state

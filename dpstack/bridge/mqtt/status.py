@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from dpstack.bridge.conditions import Level
-from dpstack.bridge.quality import Reason, clean
-from dpstack.bridge.tree import EXCHANGING, PlantTree
+from dpstack.bridge.quality import clean
+from dpstack.bridge.tree import EXCHANGING, Change, PlantTree
+from dpstack.bridge.verdicts import UNKNOWN, VERDICTS, Judge
 from dpstack.text import json_text, printable, shortened
 
 VERSION: Final = 1
@@ -32,14 +32,10 @@ _MOST_NAME: Final = 60
 _MOST_TEXT: Final = 120
 _MOST_VERSION: Final = 40
 
-#: verdicts as the monitor names them
-GOOD: Final = "good"
-WARNING: Final = "warning"
-CRITICAL: Final = "critical"
-UNKNOWN: Final = "unknown"
+#: states of a bus; the last one: a fault has ended it
 RUNNING: Final = "running"
 ENDED: Final = "ended"
-_DEACTIVATED: Final = "deactivated"
+FAILED: Final = "failed"
 
 
 def topic_of(group: str, node: str) -> str:
@@ -49,7 +45,7 @@ def topic_of(group: str, node: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LostSlave:
-    """A configured slave that is not in data exchange, though nobody took it out of service."""
+    """A slave that is lost at the moment of the status (:meth:`dpstack.bridge.verdicts.Judge.lost`)."""
 
     address: int
     name: str
@@ -76,63 +72,34 @@ class Status:
         return len(self.lost) + self.more_lost
 
 
-def content_of(tree: PlantTree) -> dict[str, Any]:
-    """Verdict, reasons and lost slaves of a segment at this moment, as the status has them."""
+def content_of(tree: PlantTree, judge: Judge) -> dict[str, Any]:
+    """The verdict of ``judge`` on a segment, and its slaves that are lost at this moment, as the status has them."""
     slaves = tree.slaves
-    found: dict[str, Any] = {"state": ENDED if tree.has_ended else RUNNING}
-    trouble = tree.trouble(None)
-    lost: list[dict[str, Any]] = []
-    critical = False
-    reasons: list[str] = []
-    if trouble is not None:
-        reason, note = trouble
-        reasons.append(f"{reason.text}: {note}" if note else reason.text)
-    else:
-        if tree.values(None).get("clear"):
-            critical = True
-        elif not _operates(tree):
-            reasons.append(f"the master is in {clean(tree.values(None).get('mode')) or 'an unknown mode'}")
-        for address, described in slaves.items():
-            state = clean(tree.values(address).get("state")) or UNKNOWN
-            if tree.is_alive(address) or state == _DEACTIVATED:
-                continue
-            # one that is in data exchange and not born has no valid inputs yet
-            shown = "no valid inputs" if state == EXCHANGING else state
-            lost.append(
-                {"address": address, "name": _short(described.name, _MOST_NAME), "state": _short(shown, _MOST_VERSION)}
-            )
-        # a lost slave has been named already
-        gone = {one["address"] for one in lost}
-        active = (one for one in tree.conditions if one.active and one.slave not in gone)
-        where = sorted((one for one in active if one.level >= Level.WARNING), key=lambda one: -one.level)
-        for one in where:
-            at = "" if one.slave is None else f"slave {one.slave}: "
-            reasons.append(f"{at}{one.title}: {one.text}" if one.text else f"{at}{one.title}")
-    if lost:
-        critical = True
-        reasons.insert(0, f"{len(lost)} of {len(slaves)} slaves are not in data exchange")
-    if trouble is not None and trouble[0] is Reason.WAITING:
-        verdict = UNKNOWN
-    elif critical or trouble is not None:
-        verdict = CRITICAL
-    else:
-        verdict = WARNING if reasons else GOOD
-    if len(reasons) > MOST_REASONS:
-        reasons[MOST_REASONS - 1 :] = [f"and {len(reasons) - MOST_REASONS + 1} more"]
-    return found | {
+    verdict, reasons = judge.judge()[0]
+    lost = judge.lost()
+    return {
+        "state": FAILED if tree.has_failed else ENDED if tree.has_ended else RUNNING,
         "verdict": verdict,
-        "reasons": [_short(one, _MOST_TEXT) for one in reasons],
+        "reasons": _first_ones(reasons),
         "slaves": len(slaves),
-        "lost": lost[:MOST_LOST],
+        "lost": [_lost_one(tree, address, slaves[address].name) for address in lost[:MOST_LOST]],
         "more_lost": max(0, len(lost) - MOST_LOST),
     }
 
 
-def _operates(tree: PlantTree) -> bool:
-    values = tree.values(None)
-    if tree.plant is not None and tree.plant.get("read_only") is True:
-        return values.get("in_ring") is True
-    return values.get("mode") == "operate"
+def _first_ones(reasons: Sequence[str]) -> list[str]:
+    """The worst reasons; where there are more, the last one is their number."""
+    found = [_short(one, _MOST_TEXT) for one in reasons[:MOST_REASONS]]
+    if len(reasons) > MOST_REASONS:
+        found[-1] = f"and {len(reasons) - MOST_REASONS + 1} more"
+    return found
+
+
+def _lost_one(tree: PlantTree, address: int, name: str) -> dict[str, Any]:
+    state = clean(tree.values(address).get("state")) or UNKNOWN
+    # one that is in data exchange and not born has no valid inputs yet
+    shown = "no valid inputs" if state == EXCHANGING else state
+    return {"address": address, "name": _short(name, _MOST_NAME), "state": _short(shown, _MOST_VERSION)}
 
 
 class StatusSource:
@@ -143,6 +110,7 @@ class StatusSource:
 
     def __init__(self, tree: PlantTree, versions: Mapping[str, str]) -> None:
         self._tree = tree
+        self._judge = Judge(tree)
         self._versions = dict(versions)
         self._session = 0
         self._sent: dict[str, Any] | None = None
@@ -154,8 +122,9 @@ class StatusSource:
         self._session, self._sent, self._sent_at = session, None, -math.inf
         self._is_new = True
 
-    def changed(self) -> None:
-        """The tree has changed, perhaps in a way that the status shows."""
+    def take(self, changes: Sequence[Change]) -> None:
+        """Take changes of the tree, perhaps such that the status shows."""
+        self._judge.take(changes)
         self._is_new = True
 
     def due(self, clock: float) -> float:
@@ -167,7 +136,7 @@ class StatusSource:
         if clock < self.due(clock):
             return None
         self._is_new = False
-        content = content_of(self._tree)
+        content = content_of(self._tree, self._judge)
         if content == self._sent and clock < self._sent_at + RENEW_S:
             return None
         self._sent, self._sent_at = content, clock
@@ -175,7 +144,10 @@ class StatusSource:
 
     def last(self, wall: float) -> bytes:
         """The payload at the end of the run: what it says does not change any more."""
-        return self._payload(content_of(self._tree) | {"state": ENDED}, wall)
+        content = content_of(self._tree, self._judge)
+        if content["state"] == RUNNING:
+            content["state"] = ENDED
+        return self._payload(content, wall)
 
     def _payload(self, content: Mapping[str, Any], wall: float) -> bytes:
         head = {"version": VERSION, "sent": round(wall, 3), "session": self._session, "versions": self._versions}
@@ -196,7 +168,7 @@ def read_status(octets: bytes) -> Status:
     if given.get("version") != VERSION:
         raise ValueError(f"this program knows version {VERSION} of a status")
     state, verdict = given.get("state"), given.get("verdict")
-    if state not in (RUNNING, ENDED) or verdict not in (GOOD, WARNING, CRITICAL, UNKNOWN):
+    if state not in (RUNNING, ENDED, FAILED) or verdict not in VERDICTS:
         raise ValueError("state or verdict is none that a status has")
     lost = [_lost_slave(one) for one in _list(given, "lost")]
     versions = given.get("versions")

@@ -180,9 +180,7 @@ def _why(one: Segment) -> str:
     if status.more_lost:
         texts.append(f"and {status.more_lost} more")
     lost = ", ".join(texts)
-    # the first reason counts the lost slaves
-    reasons = "; ".join(status.reasons[1:] if status.lost else status.reasons)
-    return "; ".join(text for text in (lost, reasons) if text)
+    return "; ".join(text for text in (lost, *status.reasons) if text)
 
 
 def _now() -> float:
