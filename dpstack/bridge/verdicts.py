@@ -31,6 +31,8 @@ _NOT_JUDGED: Final = frozenset({Reason.WAITING, Reason.SEARCHING, Reason.ENDED})
 #: conditions of a slave that are judged by its values
 _OF_VALUES: Final = ("fault", "diagnosis")
 _BEGINS: Final = "the bus begins"
+#: s between the end of the master and that of the bus, in an ordered end
+_ENDING_S: Final = 1.0
 _COUNTERS: Final = ("telegrams", "retries", "timeouts", "late", "wrong")
 
 
@@ -72,6 +74,8 @@ class Judge:
         self._past: dict[int, _Past] = {}
         #: the master has been in the ring and in operate, since the nodes are these
         self._has_run = False
+        #: the bus, as :meth:`take` saw it last; and the time of the stream at its death
+        self._is_alive, self._died = False, 0.0
 
     def take(self, changes: Sequence[Change]) -> None:
         """Note losses, and now and then the counters."""
@@ -82,8 +86,10 @@ class Judge:
         tree = self._tree
         if not tree.is_alive(None):
             self._samples.clear()  # behind a death the counters may begin anew
+            if self._is_alive:
+                self._is_alive, self._died = False, tree.t
             return
-        t, bus = tree.t, tree.values(None)
+        t, bus, self._is_alive = tree.t, tree.values(None), True
         runs = bus.get("in_ring") is True and (self._reads_only() or bus.get("mode") == "operate")
         self._has_run = self._has_run or runs
         for address in tree.slaves:
@@ -101,9 +107,11 @@ class Judge:
         trouble = tree.trouble(None)
         if not tree.is_alive(None):
             reason, note = (Reason.WAITING, "") if trouble is None else trouble
-            begins = reason is Reason.BUS_STALE and self._begins()
+            stopped = reason is Reason.BUS_STALE
+            begins = stopped and self._begins()
             text = _BEGINS if begins else reason.with_note(note)
-            level = UNKNOWN if begins or reason in _NOT_JUDGED else CRITICAL
+            is_unknown = begins or (stopped and self._ends()) or reason in _NOT_JUDGED
+            level = UNKNOWN if is_unknown else CRITICAL
             return Verdict(level, (text,)), dict.fromkeys(tree.slaves, Verdict(UNKNOWN, (text,)))
         now = self._sample(tree.t)
         before = self._samples[0] if self._samples else now
@@ -147,6 +155,11 @@ class Judge:
     def _begins(self) -> bool:
         """Whether the bus has begun, and has not had the time to run."""
         return not self._has_run and self._tree.t < self._limits.bring_up_s
+
+    def _ends(self) -> bool:
+        """Whether the master has just gone offline, while its process lives: the end may follow."""
+        values, t = self._tree.values(None), self._tree.t
+        return values.get("mode") == "offline" and values.get("stale") is not True and t - self._died < _ENDING_S
 
     def _reads_only(self) -> bool:
         return (self._tree.plant or {}).get("read_only") is True

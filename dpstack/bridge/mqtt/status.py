@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from dpstack.bridge.quality import clean
-from dpstack.bridge.tree import EXCHANGING, Change, PlantTree
+from dpstack.bridge.tree import EXCHANGING, Change, Changed, PlantTree
 from dpstack.bridge.verdicts import UNKNOWN, VERDICTS, Judge
 from dpstack.text import json_text, printable, shortened
 
@@ -21,7 +21,7 @@ VERSION: Final = 1
 #: s after which the broker forgets a status, and between two of them
 EXPIRY_S: Final = 30
 RENEW_S: Final = 10.0
-#: s between two changes
+#: s between two changes, and between two looks at the verdict, which also changes with the time
 _CHANGE_S: Final = 1.0
 #: octets of a status
 MOST_OCTETS: Final = 32_768
@@ -114,28 +114,28 @@ class StatusSource:
         self._versions = dict(versions)
         self._session = 0
         self._sent: dict[str, Any] | None = None
-        self._sent_at = -math.inf
-        self._is_new = True
+        self._sent_at = self._looked_at = -math.inf
+        self._is_urgent = False
 
     def begin(self, session: int) -> None:
         """A connection has begun: the next status is due at once."""
-        self._session, self._sent, self._sent_at = session, None, -math.inf
-        self._is_new = True
+        self._session, self._sent = session, None
+        self._sent_at = self._looked_at = -math.inf
 
     def take(self, changes: Sequence[Change]) -> None:
-        """Take changes of the tree, perhaps such that the status shows."""
+        """Take changes of the tree. Births, deaths and conditions are shown at once, values at the next look."""
         self._judge.take(changes)
-        self._is_new = True
+        self._is_urgent = self._is_urgent or not all(isinstance(one, Changed) for one in changes)
 
     def due(self, clock: float) -> float:
         """The time by ``clock`` at which :meth:`next` should be asked."""
-        return self._sent_at + (_CHANGE_S if self._is_new else RENEW_S)
+        return (self._sent_at if self._is_urgent else self._looked_at) + _CHANGE_S
 
     def next(self, clock: float, wall: float) -> bytes | None:
         """The payload that is to be published now; None: none."""
         if clock < self.due(clock):
             return None
-        self._is_new = False
+        self._is_urgent, self._looked_at = False, clock
         content = content_of(self._tree, self._judge)
         if content == self._sent and clock < self._sent_at + RENEW_S:
             return None
