@@ -9,7 +9,16 @@ from typing import Any, Final
 
 from sparkplug_host import Host, read_payload, tag
 
-from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, EdgeNode, NodeSetup, OrderWish, Phase, Publish
+from dpstack.bridge.mqtt.edge_node import (
+    Connection,
+    Disconnect,
+    EdgeNode,
+    NodeSetup,
+    OrderWish,
+    Phase,
+    Publish,
+    no_pause,
+)
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.tree import Change, ClockSet, PlantTree
 
@@ -62,11 +71,18 @@ class Rig:
     not published yet; ``orders``: those that the edge node wishes."""
 
     def __init__(
-        self, folder: Path, *, primary_host: str = "", may: Callable[[str], bool] = all_orders, interval_s: float = 1.0
+        self,
+        folder: Path,
+        *,
+        primary_host: str = "",
+        may: Callable[[str], bool] = all_orders,
+        interval_s: float = 1.0,
+        pause: Callable[[], float] = no_pause,
     ) -> None:
         self.folder = folder
         self.setup = NodeSetup(GROUP, NODE, primary_host, interval_s)
         self.may = may
+        self.pause = pause
         self.clock, self.offset = 1000.0, 1_700_000_000.0 - 1000.0
         self.stream_offset = self.offset
         self.stream = 0.0
@@ -99,6 +115,7 @@ class Rig:
             allowed=lambda: [one for one in self.tree.orders if self.may(one)],
             tell=self.told.append,
             clear_first=self.numbers.damaged,
+            pause=self.pause,
         )
 
     def close(self) -> None:
@@ -199,10 +216,10 @@ class Rig:
 
     # --- the host -------------------------------------------------------------------------------------------------
 
-    def state(self, *, online: bool, time_ms: int, host: str = "scada") -> None:
+    def state(self, *, online: bool, time_ms: int, host: str = "scada", retained: bool = False) -> None:
         text = f'{{"online": {str(online).lower()}, "timestamp": {time_ms}}}'
         if self.connection is not None:
-            self.receive(f"spBv1.0/STATE/{host}", text.encode())
+            self.receive(f"spBv1.0/STATE/{host}", text.encode(), retained=retained)
 
     def command(
         self, device: str | None, metrics: list[bytes], *, age: float = 0.0, time: bool = True, retained: bool = False

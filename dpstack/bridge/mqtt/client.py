@@ -12,7 +12,7 @@ import logging
 import random
 import ssl
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -49,6 +49,10 @@ _FAREWELL_S: Final = 2.0
 #: do not come back together
 _PAUSE_S: Final = 1.0
 _LONGEST_PAUSE_S: Final = 30.0
+#: s until the first try of a program, and until the births behind "online" of the primary host, at most: a plant whose
+#: power comes back, and a host that does, would have all births at once
+_FIRST_PAUSE_S: Final = 1.0
+_BIRTHS_PAUSE_S: Final = 2.0
 #: s after another client took the connection over, and the number of sessions ended early that look like it
 _TAKEN_OVER_PAUSE_S: Final = 60.0
 _TAKEN_OVER_AFTER: Final = 4
@@ -68,7 +72,7 @@ class MqttFace(Face):
     """``folder``: for the number of the session (:func:`dpstack.bridge.mqtt.broker.state_folder`). ``orders``: None:
     hosts may give no orders. ``versions``: of programs, for the status of the segment; None: none is published.
     ``store_mb``: MB for values that cannot be delivered; 0: they are lost. ``make_node``: the class for its payloads.
-    ``again_s``: s until the first new try."""
+    ``again_s``: s until the first new try, by which all pauses scale. ``draw``: draws numbers from 0 to 1 for them."""
 
     name: ClassVar[str] = "mqtt"
 
@@ -84,6 +88,7 @@ class MqttFace(Face):
         versions: Mapping[str, str] | None = None,
         store_mb: int = 0,
         again_s: float = _PAUSE_S,
+        draw: Callable[[], float] = random.random,
         make_node: type[PlantNode] = EdgeNode,
     ) -> None:
         super().__init__(tree, tell)
@@ -93,6 +98,7 @@ class MqttFace(Face):
         self._orders = orders
         self._status = None if versions is None else StatusSource(tree, versions)
         self._again_s = again_s
+        self._draw = draw
         self._make_node = make_node
         self._tls: ssl.SSLContext | None = None
         self._numbers: SessionFile | None = None
@@ -126,6 +132,7 @@ class MqttFace(Face):
             tell=lambda text: self.tell(text, Severity.WARNING),
             clear_first=numbers.damaged,
             history=self._history,
+            pause=lambda: self._pause(_BIRTHS_PAUSE_S),
         )
 
     def _allowed(self) -> frozenset[str]:
@@ -151,6 +158,7 @@ class MqttFace(Face):
     async def _serve(self) -> None:
         loop = asyncio.get_running_loop()
         failed = ended_early = 0
+        await asyncio.sleep(self._pause(_FIRST_PAUSE_S))
         while True:
             began, self._was_connected, self._last_error.text = loop.time(), False, ""
             try:
@@ -174,7 +182,11 @@ class MqttFace(Face):
             else:
                 failed, ended_early, pause = 0, 0, self._again_s
                 self.tell(f"the session has ended: {end.why}", Severity.INFO)
-            await asyncio.sleep(pause * random.uniform(0.5, 1.5))
+            await asyncio.sleep(pause * (0.5 + self._draw()))
+
+    def _pause(self, most_s: float) -> float:
+        """s, from 0 to ``most_s``."""
+        return most_s * self._again_s / _PAUSE_S * self._draw()
 
     def close(self) -> None:
         for task in self._giving:

@@ -146,11 +146,16 @@ class _Device:
         self.not_good: set[str] = set()
 
 
+def no_pause() -> float:
+    return 0.0
+
+
 class EdgeNode:
     """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
     ``clear_first``: the number of the last session is not known. So one session without births comes before the
     others: the broker has published the old will when the first births come. ``history``: keeps values that could not
-    be delivered; None: they are lost.
+    be delivered; None: they are lost. ``pause``: draws the s between "online" of the primary host, which all gateways
+    get at the same moment, and the births.
 
     ``phase``: see :class:`Phase`. ``merged``: values that newer ones replaced before they were published.
     """
@@ -166,6 +171,7 @@ class EdgeNode:
         tell: Callable[[str], object] = lambda _: None,
         clear_first: bool = False,
         history: History | None = None,
+        pause: Callable[[], float] = no_pause,
     ) -> None:
         self.phase = Phase.OFFLINE
         self.merged = 0
@@ -174,6 +180,7 @@ class EdgeNode:
         self._allowed = allowed
         self._tell = tell
         self._clear_first = clear_first
+        self._pause = pause
         self._number = 0
         self._seq = 0
         self._leaving = ""
@@ -200,6 +207,9 @@ class EdgeNode:
         # the primary host
         self._host_time: float | None = None
         self._host_online = False
+        #: s until the births, from the next look at the clock on; and the time by ``clock`` before which there are none
+        self._pause_s = 0.0
+        self._births_from = -math.inf
         # commands
         self._own: dict[str, tuple[Value, str, float]] = {}
         #: the clock of the computer less that of the stream, in s
@@ -269,7 +279,8 @@ class EdgeNode:
         self._births.clear()
         self._deaths.clear()
         self._needs_birth = self._rebirth_asked = False
-        self._born_at = -math.inf
+        self._born_at = self._births_from = -math.inf
+        self._pause_s = 0.0
 
     # --- the tree -------------------------------------------------------------------------------------------------
 
@@ -401,6 +412,8 @@ class EdgeNode:
             return Publish(self._setup.topic("NDEATH"), node_death(self._number, _ms(wall)))
         if self.phase is not Phase.ONLINE or self._tree.plant is None:
             return None
+        if clock < self._first_births(clock):
+            return None
         now_ms, self._clock = _ms(wall), clock
         if self._deaths:
             slave = next(iter(self._deaths))
@@ -429,12 +442,20 @@ class EdgeNode:
             return clock
         if self.phase is not Phase.ONLINE or self._tree.plant is None:
             return math.inf
+        if clock < (births_from := self._first_births(clock)):
+            return births_from
         if self._deaths or self._births or self._needs_birth:
             return clock
         if self._rebirth_asked:
             return self._born_at + _REBIRTH_S
         history = math.inf if self._history is None else self._history.next_due()
         return min(history, *(owner.due for owner in self._owners() if owner.pending), math.inf)
+
+    def _first_births(self, clock: float) -> float:
+        """The time by ``clock`` before which this session has no births."""
+        if self._pause_s:
+            self._births_from, self._pause_s = clock + self._pause_s, 0.0
+        return self._births_from
 
     def _node_birth(self, now_ms: int, clock: float) -> Publish:
         self._needs_birth = self._rebirth_asked = False
@@ -627,7 +648,7 @@ class EdgeNode:
         :meth:`answer` takes."""
         setup = self._setup
         if setup.primary_host and topic == setup.state_topic:
-            self._host_state(payload)
+            self._host_state(payload, retained=retained)
             return ()
         if self.phase is not Phase.ONLINE or self._node is None:
             return ()  # nobody knows a metric before its birth
@@ -694,7 +715,8 @@ class EdgeNode:
 
     # --- the primary host -----------------------------------------------------------------------------------------
 
-    def _host_state(self, payload: bytes) -> None:
+    def _host_state(self, payload: bytes, *, retained: bool) -> None:
+        """Take STATE. One that the broker had kept comes to this gateway alone, so births need no pause."""
         state = _read_state(payload)
         host = self._setup.primary_host
         if state is None:
@@ -705,6 +727,8 @@ class EdgeNode:
             self._tell(f"a STATE message of primary host {host} is older than the last one: it is left out")
             return
         self._host_time, self._host_online = time, online
+        if online and self.phase in (Phase.CONNECTING, Phase.WAITING):
+            self._pause_s = 0.0 if retained else self._pause()
         if online and self.phase is Phase.WAITING:
             self._begin()
         elif not online and self.phase is Phase.ONLINE:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import ClassVar, Final, NamedTuple
 
 from dpstack.bridge.conditions import Condition
-from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, NodeSetup, OrderWish, Phase, Publish
+from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, NodeSetup, OrderWish, Phase, Publish, no_pause
 from dpstack.bridge.mqtt.history import History
 from dpstack.bridge.mqtt.json_payload import condition_payload, read_order, result_payload, values_payload
 from dpstack.bridge.names import MQTT_NAME, unique_names
@@ -51,7 +51,8 @@ class _Sent(NamedTuple):
 
 class JsonNode:
     """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
-    ``clear_first``: has no meaning here, as only the will has the number of the session.
+    ``clear_first``, ``pause``: have no meaning here, as only the will has the number of the session, and no primary host
+    is waited for.
 
     ``lost_results``: results of orders that were too many to wait.
     """
@@ -67,6 +68,7 @@ class JsonNode:
         tell: Callable[[str], object] = lambda _: None,
         clear_first: bool = False,
         history: History | None = None,
+        pause: Callable[[], float] = no_pause,
     ) -> None:
         assert history is None, "plain JSON has no flag for history"
         self.phase = Phase.OFFLINE

@@ -29,6 +29,7 @@ class PlantNode(Protocol):
         tell: Callable[[str], object],
         clear_first: bool,
         history: History | None,
+        pause: Callable[[], float],
     ) -> None: ...
 
     def connect(self, number: int, wall: float) -> Connection: ...
