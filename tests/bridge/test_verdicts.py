@@ -8,6 +8,7 @@ import pytest
 
 from dpstack.bridge.tree import PlantTree
 from dpstack.bridge.verdicts import CRITICAL, GOOD, UNKNOWN, VERDICTS, WARNING, WINDOW_S, Judge
+from dpstack.live.state import end_of
 from dpstack.monitor import verdicts as monitor
 
 STEP_S = 0.5
@@ -81,6 +82,8 @@ def test_a_bus_is_unknown_at_first_and_then_good() -> None:
         ({}, {"mode": "clear"}, (WARNING, GOOD, GOOD), "the master is in clear, not in operate"),
         ({}, {"mode": "stop"}, (WARNING, UNKNOWN, UNKNOWN), "the master is in stop, not in operate"),
         ({}, {"in_ring": False}, (CRITICAL, GOOD, GOOD), "the master is not in the token ring"),
+        ({}, {"clear": {"since": 1.0, "because": "b"}}, (CRITICAL, GOOD, GOOD), "the master went to Clear by itself"),
+        ({"drive": {"faults": ["F 7"]}}, {}, (WARNING, WARNING, GOOD), "slave 3 (a): a: drive fault: F 7"),
         ({"state": "deactivated"}, {}, (GOOD, UNKNOWN, GOOD), ""),
         ({"state": "fault", "fault": {"text": "no answer"}}, {}, (CRITICAL, CRITICAL, GOOD),
          "slave 3 (a): it is not in data exchange: no answer"),
@@ -115,5 +118,53 @@ def test_a_dead_bus_and_a_new_configuration() -> None:
     run.bus["stale"] = False
     assert run.go(1).levels[0] == UNKNOWN, "counters of another life are not compared"
     assert run.go(6).levels == (GOOD,) * 3
-    run._give({"end": {"text": "the end"}})
+    run.bus["mode"] = "offline"
+    assert run.go(0.5).levels == (UNKNOWN,) * 3, "the end may follow"
+    assert run.go(1).levels == (CRITICAL, UNKNOWN, UNKNOWN)
+    run._give(end_of("the end", failed=False))
     assert run.levels == (UNKNOWN,) * 3
+
+
+def test_a_bus_that_a_fault_has_ended_is_critical() -> None:
+    run = Run().go(20)
+    run._give(end_of("killed", failed=True))
+    assert run.levels == (CRITICAL, UNKNOWN, UNKNOWN)
+    assert run.reasons == ("a fault has ended the bus: killed",)
+
+
+@pytest.mark.parametrize("before", [{"mode": "offline", "stale": True}, {"mode": "clear", "in_ring": False}])
+def test_a_bus_that_begins_has_no_fault_for_10_s(before: dict[str, Any]) -> None:
+    run = Run()
+    after = {key: run.bus[key] for key in before}
+    run.bus |= before
+    assert run.go(9.5).levels[0] == UNKNOWN
+    assert run.reasons == ("the bus begins",)
+    assert run.go(1).levels[0] == CRITICAL
+    run.bus |= after
+    assert run.go(6).levels == (GOOD,) * 3
+    run.bus |= before
+    assert run.go(0.5).levels[0] == CRITICAL, "it has run, and begins no more"
+
+
+def test_lost_slaves_are_those_of_this_moment() -> None:
+    run = Run()
+    run.slaves["3"]["state"] = run.slaves["4"]["state"] = "wait_ready"
+    assert run.go(9.5).judge.lost() == []
+    run.slaves["4"]["state"] = "data_exchange"
+    assert run.go(1).judge.lost() == [3], "it has had 10 s"
+    run.slaves["3"]["state"] = "data_exchange"
+    assert run.go(0.5).judge.lost() == []
+    run.slaves["4"]["state"] = "offline"
+    assert run.go(0.5).judge.lost() == [4]
+    run.slaves["4"]["state"] = "deactivated"
+    assert run.go(0.5).judge.lost() == []
+    run.slaves["4"]["state"] = "set_prm"
+    assert run.go(0.5).judge.lost() == [], "one that is activated begins again"
+    run.slaves["3"]["inputs_valid"] = False
+    assert run.go(0.5).judge.lost() == []
+    run.slaves["3"]["state"] = "offline"
+    assert run.go(0.5).judge.lost() == [3]
+    run.bus["mode"] = "stop"
+    assert run.go(0.5).judge.lost() == [], "the master serves none"
+    run.bus["stale"] = True
+    assert run.go(0.5).judge.lost() == []

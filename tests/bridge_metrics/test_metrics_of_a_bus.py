@@ -147,7 +147,8 @@ async def test_a_bus_process_has_its_own_metrics_and_its_death_is_told() -> None
                 seen = await scrape(face)
                 assert seen("dpstack_bus_up") == 0
                 assert {dict(one)["process"] for one in seen.of("dpstack_process_open_fds")} == {"run"}
-                assert liveness(face.tree).text.startswith("the bus has ended: the bus process was killed by SIGKILL")
+                assert liveness(face.tree).text.startswith("a fault has ended the bus: the bus process was killed")
+                assert seen("dpstack_bus_verdict", verdict="critical") == 1
 
 
 @in_virtual_time
@@ -167,6 +168,10 @@ async def test_of_a_dead_bus_nothing_but_its_death_is_left() -> None:
         assert seen("dpstack_bus_up") == seen("dpstack_stream_up") == 0
         assert seen("dpstack_face_up", face="metrics") == 1, "it ends with the run, and not by a fault"
         assert not seen.has("dpstack_slave_")
-        assert {name for name, _ in seen.series if name.startswith("dpstack_bus_")} == {"dpstack_bus_up"}
+        assert {name for name, _ in seen.series if name.startswith("dpstack_bus_")} == {
+            "dpstack_bus_up",
+            "dpstack_bus_verdict",
+        }
+        assert seen("dpstack_bus_verdict", verdict="unknown") == 1
         assert liveness(face.tree).text.startswith("the bus has ended")
         assert readiness(face.tree, face.collector.verdict()).text.startswith("the bus has ended")

@@ -3,6 +3,7 @@ that come and go: a host that knows only the specification judges (tests/kits/sp
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from pathlib import Path
 
@@ -23,7 +24,9 @@ class EdgeNodeMachine(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self._folder = tempfile.TemporaryDirectory(prefix="dpspb")
-        self.rig = Rig(Path(self._folder.name) / "state", primary_host=self.PRIMARY_HOST)
+        pauses = itertools.cycle((0.0, 1.9, 0.1))
+        folder = Path(self._folder.name) / "state"
+        self.rig = Rig(folder, primary_host=self.PRIMARY_HOST, pause=lambda: next(pauses))
         self.rig.give_plant()
         self.rig.connect()
         self.host_time = 1000
@@ -157,15 +160,15 @@ class EdgeNodeWithPrimaryHostMachine(EdgeNodeMachine):
 
     PRIMARY_HOST = "scada"
 
-    @rule(online=st.booleans(), back=st.sampled_from([0, 0, 0, 500]))
-    def host_says(self, online: bool, back: int) -> None:
+    @rule(online=st.booleans(), back=st.sampled_from([0, 0, 0, 500]), retained=st.booleans())
+    def host_says(self, online: bool, back: int, retained: bool) -> None:
         """``back``: a message that is older than the last one."""
         rig = self.rig
         if rig.connection is None:
             return
         self.host_time += 100
         before = self.phase()
-        rig.state(online=online, time_ms=self.host_time - back)
+        rig.state(online=online, time_ms=self.host_time - back, retained=retained)
         if back:
             assert before is not Phase.ONLINE or self.phase() is Phase.ONLINE
         elif online:

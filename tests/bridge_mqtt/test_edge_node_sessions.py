@@ -183,6 +183,41 @@ def test_state_that_comes_before_the_subscription_is_confirmed_counts(tmp_path: 
     rig.close()
 
 
+@pytest.mark.parametrize("comes", ["offline", "end", "time", "cut"])
+def test_births_wait_a_moment_behind_the_return_of_the_primary_host(tmp_path: Path, comes: str) -> None:
+    rig = Rig(tmp_path, primary_host="scada", pause=lambda: 1.5)
+    rig.give_plant()
+    rig.connect()
+    rig.state(online=True, time_ms=1000)
+    assert rig.node.due(rig.clock) == rig.clock + 1.5
+    rig.wait(1.4)
+    rig.state(online=True, time_ms=1001)  # once more: it begins no other pause
+    rig.pump()
+    assert rig.host.messages == []
+    if comes == "time":
+        rig.wait(0.1)
+        rig.pump()
+        rig.check()
+        assert rig.host.online
+        assert rig.node.due(rig.clock) > rig.clock
+    elif comes == "cut":
+        rig.cut()
+        rig.connect()
+        rig.state(online=True, time_ms=1002, retained=True)  # it comes to this gateway alone
+        rig.pump()
+        rig.check()
+    else:
+        if comes == "offline":
+            rig.state(online=False, time_ms=1002)
+        else:
+            rig.node.end("the test wants it")
+        assert rig.node.due(rig.clock) == rig.clock
+        rig.pump()
+        assert kinds(rig) == [("NDEATH", None), ("NDEATH", None)]  # its own, and the will
+        assert rig.connection is None
+    rig.close()
+
+
 def test_what_a_host_said_in_an_earlier_connection_does_not_count(tmp_path: Path) -> None:
     rig = Rig(tmp_path, primary_host="scada")
     rig.give_plant()

@@ -25,6 +25,7 @@ def test_each_change_is_told_once() -> None:
     assert fleet.receive(TOPIC, status(**LOST), 111.0) is not None
     assert state_of(fleet) is State.LOST
     assert fleet.receive(TOPIC, status(**LOST, more_lost=2), 112.0) is not None  # the same state, another text
+    # the slaves are back, and the verdict remembers them
     assert fleet.receive(TOPIC, status(verdict="critical", reasons=["gone"]), 113.0) is not None
     assert state_of(fleet) is State.CRITICAL
     assert fleet.receive(TOPIC, status(verdict="warning"), 114.0) is not None
@@ -33,6 +34,13 @@ def test_each_change_is_told_once() -> None:
     assert fleet.receive(TOPIC, status(state="ended"), 116.0) is not None
     assert fleet.tick(1000.0) == []  # one that has ended is not silent
     assert state_of(fleet) is State.ENDED
+    assert fleet.receive(TOPIC, status(state="failed", verdict="critical"), 1001.0) is not None
+    assert fleet.receive(DEATH, node_death(5, 1), 1002.0) is None
+    assert fleet.tick(2000.0) == []
+    assert state_of(fleet) is State.CRITICAL
+    # lost slaves come before what the last minutes were
+    assert fleet.receive(TOPIC, status(**LOST | {"verdict": "warning"}), 2001.0) is not None
+    assert state_of(fleet) is State.LOST
 
 
 def test_silence_is_measured_here_with_the_rest_of_the_expiry() -> None:
@@ -92,6 +100,14 @@ def test_the_worst_come_first() -> None:
         fleet.receive(f"dpstack/g/{node}/status", status(**changes), 0.0)
     fleet.receive("spBv1.0/g/NDEATH/d", node_death(5, 1), 1.0)
     assert [one.node for one in fleet] == ["d", "c", "e", "b", "a"]
+    fleet.receive("dpstack/g/b/status", status(**LOST), 2.0)
+    assert [one.node for one in fleet] == ["d", "b", "c", "e", "a"]
+    fleet.receive("dpstack/f/z/status", status(), 3.0)
+    assert [one.node for one in fleet] == ["d", "b", "c", "e", "z", "a"]
+    assert fleet.counts() == {State.DEAD: 1, State.LOST: 2, State.WARNING: 1, State.OK: 2}
+    fleet.tick(31.5)
+    assert [one.node for one in fleet] == ["d", "a", "c", "e", "b", "z"]
+    assert fleet.counts() == {State.DEAD: 1, State.SILENT: 3, State.LOST: 1, State.OK: 1}
 
 
 def test_bounds() -> None:

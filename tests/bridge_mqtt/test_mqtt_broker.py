@@ -156,3 +156,25 @@ async def test_a_broker_that_is_not_there_is_told_once_in_a_row_and_the_end_wait
     assert len({text for text, _ in told}) == 1
     assert "Connection refused; it is tried again" in told[0][0]
     assert int((tmp_path / "bdseq").read_text()) >= 2  # each try has a number of its own
+
+
+async def test_the_first_connection_of_a_program_waits_a_moment_by_chance(tmp_path: Path) -> None:
+    for drawn in (0.0, 1.0):
+        told: list[str] = []
+        face = MqttFace(
+            PlantTree(),
+            lambda text, severity, told=told: told.append(text),  # type: ignore[misc]
+            broker=Broker(url="mqtt://127.0.0.1:1"),
+            setup=NodeSetup("group", "node"),
+            folder=tmp_path / str(drawn),
+            draw=lambda drawn=drawn: drawn,  # type: ignore[misc]
+        )
+        await face.open()
+        serving = asyncio.create_task(face.serve())
+        await asyncio.wait((serving,), timeout=0.1)
+        while not told and not drawn:  # noqa: ASYNC110  the face tells nobody else
+            await asyncio.sleep(0.01)
+        assert (tmp_path / str(drawn) / "bdseq").exists() == (not drawn)
+        serving.cancel()
+        await asyncio.wait((serving,))
+        face.close()

@@ -23,7 +23,7 @@ GOOD: dict[str, Any] = {
 }  # fmt: skip
 LOST: dict[str, Any] = GOOD | {
     "verdict": "critical",
-    "reasons": ["2 of 3 slaves are not in data exchange", "slave 5: fault of the drive"],
+    "reasons": ["slave 5: fault of the drive"],
     "lost": [{"address": 8, "name": "valves\x1b[2J", "state": "offline"}],
     "more_lost": 1,
 }

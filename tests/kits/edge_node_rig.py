@@ -141,7 +141,12 @@ class Rig:
         slaves = {
             address: copy.deepcopy(one) for address, one in self.values.items() if address in self.plant["slaves"]
         }
-        body = {"t": self.stream, "whole": True, "bus": {"stale": False, "mode": "operate"}, "slaves": slaves}
+        body = {
+            "t": self.stream,
+            "whole": True,
+            "bus": {"stale": False, "mode": "operate", "in_ring": True},
+            "slaves": slaves,
+        }
         self.take(self.tree.apply({"snapshot": body}, self.clock))
 
     def wait(self, seconds: float, *, stream: bool = True) -> None:

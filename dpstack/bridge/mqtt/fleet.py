@@ -74,6 +74,9 @@ class Fleet:
     broken: int = 0
     why_broken: str = ""
     _segments: dict[tuple[str, str], Segment] = field(default_factory=dict)
+    #: in their order, and their number by state; None: a segment is new or has another state since
+    _sorted: list[Segment] | None = None
+    _counts: dict[State, int] | None = None
 
     @property
     def subscriptions(self) -> tuple[str, ...]:
@@ -91,15 +94,19 @@ class Fleet:
 
     def __iter__(self) -> Iterator[Segment]:
         """The worst first, then by group and node."""
-        return iter(sorted(self._segments.values(), key=lambda one: (_RANK[one.state], one.group, one.node)))
+        if self._sorted is None:
+            self._sorted = sorted(self._segments.values(), key=lambda one: (_RANK[one.state], one.group, one.node))
+        return iter(self._sorted)
 
     def get(self, group: str, node: str) -> Segment | None:
         return self._segments.get((group, node))
 
     def counts(self) -> dict[State, int]:
         """The number of segments in each state that there is, worst first."""
-        found = Counter(one.state for one in self._segments.values())
-        return {state: found[state] for state in State if found[state]}
+        if self._counts is None:
+            found = Counter(one.state for one in self._segments.values())
+            self._counts = {state: found[state] for state in State if found[state]}
+        return self._counts
 
     def receive(
         self, topic: str, payload: bytes, now: float, *, expiry: int | None = None, session: int | None = None
@@ -185,6 +192,7 @@ class Fleet:
         if state is segment.state and segment.since:
             return None
         segment.state = state
+        self._sorted = self._counts = None
         segment.since = segment.heard if state is State.SILENT else now
         return segment
 

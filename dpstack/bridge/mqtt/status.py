@@ -129,7 +129,9 @@ class StatusSource:
 
     def due(self, clock: float) -> float:
         """The time by ``clock`` at which :meth:`next` should be asked."""
-        return (self._sent_at if self._is_urgent else self._looked_at) + _CHANGE_S
+        if self._is_urgent:
+            return self._sent_at + _CHANGE_S
+        return min(self._looked_at + _CHANGE_S, self._sent_at + RENEW_S)
 
     def next(self, clock: float, wall: float) -> bytes | None:
         """The payload that is to be published now; None: none."""
