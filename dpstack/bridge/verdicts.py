@@ -230,9 +230,11 @@ class Judge:
         unusual = clean(values.get("conspicuous"))
         if unusual:
             found.append((WARNING, f"it has a diagnosis: {unusual}"))
-        for one in self._tree.conditions.of(address):
-            if one.active and one.level >= Level.WARNING and one.id.split("/", 2)[2] not in _OF_VALUES:
-                found.append((WARNING, f"{one.title}: {one.text}" if one.text else one.title))
+        found += (
+            (WARNING, f"{one.title}: {one.text}" if one.text else one.title)
+            for one in self._tree.conditions.of(address)
+            if one.active and one.level >= Level.WARNING and one.id.split("/", 2)[2] not in _OF_VALUES
+        )
         if enough:
             return _verdict(found, "")
         return _verdict(found, f"too few requests: {max(0.0, requests):.0f}, {limits.min_requests:g} are needed")
