@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpstack.live.pending import SLAVES_A_PORTION, Pending, portions
-from dpstack.live.state import LiveState, difference
+from dpstack.live.state import LiveState, difference, end_of
 
 values = st.dictionaries(st.sampled_from(["exchanges", "telegrams", "retries", "late"]), st.integers(0, 3), max_size=4)
 slaves = st.dictionaries(st.sampled_from(["3", "4", "8"]), values, max_size=3)
@@ -150,3 +150,15 @@ def test_an_item_that_no_face_could_show_is_refused_and_changes_nothing(item: di
     with pytest.raises(ValueError, match="this is no item of the stream"):
         state.apply(item)
     assert picture(state) == before
+
+
+def test_a_later_reader_learns_whether_a_fault_has_ended_the_bus() -> None:
+    for failed in (False, True):
+        state, later = LiveState(), LiveState()
+        state.apply({"plant": {"slaves": {}}})
+        state.apply(end_of("over", failed=failed))
+        for item in state.whole():
+            later.apply(item)
+        assert (later.end, later.failed) == ("over", failed)
+        later.apply({"plant": {"slaves": {}}})
+        assert (later.end, later.failed) == (None, False)

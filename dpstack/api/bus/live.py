@@ -22,7 +22,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import when_dropped
 from dpstack.dp.master.commands import Mode
-from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.events import SlaveState, SlaveStateChanged
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.process_data import Field, as_json
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
@@ -295,6 +295,19 @@ class LiveFeed:
 
     def _on_event(self, event: Event) -> None:
         self._put_event(event, self._readers)
+        if isinstance(event, SlaveStateChanged) and event.state is not SlaveState.DATA_EXCHANGE:
+            self._show_loss(event.address)
+
+    def _show_loss(self, address: int) -> None:
+        """A slave has left data exchange: readers get a snapshot of it at once, as its values look fresh until then.
+        It is at most one a slave and round: ``state`` comes back to data exchange in a round only."""
+        reader = self._slaves.get(address)
+        if reader is None or reader.values["state"] != SlaveState.DATA_EXCHANGE.value or not self._now["bus"]:
+            return
+        with contextlib.suppress(UsageError):  # it is being removed
+            self._hand_out({"bus": {}, "slaves": {str(address): reader.read(self._bus.snapshot)}})
+            for one in self._readers:
+                one.wake()
 
     def _put_event(self, event: Event, readers: Iterable[LiveItems]) -> None:
         t = ns_to_s(event.t_ns - self._bus.started_ns)

@@ -15,6 +15,7 @@ from api_kit import FAN, HOIST, RAW, bench_of, bus_of, in_virtual_time, operatin
 import dpstack
 from dpstack.api.bus import live
 from dpstack.api.bus.bus import core_of
+from dpstack.bridge.tree import Born, Died, PlantTree
 from dpstack.errors import UsageError
 from dpstack.live.state import LiveState
 
@@ -92,6 +93,41 @@ async def test_the_picture_is_that_of_the_devices() -> None:
     assert state.end == "the bus is closed"
     assert {slave["state"] for slave in state.slaves.values()} == {"offline"}
     assert not any(slave["inputs_valid"] for slave in state.slaves.values())
+
+
+@in_virtual_time
+async def test_a_slave_that_is_lost_is_shown_right_behind_its_event() -> None:
+    """Also where an interval is long; the tree of the bridge lets it die then, once, and its return does not hurry."""
+    loop, tree, lives, items = asyncio.get_running_loop(), PlantTree(), list[tuple[float, object]](), list[Any]()
+
+    async def read(stream: live.LiveStream) -> None:
+        async for item in stream:
+            items.append((loop.time(), item))
+            changes = tree.apply(item, loop.time())
+            lives.extend((loop.time(), one) for one in changes if isinstance(one, (Born, Died)))
+
+    async with operating(RAW, VALVES) as bus:
+        task = asyncio.ensure_future(read(bus.live(1.0)))
+        await asyncio.sleep(3.5)
+        bench_of(bus).power(8, False)
+        await asyncio.sleep(0.3)
+        bench_of(bus).power(8, True)
+        await asyncio.sleep(3)
+        task.cancel()
+        await asyncio.wait([task])
+    lost_at, at = next(
+        (when, at)
+        for at, (when, item) in enumerate(items)
+        if item.get("event", {}).get("event") == "slave" and item["event"].get("address") == 8 and when > 3
+    )
+    shown_at, item = next((when, item) for when, item in items[at:] if "snapshot" in item)
+    assert shown_at == lost_at
+    assert item["snapshot"]["slaves"].keys() == {"8"}
+    assert item["snapshot"]["slaves"]["8"]["state"] != "data_exchange"
+    assert item["snapshot"]["slaves"]["8"]["inputs_valid"] is False
+    ends = [(when, one) for when, one in lives if one.slave == 8]  # type: ignore[attr-defined]
+    assert [type(one) for _, one in ends] == [Born, Died, Born]
+    assert ends[1][0] == lost_at
 
 
 @in_virtual_time
