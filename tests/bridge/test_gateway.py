@@ -268,7 +268,9 @@ def test_a_stream_that_ends_without_a_word_is_the_death_of_all(broken: bool) -> 
                 await world.running
         else:
             await world.running
-        why = "the bus has ended: the live stream has ended" + (" by an error: cut" if broken else "")
+        why = "the bus has ended: the live stream has ended"
+        if broken:
+            why = "a fault has ended the bus: the live stream has ended by an error: cut"
         assert recorder.lives[2:] == [Died(8, why), Died(None, why)]
         assert recorder.ended_at is not None
 

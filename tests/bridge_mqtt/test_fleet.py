@@ -140,6 +140,7 @@ def test_a_rebirth_is_the_command_of_sparkplug() -> None:
 
 TOPICS = st.sampled_from([TOPIC, DEATH, BIRTH, ONLINE, "dpstack/a/b", "dpstack/a/b/status/c", "", "spBv1.0/a/NDEATH"])
 PAYLOADS = st.binary(max_size=40) | st.sampled_from([status(), status(**LOST), status(state="ended"), node_death(5, 1)])
+PAYLOADS |= st.just(status(state="failed"))
 
 
 @given(st.lists(st.tuples(TOPICS | st.text(max_size=12), PAYLOADS, st.none() | st.integers()), max_size=20))
@@ -150,4 +151,6 @@ def test_no_message_raises_and_an_old_status_is_never_shown_as_alive(
     for number, (topic, payload, extra) in enumerate(messages):
         fleet.receive(topic, payload, float(number), expiry=extra, session=extra)
     fleet.tick(len(messages) + 31.0)
-    assert all(one.state in (State.DEAD, State.SILENT, State.ENDED) for one in fleet)
+    for one in fleet:
+        ended = {"ended": State.ENDED, "failed": State.CRITICAL}.get(one.status.state)
+        assert one.state is ended if ended else one.state in (State.DEAD, State.SILENT)

@@ -12,7 +12,7 @@ from typing import Any
 
 from dpstack.bridge.mqtt.fleet import Fleet, State
 from dpstack.bridge.mqtt.payload import node_death
-from dpstack.bridge.mqtt.status import MOST_LOST, MOST_REASONS
+from dpstack.bridge.mqtt.status import FAILED, MOST_LOST, MOST_REASONS
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
 
@@ -41,7 +41,7 @@ def run(octets: bytes) -> None:
             fleet.receive(_TOPICS[choice % 8], payload, now)
         _judge(fleet)
     fleet.tick(now + 31)
-    assert all(one.state in (State.DEAD, State.SILENT, State.ENDED) for one in fleet)
+    assert all(one.state in (State.DEAD, State.SILENT, State.ENDED) or one.status.state == FAILED for one in fleet)
     _judge(fleet)
     fresh = Fleet()
     for at, (topic, payload) in enumerate(((_TOPICS[0], json.dumps(_GOOD).encode()), (_TOPICS[3], node_death(5, 1)))):
@@ -69,5 +69,14 @@ TARGET = Target(
     covers=("dpstack.bridge.mqtt.fleet", "dpstack.bridge.mqtt.status"),
     executions=100_000,
     max_len=300,
-    words=(b'"version":1', b'"state":"ended"', b'"verdict":"critical"', b"bdSeq", b"[", b"{", b'"lost":'),
+    words=(
+        b'"version":1',
+        b'"state":"ended"',
+        b'"state":"failed"',
+        b'"verdict":"critical"',
+        b"bdSeq",
+        b"[",
+        b"{",
+        b'"lost":',
+    ),
 )
