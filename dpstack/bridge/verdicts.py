@@ -121,13 +121,11 @@ class Judge:
             level, reasons = slaves[address]
             if level in (WARNING, CRITICAL):
                 found.append((level, f"slave {address} ({clean(described.name)}): {reasons[0]}"))
-        doubt = (
-            _BEGINS
-            if self._begins()
-            else ""
-            if now.t - before.t >= limits.min_seconds
-            else "the bus runs for too short a time"
-        )
+        doubt = ""
+        if self._begins():
+            doubt = _BEGINS
+        elif now.t - before.t < limits.min_seconds:
+            doubt = "the bus runs for too short a time"
         return _verdict(found, doubt), slaves
 
     def lost(self) -> list[int]:

@@ -305,7 +305,8 @@ class LiveFeed:
         if reader is None or reader.values["state"] != SlaveState.DATA_EXCHANGE.value or not self._now["bus"]:
             return
         with contextlib.suppress(UsageError):  # it is being removed
-            self._hand_out({"bus": {}, "slaves": {str(address): reader.read(self._bus.snapshot)}})
+            # with the mode, which may be the reason
+            self._hand_out(self._bus_changes() | {"slaves": {str(address): reader.read(self._bus.snapshot)}})
             for one in self._readers:
                 one.wake()
 

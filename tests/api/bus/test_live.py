@@ -16,6 +16,7 @@ import dpstack
 from dpstack.api.bus import live
 from dpstack.api.bus.bus import core_of
 from dpstack.bridge.tree import Born, Died, PlantTree
+from dpstack.bridge.verdicts import Judge
 from dpstack.errors import UsageError
 from dpstack.live.state import LiveState
 
@@ -98,12 +99,14 @@ async def test_the_picture_is_that_of_the_devices() -> None:
 @in_virtual_time
 async def test_a_slave_that_is_lost_is_shown_right_behind_its_event() -> None:
     """Also where an interval is long; the tree of the bridge lets it die then, once, and its return does not hurry."""
-    loop, tree, lives, items = asyncio.get_running_loop(), PlantTree(), list[tuple[float, object]](), list[Any]()
+    loop, tree, lives, items = asyncio.get_running_loop(), PlantTree(), list[tuple[float, Born | Died]](), list[Any]()
+    judge = Judge(tree)
 
     async def read(stream: live.LiveStream) -> None:
         async for item in stream:
             items.append((loop.time(), item))
             changes = tree.apply(item, loop.time())
+            judge.take(changes)
             lives.extend((loop.time(), one) for one in changes if isinstance(one, (Born, Died)))
 
     async with operating(RAW, VALVES) as bus:
@@ -113,6 +116,10 @@ async def test_a_slave_that_is_lost_is_shown_right_behind_its_event() -> None:
         await asyncio.sleep(0.3)
         bench_of(bus).power(8, True)
         await asyncio.sleep(3)
+        await bus.stop()
+        await asyncio.sleep(1.5)
+        # those that left it by order are no losses
+        assert [len(judge._past[at].losses) for at in (8, 9)] == [1, 0]
         task.cancel()
         await asyncio.wait([task])
     lost_at, at = next(
@@ -125,8 +132,8 @@ async def test_a_slave_that_is_lost_is_shown_right_behind_its_event() -> None:
     assert item["snapshot"]["slaves"].keys() == {"8"}
     assert item["snapshot"]["slaves"]["8"]["state"] != "data_exchange"
     assert item["snapshot"]["slaves"]["8"]["inputs_valid"] is False
-    ends = [(when, one) for when, one in lives if one.slave == 8]  # type: ignore[attr-defined]
-    assert [type(one) for _, one in ends] == [Born, Died, Born]
+    ends = [(when, one) for when, one in lives if one.slave == 8]
+    assert [type(one) for _, one in ends] == [Born, Died, Born, Died]
     assert ends[1][0] == lost_at
 
 
