@@ -51,8 +51,8 @@ class _Sent(NamedTuple):
 
 class JsonNode:
     """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
-    ``clear_first``, ``pause``: have no meaning here, as only the will has the number of the session, and no primary host
-    is waited for.
+    ``clear_first``, ``pause``: have no meaning here, as only the will has the number of the session, and births wait
+    for no primary host.
 
     ``lost_results``: results of orders that were too many to wait.
     """
