@@ -20,14 +20,16 @@ from dpstack.trace import Severity
 @pytest.mark.parametrize(
     ("url", "place"),
     [
-        ("mqtt://plant.example", ("plant.example", 1883)),
-        ("mqtts://plant.example/", ("plant.example", 8883)),
-        ("mqtt://[::1]:1999", ("::1", 1999)),
+        ("mqtt://plant.example", ("plant.example", 1883, False)),
+        ("mqtts://plant.example/", ("plant.example", 8883, True)),
+        ("mqtt://[::1]:1999", ("::1", 1999, False)),
+        ("MQTTS://plant.example", ("plant.example", 8883, True)),
+        (" mqtts://plant.example:1883", ("plant.example", 1883, True)),
     ],
 )
-def test_addresses(url: str, place: tuple[str, int]) -> None:
+def test_addresses(url: str, place: tuple[str, int, bool]) -> None:
     broker = Broker(url=url)
-    assert (broker.host, broker.port) == place
+    assert (broker.host, broker.port, broker.tls_context() is not None) == place
 
 
 @pytest.mark.parametrize(

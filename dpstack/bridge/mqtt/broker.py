@@ -35,6 +35,7 @@ class Broker:
     keepalive_s: int = 10
     host: str = field(init=False)
     port: int = field(init=False)
+    is_tls: bool = field(init=False)
 
     def __post_init__(self) -> None:
         try:
@@ -48,16 +49,14 @@ class Broker:
             raise ConfigError(f"url {printable(self.url)!r}: write mqtt://HOST:PORT, or with TLS mqtts://HOST:PORT")
         object.__setattr__(self, "host", host)
         object.__setattr__(self, "port", port or _PORTS[parts.scheme])
+        # not by the text of url: a scheme may be written in capitals
+        object.__setattr__(self, "is_tls", parts.scheme == "mqtts")
         if not self.is_tls and (self.ca or self.cert or self.key):
             raise ConfigError("ca, cert and key need TLS: write mqtts:// in url")
         if bool(self.cert) != bool(self.key):
             raise ConfigError("cert and key go together: give both")
         if self.password and not self.user:
             raise ConfigError("a password needs a user")
-
-    @property
-    def is_tls(self) -> bool:
-        return self.url.startswith("mqtts:")
 
     def tls_context(self) -> ssl.SSLContext | None:
         """Reads the files; None without TLS. The broker's certificate and its name are always judged. Raises
