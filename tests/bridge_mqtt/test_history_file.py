@@ -326,3 +326,16 @@ def test_others_cannot_read_it_whatever_the_umask(tmp_path: Path) -> None:
         file.close()
     finally:
         os.umask(before)
+
+
+def test_values_that_were_displaced_while_they_were_on_their_way_are_counted_once(tmp_path: Path) -> None:
+    file = HistoryFile(tmp_path, 0, "a")
+    file.append([entry(number) for number in range(1000)])
+    on_their_way = [kept.place for kept in file.read(1000)]
+    while not file.displaced:
+        file.append([entry(number) for number in range(1000, 2000)])
+    file.delete(on_their_way)
+    counted = file.count
+    assert counted == len(file.read(1_000_000))
+    file.close()
+    assert HistoryFile(tmp_path, 0, "a").count == counted

@@ -21,6 +21,7 @@ from dpstack.bridge.quality import Value
 from dpstack.trace import Severity
 
 NOW = OFFSET + 10**9
+KIND = MetricKind("Inputs/number", 7, DataType.UINT64)
 
 
 class Bench:
@@ -121,6 +122,48 @@ async def test_a_fault_of_the_program_in_the_thread_ends_nothing(
     await closed(bench)
 
 
+async def test_a_disk_that_could_not_be_read_once_is_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path)
+    bench.keep(1, 3)
+    await bench.keeper.step()
+
+    def read(*_: object) -> list[Kept]:
+        raise HistoryError("disk I/O error")
+
+    bench.history.next_samples(no_entry, tuple, NOW, OFFSET, 0.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(HistoryFile, "read", read)
+        await bench.keeper.step()
+    assert bench.history.next_samples(no_entry, tuple, NOW, OFFSET, 1.0) is None
+    await bench.keeper.step()
+    found = bench.history.next_samples(lambda _: KIND, list, NOW, OFFSET, 2.0)
+    assert found is not None
+    assert [sample.reading.value for sample in found[1]] == [1, 2, 3]
+    await closed(bench)
+
+
+async def test_a_device_that_is_born_while_the_disk_is_read_without_it_gets_its_history(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.keep(1, 3)
+    await bench.keeper.step()
+    history = bench.history
+    history.session_began()
+    history.next_samples(no_entry, lambda: ["valves"], NOW, OFFSET, 0.0)
+    reading = asyncio.create_task(bench.keeper.step())
+    await asyncio.sleep(0)
+    assert not history.needs_disk  # the thread has it
+    history.look_again()
+    await reading
+    history.next_samples(no_entry, list, NOW, OFFSET, 1.0)
+    await bench.keeper.step()
+    found = history.next_samples(lambda _: KIND, list, NOW, OFFSET, 2.0)
+    assert found is not None
+    assert [sample.reading.value for sample in found[1]] == [1, 2, 3]
+    await closed(bench)
+
+
 async def test_a_slow_disk_delays_nobody_and_the_end_takes_no_longer_than_its_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -163,8 +206,7 @@ async def test_history_is_read_behind_what_was_written_and_leaves_the_disk_when_
         assert history.needs_disk
     await bench.keeper.step()
     assert not history.needs_disk
-    kind = MetricKind("Inputs/number", 7, DataType.UINT64)
-    found = history.next_samples(lambda _: kind, list, NOW, OFFSET, 2.0)
+    found = history.next_samples(lambda _: KIND, list, NOW, OFFSET, 2.0)
     assert found is not None
     assert [sample.reading.value for sample in found[1]] == [1, 2, 3, 4, 5, 6]
     assert [sample.told for sample in found[1]] == [True] + [False] * 5

@@ -123,6 +123,7 @@ class History:
         self._wanted: frozenset[str] | None = None
         self._is_reading = False
         self._is_exhausted = False
+        self._must_look_again = False
         #: entries that can leave the disk
         self._done: list[Place] = []
         #: metrics that hosts know to be good, of the history of this session
@@ -177,8 +178,9 @@ class History:
         self._good.clear()
 
     def look_again(self) -> None:
-        """A device was born: the disk may hold values of it."""
+        """A device was born: the disk may hold values of it, also where it is being read without them now."""
         self._is_exhausted = False
+        self._must_look_again = self._is_reading
 
     def session_ended(self) -> None:
         """The connection has ended: what it has not confirmed is kept."""
@@ -324,16 +326,21 @@ class History:
         return done
 
     def take_wanted(self) -> frozenset[str] | None:
-        """Devices whose entries are not wanted; None: nothing is to be read. :meth:`give` comes next."""
+        """Devices whose entries are not wanted; None: nothing is to be read. :meth:`give` or :meth:`not_read` comes
+        next."""
         wanted, self._wanted = self._wanted, None
         self._is_reading = wanted is not None
         return wanted
 
     def give(self, chunk: Iterable[Kept]) -> None:
         """The oldest entries of the disk; none: there are no more."""
-        self._is_reading = False
         self._chunk = deque(chunk)
-        self._is_exhausted = not self._chunk
+        self._is_exhausted = not (self._chunk or self._must_look_again)
+        self._is_reading = self._must_look_again = False
+
+    def not_read(self) -> None:
+        """The disk could not be read: it is asked again."""
+        self._is_reading = self._must_look_again = False
 
 
 def _octets(entry: Entry) -> int:

@@ -194,8 +194,8 @@ class HistoryFile:
         """Take entries off the disk; those that are gone already do not matter."""
         with _errors(), self._undone_whole():
             with self._transaction():
-                self._sql.executemany("DELETE FROM entries WHERE boot = ? AND at_ms = ? AND id = ?", places)
-                self.count = max(0, self.count - len(places))
+                gone = self._sql.executemany("DELETE FROM entries WHERE boot = ? AND at_ms = ? AND id = ?", places)
+                self.count -= gone.rowcount  # those that were displaced meanwhile are not counted twice
             if self._one("PRAGMA freelist_count") >= _SHRINK_PAGES:
                 self._sql.execute(f"PRAGMA incremental_vacuum({_SHRINK_PAGES})").fetchall()
 

@@ -200,11 +200,12 @@ class HistoryKeeper:
                 self._tell("all values that waited have been delivered", Severity.INFO)
         without = history.take_wanted()
         if without is not None:
-            chunk = []
             try:
                 chunk = await self._call(file.read, CHUNK, without) if file.count else []
-            finally:
-                history.give(chunk)
+            except BaseException:
+                history.not_read()
+                raise
+            history.give(chunk)
             self._count(file)
             if chunk:
                 self._changed()
