@@ -72,6 +72,18 @@ def test_the_sequence_wraps_behind_255(rig: Rig) -> None:
     rig.close()
 
 
+def test_a_host_that_asks_for_births_without_end_gets_those_of_all_devices(rig: Rig) -> None:
+    rig.wait(1.0)
+    rig.host.messages.clear()
+    for _ in range(30):
+        rig.rebirth()
+        rig.pump(1)
+        rig.wait(0.1)
+    assert kinds(rig) == [("NBIRTH", None), ("DBIRTH", "hoist"), ("DBIRTH", "valves")] * 3
+    assert rig.host.alive == {"hoist", "valves"}
+    rig.close()
+
+
 def test_a_rebirth_has_the_same_session_number_and_comes_at_most_once_a_second(rig: Rig) -> None:
     first = rig.host.number
     count = len(rig.host.messages)

@@ -419,10 +419,6 @@ class EdgeNode:
             slave = next(iter(self._deaths))
             self._was_sent(self._dying.pop(slave, ()))
             return Publish(self._setup.topic("DDEATH", self._deaths.pop(slave)), device_death(self._next_seq(), now_ms))
-        if self._rebirth_asked:
-            if clock < self._born_at + _REBIRTH_S:
-                return None
-            self._needs_birth = True
         if self._needs_birth:
             return self._node_birth(now_ms, clock)
         while self._births:
@@ -430,6 +426,9 @@ class EdgeNode:
             del self._births[slave]
             if self._tree.is_alive(slave) and slave in self._device_ids:
                 return self._device_birth(slave, now_ms, clock)
+        if self._rebirth_asked:
+            # behind the births: a host that asks again for each of them would never get the last one
+            return self._node_birth(now_ms, clock) if clock >= self._born_at + _REBIRTH_S else None
         assert self._node is not None
         for slave_or_none, owner in ((None, self._node), *self._devices.items()):
             if owner.pending and clock >= owner.due:
