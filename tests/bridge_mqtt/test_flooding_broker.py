@@ -82,3 +82,17 @@ async def test_a_packet_that_is_too_long_ends_the_connection_before_it_is_taken(
         with pytest.raises(aiomqtt.MqttError):
             await take()
     assert f"a packet of {(1 << 28) - 1} octets, {MOST_PACKET} are allowed" in caplog.text
+
+
+async def test_messages_with_qos_2_end_the_connection_and_fill_no_memory() -> None:
+    body = struct.pack(">H", 1) + b"t" + struct.pack(">H", 7) + b"\x00"
+    async with broker(bytes((0x34, len(body))) + body) as port:
+        client = LimitedClient("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V5)
+
+        async def take() -> None:
+            async with asyncio.timeout(2), client:
+                await client.publish("t")
+                await anext(aiter(client.messages))
+
+        with pytest.raises((aiomqtt.MqttError, OSError), match="QoS 2|Disconnected"):
+            await take()

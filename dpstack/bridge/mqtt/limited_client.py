@@ -20,8 +20,9 @@ _A_PACKET: Final = 1000
 
 
 class LimitedClient(aiomqtt.Client):
-    """Octets beyond :data:`MOST_A_SECOND` wait at the broker, and a packet longer than :data:`MOST_PACKET` ends the
-    connection before any of it is taken. aiomqtt and paho-mqtt read up to 256 MB at once, without a pause."""
+    """Octets beyond :data:`MOST_A_SECOND` wait at the broker. A packet longer than :data:`MOST_PACKET` ends the
+    connection before any of it is taken, and so does a message with QoS 2: subscriptions have QoS 1 at most. aiomqtt
+    and paho-mqtt read up to 256 MB at once, without a pause, and keep 65535 messages with QoS 2."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -58,6 +59,8 @@ class LimitedClient(aiomqtt.Client):
             while True:
                 self._client.loop_read()
                 self._read_in_window += _A_PACKET
+                if self._client._in_messages:
+                    raise OSError("the broker sends a message with QoS 2, which nobody has subscribed")
                 has_more = self._client.socket() is sock and bool(getattr(sock, "pending", int)())
                 if self._read_in_window > MOST_A_SECOND * _WINDOW_S:
                     self._pause(sock)
