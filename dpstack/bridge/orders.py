@@ -235,9 +235,12 @@ class Orders:
         if made_at is None:
             return
         # an order is refused for its age before it could be given again with the same time
-        oldest = self._now() - 2 * self._max_age_s
-        while self._known and self._known[0][1] < oldest:
+        now = self._now()
+        while self._known and self._known[0][1] < now - 2 * self._max_age_s:
             self._known.popleft()
+        if self._known and self._known[0][1] > now + 2 * self._max_age_s:
+            # the clock was set back: those of before it are refused for their time, too
+            self._known = deque(one for one in self._known if abs(now - one[1]) <= 2 * self._max_age_s)
         if (name, made_at) in self._known:
             raise _RefusedError("an order with this name and time was given already", Refusal.TIME)
         if len(self._known) < _MOST_KNOWN:

@@ -289,3 +289,16 @@ def test_patterns_that_fit_nothing_are_errors_of_the_configuration() -> None:
     assert is_allowed(["lift.2.*"], "lift.2.start")
     assert not is_allowed(["lift.*"], "lift.2.start")
     assert not is_allowed([".*"], "start")
+
+
+@in_virtual_time
+async def test_orders_of_before_the_clock_was_set_back_take_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dpstack.bridge.orders._MOST_KNOWN", 3)
+    run = Run("valves.*")
+    for made_at in (NOW, NOW + 0.1, NOW + 0.2):
+        assert await run.reason("valves.lamp", True, made_at=made_at) == ""
+    assert await run.reason("valves.lamp", True, made_at=NOW + 0.3) == "too many orders have come"
+    run.begun += 3600  # the clock goes back
+    assert await run.reason("valves.lamp", True, made_at=NOW - 3600) == ""
+    assert "given already" in await run.reason("valves.lamp", True, made_at=NOW - 3600)
+    assert "ahead of the clock" in await run.reason("valves.lamp", True, made_at=NOW)
