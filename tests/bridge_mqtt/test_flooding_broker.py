@@ -94,5 +94,5 @@ async def test_messages_with_qos_2_end_the_connection_and_fill_no_memory() -> No
                 await client.publish("t")
                 await anext(aiter(client.messages))
 
-        with pytest.raises((aiomqtt.MqttError, OSError), match="QoS 2|Disconnected"):
+        with pytest.raises((aiomqtt.MqttError, OSError), match=r"QoS 2|Disconnected"):
             await take()

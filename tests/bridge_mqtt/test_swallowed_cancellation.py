@@ -1,13 +1,21 @@
-"""The face ends although a library has swallowed the cancellation of its task."""
+"""The face ends although a library swallows the cancellation of its task; the program ends although a call blocks."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
+from pathlib import Path
 
+import aiomqtt
 import pytest
 
+from dpstack.bridge.mqtt.broker import Broker
+from dpstack.bridge.mqtt.client import MqttFace
 from dpstack.bridge.mqtt.connection import cancellations, end_if_cancelled
+from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.mqtt.session_file import SessionFile
+from dpstack.bridge.tree import PlantTree
 
 
 async def test_a_swallowed_cancellation_ends_the_task_after_all() -> None:
@@ -40,3 +48,35 @@ async def test_the_farewell_of_a_cancelled_task_goes_on() -> None:
     await asyncio.sleep(0)
     task.cancel()
     assert await task == "said"
+
+
+@pytest.mark.parametrize("blocked", [(aiomqtt.Client, "_client_connect"), (SessionFile, "next")])
+def test_a_network_or_disk_that_blocks_does_not_delay_the_end_of_the_program(
+    blocked: tuple[type, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began, goes_on, went_on = threading.Event(), threading.Event(), threading.Event()
+
+    def block(_: object) -> int:
+        began.set()
+        goes_on.wait(2)
+        went_on.set()
+        return 0
+
+    monkeypatch.setattr(*blocked, block)
+
+    async def program() -> None:
+        setup = NodeSetup("g", "n")
+        face = MqttFace(PlantTree(), lambda *_: None, broker=Broker(url="mqtt://a"), setup=setup, folder=tmp_path / "s")
+        await face.open()
+        serving = asyncio.create_task(face.serve())
+        async with asyncio.timeout(5):
+            while not began.is_set():  # noqa: ASYNC110  told by a thread
+                await asyncio.sleep(0.001)
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+        face.close()
+
+    asyncio.run(program())
+    assert not went_on.is_set()
+    goes_on.set()
+    assert went_on.wait(5)

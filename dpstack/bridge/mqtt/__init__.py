@@ -17,4 +17,5 @@
 - ``session_file``: The number of the MQTT session on disk (bdSeq), and the lock against a second gateway
 - ``sparkplug_pb2``: The messages of Sparkplug B, made from sparkplug.proto by tools/make_sparkplug_proto.py
 - ``status``: The status of a segment for ``dpstack fleet``: its content, when it is due, and its reader
+- ``worker_thread``: Calls that may block without a limit in threads that never delay the end of the program
 """

@@ -38,6 +38,7 @@ from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.plant_node import PlantNode
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.mqtt.status import EXPIRY_S, StatusSource, topic_of
+from dpstack.bridge.mqtt.worker_thread import in_thread
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import Change, PlantTree
 from dpstack.text import printable
@@ -62,6 +63,8 @@ _GOOD_S: Final = 30.0
 _ROUND_S: Final = 2.0
 _LAST_ROUND_S: Final = 0.5
 _LAST_WRITE_S: Final = 0.5
+#: name of a thread
+_DISK: Final = "dpstack mqtt: number of the session"
 #: orders that wait for their result
 _MOST_ORDERS: Final = 256
 #: reason code of MQTT 5 (2.4)
@@ -118,8 +121,8 @@ class MqttFace(Face):
 
     async def open(self) -> None:
         """Read the certificates, take the folder. Raises ConfigError."""
-        self._tls = await asyncio.to_thread(self._broker.tls_context)
-        self._numbers = numbers = await asyncio.to_thread(SessionFile, self._folder)
+        self._tls = await in_thread("dpstack mqtt: certificates", self._broker.tls_context)
+        self._numbers = numbers = await in_thread(_DISK, SessionFile, self._folder)
         if numbers.damaged and self._make_node.counts_sessions:
             self.tell(
                 f"the number of the last session in {self._folder} is damaged: one session without values comes first",
@@ -209,7 +212,7 @@ class MqttFace(Face):
         assert numbers is not None, "open() comes first"
         before = cancellations()
         try:
-            number = await asyncio.to_thread(numbers.next)
+            number = await in_thread(_DISK, numbers.next)
         except OSError as error:
             raise OSError(f"the number of the session cannot be written in {self._folder}: {error.strerror}") from None
         connection = node.connect(number, time.time())

@@ -16,6 +16,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.edge_node import Publish
 from dpstack.bridge.mqtt.limited_client import MOST_PACKET, LimitedClient
+from dpstack.bridge.mqtt.worker_thread import in_thread
 
 #: s for the TCP connection with TLS, and for each answer of the broker
 CONNECT_S: Final = 5.0
@@ -59,7 +60,7 @@ def make_client(
     *,
     most_waiting: int = MOST_WAITING,
     will: Publish | None = None,
-) -> aiomqtt.Client:
+) -> LimitedClient:
     """A client that is not connected yet. ``most_waiting``: messages that may wait to be read."""
     properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
     properties.SessionExpiryInterval = 0
@@ -117,15 +118,18 @@ def end_if_cancelled(before: int) -> None:
         raise asyncio.CancelledError
 
 
-async def connect(client: aiomqtt.Client) -> None:
+async def connect(client: LimitedClient) -> None:
     """Connect. TCP and TLS block a thread: a cancellation leaves it alone, and closes later what it opens."""
-    connecting = asyncio.ensure_future(client.__aenter__())
+    connecting = asyncio.ensure_future(in_thread("dpstack mqtt: connecting", client.connect_blocking))
     try:
         await asyncio.shield(connecting)
     except asyncio.CancelledError:
         connecting.add_done_callback(lambda _: connecting.cancelled() or connecting.exception())
         connecting.add_done_callback(lambda _: client._client._sock_close())
         raise
+    except OSError as error:
+        raise aiomqtt.MqttError(str(error)) from None
+    await client.wait_connected()
 
 
 async def close(client: aiomqtt.Client) -> None:

@@ -9,10 +9,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import threading
 from collections.abc import Callable
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
 from dpstack.bridge.face import Tell
@@ -26,6 +24,7 @@ from dpstack.bridge.mqtt.history_file import (
     boot_id,
     move_aside,
 )
+from dpstack.bridge.mqtt.worker_thread import WorkerThread
 from dpstack.text import printable
 from dpstack.trace import Severity
 
@@ -38,53 +37,6 @@ _RETRY_S: Final = 30.0
 #: s between two remarks about values that were lost
 _REMARK_S: Final = 600.0
 _MB: Final = 1_000_000
-
-
-class DiskThread:
-    """Carries out calls in one thread, which never delays the end of the program."""
-
-    def __init__(self, name: str) -> None:
-        self._calls: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
-        threading.Thread(target=self._run, name=name, daemon=True).start()
-
-    async def call(self, function: Callable[..., T], *arguments: Any) -> T:
-        """The result of ``function``, or what it raises. It goes on where the caller is cancelled."""
-        loop = asyncio.get_running_loop()
-        future: asyncio.Future[T] = loop.create_future()
-
-        def finish(result: T | None, error: BaseException | None) -> None:
-            if future.done():
-                return
-            if error is None:
-                future.set_result(result)  # type: ignore[arg-type]
-            else:
-                future.set_exception(error)
-
-        def work() -> None:
-            result, failed = None, None
-            try:
-                result = function(*arguments)
-            except BaseException as error:
-                failed = error
-            with contextlib.suppress(RuntimeError):  # the loop is closed
-                loop.call_soon_threadsafe(finish, result, failed)
-
-        self._calls.put(work)
-        return await future
-
-    def run_last(self, function: Callable[[], object]) -> None:
-        """Have ``function`` called behind all others, and end the thread. Does not wait."""
-
-        def work() -> None:
-            with contextlib.suppress(Exception):
-                function()
-
-        self._calls.put(work)
-        self._calls.put(None)
-
-    def _run(self) -> None:
-        while (call := self._calls.get()) is not None:
-            call()
 
 
 class HistoryKeeper:
@@ -107,7 +59,7 @@ class HistoryKeeper:
         self._tell = tell
         self._changed = changed
         self._retry_s = retry_s
-        self._disk: DiskThread | None = None
+        self._disk: WorkerThread | None = None
         self._boot = ""
         self._file: HistoryFile | None = None
         self._failed_at: float | None = None
@@ -212,7 +164,7 @@ class HistoryKeeper:
 
     async def _call(self, function: Callable[..., T], *arguments: Any) -> T:
         if self._disk is None:
-            self._disk = DiskThread("dpstack mqtt: history")
+            self._disk = WorkerThread("dpstack mqtt: history")
         try:
             return await self._disk.call(function, *arguments)
         except (HistoryError, asyncio.CancelledError):

@@ -31,6 +31,16 @@ class LimitedClient(aiomqtt.Client):
         self._receive = self._client._sock_recv
         self._client._sock_recv = self._receive_limited  # type: ignore[method-assign,assignment]
 
+    # --- in place of ``async with``, which connects in a thread that the end of the program would wait for
+
+    def connect_blocking(self) -> None:
+        """Connect TCP and TLS, and send CONNECT. Raises OSError."""
+        self._client_connect()
+
+    async def wait_connected(self) -> None:
+        """Wait for CONNACK. Raises MqttError where the broker refuses, or does not answer in time."""
+        await self._wait_for(self._connected, timeout=None)
+
     def _receive_limited(self, octets: int) -> bytes:
         if octets > MOST_PACKET:
             # paho gives its text to the log, and ends the connection
