@@ -15,7 +15,6 @@ may jump; ``clock``: s since the start of the computer, by a clock that nobody s
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,6 +22,7 @@ from enum import Enum, auto
 from typing import ClassVar, Final, NamedTuple
 
 from dpstack.bridge.mqtt.history import Absent, Entry, History
+from dpstack.bridge.mqtt.json_payload import read_object
 from dpstack.bridge.mqtt.payload import (
     BDSEQ,
     DATA_TYPES,
@@ -765,13 +765,9 @@ def _metric_names(nodes: Sequence[Node]) -> tuple[dict[str, str], tuple[str, ...
 
 def _read_state(payload: bytes) -> tuple[bool, float] | None:
     """``online`` and ``timestamp`` of a STATE message; None for anything else."""
-    if len(payload) > _MOST_STATE:
-        return None
     try:
-        state = json.loads(payload)
-    except (ValueError, RecursionError):
-        return None
-    if not isinstance(state, dict):
+        state = read_object(payload, _MOST_STATE)
+    except ValueError:
         return None
     online, time = state.get("online"), state.get("timestamp")
     if not isinstance(online, bool) or isinstance(time, bool) or not isinstance(time, (int, float)):

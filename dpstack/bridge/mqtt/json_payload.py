@@ -24,6 +24,8 @@ _LATEST: Final = 253_402_300_799.0
 _SURELY_MS: Final = 1e11
 #: characters of a time
 _MOST_TIME: Final = 40
+#: characters of a whole number: Python reads no longer ones
+_MOST_DIGITS: Final = 4300
 #: characters of a name or reason in a result
 _MOST_TEXT: Final = 300
 _EXAMPLE: Final = '{"value": true, "time": "2026-11-23T13:00:00Z"}'
@@ -92,23 +94,34 @@ def _short(text: str) -> str:
     return shortened(printable(text[: _MOST_TEXT + 1]), _MOST_TEXT)
 
 
-def read_order(octets: bytes) -> tuple[Value, float]:
-    """Value, and time of the sender in s since 1970, of an order. Raises ValueError with a reason; ``octets`` may be
-    anything."""
-    if len(octets) > MOST_OCTETS:
-        raise ValueError(f"the payload has {len(octets)} octets, at most {MOST_OCTETS} are taken")
+def read_object(octets: bytes, most: int, advice: str = "") -> dict[str, Any]:
+    """The JSON object in a payload of a stranger of ``most`` octets at most, with finite numbers and each member once.
+    ``advice``: stands behind the reason. Raises ValueError with a reason; ``octets`` may be anything."""
+    if len(octets) > most:
+        raise ValueError(f"the payload has {len(octets)} octets, at most {most} are taken")
     try:
         given = json.loads(
-            octets.decode(), object_pairs_hook=_object, parse_constant=_constant, parse_float=_finite_float
+            octets.decode(),
+            object_pairs_hook=_object,
+            parse_constant=_constant,
+            parse_float=_finite_float,
+            parse_int=_whole,
         )
     except UnicodeDecodeError:
         raise ValueError("the payload is not UTF-8") from None
     except json.JSONDecodeError:
-        raise ValueError(f"the payload is no JSON: write for instance {_EXAMPLE}") from None
+        raise ValueError(f"the payload is no JSON{advice}") from None
     except RecursionError:
         raise ValueError("the payload is nested too deeply") from None
     if not isinstance(given, dict):
-        raise ValueError(f"the payload is no JSON object: write for instance {_EXAMPLE}")
+        raise ValueError(f"the payload is no JSON object{advice}")
+    return given
+
+
+def read_order(octets: bytes) -> tuple[Value, float]:
+    """Value, and time of the sender in s since 1970, of an order. Raises ValueError with a reason; ``octets`` may be
+    anything."""
+    given = read_object(octets, MOST_OCTETS, f": write for instance {_EXAMPLE}")
     for key in given:
         if key not in ("value", "time"):
             raise ValueError(f"unknown member {_key(key)}: an order has value and time")
@@ -129,6 +142,12 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _constant(text: str) -> float:
     raise ValueError(f"{text} is no number")
+
+
+def _whole(text: str) -> int:
+    if len(text) > _MOST_DIGITS:
+        raise ValueError("a number of the payload is too great")
+    return int(text)
 
 
 def _finite_float(text: str) -> float:

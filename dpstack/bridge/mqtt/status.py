@@ -6,12 +6,12 @@ docs/reference/segment-status.md has the schema. The caller publishes it with a 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from dpstack.bridge.mqtt.json_payload import read_object
 from dpstack.bridge.quality import clean
 from dpstack.bridge.tree import EXCHANGING, Change, Changed, PlantTree
 from dpstack.bridge.verdicts import UNKNOWN, VERDICTS, Judge
@@ -159,14 +159,7 @@ class StatusSource:
 def read_status(octets: bytes) -> Status:
     """The status in a payload, whoever sent it. Keys that are not known are left out. Raises ValueError with the
     reason where it is none."""
-    if len(octets) > MOST_OCTETS:
-        raise ValueError(f"it has {len(octets)} octets, a status has at most {MOST_OCTETS}")
-    try:
-        given = json.loads(octets)
-    except (ValueError, RecursionError):
-        raise ValueError("it is no JSON") from None
-    if not isinstance(given, dict):
-        raise ValueError("it is no JSON object")
+    given = read_object(octets, MOST_OCTETS)
     if given.get("version") != VERSION:
         raise ValueError(f"this program knows version {VERSION} of a status")
     state, verdict = given.get("state"), given.get("verdict")
