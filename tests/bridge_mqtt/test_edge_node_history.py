@@ -75,6 +75,17 @@ def test_the_gap_of_a_slave_that_was_lost_meanwhile_is_there_when_it_is_back(rig
     assert found[1].properties["Quality reason"].startswith("the slave is not in data exchange")
 
 
+def test_values_of_a_device_that_is_back_before_its_death_was_sent_are_not_lost(rig: HistoryRig) -> None:
+    rig.values["8"]["state"] = "offline"
+    rig.count()
+    rig.values["8"]["state"] = "data_exchange"
+    for _ in range(3):
+        rig.count()
+    rig.settle()
+    assert rig.host.alive == {"hoist", "valves"}
+    rig.check_numbers()
+
+
 def test_metrics_that_the_configuration_has_no_more_are_dropped_and_counted(rig: HistoryRig) -> None:
     outage(rig, 3)
     rig.plant["slaves"]["8"]["inputs"][-1] = rig.plant["slaves"]["8"]["inputs"][-1] | {"unit": "kg"}

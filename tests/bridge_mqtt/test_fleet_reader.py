@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 
+import aiomqtt
 import pytest
 from fake_broker import PUBLISH, FakeBroker, publish, user_property
 from fleet_kit import DEATH, LOST, ONLINE, TOPIC, status
@@ -98,6 +99,17 @@ async def test_it_asks_for_births_once(rebirth: str | tuple[str, str], monkeypat
     assert len(asked) == 1
     assert b"spBv1.0/hall 3/NCMD/line 7" in asked[0]
     assert b"Node Control/Rebirth" in asked[0]
+
+
+async def test_births_that_could_not_be_asked_for_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def publish_nothing(*_: object) -> None:
+        raise aiomqtt.MqttError("the connection is lost")
+
+    monkeypatch.setattr(aiomqtt.Client, "publish", publish_nothing)
+    async with FakeBroker() as broker:
+        seen = Seen(broker, ("hall 3", "line 7"))
+        async with seen.running():
+            await seen.until(lambda: "only 0 of 1 gateways were asked for births: the connection is lost" in seen.told)
 
 
 async def test_a_wrong_password_is_an_error_at_once() -> None:

@@ -11,7 +11,9 @@ from tls_kit import CERT, KEY, KEY_WITH_PASSWORD, OTHER_KEY
 
 from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
 from dpstack.bridge.mqtt.client import MqttFace
-from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.mqtt.edge_node import NodeSetup, OrderWish
+from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
+from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.tree import PlantTree
 from dpstack.errors import ConfigError
 from dpstack.trace import Severity
@@ -180,3 +182,49 @@ async def test_the_first_connection_of_a_program_waits_a_moment_by_chance(tmp_pa
         serving.cancel()
         await asyncio.wait((serving,))
         face.close()
+
+
+async def test_the_end_of_the_way_to_the_disk_is_told_and_the_face_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def step(_: HistoryKeeper) -> None:
+        raise ZeroDivisionError("a fault")
+
+    monkeypatch.setattr(HistoryKeeper, "step", step)
+    told: list[str] = []
+    face = MqttFace(
+        PlantTree(),
+        lambda text, severity: told.append(text),
+        broker=Broker(url="mqtt://127.0.0.1:1"),
+        setup=NodeSetup("group", "node"),
+        folder=tmp_path,
+        store_mb=1,
+        again_s=0.001,
+    )
+    await face.open()
+    serving = asyncio.create_task(face.serve())
+    text = "values that cannot be delivered are not kept on the disk any more (ZeroDivisionError: a fault)"
+    async with asyncio.timeout(5):
+        while text not in told or len(told) < 3:  # noqa: ASYNC110  the face tells nobody else
+            await asyncio.sleep(0.001)
+    serving.cancel()
+    await asyncio.wait((serving,))
+    face.close()
+
+
+async def test_results_that_were_lost_are_counted(tmp_path: Path) -> None:
+    face = MqttFace(
+        PlantTree(),
+        lambda *_: None,
+        broker=Broker(url="mqtt://127.0.0.1:1"),
+        setup=NodeSetup("group", "node"),
+        folder=tmp_path,
+        make_node=JsonNode,
+    )
+    await face.open()
+    assert face._node is not None
+    for _ in range(300):
+        face._node.answer(OrderWish("valves.lamp", True, 0.0), "refused", "because", 1.0)
+    face.take([])
+    assert face.dropped == 300 - 256
+    face.close()

@@ -147,11 +147,13 @@ class MqttFace(Face):
             if self._status is not None:
                 self._status.take(changes)
             self._wake.set()
-            if self._history is not None:
-                self.dropped = self._lost + self._history.dropped
+            self._count_dropped()
 
     async def serve(self) -> None:
-        keeping = None if self._keeper is None else asyncio.create_task(self._keeper.serve(), name="dpstack mqtt: disk")
+        keeping = None
+        if self._keeper is not None:
+            keeping = asyncio.create_task(self._keeper.serve(), name="dpstack mqtt: disk")
+            keeping.add_done_callback(self._keeping_ended)
         try:
             await self._serve()
         finally:
@@ -346,11 +348,20 @@ class MqttFace(Face):
 
     async def _keep_rest(self, keeper: HistoryKeeper, keeping: asyncio.Task[None]) -> None:
         """At the end of the run: what was not delivered goes to the disk."""
+        if keeping.done():
+            return  # it has ended by a fault, and told it
         keeping.cancel()
         await asyncio.gather(keeping, return_exceptions=True)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_LAST_WRITE_S):
                 await keeper.finish()
+
+    def _keeping_ended(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            text = (
+                f"values that cannot be delivered are not kept on the disk any more ({type(error).__name__}: {error})"
+            )
+            self.tell(text, Severity.ERROR)
 
     # --- orders ---------------------------------------------------------------------------------------------------
 
@@ -395,10 +406,15 @@ class MqttFace(Face):
         lost = getattr(client._queue, "lost", 0)
         if lost:
             self._lost += lost
-            self.dropped += lost
+            self._count_dropped()
             self.tell(
                 f"{lost} messages of the broker came faster than they could be read: they are lost", Severity.WARNING
             )
+
+    def _count_dropped(self) -> None:
+        self.dropped = self._lost
+        self.dropped += 0 if self._node is None else self._node.lost_results
+        self.dropped += 0 if self._history is None else self._history.dropped
 
 
 def _clock() -> float:

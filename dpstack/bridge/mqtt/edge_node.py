@@ -175,6 +175,7 @@ class EdgeNode:
     ) -> None:
         self.phase = Phase.OFFLINE
         self.merged = 0
+        self.lost_results = 0
         self._setup = setup
         self._tree = tree
         self._allowed = allowed
@@ -551,10 +552,11 @@ class EdgeNode:
         return found
 
     def _keep_change(self, slave: int | None, key: str, reading: Reading, *, has_died: bool) -> None:
-        """Keep a change that no data can carry now. A device that is dead has none, but those of its death."""
+        """Keep a change that no data can carry now. A device that is dead has none, but those of its death; one that is
+        back before its DDEATH is out has others."""
         if reading.value is None and reading.reason is Reason.WAITING:
             return
-        if slave in self._deaths:
+        if slave in self._deaths and not self._tree.is_alive(slave):
             self._dying.setdefault(slave, []).extend(self._entries(slave, {key: reading}))
         elif slave is None or has_died or self._tree.is_alive(slave):
             self._keep(self._entries(slave, {key: reading}))

@@ -6,7 +6,6 @@ It subscribes and publishes nothing, but where the caller asks for births.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import random
 import secrets
@@ -184,13 +183,19 @@ class FleetReader:
             assert isinstance(self._rebirth, tuple)
             asked = [self._rebirth]
         self._rebirth = None
-        with contextlib.suppress(aiomqtt.MqttError):
-            for number, (group, node) in enumerate(asked):
-                if number:
+        count = 0
+        try:
+            for group, node in asked:
+                if count:
                     await asyncio.sleep(_REBIRTH_S)
                 topic, payload = rebirth_of(group, node, round(time.time() * 1000))
                 await client.publish(topic, payload)
-            self._tell(f"asked for births: {len(asked)} gateway{'' if len(asked) == 1 else 's'}")
+                count += 1
+        except aiomqtt.MqttError as error:
+            why = shortened(printable(text_of(error)), 200)
+            self._tell(f"only {count} of {len(asked)} gateways were asked for births: {why}")
+        else:
+            self._tell(f"asked for births: {count} gateway{'' if count == 1 else 's'}")
 
 
 def _is_refused(error: BaseException) -> bool:

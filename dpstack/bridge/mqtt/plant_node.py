@@ -16,9 +16,10 @@ from dpstack.bridge.tree import Change, PlantTree
 
 class PlantNode(Protocol):
     """A plant on a broker, without network and clock. ``counts_sessions``: the number of a session is part of what it
-    sends, so one that was lost must be told."""
+    sends, so one that was lost must be told. ``lost_results``: results of orders that were too many to wait."""
 
     counts_sessions: ClassVar[bool]
+    lost_results: int
 
     def __init__(
         self,
