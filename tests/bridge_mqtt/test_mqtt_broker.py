@@ -11,7 +11,7 @@ from tls_kit import CERT, KEY, KEY_WITH_PASSWORD, OTHER_KEY
 
 from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
 from dpstack.bridge.mqtt.client import MqttFace
-from dpstack.bridge.mqtt.edge_node import NodeSetup, OrderWish
+from dpstack.bridge.mqtt.edge_node import NodeSetup
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.tree import PlantTree
@@ -223,8 +223,10 @@ async def test_results_that_were_lost_are_counted(tmp_path: Path) -> None:
     )
     await face.open()
     assert face._node is not None
+    face._node.connect(0, 1.0)
+    face._node.connected()
     for _ in range(300):
-        face._node.answer(OrderWish("valves.lamp", True, 0.0), "refused", "because", 1.0)
+        face._node.receive("dpstack/group/node/slave/valves/set/lamp", b"", 1.0)
     face.take([])
     assert face.dropped == 300 - 256
     face.close()

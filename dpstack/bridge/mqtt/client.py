@@ -30,6 +30,7 @@ from dpstack.bridge.mqtt.connection import (
     connect,
     end_if_cancelled,
     make_client,
+    subscribe,
     text_of,
 )
 from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, NodeSetup, OrderWish, Publish
@@ -227,10 +228,7 @@ class MqttFace(Face):
         )
         try:
             await connect(client)
-            for topic in connection.subscriptions:
-                for code in await client.subscribe(topic, qos=1):
-                    if isinstance(code, ReasonCode) and code.is_failure:
-                        raise aiomqtt.MqttError(f"it refuses the subscription of {topic}: {code}")
+            await subscribe(client, connection.subscriptions, qos=1)
             end_if_cancelled(before)
             node.connected()
             if self._status is not None:

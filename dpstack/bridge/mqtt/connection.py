@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import ssl
+from collections.abc import Iterable
 from typing import Final
 
 import aiomqtt
@@ -130,6 +131,14 @@ async def connect(client: LimitedClient) -> None:
     except OSError as error:
         raise aiomqtt.MqttError(str(error)) from None
     await client.wait_connected()
+
+
+async def subscribe(client: LimitedClient, topics: Iterable[str], qos: int) -> None:
+    """Subscribe. Raises MqttError where the broker refuses a topic, or does not answer in time."""
+    for topic in topics:
+        for code in await client.subscribe(topic, qos=qos):
+            if isinstance(code, ReasonCode) and code.is_failure:
+                raise aiomqtt.MqttError(f"it refuses the subscription of {topic}: {code}")
 
 
 async def close(client: aiomqtt.Client) -> None:

@@ -25,6 +25,7 @@ from dpstack.bridge.mqtt.connection import (
     end_if_cancelled,
     make_client,
     session_of,
+    subscribe,
     text_of,
 )
 from dpstack.bridge.mqtt.fleet import Fleet, Segment, rebirth_of
@@ -133,10 +134,7 @@ class FleetReader:
         asking = None
         try:
             await connect(client)
-            for topic in self._fleet.subscriptions:
-                for code in await client.subscribe(topic, qos=0):
-                    if isinstance(code, ReasonCode) and code.is_failure:
-                        raise aiomqtt.MqttError(f"it refuses the subscription of {topic}: {code}")
+            await subscribe(client, self._fleet.subscriptions, qos=0)
             end_if_cancelled(before)
             self.connected = self.was_connected = True
             self._tell(f"connected to {self._place}")
