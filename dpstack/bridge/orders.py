@@ -56,6 +56,15 @@ class OrderResult(NamedTuple):
     kind: Refusal = Refusal.STATE
 
 
+class Batch:
+    """Orders that came in one message, and are carried out one after the other. The age of each counts from when the
+    message came; a halt that comes by another message ends those behind it, too. See :meth:`Orders.batch`."""
+
+    def __init__(self, came: float, halts: Counter[int]) -> None:
+        self.came = came
+        self.halts = halts
+
+
 class _RefusedError(Exception):
     """The order is not carried out; its text is the reason."""
 
@@ -110,19 +119,34 @@ class Orders:
         """The orders of the plant that :meth:`give` takes."""
         return tuple(order for order in self._tree.orders.values() if is_allowed(self._allow, order.name))
 
+    def takes(self, order: Order) -> bool:
+        """Whether ``order`` is one of :attr:`allowed`, without a search."""
+        return self._tree.orders.get(order.name) == order and is_allowed(self._allow, order.name)
+
+    def batch(self) -> Batch:
+        """A message with several orders has come now: hand the result over to each :meth:`give`."""
+        return Batch(asyncio.get_running_loop().time(), self._halts.copy())
+
     async def give(
-        self, name: str, value: object = None, *, made_at: float | None, late_s: float | None = None
+        self,
+        name: str,
+        value: object = None,
+        *,
+        made_at: float | None,
+        late_s: float | None = None,
+        batch: Batch | None = None,
     ) -> OrderResult:
         """Carry out the order ``name`` (``SLAVE.NAME``) with its argument ``value``, and wait for the result.
 
         ``made_at``: the time of its sender in s since 1970, judged when the order comes and once more right before it
-        is carried out; None where it has none. Its age counts from now then, where ``late_s`` is given: the s that its
-        connection has delivered it late. Raises nothing but the cancellation of its caller, which ends the order as far
-        as the run can take it back.
+        is carried out; None where it has none. Its age counts from now then, or from when ``batch`` came, where
+        ``late_s`` is given: the s that its connection has delivered it late. Raises nothing but the cancellation of its
+        caller, which ends the order as far as the run can take it back.
         """
         name = clean(name)
         loop = asyncio.get_running_loop()
-        came = loop.time()
+        batch = batch or self.batch()
+        came = batch.came
 
         def age() -> float:
             if made_at is not None:
@@ -133,10 +157,11 @@ class Orders:
             order, words = self._judge(name, value, made_at, age)
             if _halts_drive(order):
                 self._halts[order.slave] += 1
+                batch.halts[order.slave] += 1  # a start behind a stop of the same message is meant
                 with self._counted(order.slave, spare=MOST_OF_A_SLAVE):
                     await self._carry(words)
             else:
-                await self._carry_in_turn([order], words, age)
+                await self._carry_in_turn([order], words, age, batch)
         except Exception as error:  # whatever the run does: the sender gets a result
             return self._told(_refused(name, error))
         return self._told(OrderResult(name, "done"))
@@ -166,7 +191,7 @@ class Orders:
         failed: Exception | None = None
         try:
             if orders:
-                await self._carry_in_turn(orders, words, age)
+                await self._carry_in_turn(orders, words, age, self.batch())
         except Exception as error:
             failed = error
         rest = iter(OrderResult(one.name, "done") if failed is None else _refused(one.name, failed) for one in orders)
@@ -185,15 +210,16 @@ class Orders:
         self._refuse_twice(name, made_at, halts_drive=_halts_drive(order))
         return order, words
 
-    async def _carry_in_turn(self, orders: Sequence[Order], words: Sequence[str], age: Callable[[], float]) -> None:
+    async def _carry_in_turn(
+        self, orders: Sequence[Order], words: Sequence[str], age: Callable[[], float], batch: Batch
+    ) -> None:
         """Carry out ``words``, which are those of ``orders`` to one slave, when its turn has come."""
         slave = orders[0].slave
-        halts = self._halts[slave]
         with self._counted(slave):
             async with self._turns.setdefault(slave, asyncio.Lock()):
                 if any(self._find(order.name) != order for order in orders):
                     raise _ChangedError
-                if self._halts[slave] != halts:
+                if self._halts[slave] != batch.halts[slave]:
                     raise _RefusedError("a later order has stopped the drive meanwhile")
                 self._judge_age(age())
                 await self._carry(words)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 from typing import Any
 
 import pytest
@@ -74,6 +75,8 @@ async def test_only_what_is_listed_is_carried_out() -> None:
         "valves.lamp",
         *(f"hoist.{word}" for word in ("start", "stop", "quick_stop", "coast", "acknowledge", "speed")),
     }
+    assert all(run.orders.takes(one) == (one in run.orders.allowed) for one in run.tree.orders.values())
+    assert not run.orders.takes(dataclasses.replace(run.orders.allowed[0], slave=4))
     assert await run.reason("valves.lamp", True) == ""
     assert await run.reason("hoist.start") == ""
     assert await run.reason("hoist.speed", 0.5) == ""
@@ -199,6 +202,28 @@ async def test_a_stop_waits_for_nobody_and_nothing_that_waits_comes_after_it() -
         "",
     ]
     assert run.carried == [("drive", "3", "start"), ("set", "8.lamp=on"), ("drive", "3", "stop")]
+
+
+@in_virtual_time
+async def test_orders_of_one_message_age_from_its_coming_and_end_by_a_stop_of_another() -> None:
+    run = Run("hoist.*", "valves.*", seconds=1.0)
+    batch = run.orders.batch()
+
+    async def reason(name: str, value: object = None) -> str:
+        return (await run.orders.give(name, value, made_at=None, late_s=0.5, batch=batch)).reason
+
+    assert [await reason("valves.speed", number) for number in (1, 2, 3)] == [
+        "",
+        "",
+        "it is 2.5 s old by the clock of this computer; 2 s are allowed",
+    ]
+    batch = run.orders.batch()
+    assert await reason("hoist.stop") == ""
+    assert await reason("hoist.start") == ""  # behind a stop of its own message
+    batch = run.orders.batch()
+    assert await run.reason("hoist.stop") == ""
+    assert await reason("hoist.start") == "a later order has stopped the drive meanwhile"
+    assert run.carried[2:] == [("drive", "3", "stop"), ("drive", "3", "start"), ("drive", "3", "stop")]
 
 
 @in_virtual_time

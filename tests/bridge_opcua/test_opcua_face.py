@@ -16,12 +16,14 @@ import pytest_asyncio
 from asyncua import Client, ua
 from opcua_rig import ANNA, BOB, Rig, id_of
 
-from dpstack.bridge.conditions import Condition, Level
+from dpstack.bridge.conditions import Condition, ConditionBook, Level
 from dpstack.bridge.opcua import server as limits
+from dpstack.bridge.opcua.alarms import SERVER, Event, refresh
 from dpstack.bridge.opcua.certificate import utc_now
 from dpstack.bridge.opcua.face import OpcUaFace
 from dpstack.bridge.opcua.server import MOST_QUEUE
 from dpstack.bridge.opcua.space import DRIVE_STATES
+from dpstack.bridge.orders import Orders
 from dpstack.errors import ConfigError, PortError
 from dpstack.profile.model.states import State
 
@@ -161,6 +163,61 @@ async def test_a_stop_overtakes_a_start_that_takes_long(rig: Rig) -> None:
         executable = [await one.get_node(method("start")).read_attribute(ua.AttributeIds.UserExecutable)
                       for one in (anonymous, anna)]  # fmt: skip
         assert [one.Value.Value for one in executable] == [False, True]
+
+
+async def test_a_stop_ends_the_orders_behind_it_in_the_request_of_another(rig: Rig) -> None:
+    drive = id_of("slave/9/drive")
+    start, speed, stop = (id_of(f"slave/9/drive/method/{word}") for word in ("start", "speed", "stop"))
+    rig.given.clear()
+    rig.slow.clear()
+    async with rig.connected(ANNA) as one, rig.connected(ANNA) as other:
+        asked = [ua.CallMethodRequest(drive, start, []), ua.CallMethodRequest(drive, speed, [ua.Variant(1.0)])]
+        calling = asyncio.create_task(one.uaclient.call(asked))
+        await rig.until(lambda: rig.starting)
+        assert await call(other, drive, stop) == GOOD
+        rig.slow.set()
+        assert [result.StatusCode.value for result in await calling] == [GOOD, BAD_STATE]
+    assert rig.given == [("drive", "9", "stop"), ("drive", "9", "start")]
+
+
+async def test_requests_that_name_much_search_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A request may name a thousand nodes, and the plant may have thousands of orders and conditions."""
+
+    def searched(_: object) -> Any:
+        raise AssertionError("a search")
+
+    monkeypatch.setattr(Orders, "allowed", property(searched))
+    monkeypatch.setattr(ConditionBook, "__iter__", searched)
+    async with rig.connected(BOB) as bob:
+        assert await write(bob, "slave/8/output/lamp", True, ua.VariantType.Boolean) == BAD_ACCESS_DENIED
+        assert await write(bob, "slave/8/output/horn", True, ua.VariantType.Boolean) == BAD_NOT_WRITABLE
+        assert await call(bob, id_of("condition/slave/8/none"), ua.NodeId(9113)) == BAD_NODE
+
+
+async def test_a_refresh_of_many_conditions_lets_others_have_their_turn(rig: Rig) -> None:
+    class Items:
+        def __init__(self) -> None:
+            self._monitored_events = {SERVER: [5], id_of("bus"): [6]}
+            self.seen: list[tuple[str, int]] = []
+
+        async def _trigger_event(self, event: Event, item: int) -> None:
+            self.seen.append((event.fields["Message"].Value, item))
+
+    async def pause(begun: float) -> float:
+        items.seen.append(("pause", 0))
+        return begun
+
+    items: Any = Items()
+    begin, one, end = (Event((), {"Message": ua.Variant(text)}, SERVER) for text in ("begin", "one", "end"))
+    await refresh(items, 5, begin, lambda: [(one, (SERVER,))] * 60, end, pause)
+    assert [text for text, _ in items.seen] == ["begin", *(["one"] * 25 + ["pause"]) * 2, *["one"] * 10, "end"]
+    assert {item for _, item in items.seen} == {0, 5}
+    async with rig.connected() as client:
+        subscription = await client.create_subscription(100, Seen())
+        rig.face._refreshing.add(subscription.subscription_id)
+        number = ua.Variant(subscription.subscription_id, ua.VariantType.UInt32)
+        assert await call(client, ua.NodeId(2782), ua.NodeId(3875), number) == 0x80970000  # BadRefreshInProgress
+        rig.face._refreshing.clear()
 
 
 async def test_a_slave_that_is_lost_leaves_its_last_value_and_an_alarm_until_it_is_acknowledged(rig: Rig) -> None:

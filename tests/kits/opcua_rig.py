@@ -47,7 +47,9 @@ class Rig:
         chosen = OpcUaSettings("127.0.0.1:0", "plant", folder / "own" / "c.der", folder / "own" / "k.pem", **made)
         self.face = OpcUaFace(self.tree, self._tell, chosen, orders)
         self.t = 0.0
+        #: a start goes on when this is set
         self.slow = asyncio.Event()
+        self.starting = False
         self.slaves: dict[str, dict[str, Any]] = {"8": VALVES, "9": HOIST}
         self.values: dict[str, dict[str, Any]] = {
             "8": FINE | {"fields": {"level": 5.5, "lamp": False, "flow": 7}},
@@ -59,7 +61,9 @@ class Rig:
 
     async def _carry_out(self, *words: str) -> None:
         if words[-1] == "start":
+            self.starting = True
             await self.slow.wait()
+            self.starting = False
         if words[-1] == "8.flow=4000":
             raise UsageError("the run refuses 4000")
         self.given.append(words)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from hashlib import blake2b
 from typing import Any, Final
@@ -28,6 +29,8 @@ _SYSTEM_TYPES: Final = _ids(ua.ObjectIds.SystemEventType, ua.ObjectIds.BaseEvent
 SERVER: Final = ua.NodeId(ua.ObjectIds.Server)
 #: events of a condition that a client may still name
 _MOST_KNOWN: Final = 32
+#: conditions of a refresh until others have their turn
+_AT_ONCE: Final = 25
 
 
 class Event:
@@ -67,6 +70,7 @@ class Alarms:
         self._run = run
         self._node = node
         self._wall = wall
+        self._system_events = 0
 
     def event_id(self, condition: Condition, count: int | None = None) -> bytes:
         """The same for all nodes that emit it, and for a refresh of it. ``count``: of an earlier event."""
@@ -125,10 +129,10 @@ class Alarms:
 
     def system_event(self, kind: int, message: str, now: datetime) -> Event:
         """RefreshStartEventType, RefreshEndEventType, BaseModelChangeEventType."""
-        self._count = getattr(self, "_count", 0) + 1
+        self._system_events += 1
+        id_ = blake2b(self._run + f"system {self._system_events}".encode(), digest_size=16).digest()
         fields = {
-            "EventId": ua.Variant(blake2b(self._run + f"system {self._count}".encode(), digest_size=16).digest(),
-                                  _V.ByteString),
+            "EventId": ua.Variant(id_, _V.ByteString),
             "EventType": ua.Variant(ua.NodeId(kind), _V.NodeId),
             "SourceNode": ua.Variant(SERVER, _V.NodeId),
             "SourceName": ua.Variant("Server", _V.String),
@@ -152,18 +156,24 @@ async def refresh(
     service: MonitoredItemService,
     item: int | None,
     begin: Event,
-    retained: Sequence[tuple[Event, Iterable[ua.NodeId]]],
+    retained: Callable[[], Iterable[tuple[Event, Sequence[ua.NodeId]]]],
     end: Event,
+    pause: Callable[[float], Awaitable[float]],
 ) -> None:
-    """ConditionRefresh of a subscription, or of one of its monitored items (Part 9, 5.5.7 and 5.5.8)."""
+    """ConditionRefresh of a subscription, or of one of its monitored items (Part 9, 5.5.7 and 5.5.8). ``retained``:
+    events, and the nodes that emit them. ``pause``: waits until others had their turn; it takes the processor time
+    at which the work before began, and returns that at which the next one begins."""
+    begun = time.thread_time()
     for node, items in tuple(service._monitored_events.items()):
         for one in tuple(items):
             if item is not None and one != item:
                 continue
             await service._trigger_event(begin.at(node), one)
-            for event, nodes in retained:
+            for number, (event, nodes) in enumerate(retained(), 1):
                 if node in nodes:
                     await service._trigger_event(event.at(node), one)
+                if number % _AT_ONCE == 0:
+                    begun = await pause(begun)
             await service._trigger_event(end.at(node), one)
 
 

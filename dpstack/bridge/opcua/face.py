@@ -8,11 +8,11 @@ import math
 import os
 import socket
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import ClassVar, Final, TypeVar
 
 from asyncua import ua
 from asyncua.server.monitored_item_service import MonitoredItemService
@@ -21,7 +21,7 @@ from cryptography import x509
 from dpstack.bridge.conditions import Condition
 from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.nodes import Node, Order
-from dpstack.bridge.opcua.alarms import SERVER, Alarms, emit, refresh, utc
+from dpstack.bridge.opcua.alarms import SERVER, Alarms, Event, emit, refresh, utc
 from dpstack.bridge.opcua.certificate import (
     application_uri,
     client_fault,
@@ -36,7 +36,7 @@ from dpstack.bridge.opcua.lateness import LATE_S, seconds_of
 from dpstack.bridge.opcua.server import LimitedServer, LimitedSession, quieten
 from dpstack.bridge.opcua.space import NAMESPACE, VARIANTS, Space
 from dpstack.bridge.opcua.users import Account, Users, read_users
-from dpstack.bridge.orders import Orders, Refusal
+from dpstack.bridge.orders import Batch, Orders, Refusal
 from dpstack.bridge.quality import Reading, Value
 from dpstack.bridge.tree import Change, Changed, ClockSet, NodesChanged, PlantTree
 from dpstack.errors import ConfigError, UsageError
@@ -51,7 +51,10 @@ MOST_EVENTS_WAITING: Final = 4096
 _AT_ONCE: Final = 100
 #: addresses that stand for all of this computer
 _EVERYWHERE: Final = ("", "0.0.0.0", "::")
+#: writes and calls of one request that are worked on until others have their turn
+_OPERATIONS_AT_ONCE: Final = 25
 _S = ua.StatusCodes
+_T = TypeVar("_T")
 _REFRESH: Final = ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh)
 _REFRESH_ITEM: Final = ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2)
 _ACKNOWLEDGE: Final = ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge)
@@ -119,6 +122,8 @@ class OpcUaFace(Face):
         self._forgotten = 0
         self._lock = -1
         self._told_names: set[str] = set()
+        #: subscriptions that get a refresh of the conditions
+        self._refreshing: set[int] = set()
 
     @property
     def port(self) -> int:
@@ -307,8 +312,19 @@ class OpcUaFace(Face):
 
     # --- orders of clients ----------------------------------------------------------------------------------------
 
-    async def write(self, value: ua.WriteValue, who: Account | None) -> ua.StatusCode:
-        """A client's write: of an output that ``allow_commands`` lists, by a user who may."""
+    async def write(self, values: Sequence[ua.WriteValue], who: Account | None) -> list[ua.StatusCode]:
+        """A client's writes: of outputs that ``allow_commands`` lists, by a user who may."""
+        batch = self._orders.batch()
+        return [result async for result in _one_by_one(self._write(one, who, batch) for one in values)]
+
+    async def call(
+        self, methods: Sequence[ua.CallMethodRequest], who: Account | None, session: LimitedSession
+    ) -> list[ua.CallMethodResult]:
+        """A client's calls: orders of drives, refreshes of conditions, acknowledgements."""
+        batch = self._orders.batch()
+        return [result async for result in _one_by_one(self._call(one, who, session, batch) for one in methods)]
+
+    async def _write(self, value: ua.WriteValue, who: Account | None, batch: Batch) -> ua.StatusCode:
         assert self._space is not None
         assert self._server is not None
         if value.NodeId not in self._server.aspace:
@@ -320,12 +336,11 @@ class OpcUaFace(Face):
         if value.IndexRange or (given.StatusCode is not None and not given.StatusCode.is_good()):
             return ua.StatusCode(_S.BadWriteNotSupported)
         assert node.order is not None
-        return await self._give(node.order, given.Value, who, node, seconds_of(given.SourceTimestamp))
+        return await self._give(node.order, given.Value, who, node, seconds_of(given.SourceTimestamp), batch)
 
-    async def call(
-        self, method: ua.CallMethodRequest, who: Account | None, session: LimitedSession
+    async def _call(
+        self, method: ua.CallMethodRequest, who: Account | None, session: LimitedSession, batch: Batch
     ) -> ua.CallMethodResult:
-        """A client's call: an order of a drive, a refresh of conditions, an acknowledgement."""
         assert self._space is not None
         assert self._server is not None
         arguments = list(method.InputArguments or ())
@@ -345,7 +360,7 @@ class OpcUaFace(Face):
         wanted = 0 if order.type is None else 1
         if len(arguments) != wanted:
             return _result(_S.BadArgumentsMissing if len(arguments) < wanted else _S.BadTooManyArguments)
-        status = await self._give(order, arguments[0] if arguments else None, who, None, None)
+        status = await self._give(order, arguments[0] if arguments else None, who, None, None, batch)
         result = ua.CallMethodResult(status)
         if arguments:
             wrong = status.value in (_S.BadTypeMismatch, _S.BadOutOfRange)
@@ -355,10 +370,16 @@ class OpcUaFace(Face):
         return result
 
     def _is_allowed(self, order: Order | None) -> bool:
-        return order is not None and any(one is order or one == order for one in self._orders.allowed)
+        return order is not None and self._orders.takes(order)
 
     async def _give(
-        self, order: Order, given: ua.Variant | None, who: Account | None, node: Node | None, made_at: float | None
+        self,
+        order: Order,
+        given: ua.Variant | None,
+        who: Account | None,
+        node: Node | None,
+        made_at: float | None,
+        batch: Batch,
     ) -> ua.StatusCode:
         if who is None or not who.control:
             return ua.StatusCode(_S.BadUserAccessDenied)
@@ -376,7 +397,7 @@ class OpcUaFace(Face):
         if not self.tree.is_alive(order.slave):
             await self._show_last(order.name, "refused", "the slave is not in data exchange")
             return ua.StatusCode(_S.BadNoCommunication)
-        result = await self._orders.give(order.name, value, made_at=made_at, late_s=LATE_S.get())
+        result = await self._orders.give(order.name, value, made_at=made_at, late_s=LATE_S.get(), batch=batch)
         await self._show_last(result.name, result.result, result.reason)
         if result.result == "done":
             return ua.StatusCode()
@@ -408,18 +429,36 @@ class OpcUaFace(Face):
         items = session.subscription_service.subscriptions[subscription].monitored_item_srv
         if wanted == 2 and not any(item in ids for ids in items._monitored_events.values()):
             return int(_S.BadMonitoredItemIdInvalid)
+        if subscription in self._refreshing:
+            return int(_S.BadRefreshInProgress)
         now, alarms = self._now(), self._alarms
-        retained = [(alarms.event(one, self._source_name(one), now), alarms.emitters(one))
-                    for one in self.tree.conditions if one.retain]  # fmt: skip
         begin = alarms.system_event(ua.ObjectIds.RefreshStartEventType, "refresh begins", now)
         end = alarms.system_event(ua.ObjectIds.RefreshEndEventType, "refresh has ended", now)
-        await refresh(items, item, begin, retained, end)
+        assert self._server is not None
+        self._refreshing.add(subscription)
+        try:
+            await refresh(items, item, begin, self._retained, end, self._server.pace.pause)
+        finally:
+            self._refreshing.discard(subscription)
         return 0
 
+    def _retained(self) -> Iterator[tuple[Event, tuple[ua.NodeId, ...]]]:
+        """The event of each retained condition, as it is when it is asked for, and the nodes that emit it."""
+        assert self._alarms is not None
+        now = self._now()
+        for one in self.tree.conditions:
+            condition = self.tree.conditions.get(one.id)
+            if condition is not None:
+                yield (
+                    self._alarms.event(condition, self._source_name(condition), now),
+                    self._alarms.emitters(condition),
+                )
+
     def _condition(self, node: ua.NodeId) -> Condition | None:
-        alarms = self._alarms
-        assert alarms is not None
-        return next((one for one in self.tree.conditions if alarms.condition_id(one) == node), None)
+        assert self._alarms is not None
+        text = str(node.Identifier).removeprefix("condition/")
+        found = self.tree.conditions.get(text)
+        return found if found is not None and self._alarms.condition_id(found) == node else None
 
     def _speak(self, method: ua.CallMethodRequest, arguments: list[ua.Variant], who: Account | None) -> int:
         """Acknowledge and AddComment (Part 9, 5.7.3 and 5.5.6)."""
@@ -448,6 +487,14 @@ class OpcUaFace(Face):
             return int(_S.BadEventIdUnknown)  # its user has not seen that it came again
         self.acknowledge(found.id, who.name, said)
         return 0
+
+
+async def _one_by_one(operations: Iterable[Awaitable[_T]]) -> AsyncIterator[_T]:
+    """The results of operations of one request; others have their turn between them."""
+    for number, one in enumerate(operations, 1):
+        yield await one
+        if number % _OPERATIONS_AT_ONCE == 0:
+            await asyncio.sleep(0)
 
 
 def _result(code: int) -> ua.CallMethodResult:

@@ -58,13 +58,13 @@ _BAD_ITEMS: Final = ua.StatusCode(_S.BadTooManyMonitoredItems)
 
 
 class Services(Protocol):
-    """Writes and calls of clients. ``who`` None: an anonymous one, which may only read."""
+    """Writes and calls of clients, all of one request. ``who`` None: an anonymous one, which may only read."""
 
-    async def write(self, value: ua.WriteValue, who: Account | None) -> ua.StatusCode: ...
+    async def write(self, values: Sequence[ua.WriteValue], who: Account | None) -> list[ua.StatusCode]: ...
 
     async def call(
-        self, method: ua.CallMethodRequest, who: Account | None, session: LimitedSession
-    ) -> ua.CallMethodResult: ...
+        self, methods: Sequence[ua.CallMethodRequest], who: Account | None, session: LimitedSession
+    ) -> list[ua.CallMethodResult]: ...
 
 
 class Pace:
@@ -88,6 +88,13 @@ class Pace:
         await asyncio.sleep(0)
         while (debt := self._now()) > _IN_A_ROW:  # noqa: ASYNC110  time heals it
             await asyncio.sleep(max(debt - _IN_A_ROW, 0.001))
+
+    async def pause(self, begun: float) -> float:
+        """Wait between two parts of a long work. ``begun``: when the last part began, by :func:`time.thread_time`;
+        returns when the next one does."""
+        self.spent(time.thread_time() - begun)
+        await self.turn()
+        return time.thread_time()
 
 
 class LimitedServer(InternalServer):
@@ -307,11 +314,11 @@ class LimitedSession(InternalSession):
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         _limit(params.NodesToWrite)
-        return [await self.iserver.services.write(one, self.account) for one in params.NodesToWrite]
+        return await self.iserver.services.write(params.NodesToWrite, self.account)
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
         _limit(params)
-        return [await self.iserver.services.call(one, self.account, self) for one in params]
+        return await self.iserver.services.call(params, self.account, self)
 
     # --- subscriptions --------------------------------------------------------------------------------------------
 
