@@ -106,6 +106,7 @@ class Orders:
         self._turns: dict[int, asyncio.Lock] = {}
         #: number of the halts of each slave
         self._halts: Counter[int] = Counter()
+        self._halting: set[asyncio.Task[None]] = set()
         self._remark_at = -_REMARK_S
         self._untold = 0
 
@@ -141,7 +142,7 @@ class Orders:
         ``made_at``: the time of its sender in s since 1970, judged when the order comes and once more right before it
         is carried out; None where it has none. Its age counts from now then, or from when ``batch`` came, where
         ``late_s`` is given: the s that its connection has delivered it late. Raises nothing but the cancellation of its
-        caller, which ends the order as far as the run can take it back.
+        caller, which ends the order as far as the run can take it back; a halt that has begun goes on.
         """
         name = clean(name)
         loop = asyncio.get_running_loop()
@@ -159,7 +160,7 @@ class Orders:
                 self._halts[order.slave] += 1
                 batch.halts[order.slave] += 1  # a start behind a stop of the same message is meant
                 with self._counted(order.slave, spare=MOST_OF_A_SLAVE):
-                    await self._carry(words)
+                    await self._carry_on(words)
             else:
                 await self._carry_in_turn([order], words, age, batch)
         except Exception as error:  # whatever the run does: the sender gets a result
@@ -223,6 +224,18 @@ class Orders:
                     raise _RefusedError("a later order has stopped the drive meanwhile")
                 self._judge_age(age())
                 await self._carry(words)
+
+    async def _carry_on(self, words: Sequence[str]) -> None:
+        """Carry out a halt to its end, also where its sender has gone meanwhile."""
+        task = asyncio.ensure_future(self._carry(words))
+        self._halting.add(task)
+        task.add_done_callback(self._halted)
+        await asyncio.shield(task)
+
+    def _halted(self, task: asyncio.Task[None]) -> None:
+        self._halting.discard(task)
+        if not task.cancelled():
+            task.exception()  # asyncio reports one that nobody has asked for
 
     async def _carry(self, words: Sequence[str]) -> None:
         try:

@@ -257,6 +257,19 @@ async def test_an_order_whose_sender_has_gone_is_taken_back() -> None:
 
 
 @in_virtual_time
+async def test_a_stop_whose_sender_has_gone_is_carried_out() -> None:
+    run = Run("hoist.*", seconds=5.0)
+    for order in ("hoist.start", "hoist.stop"):
+        given = asyncio.ensure_future(run.reason(order))
+        await asyncio.sleep(1)
+        given.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await given
+    await asyncio.sleep(5)
+    assert run.carried == [("drive", "3", "stop")]
+
+
+@in_virtual_time
 async def test_a_configuration_that_changes_meanwhile_is_judged_again() -> None:
     """While the order waits, the slaves exchange their names."""
     run = Run("valves.lamp", seconds=1.0)

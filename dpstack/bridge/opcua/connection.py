@@ -37,8 +37,12 @@ _LEAST_CHUNK: Final = 8192
 MOST_SEALED: Final = 2048
 #: connections of one address: another computer finds room when this one takes what it gets
 MOST_OF_ADDRESS: Final = 16
-#: orders of one connection that are carried out at a time
-_MOST_ORDERS: Final = 8
+#: requests with orders that one connection has carried out at a time, and how many of them may be long; those beyond
+#: hold up what comes behind them, also a stop
+_MOST_ORDERS: Final = 40
+_MOST_LONG: Final = 8
+#: octets beyond which a request is long
+_LONG: Final = 4096
 _ID: Final = ua.ObjectIds
 _S = ua.StatusCodes
 
@@ -140,7 +144,8 @@ class Processor(UaProcessor):
 
     async def process_message(self, seqhdr: Any, body: Any) -> Any:
         body = Octets(bytes(body), READS if self.is_active else READS_BEFORE_SESSION)
-        if nodeid_from_binary(body.copy()) in _ORDERS and len(self._orders) < _MOST_ORDERS:
+        most = _MOST_LONG if len(body) > _LONG else _MOST_ORDERS
+        if nodeid_from_binary(body.copy()) in _ORDERS and len(self._orders) < most:
             task = asyncio.create_task(super().process_message(seqhdr, body))
             self._orders.add(task)
             task.add_done_callback(self._ordered)
