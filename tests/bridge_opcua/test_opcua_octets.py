@@ -274,7 +274,7 @@ async def test_requests_get_half_of_the_time_beyond_a_burst(monkeypatch: pytest.
 async def test_queues_of_a_client_that_fetches_nothing_are_bounded_and_what_they_drop_is_counted() -> None:
     losses, none = Losses(), cast(Any, None)
     made = InternalSubscription(ua.CreateSubscriptionResult(78, 100.0), none, none, ua.NodeId(1), lambda _: None)
-    bound(made, losses)
+    bound(made, losses, lambda: [made])
     for number in range(25):
         await made.enqueue_datachange_event(1, ua.MonitoredItemNotification(number), 10)
         await made.enqueue_datachange_event(2, ua.MonitoredItemNotification(number), 1)

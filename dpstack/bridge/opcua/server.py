@@ -20,6 +20,7 @@ from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.address_space import ViewService
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession, SessionState
+from asyncua.server.internal_subscription import InternalSubscription
 
 from dpstack.bridge.opcua.decoding import guard
 from dpstack.bridge.opcua.standard_nodes import add_standard_nodes
@@ -326,6 +327,9 @@ class LimitedSession(InternalSession):
         found = self.subscription_service.subscriptions.get(subscription)
         return found is not None and found.session_id == self.session_id
 
+    def _own_subscriptions(self) -> list[InternalSubscription]:
+        return [one for one in self.subscription_service.subscriptions.values() if one.session_id == self.session_id]
+
     def _check_own(self, subscription: int) -> None:
         if not self.owns(subscription):
             raise ServiceError(_S.BadSubscriptionIdInvalid)
@@ -337,7 +341,9 @@ class LimitedSession(InternalSession):
         interval = params.RequestedPublishingInterval
         params.RequestedPublishingInterval = min(max(interval, FASTEST_MS), 3_600_000.0) if interval > 0 else FASTEST_MS
         made = await super().create_subscription(params, callback, request_callback)
-        bound(self.subscription_service.subscriptions[made.SubscriptionId], self.iserver.losses)
+        bound(
+            self.subscription_service.subscriptions[made.SubscriptionId], self.iserver.losses, self._own_subscriptions
+        )
         return made
 
     async def create_monitored_items(

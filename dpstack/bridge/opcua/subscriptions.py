@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 from asyncua import ua
 from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.server.monitored_item_service import MonitoredItemService, WhereClauseEvaluator
 
-#: values in one message; the others come with the next one
+#: values, and fields of events, in one message; the others come with the next one
 MOST_IN_MESSAGE: Final = 5000
+MOST_FIELDS_IN_MESSAGE: Final = 20_000
+#: values and fields of events in messages that a session has not acknowledged; its newest message is always kept
+MOST_UNACKED_VALUES: Final = 10_000
 #: fields of an event that a client selects; elements of its filter; their evaluations for one event
 MOST_FIELDS: Final = 100
 MOST_ELEMENTS: Final = 50
@@ -64,7 +68,10 @@ class Subscription(InternalSubscription):
     leaves no other place, by :func:`bound`."""
 
     losses: Losses
+    #: all subscriptions of the same session
+    of_session: Callable[[], Iterable[InternalSubscription]]
     _triggered_datachanges: dict[int, list[Any]]
+    _triggered_events: dict[int, list[Any]]
 
     def _pop_triggered_datachanges(self, result: ua.PublishResult) -> None:
         rest: dict[int, list[Any]] = {}
@@ -75,6 +82,36 @@ class Subscription(InternalSubscription):
                 rest[item] = self._triggered_datachanges.pop(item)
         super()._pop_triggered_datachanges(result)
         self._triggered_datachanges = rest
+
+    def _pop_triggered_events(self, result: ua.PublishResult) -> None:
+        rest: dict[int, list[Any]] = {}
+        fields = 0
+        for item, events in tuple(self._triggered_events.items()):
+            for number, event in enumerate(events):
+                fields += len(event.EventFields)
+                if fields > MOST_FIELDS_IN_MESSAGE:
+                    rest[item] = events[number:]
+                    del events[number:]
+                    break
+            if not events:
+                del self._triggered_events[item]
+        super()._pop_triggered_events(result)
+        self._triggered_events = rest
+
+    def _pop_publish_result(self) -> ua.PublishResult:
+        result = super()._pop_publish_result()
+        kept = [[one, _weights(one)] for one in self.of_session()]
+        while sum(sum(weights) for _, weights in kept) > MOST_UNACKED_VALUES:
+            # the oldest message of the subscription with most
+            one, weights = max(kept, key=lambda pair: sum(pair[1]))
+            results = one._not_acknowledged_results
+            oldest = next(iter(results))
+            if results[oldest] is result:
+                break
+            del results[oldest]
+            del weights[0]
+        result.AvailableSequenceNumbers = list(self._not_acknowledged_results)
+        return result
 
     async def _enqueue_event(self, mid: int, eventdata: Any, size: int, queue: dict[int, list[Any]]) -> None:
         # a queue of one holds the newest value: that one takes its place is no loss
@@ -119,11 +156,28 @@ class Items(MonitoredItemService):
         return ua.StatusCode()
 
 
-def bound(made: InternalSubscription, losses: Losses) -> None:
-    """Make a subscription of asyncua one with bounds."""
+def bound(made: InternalSubscription, losses: Losses, of_session: Callable[[], Iterable[InternalSubscription]]) -> None:
+    """Make a subscription of asyncua one with bounds. ``of_session``: all subscriptions of the same session."""
     made.__class__ = Subscription
     made.losses = losses
+    made.of_session = of_session
     made.monitored_item_srv.__class__ = Items
+
+
+def _weights(subscription: InternalSubscription) -> list[int]:
+    """The values and fields in each message that was not acknowledged, oldest first."""
+    return [
+        sum(_weight(one) for one in result.NotificationMessage.NotificationData)
+        for result in subscription._not_acknowledged_results.values()
+    ]
+
+
+def _weight(notification: Any) -> int:
+    if isinstance(notification, ua.DataChangeNotification):
+        return len(notification.MonitoredItems)
+    if isinstance(notification, ua.EventNotificationList):
+        return sum(len(one.EventFields) for one in notification.Events)
+    return 1
 
 
 def judged_filter(given: Any, *, is_event: bool) -> tuple[Any, int | None]:
