@@ -511,6 +511,11 @@ async def test_wrong_passwords_certificates_and_channels_are_refused(rig: Rig) -
     with pytest.raises(Exception):  # noqa: B017  the client of asyncua tells a closed connection in several ways
         async with asyncio.timeout(10), rig.connected(ANNA, days=-1):
             pass
+    other = rig.client(ANNA)
+    await other.set_security_string(rig.security)
+    other.application_uri = "urn:another"
+    with pytest.raises(ua.UaStatusCodeError, match="URI"):
+        await other.connect()
     unsecured = rig.client(ANNA)
     with pytest.raises((ua.UaError, ConnectionError, TimeoutError, ValueError)):
         async with asyncio.timeout(10), unsecured:

@@ -104,7 +104,7 @@ class Rig:
         cert, key = make_certificate(self.folder, days)
         client = Client(f"opc.tcp://127.0.0.1:{self.face.port}", timeout=10)
         client.application_uri = "urn:client"
-        self._security = f"Basic256Sha256,SignAndEncrypt,{cert},{key}"
+        self.security = f"Basic256Sha256,SignAndEncrypt,{cert},{key}"
         if user is not None:
             client.set_user(user[0])
             client.set_password(user[1])
@@ -113,7 +113,7 @@ class Rig:
     @contextlib.asynccontextmanager
     async def connected(self, user: tuple[str, str] | None = None, *, days: int = 30) -> AsyncIterator[Client]:
         client = self.client(user, days=days)
-        await client.set_security_string(self._security)
+        await client.set_security_string(self.security)
         async with client:
             yield client
 

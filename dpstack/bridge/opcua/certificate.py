@@ -174,6 +174,14 @@ def client_fault(der: bytes, trusted: frozenset[bytes] | None, now: datetime) ->
     return None
 
 
+def is_of_application(der: bytes, uri: str | None) -> bool:
+    """Whether a client's certificate is for the application ``uri`` (Part 4, 5.6.2; Part 6, 6.2.2)."""
+    try:
+        return uri in _uris(x509.load_der_x509_certificate(der))
+    except ValueError:
+        return False
+
+
 def _uris(cert: x509.Certificate) -> list[str]:
     return [str(one.value) for one in _names(cert) if isinstance(one, x509.UniformResourceIdentifier)]
 

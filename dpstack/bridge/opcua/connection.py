@@ -22,7 +22,7 @@ from asyncua.server.internal_session import SessionState
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import header_from_binary, nodeid_from_binary, struct_from_binary, uatcp_to_binary
 
-from dpstack.bridge.opcua.certificate import CLIENT_FAULTS
+from dpstack.bridge.opcua.certificate import CLIENT_FAULTS, is_of_application
 from dpstack.bridge.opcua.decoding import READS, READS_BEFORE_SESSION, Octets
 from dpstack.bridge.opcua.lateness import LATE_S, Lateness
 from dpstack.bridge.opcua.server import MOST_OPERATIONS, LimitedServer, digest
@@ -164,13 +164,22 @@ class Processor(UaProcessor):
             raise ServiceError(_S.BadSecurityPolicyRejected)
         if typeid not in _WITHOUT_USER and not self.is_active:
             raise ServiceError(_S.BadSessionNotActivated)
-        if typeid == _CREATE and self.session is not None and self.session.state is not SessionState.Closed:
-            # asyncua would keep the session before, which is not active, for ever
-            raise ServiceError(_S.BadTooManySessions)
+        if typeid == _CREATE:
+            if self.session is not None and self.session.state is not SessionState.Closed:
+                # asyncua would keep the session before, which is not active, for ever
+                raise ServiceError(_S.BadTooManySessions)
+            self._judge_application(body.copy())
         LATE_S.set(self._lateness.of(requesthdr.Timestamp, asyncio.get_running_loop().time()))
         if typeid == _ACTIVATE:
             await self._verify(requesthdr, body.copy())
         return await super()._process_message(typeid, requesthdr, seqhdr, body)
+
+    def _judge_application(self, body: Buffer) -> None:
+        """The name by which a client shows itself must be that of its certificate."""
+        client = struct_from_binary(ua.CreateSessionParameters, body).ClientDescription
+        shown = self._connection.security_policy.peer_certificate
+        if shown is None or not is_of_application(shown, client.ApplicationUri):
+            raise ServiceError(_S.BadCertificateUriInvalid)
 
     async def _verify(self, requesthdr: Any, body: Buffer) -> None:
         """Look at a password in a thread, as that takes long; the user manager of the server finds the result."""
