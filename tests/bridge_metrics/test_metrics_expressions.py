@@ -44,6 +44,28 @@ def test_metrics_and_labels_of_an_expression_are_in_the_table(one: Expression) -
         assert shown <= set[str].union(*(SERIES.get(name, OF_TARGET) for name in used))
 
 
+def test_the_share_of_repetitions_is_one_of_requests() -> None:
+    [alert] = [one.text for one in ALL if one.where == "alert DpstackSlaveRetries"]
+
+    def fires(*, requests: int, repeated: int, unanswered: int = 0, late: int = 0, wrong: int = 0) -> bool:
+        answers = requests - unanswered
+        counts = {
+            "telegrams": requests + repeated + answers + late + wrong,
+            "retries": repeated,
+            "timeouts": unanswered,
+            "late": late,
+            "wrong": wrong,
+        }
+        text = re.sub(r"rate\(dpstack_slave_(\w+)_total\[5m\]\)", lambda found: str(counts[found[1]]), alert)
+        assert re.fullmatch(r"[-\d\s.*/()+>]+", text)
+        return bool(eval(text))
+
+    assert not fires(requests=10_000, repeated=90)
+    assert fires(requests=10_000, repeated=110)
+    assert not fires(requests=10_000, repeated=90, unanswered=5000, late=900, wrong=900)
+    assert fires(requests=10_000, repeated=110, unanswered=5000, late=900, wrong=900)
+
+
 def test_the_dashboard_can_be_read_at_a_glance() -> None:
     """Each panel has a place of its own, a unit, a text for people, legends, and follows the choice of segments."""
     board = json.loads((FOLDER / "dpstack.dashboard.json").read_text(encoding="utf-8"))
