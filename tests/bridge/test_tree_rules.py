@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plant_items import HOIST, PLANT, VALVES
 from property_kit import examples
 
 from dpstack.bridge.conditions import MOST_OF_A_SLAVE, Condition
@@ -16,34 +17,10 @@ from dpstack.bridge.nodes import Kind, Node, Source
 from dpstack.bridge.quality import Quality, Reading, Reason
 from dpstack.bridge.tree import SILENT_S, STATISTICS_S, Born, Change, Changed, Died, NodesChanged, PlantTree, Remark
 
-PLANT: dict[str, Any] = {
-    "version": 1,
-    "started": 1_700_000_000.0,
-    "port": "/dev/ttyUSB0",
-    "baud": 500_000,
-    "address": 2,
-    "read_only": False,
-    "slaves": {
-        "3": {"name": "hoist", "watchdog_ms": 200.0, "drive": {"profile": "demag-dedrive"}},
-        "8": {
-            "name": "valves",
-            "watchdog_ms": 0,
-            "inputs": [
-                {"name": "level", "type": "i16", "at": "i16@0", "scale": 0.5, "unit": "bar", "dead_band": 1.0},
-                {"name": "limit", "type": "bool", "at": "bool@2.0"},
-            ],
-            "outputs": [{"name": "lamp", "type": "bool", "at": "bool@0.1"}],
-        },
-    },
-}
 IDENT = copy.deepcopy(PLANT) | {"slaves": {"3": PLANT["slaves"]["3"] | {"ident": "0x1234"}, "8": PLANT["slaves"]["8"]}}
 LONELY = PLANT | {"slaves": {"8": PLANT["slaves"]["8"]}}
 AGAIN = PLANT | {"started": 1_700_000_500.0}
 SEARCHING = PLANT | {"baud": None, "slaves": {}}
-#: the values of a slave in data exchange
-FINE: dict[str, Any] = {"state": "data_exchange", "inputs_valid": True, "inputs_age_ms": 1.5, "inputs_limit_ms": 100.0}
-VALVES = FINE | {"fields": {"level": 12.5, "limit": True, "lamp": False}, "exchanges": 5}
-HOIST = FINE | {"drive": {"state": "running", "running": True, "speed": 0.5, "faults": [], "warnings": []}}
 
 
 def snapshot(t: float, slaves: dict[str, Any], *, whole: bool = False, bus: dict[str, Any] | None = None) -> Any:
@@ -487,6 +464,7 @@ def test_orders() -> None:
     assert set(tree.orders) == {
         *(f"hoist.{word}" for word in ("start", "stop", "quick_stop", "coast", "acknowledge", "speed")),
         "valves.lamp",
+        "valves.speed",
     }
     assert tree.orders["valves.lamp"].words(True) == ("set", "8.lamp=on")
     assert tree.orders["hoist.speed"].words(0.5) == ("drive", "3", "speed", "0.5")

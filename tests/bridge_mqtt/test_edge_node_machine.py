@@ -7,10 +7,11 @@ import itertools
 import tempfile
 from pathlib import Path
 
-from edge_node_rig import PLANT, Rig
+from edge_node_rig import Rig
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from plant_items import PLANT
 from property_kit import examples
 
 from dpstack.bridge.mqtt.edge_node import Phase

@@ -7,7 +7,8 @@ import math
 from pathlib import Path
 
 import pytest
-from edge_node_rig import PLANT, VALVES, Rig
+from edge_node_rig import Rig
+from plant_items import PLANT, VALVES
 
 from dpstack.bridge.mqtt.edge_node import NodeSetup, Phase
 from dpstack.errors import ConfigError

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from edge_node_rig import GROUP, HOIST, NODE, PLANT, VALVES
+from edge_node_rig import GROUP, NODE
 from hypothesis import given
 from hypothesis import strategies as st
+from plant_items import HOIST, PLANT, VALVES
 from property_kit import examples
 
 from dpstack.bridge.mqtt.edge_node import Disconnect, NodeSetup, OrderWish, Publish

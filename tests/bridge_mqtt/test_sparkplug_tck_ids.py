@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Final
 
 import pytest
-from edge_node_rig import GROUP, NODE, PLANT, Rig, metric
+from edge_node_rig import GROUP, NODE, Rig, metric
 from history_rig import HistoryRig
+from plant_items import PLANT
 from sparkplug_host import FIELD_OF, Payload, read_payload
 
 from dpstack.bridge.mqtt.edge_node import Disconnect, Phase

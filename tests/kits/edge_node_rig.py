@@ -5,8 +5,9 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
+from plant_items import HOIST, PLANT, VALVES
 from sparkplug_host import Host, read_payload, tag
 
 from dpstack.bridge.mqtt.edge_node import (
@@ -22,43 +23,6 @@ from dpstack.bridge.mqtt.edge_node import (
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.tree import Change, ClockSet, PlantTree
 
-PLANT: Final[dict[str, Any]] = {
-    "version": 1,
-    "started": 1_700_000_000.0,
-    "port": "/dev/ttyUSB0",
-    "baud": 500_000,
-    "address": 2,
-    "read_only": False,
-    "slaves": {
-        "3": {"name": "hoist", "watchdog_ms": 200.0, "drive": {"profile": "demag-dedrive"}},
-        "8": {
-            "name": "valves",
-            "watchdog_ms": 0,
-            "inputs": [
-                {"name": "level", "type": "i16", "at": "i16@0", "scale": 0.5, "unit": "bar", "dead_band": 1.0},
-                {"name": "limit", "type": "bool", "at": "bool@2.0"},
-                {"name": "count", "type": "i8", "at": "i8@3"},
-            ],
-            "outputs": [
-                {"name": "lamp", "type": "bool", "at": "bool@0.1"},
-                {"name": "speed", "type": "u8", "at": "u8@1"},
-            ],
-        },
-    },
-}
-FINE: Final[dict[str, Any]] = {
-    "state": "data_exchange",
-    "inputs_valid": True,
-    "inputs_age_ms": 1.5,
-    "inputs_limit_ms": 100.0,
-}
-VALVES: Final = FINE | {
-    "fields": {"level": 12.5, "limit": True, "count": -3, "lamp": False, "speed": 9},
-    "exchanges": 5,
-}
-HOIST: Final = FINE | {
-    "drive": {"state": "running", "running": True, "speed": 0.5, "setpoint": 0.5, "faults": [], "warnings": []}
-}
 GROUP, NODE = "plant 1", "segment 4"
 
 

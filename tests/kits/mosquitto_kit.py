@@ -14,7 +14,8 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from edge_node_rig import GROUP, HOIST, NODE, PLANT, VALVES
+from edge_node_rig import GROUP, NODE
+from plant_items import HOIST, PLANT, VALVES
 from sparkplug_host import Host
 
 from dpstack.bridge.face import Tell
