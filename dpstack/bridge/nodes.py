@@ -108,12 +108,13 @@ class Described:
     left_out: int = 0
 
 
-_STATISTIC_TEXTS: Final[Mapping[str, str]] = {
+#: counters of a slave by their key in the live stream
+SLAVE_COUNTERS: Final[Mapping[str, str]] = {
     "exchanges": "Data_Exchange with valid answers",
-    "telegrams": "requests sent, repetitions too",
-    "retries": "repeated requests",
-    "timeouts": "requests without an answer",
-    "late": "answers after the slot time",
+    "telegrams": "telegrams to and from the slave",
+    "retries": "repeated requests to the slave",
+    "timeouts": "requests that the slave did not answer",
+    "late": "answers of the slave after the slot time",
     "wrong": "answers of a kind that does not fit the request",
 }
 _ALARM_COUNTS: Final = ("raised", "acknowledged", "repeated", "refused", "too_many", "dropped", "not_enabled")
@@ -237,7 +238,7 @@ def _own_nodes(own: str, address: int, *, read_only: bool, dpv1: bool) -> Iterat
     if read_only:
         yield node(Kind.SLAVE, ("Master",), "u8", "master", text="address of its master")
     yield node(Kind.DIAGNOSIS, ("Diagnosis",), TEXT, "conspicuous", text="unusual flags and texts of the diagnosis")
-    for name, text in _STATISTIC_TEXTS.items():
+    for name, text in SLAVE_COUNTERS.items():
         yield node(Kind.STATISTIC, ("Statistics", name), COUNT, name, text=text)
     for name in _ALARM_COUNTS if dpv1 else ():
         yield node(Kind.STATISTIC, ("Statistics", "alarms", name), COUNT, "alarms", name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.bridge import nodes
 from dpstack.bridge.verdicts import VERDICTS
 
 GAUGE, COUNTER, HISTOGRAM = "gauge", "counter", "histogram"
@@ -64,12 +65,7 @@ BUS_HISTOGRAMS: Final = {
 _SLAVE: Final = ("address", "slave")
 #: counters of a slave by their key in the live stream
 SLAVE_COUNTERS: Final = {
-    "exchanges": Metric("dpstack_slave_exchanges_total", COUNTER, _SLAVE, "Data_Exchange with valid answers"),
-    "telegrams": Metric("dpstack_slave_telegrams_total", COUNTER, _SLAVE, "telegrams to and from the slave"),
-    "retries": Metric("dpstack_slave_retries_total", COUNTER, _SLAVE, "repeated requests to the slave"),
-    "timeouts": Metric("dpstack_slave_timeouts_total", COUNTER, _SLAVE, "requests that the slave did not answer"),
-    "late": Metric("dpstack_slave_late_total", COUNTER, _SLAVE, "answers of the slave after the slot time"),
-    "wrong": Metric("dpstack_slave_wrong_total", COUNTER, _SLAVE, "answers of a kind that does not fit the request"),
+    key: Metric(f"dpstack_slave_{key}_total", COUNTER, _SLAVE, text) for key, text in nodes.SLAVE_COUNTERS.items()
 }
 
 BUILD: Final = Metric("dpstack_build_info", GAUGE, ("version",), "1; the version of dpstack")

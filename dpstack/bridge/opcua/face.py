@@ -118,8 +118,8 @@ class OpcUaFace(Face):
         self._events: deque[Condition] = deque(maxlen=MOST_EVENTS_WAITING)
         self._structure = True
         self._left_out = 0
-        #: values that the history has dropped, as counted in `dropped`
-        self._forgotten = 0
+        #: it was told that the history has too little room
+        self._told_history = False
         self._lock = -1
         self._told_names: set[str] = set()
         #: subscriptions that get a refresh of the conditions
@@ -265,12 +265,9 @@ class OpcUaFace(Face):
             left_out, self._left_out = self._left_out, 0
             self.dropped += left_out
             self.tell(f"{left_out} events were left out; a refresh of the conditions brings them", Severity.WARNING)
-        if self.history.dropped > self._forgotten:
-            is_first = not self._forgotten
-            self.dropped += self.history.dropped - self._forgotten
-            self._forgotten = self.history.dropped
-            if not is_first:
-                return
+        # they reached the clients that were there, so they do not count as dropped: an alarm would never end
+        if self.history.dropped and not self._told_history:
+            self._told_history = True
             self.tell(
                 f"the history has room for {self.settings.history_values} values, which is less than "
                 f"{self.settings.history_s:g} s: the oldest go; give a greater history_values",
