@@ -76,6 +76,18 @@ async def test_wrong_passwords_wait_longer_and_longer() -> None:
     assert many == [None] * 10
 
 
+@in_virtual_time
+async def test_wrong_passwords_of_one_address_hold_up_no_other() -> None:
+    loop = asyncio.get_running_loop()
+    users = Users({"anna": Account("anna", True, hash_password("right one"))})
+    wrong = [asyncio.ensure_future(users.verify("anna", "wrong one", "10.0.0.2")) for _ in range(8)]
+    await asyncio.sleep(0)
+    begin = loop.time()
+    assert await users.verify("anna", "right one", "10.0.0.1") is not None
+    assert loop.time() - begin < 3.5  # those of the other address wait so long
+    assert await asyncio.gather(*wrong) == [None] * 8
+
+
 def test_the_certificate_is_made_once_and_judged_by_its_dates(tmp_path: Path) -> None:
     cert, key = tmp_path / "own" / "c.der", tmp_path / "own" / "k.pem"
     first, _ = own_certificate(cert, key, uri="urn:x", hosts=["here", "127.0.0.1"], now=NOW)

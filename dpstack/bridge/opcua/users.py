@@ -31,7 +31,7 @@ _LONGEST_PASSWORD: Final = 512
 _SHORTEST_PASSWORD: Final = 8
 #: seconds before the next password from an address is looked at, by the number of wrong ones before it
 _PAUSES_S: Final = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-#: addresses whose wrong passwords are remembered; passwords that wait at one time
+#: addresses whose wrong passwords are remembered; passwords of one address that wait at one time
 _MOST_ADDRESSES: Final = 1024
 _MOST_WAITING: Final = 4
 _HOW: Final = "one line for each user, made by `python -m dpstack.bridge.opcua.users NAME control` (or read)"
@@ -47,36 +47,44 @@ class Account:
 
 
 class Users:
-    """The users of a server; :meth:`verify` looks at passwords in a thread, one at a time."""
+    """The users of a server; :meth:`verify` looks at passwords in a thread, one at a time. Pauses hold up only the
+    address that gave the wrong ones."""
 
     def __init__(self, accounts: dict[str, Account]) -> None:
         self.accounts = accounts
         self._wrong: OrderedDict[str, int] = OrderedDict()
         self._turn = asyncio.Lock()
-        self._waiting = 0
+        #: lock and number of the passwords of an address that wait
+        self._waiting: dict[str, tuple[asyncio.Lock, int]] = {}
 
     async def verify(self, name: str, password: str, address: str) -> Account | None:
-        """The account ``name`` where ``password`` is right; None: wrong, or too many passwords wait."""
-        if self._waiting >= _MOST_WAITING or len(password) > _LONGEST_PASSWORD:
+        """The account ``name`` where ``password`` is right; None: wrong, or too many passwords of ``address`` wait."""
+        turn, waiting = self._waiting.get(address, (asyncio.Lock(), 0))
+        if waiting >= _MOST_WAITING or len(password) > _LONGEST_PASSWORD:
             return None
-        self._waiting += 1
+        self._waiting[address] = turn, waiting + 1
         try:
-            async with self._turn:
+            async with turn:
                 wrong = self._wrong.get(address, 0)
                 await asyncio.sleep(_PAUSES_S[min(wrong, len(_PAUSES_S) - 1)])
                 account = self.accounts.get(name)
                 # an unknown name takes the same time
                 given = account.hash if account is not None else _NOBODY
-                right = await asyncio.to_thread(is_right, password, given) and account is not None
+                async with self._turn:
+                    right = await asyncio.to_thread(is_right, password, given) and account is not None
+                self._count(address, right=right)
         finally:
-            self._waiting -= 1
-        if right:
-            self._wrong.pop(address, None)
-            return account
-        self._wrong[address] = self._wrong.pop(address, 0) + 1
+            turn, waiting = self._waiting.pop(address)
+            if waiting > 1:
+                self._waiting[address] = turn, waiting - 1
+        return account if right else None
+
+    def _count(self, address: str, *, right: bool) -> None:
+        wrong = self._wrong.pop(address, 0)
+        if not right:
+            self._wrong[address] = wrong + 1
         while len(self._wrong) > _MOST_ADDRESSES:
             self._wrong.popitem(last=False)
-        return None
 
 
 def hash_password(password: str) -> str:
