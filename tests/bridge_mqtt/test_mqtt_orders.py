@@ -8,8 +8,9 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from edge_node_rig import GROUP, HOIST, NODE, PLANT, VALVES
+from edge_node_rig import GROUP, NODE
 from fake_broker import FakeBroker, publish, text
+from plant_items import HOIST, PLANT, VALVES
 
 from dpstack.bridge.mqtt import sparkplug_pb2 as pb
 from dpstack.bridge.mqtt.broker import Broker

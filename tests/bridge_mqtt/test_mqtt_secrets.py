@@ -7,8 +7,9 @@ import copy
 from pathlib import Path
 
 import pytest
-from edge_node_rig import FINE, GROUP, HOIST, NODE, PLANT, VALVES
+from edge_node_rig import GROUP, NODE
 from fake_broker import CONNECT, PUBLISH, FakeBroker, text, user_property
+from plant_items import FINE, HOIST, PLANT, VALVES
 
 from dpstack.bridge.mqtt.broker import Broker, read_password
 from dpstack.bridge.mqtt.client import MqttFace
