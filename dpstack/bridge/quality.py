@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from enum import Enum, IntEnum, unique
 from typing import Final, NamedTuple
 
@@ -10,6 +10,8 @@ from dpstack.text import printable, shortened
 
 #: characters of a text that a node holds
 MOST_TEXT: Final = 1024
+#: the greatest number of four octets (IEEE 754); a face could not encode a greater one
+_MOST_F32: Final = (2 - 2**-23) * 2.0**127
 #: octets of a value: more than a slave has
 _MOST_OCTETS: Final = 244
 #: the value of a node; None: there is none
@@ -125,7 +127,8 @@ def value_of(given: object, type_: str) -> Value:
         number = float(given)
     except OverflowError:
         return None
-    return number if math.isfinite(number) else None
+    most = _MOST_F32 if type_ == "f32" else sys.float_info.max
+    return number if abs(number) <= most else None
 
 
 def _octets(given: object) -> bytes | None:

@@ -4,6 +4,7 @@ judge of its own."""
 from __future__ import annotations
 
 import copy
+import struct
 from typing import Any
 
 import pytest
@@ -14,7 +15,7 @@ from property_kit import examples
 
 from dpstack.bridge.conditions import MOST_OF_A_SLAVE, Condition
 from dpstack.bridge.nodes import Kind, Node, Source
-from dpstack.bridge.quality import Quality, Reading, Reason
+from dpstack.bridge.quality import Quality, Reading, Reason, value_of
 from dpstack.bridge.tree import SILENT_S, STATISTICS_S, Born, Change, Changed, Died, NodesChanged, PlantTree, Remark
 
 IDENT = copy.deepcopy(PLANT) | {"slaves": {"3": PLANT["slaves"]["3"] | {"ident": "0x1234"}, "8": PLANT["slaves"]["8"]}}
@@ -487,3 +488,19 @@ def test_an_order_that_could_mean_two_drives_is_none() -> None:
     changes = tree.apply({"plant": PLANT | {"slaves": slaves}}, 0.0)
     assert tree.orders == {}
     assert Remark("2 orders are called hoist.start: none of them can be given") in changes
+
+
+def test_a_number_that_its_octets_cannot_hold_is_none() -> None:
+    """The encoder of a face would raise."""
+    (most,) = struct.unpack(">f", bytes.fromhex("7f7fffff"))
+    for sign in (1, -1):
+        assert value_of(sign * most, "f32") == sign * most
+        assert value_of(sign * most * 1.0001, "f32") is None
+        assert value_of(sign * 1e308, "f64") == sign * 1e308
+        for type_ in ("f32", "f64"):
+            assert (
+                value_of(sign * float("inf"), type_)
+                is value_of(10**400, type_)
+                is value_of(float("nan"), type_)
+                is None
+            )
