@@ -177,8 +177,8 @@ class Processor(UaProcessor):
     def _judge_application(self, body: Buffer) -> None:
         """The name by which a client shows itself must be that of its certificate."""
         client = struct_from_binary(ua.CreateSessionParameters, body).ClientDescription
-        shown = self._connection.security_policy.peer_certificate
-        if shown is None or not is_of_application(shown, client.ApplicationUri):
+        shown = self._connection.security_policy.peer_certificate or b""
+        if not is_of_application(shown, client.ApplicationUri):
             raise ServiceError(_S.BadCertificateUriInvalid)
 
     async def _verify(self, requesthdr: Any, body: Buffer) -> None:

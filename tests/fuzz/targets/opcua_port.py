@@ -87,7 +87,10 @@ async def _main(octets: bytes) -> None:
     good = await by.Wire(server, "10.0.0.1").opened()
     wire = by.Wire(server, "10.0.0.2")
     unsecured = connection._SERVICES if stage == _STAGES - 1 else connection._UNSECURED
-    with mock.patch.object(connection, "_UNSECURED", unsecured):
+    with (
+        mock.patch.object(connection, "_UNSECURED", unsecured),
+        mock.patch.object(connection, "is_of_application", return_value=True),  # nor are there certificates
+    ):
         await wire.send(_FIRST[min(stage, 2)])
         if stage == _STAGES - 1:
             await wire.send(wire.message(_RIGHT[2]))
