@@ -170,7 +170,7 @@ def test_nothing_else_listens_on_a_network() -> None:
     assert found == {
         "api/control/server.py",
         "bridge/metrics/http_server.py",
-        "bridge/opcua/server.py",
+        "bridge/opcua/connection.py",
         "tcp_address.py",
         "web/server.py",
     }
