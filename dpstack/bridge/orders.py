@@ -312,7 +312,7 @@ class Orders:
         if now - self._remark_at < _REMARK_S:
             self._untold += 1
             return
-        more = f" ({self._untold} more were refused before)" if self._untold else ""
+        more = f" ({self._untold} more {'was' if self._untold == 1 else 'were'} refused before)" if self._untold else ""
         self._remark_at, self._untold = now, 0
         self._tell(f"order {result.name} refused: {result.reason}{more}", Severity.WARNING)
 

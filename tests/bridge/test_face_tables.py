@@ -82,7 +82,10 @@ def test_errors_of_reading_name_the_line(text: str, error: str) -> None:
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ('url = "http://x"\ngroup = "plant"', "plant:13: [mqtt]: url 'http://x': write mqtt://HOST:PORT, or with TLS"),
+        (
+            'url = "http://x"\ngroup = "plant"',
+            "plant:13: [mqtt]: url 'http://x' is no address of a broker; write mqtt://",
+        ),
         ('url = "mqtt://anna:abc@x"\ngroup = "p"', "plant:13: [mqtt]: url: user and password have keys of their own"),
         (
             'url = "mqtt://x"\ngroup = "a/b"',
@@ -92,7 +95,14 @@ def test_errors_of_reading_name_the_line(text: str, error: str) -> None:
             LEAST + 'format = "json"\nprimary_host = "scada"',
             "plant:16: [mqtt]: primary_host: plain JSON knows none; take it out, or write format",
         ),
-        (LEAST + 'cert = "c.pem"', "plant:12: [mqtt]: ca, cert and key need TLS: write mqtts:// in url; correct it"),
+        (LEAST + 'cert = "c.pem"', "plant:12: [mqtt]: ca, cert and key need TLS; write mqtts:// in url"),
+        (LEAST.replace("mqtt:", "mqtts:") + 'cert = "c"', "plant:15: [mqtt]: cert and key go together; give both"),
+        (
+            LEAST.replace("mqtt:", "mqtts:") + 'ca = "none.pem"',
+            "plant:15: [mqtt]: ca none.pem: No such file or directory",
+        ),
+        (LEAST + '[opcua]\ncert = "c.der"', "plant:16: [opcua]: cert and key go together; give both, or neither"),
+        (LEAST + '[opcua]\nusers_file = "none"', "plant:15: [opcua]: none: cannot be read"),
         (LEAST + 'user = "anna"\npassword_env = "NO_SUCH"', "plant:16: [mqtt]: password_env: the environment has no"),
         (LEAST + 'allow_commands = ["valves.lmap"]', "plant:15: [mqtt]: allow_commands: 'valves.lmap' fits no order"),
     ],

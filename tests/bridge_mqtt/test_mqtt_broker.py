@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import os
+import ssl
 from pathlib import Path
 
+import aiomqtt
 import pytest
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
 from tls_kit import CERT, KEY, KEY_WITH_PASSWORD, OTHER_KEY
 
 from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
 from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.connection import text_of
 from dpstack.bridge.mqtt.edge_node import NodeSetup
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.json_node import JsonNode
@@ -102,6 +107,19 @@ def test_passwords_come_from_the_environment_or_from_a_file_of_ones_own(
     for name in ("fifo", "none"):
         with pytest.raises(ConfigError, match=r"is no file|No such file"):
             read_password("", tmp_path / name)
+
+
+def test_errors_of_the_connection_are_in_words() -> None:
+    lost = aiomqtt.MqttCodeError(ReasonCode(PacketTypes.DISCONNECT, identifier=0x80))
+    assert text_of(lost) == "it has ended the connection, or the network has"
+    assert text_of(aiomqtt.MqttCodeError(ReasonCode(PacketTypes.CONNACK, identifier=0x87))) == "Not authorized"
+    refused = ssl.SSLCertVerificationError(1, "certificate verify failed (_ssl.c:1006)")
+    refused.verify_message = "certificate has expired"
+    assert text_of(refused).startswith("its certificate is refused (certificate has expired); see url")
+    wrapped = aiomqtt.MqttError("gone")
+    wrapped.__cause__ = ConnectionRefusedError(111, "Connection refused")
+    assert text_of(wrapped) == "Connection refused"
+    assert text_of(OSError()) == "OSError"
 
 
 def test_every_edge_node_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:

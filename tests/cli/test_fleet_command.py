@@ -32,7 +32,7 @@ LOST: dict[str, Any] = GOOD | {
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        ("--mqtt http://x", "--mqtt 'http://x': write mqtt://HOST:PORT"),
+        ("--mqtt http://x", "--mqtt 'http://x' is no address of a broker; write mqtt://HOST:PORT"),
         ("--mqtt mqtt://me:sesame@x", "--mqtt: user and password have keys of their own"),
         ("--mqtt mqtt://x --password-env NO_SUCH", "--password-env: the environment has no variable 'NO_SUCH'"),
         ("--mqtt mqtt://x --password-file /none", "--password-file /none"),

@@ -81,7 +81,8 @@ def read_listen(table: Table, name: str, _: Key) -> object:
             raise UsageError(f"{name} = {value!r} is no text")
         Listen.parse(value, name)
     except UsageError as error:
-        table.fail(name, str(error), 'write for instance "127.0.0.1:9464"')
+        what = str(error).partition("; ")[0]
+        table.fail(name, what, 'write "HOST:PORT", "[::1]:PORT" or "PORT", with a port up to 65535')
     return value
 
 
@@ -101,7 +102,8 @@ class OpcUaConfig(FaceConfig, frozen=True, kw_only=True):
     listen: address and port of the server. Left out: `"127.0.0.1:4840"`, which this computer alone reaches
     name: the name of this server, part of its URI; each server of a computer needs one of its own
     cert: its certificate (DER or PEM). Left out: `opcua/NAME.der` in the state directory, made at the first start
-    key: the key (PEM, mode 0600) of `cert`. Left out: `opcua/NAME.pem` in the state directory, made at the first start
+    key: the key (PEM, mode 0600) of `cert`; both or neither. Left out: `opcua/NAME.pem` in the state directory, made at
+        the first start
     trust_dir: the directory with the certificates of clients that may connect. Left out: any client, as its user may
     users_file: the [users](opcua.md#users), mode 0600. Left out: there are none
     anonymous: `"read"`: a client without a user may read and subscribe; `"no"`: it may not connect

@@ -92,6 +92,9 @@ def _opcua(config: OpcUaConfig, parts: Parts) -> Face:
     from dpstack.bridge.opcua.certificate import state_file
     from dpstack.bridge.opcua.face import OpcUaFace, OpcUaSettings
 
+    # else the missing one would be looked for, or made, in the state directory
+    if bool(config.cert) != bool(config.key):
+        raise ConfigError("cert and key go together; give both, or neither: then both are made at the first start")
     settings = OpcUaSettings(
         config.listen,
         config.name,

@@ -119,7 +119,8 @@ class Publishing:
                 with self._blaming(name):
                     self._faces.append(kind.make(self._tables[name], parts))
             for face in self._faces:
-                await face.open()
+                with self._blaming(face.name):
+                    await face.open()
             self._stream = self._bus.live(_INTERVAL_S)
             self._gateway = Gateway(self._items(self._stream), self._faces, tree=self._tree, tell=self._tell)
         except BaseException:
@@ -174,7 +175,7 @@ class Publishing:
 
     @contextlib.contextmanager
     def _blaming(self, name: str) -> Iterator[None]:
-        """Turn a ConfigError about a value into one with its place; its text begins with the key."""
+        """Turn a ConfigError about a value into one with its place: the key with which its text begins, or the table."""
         try:
             yield
         except ConfigError as error:

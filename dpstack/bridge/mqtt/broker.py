@@ -46,17 +46,19 @@ class Broker:
         if "@" in parts.netloc:
             raise ConfigError("url: user and password have keys of their own (user, password_file); take them out")
         if parts.scheme not in _PORTS or not host or parts.path not in ("", "/") or parts.query or parts.fragment:
-            raise ConfigError(f"url {printable(self.url)!r}: write mqtt://HOST:PORT, or with TLS mqtts://HOST:PORT")
+            raise ConfigError(
+                f"url {printable(self.url)!r} is no address of a broker; write mqtt://HOST:PORT, or with TLS mqtts://HOST:PORT"
+            )
         object.__setattr__(self, "host", host)
         object.__setattr__(self, "port", port or _PORTS[parts.scheme])
         # not by the text of url: a scheme may be written in capitals
         object.__setattr__(self, "is_tls", parts.scheme == "mqtts")
         if not self.is_tls and (self.ca or self.cert or self.key):
-            raise ConfigError("ca, cert and key need TLS: write mqtts:// in url")
+            raise ConfigError("ca, cert and key need TLS; write mqtts:// in url")
         if bool(self.cert) != bool(self.key):
-            raise ConfigError("cert and key go together: give both")
+            raise ConfigError("cert and key go together; give both")
         if self.password and not self.user:
-            raise ConfigError("a password needs a user")
+            raise ConfigError("a password needs a user; give one")
 
     def tls_context(self) -> ssl.SSLContext | None:
         """Reads the files; None without TLS. The broker's certificate and its name are always judged. Raises
@@ -90,7 +92,7 @@ def read_password(env: str, file: Path | None) -> str:
     the password.
     """
     if env and file is not None:
-        raise ConfigError("password_env and password_file: give one of them")
+        raise ConfigError("password_env and password_file are both there; give one of them")
     if env:
         if not os.environ.get(env):
             raise ConfigError(f"password_env: the environment has no variable {printable(env)!r}, or it is empty")

@@ -29,6 +29,7 @@ _SESSION: Final = "session"
 _MOST_DIGITS: Final = 9
 #: reason code of MQTT 5 (2.4)
 _DISCONNECT_WITH_WILL: Final = 0x04
+_UNSPECIFIED: Final = 0x80
 
 
 class Inbox(asyncio.Queue[aiomqtt.Message]):
@@ -162,4 +163,9 @@ def text_of(error: BaseException) -> str:
     """The reason of an error of the connection; a text of the libraries, which hold no secrets."""
     cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
     code = getattr(cause, "rc", None)
-    return str(code) if isinstance(code, ReasonCode) else str(cause) or type(error).__name__
+    if isinstance(code, ReasonCode):
+        # paho's code for a socket that was closed without a word
+        return "it has ended the connection, or the network has" if code.value == _UNSPECIFIED else str(code)
+    if isinstance(cause, ssl.SSLCertVerificationError):
+        return f"its certificate is refused ({cause.verify_message}); see url (its host) and ca (who signed it)"
+    return (isinstance(cause, OSError) and cause.strerror) or str(cause) or type(error).__name__

@@ -40,7 +40,9 @@ def own_certificate(
     there = [path for path in (cert, key) if path.exists()]
     if len(there) == 1:
         missing = key if there[0] == cert else cert
-        raise ConfigError(f"{missing}: is missing beside {there[0]}; remove that to have both made anew")
+        raise ConfigError(
+            f"{missing}: is missing beside {there[0]}; put it there, or remove that to have both made anew"
+        )
     if not there:
         _make(cert, key, uri, hosts, now)
     text = read_private(key)

@@ -201,6 +201,8 @@ class Processor(UaProcessor):
         account = await users.verify(name, password, self.address)
         if account is not None:
             self.iserver.verified[name, digest(password)] = account
+        else:
+            self.iserver.losses.cut_off(self.address, "gave a wrong user or password")
 
     async def close(self) -> None:
         for task in tuple(self._orders):

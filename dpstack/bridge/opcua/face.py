@@ -163,6 +163,8 @@ class OpcUaFace(Face):
         self._space.add_last_command()
         await self._ua.get_node(SERVER).set_event_notifier([ua.EventNotifier.SubscribeToEvents])
         self._alarms = Alarms(os.urandom(8), self._space.node, self.wall)
+        # a client shows the certificate at its first connection, and somebody has to compare it
+        self.tell(f"opc.tcp://{join(shown, self.port)}, certificate {chosen.cert}", Severity.INFO)
 
     def take(self, changes: Sequence[Change]) -> None:
         for change in changes:

@@ -119,7 +119,11 @@ class FleetView:
         fleet = [one for one, _ in zip(self._fleet, range(max(1, room)), strict=False)]
         while True:
             out = len(self._fleet) - len(fleet)
-            title = f"{out} more segments, none of them worse: the window is too small" if out else ""
+            title = (
+                f"{out} more segment{'' if out == 1 else 's'}, none of them worse: the window is too small"
+                if out
+                else ""
+            )
             rows = [self._row(one, console.width) for one in fleet]
             styles = [_STYLES[one.state.value] for one in fleet]
             table = drawing.rich_table(title, _COLUMNS, rows, console.width, styles)
