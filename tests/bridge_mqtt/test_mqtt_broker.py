@@ -119,6 +119,10 @@ def test_errors_of_the_connection_are_in_words() -> None:
     wrapped = aiomqtt.MqttError("gone")
     wrapped.__cause__ = ConnectionRefusedError(111, "Connection refused")
     assert text_of(wrapped) == "Connection refused"
+    for hidden, text in ((refused, "its certificate is refused"), (TimeoutError(), "Operation timed out")):
+        copied = aiomqtt.MqttError("Operation timed out")
+        copied.__context__, copied.__suppress_context__ = hidden, True  # as "from None" does
+        assert text_of(copied).startswith(text)
     assert text_of(OSError()) == "OSError"
 
 

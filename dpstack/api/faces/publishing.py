@@ -175,7 +175,7 @@ class Publishing:
 
     @contextlib.contextmanager
     def _blaming(self, name: str) -> Iterator[None]:
-        """Turn a ConfigError about a value into one with its place: the key with which its text begins, or the table."""
+        """Turn a ConfigError about a value into one with its place: the key that its text begins with, or the table."""
         try:
             yield
         except ConfigError as error:

@@ -162,6 +162,9 @@ async def close(client: aiomqtt.Client) -> None:
 def text_of(error: BaseException) -> str:
     """The reason of an error of the connection; a text of the libraries, which hold no secrets."""
     cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
+    hidden = error.__context__ if isinstance(error, aiomqtt.MqttError) else None
+    if cause is error and isinstance(hidden, OSError) and hidden.strerror:
+        cause = hidden  # aiomqtt takes its text only, "from None"
     code = getattr(cause, "rc", None)
     if isinstance(code, ReasonCode):
         # paho's code for a socket that was closed without a word
