@@ -338,7 +338,7 @@ async def test_tls_with_user_password_and_client_certificate(tmp_path: Path, col
             [
                 (made(password="wrong secret"), "Not authorized"),
                 (made("expired"), "certificate expired"),
-                (made(ca=None), "certificate verify failed"),
+                (made(ca=None), "its certificate is refused"),
             ]
         ):
             plant = Plant(tmp_path / str(number), wrong)
