@@ -44,18 +44,21 @@ class WorkerThread(Executor):
 
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:
-            future, function = call
-            result, failed = None, None
-            try:
-                result = function()
-            except BaseException as error:
-                failed = error
-            if self._loop is not None and self._loop.is_closed():
-                continue  # nobody waits any more
-            if failed is None:
-                future.set_result(result)
-            else:
-                future.set_exception(failed)
+            self._carry_out(*call)
+            del call  # while it waits, this thread keeps neither a result nor a file alive
+
+    def _carry_out(self, future: Future[Any], function: Callable[[], object]) -> None:
+        result, failed = None, None
+        try:
+            result = function()
+        except BaseException as error:
+            failed = error
+        if self._loop is not None and self._loop.is_closed():
+            return  # nobody waits any more
+        if failed is None:
+            future.set_result(result)
+        else:
+            future.set_exception(failed)
 
 
 async def in_thread(name: str, function: Callable[..., T], *arguments: Any) -> T:
