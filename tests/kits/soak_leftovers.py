@@ -46,7 +46,8 @@ def handles_of(pid: int | str = "self") -> list[str]:
 def locks_of(pid: int) -> list[str]:
     """The file locks that the process ``pid`` holds, as /proc/locks has them."""
     lines = Path("/proc/locks").read_text(encoding="ascii").splitlines()
-    return [line for line in lines if line.split()[4:5] == [str(pid)]]
+    # without its number in the list, which changes with the locks of others
+    return [line.partition(": ")[2] for line in lines if line.split()[4:5] == [str(pid)]]
 
 
 def children_of(pid: int) -> list[int]:
