@@ -570,7 +570,7 @@ class EdgeNode:
                 self._keep(self._entries(slave, {key: before}))
 
     def _keep_pending(self) -> None:
-        """What was not sent, and what the deaths would have said."""
+        """Keep changes that were not sent, and those that the deaths would have shown."""
         if self._node is not None:
             self._keep_pending_of(None, self._node)
         for slave, device in self._devices.items():

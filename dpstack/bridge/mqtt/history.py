@@ -4,7 +4,7 @@ The part that knows no disk, no network and no clock. A value takes this way:
 
 1. The edge node hands it in: it could not be sent (:meth:`History.keep`), or it was sent (:meth:`History.sent`).
 2. NDATA and DDATA have QoS 0, so nothing says that the broker has read one. A round trip of MQTT behind it does
-   (:meth:`History.begin_round`, :meth:`History.confirm`). What is not confirmed when the connection ends is kept.
+   (:meth:`History.begin_round`, :meth:`History.confirm`). Unconfirmed values are kept when the connection ends.
 3. Kept values go to the disk (:meth:`History.take_new`; :mod:`dpstack.bridge.mqtt.history_file`). While a broker
    confirms everything, nothing is written.
 4. Behind the births of the next session they come back in parts, oldest first (:meth:`History.give`), go out as
@@ -190,7 +190,7 @@ class History:
         self._forget_chunk()
 
     def _forget_chunk(self) -> None:
-        """What was read and not confirmed is on the disk still."""
+        """Values that were read and not confirmed are on the disk still."""
         self._chunk.clear()
         self._in_flight.clear()
         self._wanted, self._is_exhausted = None, False

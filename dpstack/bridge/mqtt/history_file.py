@@ -292,7 +292,7 @@ class HistoryFile:
 
     @contextlib.contextmanager
     def _undone_whole(self) -> Iterator[None]:
-        """What a transaction that fails has counted is not counted."""
+        """Take back the counts of a transaction that fails."""
         displaced = self.displaced
         try:
             yield

@@ -36,7 +36,7 @@ _AT_ONCE: Final = 50
 
 
 class _Collected:
-    """What the functions of asyncua would add."""
+    """Collects the nodes that the functions of asyncua would add."""
 
     def __init__(self) -> None:
         self.nodes: dict[ua.NodeId, ua.AddNodesItem] = {}
