@@ -16,7 +16,10 @@ input. All faces publish everything. Around them is one of these:
 The store of MQTT has its default size; its remarks and the size of its file become notes.
 
 The wire and the masters are those of the benchmark ``record``. With the driver process the bus's own process is
-measured for itself; the goals are about that one.
+measured for itself; the goals are about that one. Two habits of the computer would change the figures more than the
+faces do, so they are the same with and without them, where that is permitted (root): no processor sleeps, as the bus
+process has it for a fixed cycle; and the kernel's workers, which carry the octets of a pty, run beside the master,
+because the wire spins and would hold them up, as no real one does.
 """
 
 from __future__ import annotations
@@ -45,11 +48,14 @@ from bench.plant.programs import free_port, wait_for
 from bench.report import Report
 from bench.rig import Bench, Process, Processors, available, bench, note_disturbance, pinned
 from dpstack.bridge.mqtt.history_file import NAME
+from dpstack.drivers.realtime.processors import AwakeProcessors
 from dpstack.units import baud_text
 
 _BAUDS: Final = (500_000, 12_000_000)
 #: up to this rate the wire takes its time
 _PACED: Final = 3_000_000
+#: processors of the kernel's workers that have no own one, as a hexadecimal mask (Documentation/core-api/workqueue.rst)
+_WORKERS: Final = Path("/sys/devices/virtual/workqueue/cpumask")
 #: CPU time per exchange of the bus's own process with faces to that without
 _MOST_CPU: Final = 1.05
 #: messages a second with faces to those without
@@ -95,14 +101,38 @@ def run(argv: list[str]) -> Report:
         without = [one for one in args.around if one not in _MOSQUITTO]
         report.notes.append(f"{', '.join(set(args.around) - set(without))}: left out, mosquitto is not installed")
         args.around = without
-    with pinned() as where:
-        report.notes.append(where.text)
+    with pinned() as where, _steady(where) as but:
+        report.notes.append(where.text + but)
         for kind in available(args.kinds, report.notes):
             for around in args.around:
                 for baud in args.bauds:
                     _cpu(report, kind, baud, around, args, where)
                 _cycles(report, kind, around, args, where)
     return report
+
+
+@contextlib.contextmanager
+def _steady(where: Processors) -> Iterator[str]:
+    """Within it no processor sleeps, and the kernel's workers are on the master's. Yields words for what is not
+    so."""
+    processors = AwakeProcessors()
+    processors.hold(True)
+    before = ""
+    with contextlib.suppress(OSError):
+        before = _WORKERS.read_text("ascii")
+        if where.master is not None:
+            _WORKERS.write_text(f"{1 << where.master:x}", "ascii")
+    try:
+        missing = [
+            text
+            for text, there in (("processors sleep", processors.is_held()), ("workers are anywhere", before))
+            if not there
+        ]
+        yield f"; {', '.join(missing)}: no right to change it" if missing else ""
+    finally:
+        processors.hold(False)
+        if before:
+            _WORKERS.write_text(before, "ascii")
 
 
 def _cpu(report: Report, kind: str, baud: int, around: str, args: argparse.Namespace, where: Processors) -> None:

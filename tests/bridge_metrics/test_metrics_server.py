@@ -13,9 +13,10 @@ from http import HTTPStatus
 import pytest
 from metrics_kit import FINE, Bench, ask, plant, read, request, snapshot
 
+from dpstack.bridge.metrics import face as metrics_face
 from dpstack.bridge.metrics import http_server
 from dpstack.bridge.metrics.face import MetricsFace
-from dpstack.bridge.metrics.http_server import MOST_CONNECTIONS, MOST_OCTETS, MOST_OF_ONE, Answer
+from dpstack.bridge.metrics.http_server import MOST_CONNECTIONS, MOST_OCTETS, MOST_OF_ONE, Answer, Pace
 from dpstack.errors import PortError
 from dpstack.tcp_address import Listen
 
@@ -191,6 +192,39 @@ def test_those_who_ask_together_get_one_text() -> None:
     served(test)
 
 
+def test_a_pace_lets_a_few_pass_at_once_and_then_one_by_one() -> None:
+    pace = Pace(10.0, 3)
+    assert [pace.take(100.0) <= 0 for _ in range(3)] == [True] * 3
+    assert [pace.take(100.0) for _ in range(3)] == pytest.approx([0.1, 0.2, 0.3])
+    assert pace.wait_s(100.0) == pytest.approx(0.4)
+    assert [pace.take(200.0) <= 0 for _ in range(4)] == [True, True, True, False]
+
+
+def test_a_flood_waits_and_gets_old_texts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_server, "MOST_ANSWERS", 10)
+    monkeypatch.setattr(metrics_face, "FRESH_S", 0.0)
+    monkeypatch.setattr(metrics_face, "_MADE_AT_ONCE", 1)
+
+    async def test(face: MetricsFace, port: int) -> None:
+        made: list[int] = []
+        families = face.collector.families
+
+        def counted() -> object:
+            made.append(1)
+            return families()
+
+        face.collector.families = counted  # type: ignore[method-assign,assignment]
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        answers = await asyncio.gather(*(ask(port, request(path)) for path in ("/metrics", "/nothing") * 7))
+        took_s = loop.time() - began
+        assert sorted(map(status_of, answers)) == [200] * 7 + [404] * 7
+        assert took_s > (14 - 10) / 10 - 0.01
+        assert len(made) <= 1 + took_s
+
+    served(test)
+
+
 def test_a_defect_is_told_and_the_next_page_is_served() -> None:
     async def test(face: MetricsFace, port: int) -> None:
         face.collector.families = lambda: [][0]  # type: ignore[method-assign]
@@ -200,7 +234,8 @@ def test_a_defect_is_told_and_the_next_page_is_served() -> None:
     served(test)
 
 
-def test_random_octets_never_reach_the_handler_of_the_loop() -> None:
+def test_random_octets_never_reach_the_handler_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_server, "MOST_ANSWERS", 1000)
     chance = random.Random(21)
     troubles: list[object] = []
 

@@ -10,6 +10,7 @@ import stat
 from collections import deque
 from collections.abc import AsyncIterator, Iterator
 from datetime import timedelta
+from pathlib import Path
 from typing import Any, Final
 
 import pytest
@@ -102,6 +103,27 @@ async def test_values_come_with_type_unit_status_and_source_time(rig: Rig) -> No
         names = [await one.read_browse_name() for one in await client.get_node(id_of("slave/8")).get_children()]
         assert {"Inputs", "Outputs", "State", "Statistics"} <= {one.Name for one in names}
     assert tuple(State) == DRIVE_STATES
+
+
+async def test_the_first_client_finds_the_whole_plant(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    await rig.face.open()
+    client = rig.client()
+    await client.set_security_string(rig.security)
+    serving = asyncio.create_task(rig.face.serve())
+    try:
+        connecting = asyncio.create_task(client.connect())
+        await asyncio.sleep(0.3)
+        rig.plant()
+        rig.snapshot()
+        await connecting
+        read = await client.get_node(id_of("slave/8/input/level")).read_data_value(raise_on_bad_status=False)
+        assert (read.StatusCode.value, read.Value.Value) == (GOOD, 5.5)
+        await client.disconnect()
+    finally:
+        serving.cancel()
+        await asyncio.wait((serving,))
+        rig.face.close()
 
 
 async def test_orders_need_the_list_the_user_and_the_type(rig: Rig) -> None:

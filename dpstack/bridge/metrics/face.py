@@ -14,13 +14,16 @@ from prometheus_client.registry import Collector as OneFamily
 from dpstack.bridge.face import Face, FaceState, Tell, product_version
 from dpstack.bridge.metrics.collector import Collector
 from dpstack.bridge.metrics.health import Health, liveness, readiness
-from dpstack.bridge.metrics.http_server import Answer, HttpServer
+from dpstack.bridge.metrics.http_server import Answer, HttpServer, Pace
 from dpstack.bridge.tree import Change, PlantTree
 from dpstack.tcp_address import Listen, Origins, is_local, join
 from dpstack.trace import Severity
 
 #: s for which a text is given out again: the live stream of the faces brings no news more often
 FRESH_S: Final = 0.2
+#: texts made a second in the mean, and at once: a flood of requests gets old ones
+_MADE_PER_S: Final = 1.0
+_MADE_AT_ONCE: Final = 5
 
 
 class MetricsFace(Face):
@@ -46,6 +49,7 @@ class MetricsFace(Face):
         self._rendering = asyncio.Lock()
         self._text = b""
         self._text_until = 0.0
+        self._pace = Pace(_MADE_PER_S, _MADE_AT_ONCE)
 
     async def open(self) -> None:
         sockets = self._listen.sockets()
@@ -85,10 +89,12 @@ class MetricsFace(Face):
         self.collector.refused += 1
 
     async def _metrics(self) -> Answer:
-        """The text for Prometheus. All who ask within :data:`FRESH_S` get the same one."""
+        """The text for Prometheus. All who ask within :data:`FRESH_S` get the same one, in a flood within a second."""
         loop = asyncio.get_running_loop()
         async with self._rendering:
-            if loop.time() >= self._text_until:
+            now = loop.time()
+            if now >= self._text_until and self._pace.wait_s(now) <= 0:
+                self._pace.take(now)
                 try:
                     self._text = await rendered(self.collector.families())
                 except Exception as error:

@@ -1,7 +1,8 @@
 """A small HTTP server for texts that other programs fetch: GET and HEAD, one request a connection, limits for all.
 
 It has no thread, reads no body, and keeps no connection: the answer to the first request ends it. So a client costs a
-place for ten seconds at most, and what it sends besides is thrown away.
+place for ten seconds at most, and what it sends besides is thrown away. The answers of a second are bounded, for
+the sake of a bus on the same computer: who asks without a pause waits.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ MOST_CONNECTIONS: Final = 64
 MOST_OF_ONE: Final = 16
 #: octets of a request with its head
 MOST_OCTETS: Final = 8192
+#: answers a second, and as many at once
+MOST_ANSWERS: Final = 20
 #: s of a connection in all
 LONGEST_S: Final = 10.0
 #: s behind the answer, until the client has closed
@@ -45,6 +48,25 @@ class Answer(NamedTuple):
 
 #: the answer to a GET of one path; it raises nothing
 Page = Callable[[], Awaitable[Answer]]
+
+
+class Pace:
+    """At most ``per_s`` a second in the mean, and ``at_once`` of them together."""
+
+    def __init__(self, per_s: float, at_once: int) -> None:
+        self._each_s = 1.0 / per_s
+        self._at_once_s = (at_once - 1) * self._each_s
+        self._next = 0.0
+
+    def wait_s(self, now: float) -> float:
+        """s until the next one is due, 0 or less: it is."""
+        return max(self._next, now - self._at_once_s) - now
+
+    def take(self, now: float) -> float:
+        """Count one more; returns :meth:`wait_s` of it."""
+        wait_s = self.wait_s(now)
+        self._next = now + wait_s + self._each_s
+        return wait_s
 
 
 class HttpServer:
@@ -72,6 +94,7 @@ class HttpServer:
         self._of: Counter[str] = Counter()
         self._sockets = sockets
         self._listening: list[asyncio.Server] = []
+        self._pace = Pace(MOST_ANSWERS, MOST_ANSWERS)
 
     async def begin(self) -> None:
         """Accept connections. Raises PortError."""
@@ -102,6 +125,12 @@ class HttpServer:
         self.open.add(connection)
         self._of[connection.client] += 1
         return True
+
+    async def turn(self) -> None:
+        """Wait until one more answer may be given."""
+        wait_s = self._pace.take(asyncio.get_running_loop().time())
+        if wait_s > 0:
+            await asyncio.sleep(wait_s)
 
     def leave(self, connection: Connection) -> None:
         if connection in self.open:
@@ -144,11 +173,10 @@ class Connection(asyncio.Protocol):
             return  # behind the first request; nothing of it is kept
         self._head += data[: MOST_OCTETS + 1 - len(self._head)]
         end = self._head.find(_END)
-        if end >= 0:
-            self._respond(bytes(self._head[:end]))
+        if end >= 0 or len(self._head) > MOST_OCTETS:
+            head = bytes(self._head[:end]) if end >= 0 else None
             self._head.clear()
-        elif len(self._head) > MOST_OCTETS:
-            self._refuse(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
+            self._answering = asyncio.get_running_loop().create_task(self._answer(head))
 
     def eof_received(self) -> bool:
         """The client sends no more. It still gets the answer to a whole request."""
@@ -162,39 +190,37 @@ class Connection(asyncio.Protocol):
         if self._transport is not None:
             self._transport.abort()
 
-    def _respond(self, head: bytes) -> None:
+    async def _answer(self, head: bytes | None) -> None:
+        """Answer the request with ``head``; None: it is too long."""
+        await self._server.turn()
+        asked = HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE if head is None else self._judge(head)
+        if isinstance(asked, HTTPStatus):
+            more = "Allow: GET, HEAD\r\n" if asked is HTTPStatus.METHOD_NOT_ALLOWED else ""
+            self._say(asked, f"{asked.phrase}\n".encode(), more)
+        else:
+            page, with_body = asked
+            status, body = await page()
+            self._say(status, body, with_body=with_body)
+
+    def _judge(self, head: bytes) -> tuple[Page, bool] | HTTPStatus:
+        """The page that is asked for and whether with its body, or the status of a refusal."""
         line, *headers = head.split(b"\r\n")
         request = _REQUEST.fullmatch(line)
         found = [_HEADER.fullmatch(one) for one in headers]
         if request is None or not all(found):
-            self._refuse(HTTPStatus.BAD_REQUEST)
-            return
+            return HTTPStatus.BAD_REQUEST
         hosts = [one[2].strip().decode("latin-1") for one in found if one is not None and one[1].lower() == b"host"]
         if len(hosts) > 1 or (request[3] == b"1" and not hosts):
-            self._refuse(HTTPStatus.BAD_REQUEST)
-        elif self._server.origins is not None and hosts and not self._server.origins.is_own_host(hosts[0]):
-            self._refuse(HTTPStatus.MISDIRECTED_REQUEST)
-        elif request[1] not in (b"GET", b"HEAD"):
-            self._refuse(HTTPStatus.METHOD_NOT_ALLOWED, "Allow: GET, HEAD\r\n")
-        else:
-            page = self._server.pages.get(request[2].partition(b"?")[0].decode("ascii"))
-            if page is None:
-                self._refuse(HTTPStatus.NOT_FOUND)
-            else:
-                loop = asyncio.get_running_loop()
-                self._answering = loop.create_task(self._answer(page, with_body=request[1] == b"GET"))
-
-    async def _answer(self, page: Page, *, with_body: bool) -> None:
-        status, body = await page()
-        self._answering = None
-        self._say(status, body, with_body=with_body)
-
-    def _refuse(self, status: HTTPStatus, more: str = "") -> None:
-        self._head.clear()
-        self._say(status, f"{status.phrase}\n".encode(), more)
+            return HTTPStatus.BAD_REQUEST
+        if self._server.origins is not None and hosts and not self._server.origins.is_own_host(hosts[0]):
+            return HTTPStatus.MISDIRECTED_REQUEST
+        if request[1] not in (b"GET", b"HEAD"):
+            return HTTPStatus.METHOD_NOT_ALLOWED
+        page = self._server.pages.get(request[2].partition(b"?")[0].decode("ascii"))
+        return HTTPStatus.NOT_FOUND if page is None else (page, request[1] == b"GET")
 
     def _say(self, status: HTTPStatus, body: bytes, more: str = "", *, with_body: bool = True) -> None:
-        self._answered = True
+        self._answered, self._answering = True, None
         self._server.count(status)
         if self._transport is None:
             return

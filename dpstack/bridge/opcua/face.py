@@ -47,6 +47,8 @@ from dpstack.trace import Severity
 WRITE_S: Final = 0.2
 #: changes of conditions that wait; the oldest beyond them are left out, and a refresh brings them
 MOST_EVENTS_WAITING: Final = 4096
+#: s until clients are served, even where the plant is not known yet
+_PLANT_S: Final = 2.0
 #: nodes that are written before clients have their turn
 _AT_ONCE: Final = 100
 #: addresses that stand for all of this computer
@@ -183,6 +185,7 @@ class OpcUaFace(Face):
 
     async def serve(self) -> None:
         assert self._ua is not None
+        await self._wait_for_plant()
         await self._ua.start_on(self._listening)
         try:
             while True:
@@ -194,6 +197,14 @@ class OpcUaFace(Face):
                 await asyncio.sleep(WRITE_S)  # subscriptions publish it
             finally:
                 await self._ua.end()
+
+    async def _wait_for_plant(self) -> None:
+        """Fill the address space before the first client is served: one that is quick would find half a plant."""
+        loop = asyncio.get_running_loop()
+        until = loop.time() + _PLANT_S
+        while self.tree.plant is None and loop.time() < until:  # noqa: ASYNC110  the tree tells nobody
+            await asyncio.sleep(WRITE_S)
+        await self.write_changes()
 
     def _take_name(self) -> None:
         """Hold the file of the name while this program runs: two servers with one URI are one for a client."""

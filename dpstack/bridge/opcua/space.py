@@ -37,7 +37,16 @@ METHODS: Final[Mapping[str, str]] = {
 _AT_ONCE: Final = 50
 _READ: Final = 1 << ua.AccessLevel.CurrentRead | 1 << ua.AccessLevel.HistoryRead
 _WRITE: Final = 1 << ua.AccessLevel.CurrentWrite
-_NONE: Final = ua.DataValue(ua.Variant(), StatusCode=ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData))
+
+
+class SharedValue(ua.DataValue):
+    """A value that nobody changes, so that asyncua need not copy it for each monitored item: most of a write's time."""
+
+    def __deepcopy__(self, memo: object) -> SharedValue:
+        return self
+
+
+_NONE: Final = SharedValue(ua.Variant(), StatusCode=ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData))
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +188,7 @@ class Space:
                 (f"{own}/machine/{part}/id", ua.Variant(target, _V.NodeId)),
             )
         ):
-            shown = ua.DataValue(value, StatusCode=made.StatusCode, SourceTimestamp=made.SourceTimestamp,
+            shown = SharedValue(value, StatusCode=made.StatusCode, SourceTimestamp=made.SourceTimestamp,
                                  ServerTimestamp=made.ServerTimestamp)  # fmt: skip
             await self._server.aspace.write_attribute_value(self.node(id_), ua.AttributeIds.Value, shown)
 
@@ -371,7 +380,7 @@ class Space:
 def data_value(node: Node, reading: Reading, wall: Callable[[float], datetime]) -> ua.DataValue:
     """``reading`` as OPC UA has it: a bad one has no value."""
     value = ua.Variant() if reading.value is None else ua.Variant(reading.value, VARIANTS[node.type])
-    return ua.DataValue(
+    return SharedValue(
         value,
         StatusCode=ua.StatusCode(reading.opcua_status),
         SourceTimestamp=wall(reading.time) if reading.time else None,
