@@ -109,17 +109,20 @@ async def test_the_first_client_finds_the_whole_plant(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     await rig.face.open()
     client = rig.client()
-    await client.set_security_string(rig.security)
+
+    async def read() -> tuple[int, object]:
+        await client.set_security_string(rig.security)
+        async with client:
+            found = await client.get_node(id_of("slave/8/input/level")).read_data_value(raise_on_bad_status=False)
+            return found.StatusCode.value, found.Value.Value
+
     serving = asyncio.create_task(rig.face.serve())
     try:
-        connecting = asyncio.create_task(client.connect())
+        reading = asyncio.create_task(read())
         await asyncio.sleep(0.3)
         rig.plant()
         rig.snapshot()
-        await connecting
-        read = await client.get_node(id_of("slave/8/input/level")).read_data_value(raise_on_bad_status=False)
-        assert (read.StatusCode.value, read.Value.Value) == (GOOD, 5.5)
-        await client.disconnect()
+        assert await reading == (GOOD, 5.5)
     finally:
         serving.cancel()
         await asyncio.wait((serving,))
