@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -36,3 +37,12 @@ def run_program(
     )
     assert done.returncode == 0, f"{name} ended with {done.returncode}: {done.stderr[-2000:]}"
     return done
+
+
+def environment(folder: Path, requirement: str) -> Path:
+    """The interpreter of a new environment with ``requirement``."""
+    subprocess.run([sys.executable, "-m", "venv", folder], check=True, timeout=120)
+    python = folder / "bin" / "python"
+    words: list[str | Path] = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", requirement]
+    subprocess.run(words, check=True, timeout=300, stdout=subprocess.DEVNULL)
+    return python

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
 from edge_node_rig import Rig
+from stranger_kit import environment
 
 from dpstack.bridge.mqtt.payload import DATA_TYPES, DataType, MetricKind, Sample, birth, read_command, value_given
 from dpstack.bridge.quality import LIMITS, Reading, Reason, Value
@@ -63,15 +63,6 @@ for line in sys.stdin:
     metrics = [{key: one.get(key) for key in ("name", "alias", "value", "isNull")} for one in found.get("metrics", ())]
     print(json.dumps({"seq": int(found.get("seq", 0)), "metrics": metrics}))
 """
-
-
-def environment(folder: Path, requirement: str) -> Path:
-    """The interpreter of a new environment with ``requirement``."""
-    subprocess.run([sys.executable, "-m", "venv", folder], check=True, timeout=120)
-    python = folder / "bin" / "python"
-    words: list[str | Path] = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", requirement]
-    subprocess.run(words, check=True, timeout=300, stdout=subprocess.DEVNULL)
-    return python
 
 
 @pytest.fixture(scope="module")
