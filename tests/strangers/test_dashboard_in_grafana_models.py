@@ -1,5 +1,5 @@
-"""The dashboard in the models that Grafana's authors publish (grafana-foundation-sdk), each release in an environment of
-its own: whatever Grafana does not know is missing from what they write."""
+"""The dashboard in the models that Grafana's authors publish (grafana-foundation-sdk), each release in an environment
+of its own: a key that Grafana does not know is missing from what they write."""
 
 from __future__ import annotations
 
