@@ -16,7 +16,8 @@ from history_rig import HistoryRig
 from plant_items import PLANT
 from sparkplug_host import FIELD_OF, Payload, read_payload
 
-from dpstack.bridge.mqtt.edge_node import Disconnect, Phase
+from dpstack.bridge.mqtt.edge_node import Disconnect, NodeSetup, Phase
+from dpstack.errors import ConfigError
 
 #: ids by the test that shows them
 SHOWN: Final[dict[str, tuple[str, ...]]] = {}
@@ -202,7 +203,10 @@ def test_topics(course: Course) -> None:
     "topic-structure-namespace-unique-device-id case-sensitivity-sparkplug-ids case-sensitivity-metric-names",
 )
 def test_ids_are_valid_and_unique(tmp_path: Path) -> None:
-    """Group and node are refused where they are not valid: test_edge_node_sessions.py."""
+    for wrong in ("", "a/b", "+", "#", "\ud800"):
+        for names in ((wrong, NODE), (GROUP, wrong)):
+            with pytest.raises(ConfigError, match="MQTT does not permit this name"):
+                NodeSetup(*names)
     rig = Rig(tmp_path)
     rig.plant["slaves"] = {
         str(address): PLANT["slaves"]["8"] | {"name": name, "inputs": INPUTS}
@@ -240,7 +244,7 @@ def test_the_will_has_the_number_of_the_births_and_it_rises_by_one(tmp_path: Pat
         assert rig.connection is not None
         will = rig.connection.will
         assert will.topic == f"spBv1.0/{GROUP}/NDEATH/{NODE}"
-        assert will.qos == 1  # a will of dpstack is never retained: dpstack.bridge.mqtt.face
+        assert (will.qos, will.retain) == (1, False)
         death = read_payload(will.payload)
         assert death.seq is None
         (number,) = death.metrics
@@ -303,9 +307,9 @@ def test_an_ordered_end_publishes_ndeath_and_then_disconnects(course: Course) ->
     "message-flow-edge-node-birth-publish-nbirth-qos message-flow-edge-node-birth-publish-nbirth-retained",
     "message-flow-device-birth-publish-dbirth-qos message-flow-device-birth-publish-dbirth-retained",
 )
-def test_quality_of_service_is_0(course: Course) -> None:
-    """A message of the edge node has no flag for retain; a subscriber sees none: tests/strangers/test_mosquitto.py."""
-    assert {qos for _, _, qos in course.messages} == {0}
+def test_quality_of_service_is_0_and_nothing_is_retained(course: Course) -> None:
+    """A subscriber of a real broker sees the same: tests/strangers/test_mosquitto.py."""
+    assert {(one.qos, one.retain) for one in course.rig.sent} == {(0, False)}
 
 
 @shows(
@@ -400,7 +404,12 @@ def test_data_have_aliases_and_neither_names_nor_types(course: Course) -> None:
     "topics-nbirth-metric-reqs topics-dbirth-metric-reqs operational-behavior-data-publish-nbirth",
     "operational-behavior-data-publish-dbirth",
 )
-def test_no_metric_is_published_that_was_not_in_a_birth(course: Course) -> None:
+def test_births_have_all_metrics_and_no_other_is_published(course: Course) -> None:
+    tree = course.rig.tree
+    slave_of = {"hoist": 3, "valves": 8}
+    for topic, payload, _ in course.of("NBIRTH", "DBIRTH"):
+        slave = slave_of[topic[4]] if topic[2] == "DBIRTH" else None
+        assert {"/".join(node.path) for node, _ in tree.readings(slave)} <= {one.name for one in payload.metrics}
     born: dict[str, set[int | None]] = {}
     for topic, payload, _ in course.messages:
         owner = "/".join(topic[3:])
@@ -441,16 +450,23 @@ def test_a_slave_that_leaves_data_exchange_has_its_ddeath(course: Course) -> Non
     "payloads-metric-propertyvalue-type-req payloads-metric-propertyvalue-type-type",
     "payloads-metric-propertyvalue-type-value",
 )
-def test_properties(course: Course) -> None:
+def test_properties(course: Course, tmp_path: Path) -> None:
     """The reader asserts that there are as many keys as values, each with a type (tests/kits/sparkplug_host.py)."""
+    rig = Rig(tmp_path)
+    rig.give_plant()
+    rig.connect()
+    rig.pump()
+    rig.wait(3.0, stream=False)
+    rig.pump()
+    rig.close()
     qualities = set()
-    for payload in course.live:
+    for payload in (*course.live, *(payload for _, _, payload in rig.host.messages)):
         for one in payload.metrics:
             assert set(one.property_types.values()) <= {3, 10, 11, 12}
             if "Quality" in one.properties:
                 assert one.property_types["Quality"] == 3
                 qualities.add(one.properties["Quality"])
-    assert qualities == {0, 192}
+    assert qualities == {0, 192, 500}
 
 
 # --- rebirth ------------------------------------------------------------------------------------------------------

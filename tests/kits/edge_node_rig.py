@@ -135,7 +135,7 @@ class Rig:
 
     def publish_wills(self) -> None:
         for will in self.wills:
-            self.host.feed(will.topic, will.payload, qos=will.qos)
+            self.host.feed(will.topic, will.payload, qos=will.qos, retain=will.retain)
         self.wills.clear()
 
     def cut(self) -> None:
@@ -171,7 +171,7 @@ class Rig:
                 self.node.disconnected()
                 return count
             self.sent.append(message)
-            self.host.feed(message.topic, message.payload, qos=message.qos)
+            self.host.feed(message.topic, message.payload, qos=message.qos, retain=message.retain)
         return most
 
     def settle(self) -> None:
