@@ -51,6 +51,28 @@ def status_of(answer: bytes) -> int:
     return int(answer[9:12])
 
 
+def test_a_server_whose_tree_nobody_changes_any_more_gives_no_values() -> None:
+    """Behind the end of the bus it says so; behind a fault of the faces it is gone."""
+
+    async def end(face: MetricsFace, port: int) -> bytes:
+        serving = asyncio.create_task(face.serve())
+        await asyncio.sleep(0)
+        serving.cancel()
+        await asyncio.wait((serving,))
+        return await ask(port, request("/healthz"))
+
+    async def test_a_fault(face: MetricsFace, port: int) -> None:
+        with pytest.raises(ConnectionRefusedError):
+            await end(face, port)
+
+    async def test_an_end(face: MetricsFace, port: int) -> None:
+        face.tree.apply({"end": {"text": "the bus has ended", "failed": False}}, 2.0)
+        assert status_of(await end(face, port)) == 503
+
+    served(test_a_fault)
+    served(test_an_end)
+
+
 def test_the_pages_by_the_client_of_the_standard_library() -> None:
     async def test(face: MetricsFace, port: int) -> None:
         def get(path: str, method: str = "GET") -> tuple[int, str | None, bytes]:

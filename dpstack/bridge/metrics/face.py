@@ -76,7 +76,12 @@ class MetricsFace(Face):
             self.tell(line, Severity.WARNING)
 
     async def serve(self) -> None:
-        await asyncio.Event().wait()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            # behind a fault nobody changes the tree any more: its last values would look fresh
+            if self._server is not None and not self.tree.has_ended:
+                self._server.end()
 
     def close(self) -> None:
         if self._server is not None:
