@@ -62,11 +62,9 @@ class Pace:
         """s until the next one is due, 0 or less: it is."""
         return max(self._next, now - self._at_once_s) - now
 
-    def take(self, now: float) -> float:
-        """Count one more; returns :meth:`wait_s` of it."""
-        wait_s = self.wait_s(now)
-        self._next = now + wait_s + self._each_s
-        return wait_s
+    def take(self, now: float) -> None:
+        """Count one more, which is due."""
+        self._next = now + self.wait_s(now) + self._each_s
 
 
 class HttpServer:
@@ -95,6 +93,7 @@ class HttpServer:
         self._sockets = sockets
         self._listening: list[asyncio.Server] = []
         self._pace = Pace(MOST_ANSWERS, MOST_ANSWERS)
+        self._turn = asyncio.Lock()
 
     async def begin(self) -> None:
         """Accept connections. Raises PortError."""
@@ -127,10 +126,13 @@ class HttpServer:
         return True
 
     async def turn(self) -> None:
-        """Wait until one more answer may be given."""
-        wait_s = self._pace.take(asyncio.get_running_loop().time())
-        if wait_s > 0:
-            await asyncio.sleep(wait_s)
+        """Wait until one more answer may be given. A client that goes away while it waits takes no turn."""
+        loop = asyncio.get_running_loop()
+        async with self._turn:
+            wait_s = self._pace.wait_s(loop.time())
+            if wait_s > 0:
+                await asyncio.sleep(wait_s)
+            self._pace.take(loop.time())
 
     def leave(self, connection: Connection) -> None:
         if connection in self.open:
