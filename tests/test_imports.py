@@ -33,6 +33,7 @@ MAY: dict[str, set[str]] = {
     "stats": {"units"},
     "params": {"units", "errors"},
     "machine": {"units", "trace"},
+    "boottime": {"units"},
     "phy": PARAMS,
     "fdl": PHY | {"machine", "stats"},
     "gsd": PURE_BASE | {"namespaces"},
@@ -48,7 +49,7 @@ MAY: dict[str, set[str]] = {
     "why": DP,
     "sim": DP | {"machine", "decode"},
     "ports": PURE_BASE | {"phy"},
-    "drivers": DP | {"ports", "machine", "sim"},
+    "drivers": DP | {"ports", "machine", "sim", "boottime"},
     "api": DP
     | {
         "drivers",
@@ -70,9 +71,10 @@ MAY: dict[str, set[str]] = {
     "logs": {"text"},
     "web": {"api", "live", "ports", "record", "tcp_address"} | PURE_BASE,
     "screen": {"api", "live", "ports", "why"} | PURE_BASE,
-    "bridge": {"live", "monitor", "record", "tcp_address"} | PURE_BASE,
+    "bridge": {"boottime", "live", "monitor", "record", "tcp_address"} | PURE_BASE,
     "cli": {
         "api",
+        "boottime",
         "bridge",
         "capture",
         "decode",

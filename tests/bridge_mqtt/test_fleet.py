@@ -66,12 +66,90 @@ def test_a_death_counts_for_its_session_only() -> None:
     assert state_of(fleet) is State.DEAD
     assert fleet.tick(500.0) == []
     assert fleet.receive(BIRTH, b"", 501.0) is not None
-    assert state_of(fleet) is State.OK
+    assert state_of(fleet) is State.UNKNOWN
     fleet.receive(DEATH, node_death(5, 1), 502.0)
     assert fleet.receive(TOPIC, status(session=6), 503.0) is not None
     assert state_of(fleet) is State.OK
     fleet.receive(TOPIC, status(session=6, state="ended"), 504.0)
     assert fleet.receive(DEATH, node_death(6, 1), 504.0) is None
+    assert state_of(fleet) is State.ENDED
+
+
+def test_after_a_birth_nothing_is_known_until_the_next_status() -> None:
+    fleet = Fleet()
+    fleet.receive(TOPIC, status(**LOST), 100.0)
+    assert fleet.receive(BIRTH, node_death(5, 1), 101.0) is None  # a host has asked for births
+    assert fleet.receive(BIRTH, b"\xff\xff", 101.0) is None
+    assert state_of(fleet) is State.LOST
+    # of a session whose beginning nobody has seen
+    segment = fleet.receive(BIRTH, node_death(6, 1), 102.0)
+    assert segment is not None
+    assert (segment.state, segment.status.verdict, segment.status.lost_count) == (State.UNKNOWN, "unknown", 0)
+    assert segment.status.reasons == ("its gateway has begun anew; no status has come since",)
+    assert fleet.receive(BIRTH, node_death(6, 1), 103.0) is None
+    assert fleet.receive(DEATH, node_death(5, 1), 103.0) is None
+    assert fleet.receive(DEATH, node_death(6, 1), 104.0) is segment  # before its first status
+    assert state_of(fleet) is State.DEAD
+    assert fleet.receive(BIRTH, node_death(7, 1), 105.0) is segment
+    assert fleet.receive(TOPIC, status(session=7), 106.0) is segment
+    assert state_of(fleet) is State.OK
+    assert fleet.receive(BIRTH, node_death(7, 1), 107.0) is None  # its status came first
+    fleet.receive(TOPIC, status(session=7, state="ended"), 108.0)
+    assert fleet.receive(BIRTH, node_death(8, 1), 109.0) is segment
+    assert state_of(fleet) is State.UNKNOWN
+    assert fleet.tick(139.0) == [segment]
+    assert state_of(fleet) is State.SILENT
+
+
+def test_an_end_that_is_told_after_a_death_hides_no_death() -> None:
+    fleet = Fleet()
+    fleet.receive(TOPIC, status(), 100.0)
+    fleet.receive(DEATH, node_death(5, 1), 101.0)
+    for number in (5, 6, 6):  # in no order that a gateway has
+        fleet.receive(TOPIC, status(session=number, state="ended", reasons=["x"]), 102.0)
+        segment = fleet.get("hall 3", "line 7")
+        assert segment is not None
+        assert segment.state is State.DEAD
+        assert segment.status.reasons == ("after its death came a status that says: ended", "x")
+    assert fleet.receive(TOPIC, status(session=7), 103.0) is segment
+    # another connection of this program: the gateway has begun and ended meanwhile
+    fleet.receive(DEATH, node_death(7, 1), 104.0)
+    fleet.receive(TOPIC, status(session=8, state="ended"), 105.0, expiry=20, retained=True)
+    assert state_of(fleet) is State.ENDED
+
+
+def test_a_status_that_the_broker_kept_does_not_take_a_death_back() -> None:
+    fleet = Fleet()
+    fleet.receive(TOPIC, status(), 100.0)
+    fleet.receive(DEATH, node_death(5, 1), 101.0)
+    assert fleet.receive(TOPIC, status(), 103.0, expiry=27, retained=True) is None
+    assert state_of(fleet) is State.DEAD
+    assert fleet.receive(TOPIC, status(session=6), 104.0, expiry=29, retained=True) is not None
+    assert state_of(fleet) is State.OK
+
+
+def test_a_kept_status_without_expiry_is_as_old_as_it_says_where_the_clocks_agree() -> None:
+    wall = 1_700_000_000.0
+    for sent, expiry, state, silent_at in (
+        (wall - 12, None, State.OK, 118.0),
+        (wall - 12, 4_294_967_295, State.OK, 118.0),  # not an expiry that a gateway gives
+        (wall + 1.5, None, State.OK, 130.0),
+        (wall + 5, None, State.UNKNOWN, 130.0),
+        (wall - 30, None, State.UNKNOWN, 130.0),
+        ("x", None, State.UNKNOWN, 130.0),
+    ):
+        fleet = Fleet()
+        segment = fleet.receive(TOPIC, status(sent=sent), 100.0,
+                                expiry=expiry, retained=True, wall=wall)  # fmt: skip
+        assert segment is not None
+        assert segment.state is state
+        assert (segment.status.reasons != ()) is (state is State.UNKNOWN)
+        assert fleet.tick(silent_at - 0.1) == []
+        assert fleet.tick(silent_at) == [segment]
+    # the same one again, at the next connection of this program: it is no younger
+    fleet.receive(TOPIC, status(sent=0), 200.0, retained=True, wall=wall)
+    assert state_of(fleet) is State.SILENT
+    fleet.receive(TOPIC, status(sent=5, state="ended"), 201.0, retained=True, wall=wall)
     assert state_of(fleet) is State.ENDED
 
 
@@ -149,7 +227,8 @@ def test_no_message_raises_and_an_old_status_is_never_shown_as_alive(
 ) -> None:
     fleet = Fleet()
     for number, (topic, payload, extra) in enumerate(messages):
-        fleet.receive(topic, payload, float(number), expiry=extra, session=extra)
+        kept = number % 2 == 1
+        fleet.receive(topic, payload, float(number), expiry=extra, session=extra, retained=kept, wall=4e9)
     fleet.tick(len(messages) + 31.0)
     for one in fleet:
         ended = {"ended": State.ENDED, "failed": State.CRITICAL}.get(one.status.state)

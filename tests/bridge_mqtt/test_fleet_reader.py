@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 
@@ -11,6 +12,7 @@ import pytest
 from fake_broker import PUBLISH, FakeBroker, publish, user_property
 from fleet_kit import DEATH, LOST, ONLINE, TOPIC, status
 
+from dpstack.boottime import boottime_s
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.fleet import Fleet, Segment, State
 from dpstack.bridge.mqtt.fleet_reader import FleetReader
@@ -66,10 +68,34 @@ async def test_it_publishes_nothing_and_comes_back() -> None:
             await seen.until(lambda: seen.changes[-1][1] is State.DEAD)
             broker.cut()
             await seen.until(lambda: any("it is tried again" in text for text in seen.told))
-            broker.retained[0] = publish(TOPIC, status(**LOST), expiry=20, retain=True)
+            broker.retained[0] = publish(TOPIC, status(**LOST, session=6), expiry=20, retain=True)
             await seen.until(lambda: seen.changes[-1][1] is State.LOST)
             assert seen.reader.connected
         assert PUBLISH not in broker.kinds()
+
+
+async def test_after_a_sleep_of_the_computer_an_old_status_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with FakeBroker(retained=[publish(TOPIC, status(), expiry=20, retain=True)]) as broker:
+        seen = Seen(broker)
+        async with seen.running():
+            await seen.until(lambda: seen.changes)
+            monkeypatch.setattr("dpstack.bridge.mqtt.fleet_reader.boottime_s", lambda: boottime_s() + 3600)
+            await seen.until(lambda: len(seen.changes) > 1)
+    assert seen.changes == [("line 7", State.OK), ("line 7", State.SILENT)]
+
+
+async def test_a_kept_status_without_expiry_is_judged_by_its_own_time() -> None:
+    kept = {"young": time.time() - 5, "old": time.time() - 3600, "ahead": time.time() + 3600}
+    packets = [publish(f"dpstack/g/{node}/status", status(sent=sent), retain=True) for node, sent in kept.items()]
+    async with FakeBroker(retained=packets) as broker:
+        seen = Seen(broker)
+        async with seen.running():
+            await seen.until(lambda: len(seen.changes) == 3)
+            broker.send(publish("dpstack/g/old/status", status()))
+            await seen.until(lambda: len(seen.changes) == 4)
+    assert seen.changes == [
+        ("young", State.OK), ("old", State.UNKNOWN), ("ahead", State.UNKNOWN), ("old", State.OK)
+    ]  # fmt: skip
 
 
 async def test_a_will_in_json_is_known_by_its_user_property() -> None:

@@ -12,6 +12,7 @@ from typing import Any, cast
 import pytest
 from rich.console import Console
 
+from dpstack.boottime import boottime_s
 from dpstack.bridge.mqtt.fleet import Fleet, State
 from dpstack.bridge.mqtt.fleet_reader import FleetReader
 from dpstack.cli.looking.fleet_view import FleetView
@@ -81,7 +82,7 @@ def fill(fleet: Fleet, now: float) -> None:
 
 def in_loop(work: Callable[[Fleet, float], None]) -> None:
     async def run() -> None:
-        fleet, now = Fleet(), asyncio.get_running_loop().time()
+        fleet, now = Fleet(), boottime_s()
         fill(fleet, now)
         work(fleet, now)
 
@@ -114,6 +115,25 @@ def test_the_table_shows_the_worst_first_and_fits(width: int, height: int, monke
             assert "more segments, none of them worse" in flat
 
     in_loop(work)
+
+
+def test_after_a_sleep_of_the_computer_nothing_old_is_drawn_as_alive(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("dpstack.cli.looking.fleet_view.boottime_s", lambda: boottime_s() + 3600)
+
+    def work(fleet: Fleet, now: float) -> None:
+        view = FleetView(fleet, "broker:1883", json=False, redraws=True)
+        view.begin(cast("FleetReader", SimpleNamespace(lost=0, connected=True)))
+        console = Console(width=100, height=24)
+        with console.capture() as got:
+            console.print(view.picture())
+        assert "43 segments: 42 silent, 1 ended" in " ".join(got.get().split())
+        fill(fleet, now)
+        assert view.end()
+
+    in_loop(work)
+    assert "43 segments: 42 silent, 1 ended" in capsys.readouterr().out
 
 
 def test_json_and_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:

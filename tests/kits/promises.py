@@ -193,6 +193,9 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         _FLEET + "test_fleet_reader.py::test_it_publishes_nothing_and_comes_back",
         _FLEET + "test_fleet.py::test_bounds",
         _FLEET + "test_fleet.py::test_no_message_raises_and_an_old_status_is_never_shown_as_alive",
+        _FLEET + "test_fleet.py::test_an_end_that_is_told_after_a_death_hides_no_death",
+        _FLEET + "test_fleet.py::test_a_kept_status_without_expiry_is_as_old_as_it_says_where_the_clocks_agree",
+        _FLEET + "test_fleet_reader.py::test_after_a_sleep_of_the_computer_an_old_status_is_silent",
         _FLEET + "test_segment_status.py::test_texts_are_printable",
     ),
     "G14": (

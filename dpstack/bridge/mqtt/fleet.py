@@ -1,22 +1,23 @@
 """All segments of a broker as their statuses, births, deaths and wills show them: messages in, changed segments out.
 
 Knows no network and no clock. Whatever a broker sends, memory is bounded: :data:`MOST_SEGMENTS` segments, each with a
-bounded status; what does not fit is counted. ``now``: s by a clock that nobody sets.
+bounded status; what does not fit is counted. ``now``: s by a clock that nobody sets and that goes on while the computer
+sleeps.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final
 
 from dpstack.bridge.mqtt.edge_node import NAMESPACE
 from dpstack.bridge.mqtt.payload import BDSEQ, read_command, rebirth_command
-from dpstack.bridge.mqtt.status import ENDED, EXPIRY_S, FAILED, Status, read_status
+from dpstack.bridge.mqtt.status import ENDED, EXPIRY_S, FAILED, RUNNING, Status, read_status
 from dpstack.bridge.names import SPARKPLUG_ID
-from dpstack.bridge.verdicts import CRITICAL, GOOD, WARNING
+from dpstack.bridge.verdicts import CRITICAL, GOOD, UNKNOWN, WARNING
 from dpstack.text import printable
 
 MOST_SEGMENTS: Final = 10_000
@@ -25,6 +26,11 @@ _MOST_NAME: Final = 120
 _STATUS: Final = "status"
 #: of a gateway with plain JSON
 _ONLINE: Final = "online"
+#: s by which the clock of a gateway may be ahead of that of this computer, where only ``sent`` dates a status
+_MOST_AHEAD_S: Final = 2.0
+_NOT_DATED: Final = "the broker had kept its status without a message expiry: nobody knows how old it is"
+_BORN: Final = "its gateway has begun anew; no status has come since"
+_ENDED_AFTER_DEATH: Final = "after its death came a status that says: ended"
 
 
 class State(Enum):
@@ -109,13 +115,23 @@ class Fleet:
         return self._counts
 
     def receive(
-        self, topic: str, payload: bytes, now: float, *, expiry: int | None = None, session: int | None = None
+        self,
+        topic: str,
+        payload: bytes,
+        now: float,
+        *,
+        expiry: int | None = None,
+        session: int | None = None,
+        retained: bool = False,
+        wall: float = 0.0,
     ) -> Segment | None:
         """Take a message; ``expiry``: s of its message expiry that are left; ``session``: the number of the session
-        whose will it is. Nothing that it may hold raises. Returns the segment where people should see a change."""
+        whose will it is; ``retained``: the broker had kept it; ``wall``: s since 1970 by the clock of this computer.
+        Nothing that it may hold raises. Returns the segment where people should see a change."""
         match topic.split("/", 4):
             case ["dpstack", group, node, end] if end == _STATUS:
-                return self._take_status(group, node, payload, now, expiry)
+                age = EXPIRY_S - expiry if expiry is not None and expiry <= EXPIRY_S else None
+                return self._take_status(group, node, payload, now, age, retained=retained, wall=wall)
             case ["dpstack", group, node, end] if end == _ONLINE:
                 # without a session the gateway says it itself: its bus is gone, which its status says, too
                 segment = self._segments.get((group, node))
@@ -127,11 +143,9 @@ class Fleet:
                 segment = self._segments.get((group, node))
                 if segment is None:
                     return None
-                if kind == "NBIRTH" and segment.dead:
-                    # of a gateway that is back; its status comes behind it
-                    segment.dead = False
-                    segment.heard, segment.until = now, now + EXPIRY_S
-                elif kind == "NDEATH" and _session_of(payload) == segment.status.session:
+                if kind == "NBIRTH":
+                    return self._take_birth(segment, payload, now)
+                if kind == "NDEATH" and _session_of(payload) == segment.status.session:
                     segment.dead = True
                 return self._judge(segment, now)
         return None
@@ -140,7 +154,22 @@ class Fleet:
         """The segments that have become silent."""
         return [one for one in self._segments.values() if self._judge(one, now) is not None]
 
-    def _take_status(self, group: str, node: str, payload: bytes, now: float, expiry: int | None) -> Segment | None:
+    def _take_birth(self, segment: Segment, payload: bytes, now: float) -> Segment | None:
+        session = _session_of(payload)
+        is_new = isinstance(session, int) and session != segment.status.session
+        if not segment.dead and not is_new:
+            return None  # a host has asked for births
+        segment.dead = False
+        segment.status = _not_known(segment.status, _BORN)
+        if isinstance(session, int):
+            segment.status = replace(segment.status, session=session)
+        segment.heard, segment.until = now, now + EXPIRY_S
+        return self._judge(segment, now) or segment
+
+    def _take_status(
+        self, group: str, node: str, payload: bytes, now: float, age: float | None, *, retained: bool, wall: float
+    ) -> Segment | None:
+        """``age``: s since it was published, by its message expiry."""
         if not payload:
             return None  # somebody has removed the retained message: the segment becomes silent
         for name in (group, node):
@@ -154,8 +183,15 @@ class Fleet:
         except ValueError as error:
             self._refuse(f"{printable(group)}/{printable(node)}: {error}")
             return None
-        left = EXPIRY_S if expiry is None else min(max(0, expiry), EXPIRY_S)
         segment = self._segments.get((group, node))
+        if age is None:
+            age = _age_by_clocks(status, wall) if retained else 0.0
+        if age is None:
+            age = 0.0
+            if status.state == RUNNING:
+                if segment is not None and status.sent <= segment.status.sent:
+                    return None  # the same status again, at another connection of this program
+                status = _not_known(status, _NOT_DATED)
         if segment is None:
             if len(self._segments) >= self.most:
                 self.left_out += 1
@@ -165,8 +201,14 @@ class Fleet:
             before = None
         else:
             before = segment.status
-        segment.status, segment.dead = status, False
-        segment.heard, segment.until = now - (EXPIRY_S - left), now + left
+            # in the session that has died, or an end without births: a death is not taken back by it
+            is_old = retained and status.session == before.session
+            segment.dead = segment.dead and (is_old or (status.state == ENDED and not retained))
+            if segment.dead and status.state == ENDED and before.state != ENDED:
+                status = replace(status, state=RUNNING, reasons=(_ENDED_AFTER_DEATH, *status.reasons))
+        segment.status = status
+        age = min(age, EXPIRY_S)
+        segment.heard, segment.until = now - age, now - age + EXPIRY_S
         changed = before is None or _seen(before) != _seen(status)
         return self._judge(segment, now) or (segment if changed else None)
 
@@ -195,6 +237,18 @@ class Fleet:
         self._sorted = self._counts = None
         segment.since = segment.heard if state is State.SILENT else now
         return segment
+
+
+def _age_by_clocks(status: Status, wall: float) -> float | None:
+    """s since ``status`` was sent, where the clocks of its gateway and of this computer may agree; else None. A clock
+    that is wrong by less than 30 s is not noticed."""
+    age = wall - status.sent
+    return max(0.0, age) if -_MOST_AHEAD_S <= age < EXPIRY_S else None
+
+
+def _not_known(status: Status, why: str) -> Status:
+    """``status`` without all that may not be so any more."""
+    return replace(status, state=RUNNING, verdict=UNKNOWN, reasons=(why,), lost=(), more_lost=0)
 
 
 def _seen(status: Status) -> tuple[object, ...]:

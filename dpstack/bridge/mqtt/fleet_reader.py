@@ -16,6 +16,7 @@ from typing import Final
 import aiomqtt
 from paho.mqtt.reasoncodes import ReasonCode
 
+from dpstack.boottime import boottime_s
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.connection import (
     LastError,
@@ -160,17 +161,23 @@ class FleetReader:
     def _take(self, message: aiomqtt.Message) -> None:
         payload = message.payload if isinstance(message.payload, bytes) else b""
         expiry = getattr(message.properties, "MessageExpiryInterval", None)
-        now = asyncio.get_running_loop().time()
-        segment = self._fleet.receive(str(message.topic), payload, now, expiry=expiry, session=session_of(message))
+        segment = self._fleet.receive(
+            str(message.topic),
+            payload,
+            boottime_s(),
+            expiry=expiry,
+            session=session_of(message),
+            retained=bool(message.retain),
+            wall=time.time(),
+        )
         if segment is not None:
             self._changed(segment)
 
     async def _tick(self) -> None:
         """Find the segments that have become silent."""
-        loop = asyncio.get_running_loop()
         while True:
             await asyncio.sleep(_TICK_S)
-            for segment in self._fleet.tick(loop.time()):
+            for segment in self._fleet.tick(boottime_s()):
                 self._changed(segment)
 
     async def _ask_for_births(self, client: aiomqtt.Client) -> None:

@@ -55,7 +55,7 @@ class LostSlave:
 @dataclass(frozen=True, slots=True)
 class Status:
     """The status of a segment, bounded and printable. ``more_lost``: lost slaves beyond :attr:`lost`. ``session``: the
-    bdSeq of the Sparkplug session. ``sent``: by the clock of the gateway, in s since 1970: nobody trusts it."""
+    bdSeq of the Sparkplug session. ``sent``: by the clock of the gateway, in s since 1970, which may be wrong."""
 
     state: str
     verdict: str

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from time import time
 from typing import TYPE_CHECKING, Any, Final
 
+from dpstack.boottime import boottime_s
 from dpstack.cli.terminal import output
 from dpstack.text import printable, shortened
 
@@ -76,6 +77,8 @@ class FleetView:
         """Print the summary. Returns whether a segment is dead, silent or critical."""
         from dpstack.bridge.mqtt.fleet import BAD
 
+        for one in self._fleet.tick(boottime_s()):
+            self.show(one)
         states = {state.value.replace(" ", "_"): count for state, count in self._fleet.counts().items()}
         found = any(one.state in BAD for one in self._fleet)
         if self._json:
@@ -111,6 +114,7 @@ class FleetView:
 
         from dpstack.cli.terminal import drawing
 
+        self._fleet.tick(boottime_s())  # the computer may have slept since the last look at the time
         console = Console()
         bad = next((one.state.value for one in self._fleet), "unknown")
         head = [drawing.shown(f"{self._place}  {self._counts()}", f"bold {_STYLES[bad]}")]
@@ -135,7 +139,7 @@ class FleetView:
     def _row(self, one: Segment, width: int) -> tuple[object, ...]:
         names = [shortened(printable(name), _MOST_NAME) for name in (one.group, one.node)]
         since = f"since {_clock(_wall(one.since))}"
-        age = since if one.state.value in ("dead", "silent", "ended") else f"{max(0.0, _now() - one.heard):.0f} s"
+        age = since if one.state.value in ("dead", "silent", "ended") else f"{max(0.0, boottime_s() - one.heard):.0f} s"
         # all others, the borders, and a space on either side of each column
         room = width - sum(map(len, (one.state.value, *names, age))) - 3 * len(_COLUMNS) - 1
         return (one.state.value, *names, shortened(_why(one), max(24, room)), age)
@@ -167,7 +171,7 @@ class FleetView:
             "node": one.node,
             "state": one.state.value.replace(" ", "_"),
             "since": _time(_wall(one.since)),
-            "age_s": round(max(0.0, _now() - one.heard), 1),
+            "age_s": round(max(0.0, boottime_s() - one.heard), 1),
             "verdict": status.verdict,
             "reasons": status.reasons,
             "slaves": status.slaves,
@@ -187,13 +191,9 @@ def _why(one: Segment) -> str:
     return "; ".join(text for text in (lost, *status.reasons) if text)
 
 
-def _now() -> float:
-    return asyncio.get_running_loop().time()
-
-
 def _wall(at: float) -> float:
-    """A time of the loop's clock in s since 1970, by the clock of this computer."""
-    return time() - (_now() - at)
+    """A time of :func:`boottime_s` in s since 1970, by the clock of this computer."""
+    return time() - (boottime_s() - at)
 
 
 def _time(seconds: float) -> str:

@@ -13,13 +13,14 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
+from dpstack.boottime import boottime_ns, suspended_ns
 from dpstack.dp.master.commands import Mode
 from dpstack.drivers.line.answer_timing import AnswerTiming
 from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.drivers.line.last_clear import LastClear
 from dpstack.drivers.line.port_latency import PortLatency, Tune
 from dpstack.drivers.line.rate import BACKOFF_NS, LONGEST, NoRateError, ReopenAttempts, follow, wire_times
-from dpstack.drivers.line.timers import Lead, Timer, boottime_ns, suspended_ns
+from dpstack.drivers.line.timers import Lead, Timer
 from dpstack.drivers.runtime import RESERVE, OnEvents, OnFailure, PortBack, PortLost, stopped_by
 from dpstack.drivers.tap import Tap, TappedMachine
 from dpstack.errors import BusError, DpError, PortError, UsageError

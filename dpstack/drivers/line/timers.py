@@ -1,11 +1,9 @@
-"""Timers for deadlines in an event loop (timerfd on Linux, else the loop's own); how early they are set; the clock of
-system sleep."""
+"""Timers for deadlines in an event loop (timerfd on Linux, else the loop's own); how early they are set."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from dpstack.ports import timerfd
@@ -13,22 +11,6 @@ from dpstack.units import NS_PER_S
 
 if TYPE_CHECKING:  # the bus process runs without asyncio, and starts sooner without it
     import asyncio
-
-
-if hasattr(time, "CLOCK_BOOTTIME"):
-    #: CLOCK_BOOTTIME in ns, which goes on while the computer sleeps; CLOCK_MONOTONIC where there is none. Called in
-    #: each step, so without a Python function around it.
-    boottime_ns: Callable[[], int] = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
-else:
-    boottime_ns = time.monotonic_ns
-
-
-def suspended_ns() -> int:
-    """Sleep of the computer since its start in ns: CLOCK_BOOTTIME less CLOCK_MONOTONIC; 0 without CLOCK_BOOTTIME.
-
-    Never too large: a pause between reading the two clocks only makes it smaller.
-    """
-    return boottime_ns() - time.monotonic_ns()
 
 
 class Lead:

@@ -12,12 +12,12 @@ import pytest
 from kernel_kit import Driven, Kernel, held_up_at
 from octet_slave import SC, frame, sd1, sd2
 
+from dpstack.boottime import suspended_ns
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import Blocked, SlaveState, Stalled
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.drivers.line.timers import suspended_ns
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams

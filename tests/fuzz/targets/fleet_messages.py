@@ -38,7 +38,7 @@ def run(octets: bytes) -> None:
         if choice & 0x80:
             fleet.receive(_TOPICS[choice % 8], payload, now, expiry=expiry, session=session)
         else:
-            fleet.receive(_TOPICS[choice % 8], payload, now)
+            fleet.receive(_TOPICS[choice % 8], payload, now, retained=bool(choice & 8), wall=now)
         _judge(fleet)
     fleet.tick(now + 31)
     assert all(one.state in (State.DEAD, State.SILENT, State.ENDED) or one.status.state == FAILED for one in fleet)
