@@ -65,6 +65,19 @@ class Batch:
         self.halts = halts
 
 
+class _Age(NamedTuple):
+    """Times by which an order is too old. ``came``: when its message came, by the clock of the loop; see
+    :meth:`Orders.give` for the others.
+
+    It counts from ``made_at`` by the clock of the computer, and from ``came`` as well: clocks that differ, or are set
+    meanwhile, let no order wait for longer. Without ``made_at`` it counts from ``late_s`` before ``came``.
+    """
+
+    came: float
+    made_at: float | None = None
+    late_s: float | None = None
+
+
 class _RefusedError(Exception):
     """The order is not carried out; its text is the reason."""
 
@@ -139,23 +152,16 @@ class Orders:
     ) -> OrderResult:
         """Carry out the order ``name`` (``SLAVE.NAME``) with its argument ``value``, and wait for the result.
 
-        ``made_at``: the time of its sender in s since 1970, judged when the order comes and once more right before it
-        is carried out; None where it has none. Its age counts from now then, or from when ``batch`` came, where
-        ``late_s`` is given: the s that its connection has delivered it late. Raises nothing but the cancellation of its
-        caller, which ends the order as far as the run can take it back; a halt that has begun goes on.
+        ``made_at``: the time of its sender in s since 1970; None where it has none. ``late_s``: the s that its
+        connection has delivered it late, for one without ``made_at``. Its age (see :class:`_Age`) is judged when it
+        comes and once more right before it is carried out. Raises nothing but the cancellation of its caller, which
+        ends the order as far as the run can take it back; a halt that has begun goes on.
         """
         name = clean(name)
-        loop = asyncio.get_running_loop()
         batch = batch or self.batch()
-        came = batch.came
-
-        def age() -> float:
-            if made_at is not None:
-                return self._now() - made_at
-            return 0.0 if late_s is None else late_s + loop.time() - came
-
+        age = _Age(batch.came, made_at, late_s)
         try:
-            order, words = self._judge(name, value, made_at, age)
+            order, words = self._judge(name, value, age)
             if _halts_drive(order):
                 self._halts[order.slave] += 1
                 batch.halts[order.slave] += 1  # a start behind a stop of the same message is meant
@@ -172,15 +178,14 @@ class Orders:
         as by :meth:`give`, and one that is refused leaves the others; but the run takes those as one order, and refuses
         all where it refuses one. Results and the rest: as of :meth:`give`."""
 
-        def age() -> float:
-            return self._now() - made_at
-
+        batch = self.batch()
+        age = _Age(batch.came, made_at)
         results: list[OrderResult | None] = []
         orders: list[Order] = []
         words = ["set"]
         for name, value in given:
             try:
-                order, (command, *arguments) = self._judge(clean(name), value, made_at, age)
+                order, (command, *arguments) = self._judge(clean(name), value, age)
                 if command != "set" or (orders and order.slave != orders[0].slave):
                     raise _ChangedError
             except Exception as error:
@@ -192,28 +197,24 @@ class Orders:
         failed: Exception | None = None
         try:
             if orders:
-                await self._carry_in_turn(orders, words, age, self.batch())
+                await self._carry_in_turn(orders, words, age, batch)
         except Exception as error:
             failed = error
         rest = iter(OrderResult(one.name, "done") if failed is None else _refused(one.name, failed) for one in orders)
         return [self._told(next(rest)) if one is None else one for one in results]
 
-    def _judge(
-        self, name: str, value: object, made_at: float | None, age: Callable[[], float]
-    ) -> tuple[Order, tuple[str, ...]]:
+    def _judge(self, name: str, value: object, age: _Age) -> tuple[Order, tuple[str, ...]]:
         """An order that comes, and its words. Raises _RefusedError."""
         order = self._find(name)
-        self._judge_age(age())
+        self._judge_age(age)
         try:
             words = order.words(_plain(value))
         except ValueError as error:
             raise _RefusedError(str(error), Refusal.TYPE) from None
-        self._refuse_twice(name, made_at, halts_drive=_halts_drive(order))
+        self._refuse_twice(name, age.made_at, halts_drive=_halts_drive(order))
         return order, words
 
-    async def _carry_in_turn(
-        self, orders: Sequence[Order], words: Sequence[str], age: Callable[[], float], batch: Batch
-    ) -> None:
+    async def _carry_in_turn(self, orders: Sequence[Order], words: Sequence[str], age: _Age, batch: Batch) -> None:
         """Carry out ``words``, which are those of ``orders`` to one slave, when its turn has come."""
         slave = orders[0].slave
         with self._counted(slave):
@@ -222,7 +223,7 @@ class Orders:
                     raise _ChangedError
                 if self._halts[slave] != batch.halts[slave]:
                     raise _RefusedError("a later order has stopped the drive meanwhile")
-                self._judge_age(age())
+                self._judge_age(age)
                 await self._carry(words)
 
     async def _carry_on(self, words: Sequence[str]) -> None:
@@ -260,14 +261,26 @@ class Orders:
             raise _RefusedError("the plant has no such order", Refusal.UNKNOWN)
         return order
 
-    def _judge_age(self, age: float) -> None:
-        if age > self._max_age_s:
+    def _judge_age(self, age: _Age) -> None:
+        waited = asyncio.get_running_loop().time() - age.came
+        if age.made_at is not None:
+            by_clocks = self._now() - age.made_at
+            if not by_clocks >= -self._max_age_s:
+                raise _RefusedError(
+                    f"its time is {-by_clocks:.1f} s ahead of the clock of this computer: set the clocks", Refusal.TIME
+                )
+            if by_clocks > self._max_age_s:
+                raise _RefusedError(
+                    f"it is {by_clocks:.1f} s old by the clock of this computer; {self._max_age_s:g} s are allowed",
+                    Refusal.TIME,
+                )
+        elif age.late_s is not None:
+            waited += age.late_s
+        else:
+            return
+        if waited > self._max_age_s:
             raise _RefusedError(
-                f"it is {age:.1f} s old by the clock of this computer; {self._max_age_s:g} s are allowed", Refusal.TIME
-            )
-        if not age >= -self._max_age_s:
-            raise _RefusedError(
-                f"its time is {-age:.1f} s ahead of the clock of this computer: set the clocks", Refusal.TIME
+                f"it has been on its way for {waited:.1f} s; {self._max_age_s:g} s are allowed", Refusal.TIME
             )
 
     def _refuse_twice(self, name: str, made_at: float | None, *, halts_drive: bool) -> None:

@@ -123,6 +123,27 @@ async def test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come() -> N
 
 
 @in_virtual_time
+async def test_a_sender_whose_clock_is_ahead_may_not_wait_for_longer_than_others() -> None:
+    run = Run("valves.*", seconds=1.5)
+    given = [asyncio.ensure_future(run.reason("valves.speed", n, made_at=NOW + 1.9 + n / 100)) for n in range(3)]
+    outputs = asyncio.ensure_future(run.orders.give_outputs([("valves.lamp", True)], made_at=NOW + 1.9))
+    assert [await one for one in given] == ["", "", "it has been on its way for 3.0 s; 2 s are allowed"]
+    assert [one.reason for one in await outputs] == ["it has been on its way for 3.0 s; 2 s are allowed"]
+    assert run.carried == [("set", "8.speed=0"), ("set", "8.speed=1")]
+
+
+@in_virtual_time
+async def test_a_clock_that_is_set_back_meanwhile_makes_no_order_younger() -> None:
+    run = Run("valves.*", seconds=2.5)
+    first = asyncio.ensure_future(run.reason("valves.speed", 1, made_at=NOW))
+    second = asyncio.ensure_future(run.reason("valves.lamp", True, made_at=NOW))
+    await asyncio.sleep(1.0)
+    run.begun += 2.0
+    assert await first == ""
+    assert await second == "it has been on its way for 2.5 s; 2 s are allowed"
+
+
+@in_virtual_time
 async def test_no_order_is_carried_out_twice() -> None:
     run = Run("valves.*", "hoist.*")
     for _ in range(3):
@@ -215,7 +236,7 @@ async def test_orders_of_one_message_age_from_its_coming_and_end_by_a_stop_of_an
     assert [await reason("valves.speed", number) for number in (1, 2, 3)] == [
         "",
         "",
-        "it is 2.5 s old by the clock of this computer; 2 s are allowed",
+        "it has been on its way for 2.5 s; 2 s are allowed",
     ]
     batch = run.orders.batch()
     assert await reason("hoist.stop") == ""
