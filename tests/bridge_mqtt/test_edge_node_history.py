@@ -55,6 +55,18 @@ def test_births_come_first_then_history_by_the_aliases_of_these_births(rig: Hist
     assert rig.history.dropped == 0
 
 
+def test_a_value_that_waited_when_the_connection_was_cut_comes_in_the_birth_alone(rig: HistoryRig) -> None:
+    rig.count()
+    rig.pump()  # sent, and not confirmed
+    rig.count()  # not sent
+    rig.cut()
+    rig.publish_wills()
+    rig.host.messages.clear()
+    rig.settle()
+    alias = rig.host.alias("Inputs/number", "valves")
+    assert [one.value(8) for one in history(rig) if one.alias == alias] == [1]
+
+
 def test_the_gap_of_a_slave_that_was_lost_meanwhile_is_there_when_it_is_back(rig: HistoryRig) -> None:
     outage(rig, 1)
     rig.values["8"]["state"] = "offline"

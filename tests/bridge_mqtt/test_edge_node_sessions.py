@@ -299,6 +299,26 @@ def test_a_group_node_or_host_that_mqtt_does_not_permit_is_refused(key: str, nam
         NodeSetup(group, node, host)
 
 
+def test_an_error_about_a_name_does_not_repeat_all_of_a_long_one() -> None:
+    with pytest.raises(ConfigError) as found:
+        NodeSetup("g" * 100_000, "x")
+    assert len(str(found.value)) < 300
+
+
+def test_devices_take_turns_where_the_broker_is_slower_than_their_interval(rig: Rig) -> None:
+    rig.wait(1.0)
+    rig.pump()
+    count = len(rig.host.messages)
+    for number in range(6):
+        rig.values["3"]["drive"]["speed"] = 0.1 + number / 10
+        rig.values["8"]["fields"]["level"] = 20.0 + 10 * number
+        rig.wait(1.1)
+        rig.pump(1)
+    assert {device for _, device in kinds(rig)[count:]} == {"hoist", "valves"}
+    assert [device for _, device in kinds(rig)[count:]].count("valves") == 3
+    rig.close()
+
+
 def test_a_new_configuration_gives_births_to_what_is_new_and_to_nothing_else(rig: Rig) -> None:
     aliases = {one.name: alias for alias, one in rig.host.devices["hoist"].items()}
     count = len(rig.host.messages)

@@ -109,7 +109,9 @@ class NodeSetup:
             name = getattr(self, key)
             valid = SPARKPLUG_ID.valid(name)
             if name != valid and (name or key != "primary_host"):
-                raise ConfigError(f"{key} {printable(name)!r}: MQTT does not permit this name; take {valid!r}")
+                raise ConfigError(
+                    f"{key} {shortened(printable(name))!r}: MQTT does not permit this name; take {valid!r}"
+                )
 
     def topic(self, kind: str, device: str | None = None) -> str:
         """The topic of a message of ``kind``, for instance ``NBIRTH``."""
@@ -272,9 +274,9 @@ class EdgeNode:
         self._end_session()
 
     def _end_session(self) -> None:
-        self._keep_pending()
         if self._history is not None:
-            self._history.session_ended()
+            self._history.session_ended()  # before those of below, which are newer
+        self._keep_pending()
         self._node = None
         self._devices.clear()
         self._births.clear()
@@ -431,9 +433,11 @@ class EdgeNode:
             # behind the births: a host that asks again for each of them would never get the last one
             return self._node_birth(now_ms, clock) if clock >= self._born_at + _REBIRTH_S else None
         assert self._node is not None
-        for slave_or_none, owner in ((None, self._node), *self._devices.items()):
-            if owner.pending and clock >= owner.due:
-                return self._data(slave_or_none, owner, now_ms, clock)
+        waiting = [one for one in ((None, self._node), *self._devices.items()) if one[1].pending]
+        # the one that has waited longest: behind a slow broker no device takes the turn of another
+        slave_or_none, owner = min(waiting, key=lambda one: one[1].due, default=(None, self._node))
+        if owner.pending and clock >= owner.due:
+            return self._data(slave_or_none, owner, now_ms, clock)
         return self._historical(wall, clock)
 
     def due(self, clock: float) -> float:
