@@ -11,7 +11,7 @@ from typing import Final
 from urllib.parse import quote, urlsplit
 
 from dpstack.errors import ConfigError
-from dpstack.text import printable
+from dpstack.text import printable, shortened
 
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 #: octets of a password
@@ -47,7 +47,8 @@ class Broker:
             raise ConfigError("url: user and password have keys of their own (user, password_file); take them out")
         if parts.scheme not in _PORTS or not host or parts.path not in ("", "/") or parts.query or parts.fragment:
             raise ConfigError(
-                f"url {printable(self.url)!r} is no address of a broker; write mqtt://HOST:PORT, or with TLS mqtts://HOST:PORT"
+                f"url {shortened(printable(self.url))!r} is no address of a broker; write mqtt://HOST:PORT, or with "
+                "TLS mqtts://HOST:PORT"
             )
         object.__setattr__(self, "host", host)
         object.__setattr__(self, "port", port or _PORTS[parts.scheme])

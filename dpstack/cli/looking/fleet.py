@@ -14,7 +14,7 @@ from dpstack.cli.looking.fleet_view import FleetView
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import UsageError
-from dpstack.text import printable
+from dpstack.text import printable, shortened
 
 if TYPE_CHECKING:
     from dpstack.bridge.mqtt.broker import Broker
@@ -109,7 +109,7 @@ def _name(text: str, option: str) -> str:
     from dpstack.bridge.names import SPARKPLUG_ID
 
     if SPARKPLUG_ID.valid(text) != text:
-        raise UsageError(f"{option} {printable(text)!r}: MQTT does not permit this name")
+        raise UsageError(f"{option} {shortened(printable(text))!r}: MQTT does not permit this name")
     return text
 
 
@@ -119,5 +119,5 @@ def _gateways(text: str) -> str | tuple[str, str]:
         return _ALL
     group, slash, node = text.partition("/")
     if not slash:
-        raise UsageError(f"--rebirth {printable(text)!r}: write GROUP/NODE, or all")
+        raise UsageError(f"--rebirth {shortened(printable(text))!r}: write GROUP/NODE, or all")
     return _name(group, "--rebirth"), _name(node, "--rebirth")
