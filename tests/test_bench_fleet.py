@@ -17,7 +17,8 @@ from bench.report import Report
 from dpstack import run_virtual
 from dpstack.bridge.face import Face
 from dpstack.bridge.gateway import Gateway
-from dpstack.bridge.mqtt.edge_node import EdgeNode, NodeSetup, Publish
+from dpstack.bridge.mqtt.edge_node import EdgeNode
+from dpstack.bridge.mqtt.plant_node import NodeOptions, NodeSetup, Publish
 from dpstack.bridge.tree import Change, PlantTree
 
 NODE = "gateway-07"
@@ -32,7 +33,7 @@ class Collecting(Face):
     def __init__(self, tree: PlantTree) -> None:
         super().__init__(tree, lambda *_: None)
         self.messages: list[Message] = []
-        self._node = EdgeNode(NodeSetup(GROUP, NODE), tree)
+        self._node = EdgeNode(NodeSetup(GROUP, NODE), tree, NodeOptions())
         self._will = self._node.connect(7, 0.0).will
         self._node.connected()
 

@@ -27,7 +27,7 @@ from dpstack.bridge.face import Face
 from dpstack.bridge.gateway import Gateway
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.client import MqttFace
-from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.tree import PlantTree
 from dpstack.trace import Severity
 

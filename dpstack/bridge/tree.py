@@ -46,7 +46,9 @@ _MOST_REMARKS: Final = 100
 
 #: troubles of the values of a slave that is there
 _OF_VALUES: Final = frozenset({Reason.NOT_VALID, Reason.TOO_OLD})
+#: states of a slave, as the live stream has them
 EXCHANGING: Final = "data_exchange"
+DEACTIVATED: Final = "deactivated"
 
 
 class Changed(NamedTuple):

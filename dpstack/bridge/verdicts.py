@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from dpstack.bridge.conditions import Level
 from dpstack.bridge.quality import FLOAT, Reason, clean, value_of
-from dpstack.bridge.tree import EXCHANGING, Change, NodesChanged, PlantTree
+from dpstack.bridge.tree import DEACTIVATED, EXCHANGING, Change, NodesChanged, PlantTree
 from dpstack.monitor.thresholds import Thresholds
 
 GOOD, UNKNOWN, WARNING, CRITICAL = "good", "unknown", "warning", "critical"
@@ -25,7 +25,6 @@ _SAMPLE_S: Final = 30.0
 _MOST_LOSSES: Final = 16
 #: reasons of the bus
 _MOST_REASONS: Final = 16
-_DEACTIVATED: Final = "deactivated"
 #: a bus that has ended in order, or does not run yet, has no fault
 _NOT_JUDGED: Final = frozenset({Reason.WAITING, Reason.SEARCHING, Reason.ENDED})
 #: conditions of a slave that are judged by its values
@@ -138,7 +137,7 @@ class Judge:
 
     def _is_lost(self, address: int) -> bool:
         past = self._past.get(address)
-        if past is None or self._tree.is_alive(address) or self._tree.values(address).get("state") == _DEACTIVATED:
+        if past is None or self._tree.is_alive(address) or self._tree.values(address).get("state") == DEACTIVATED:
             return False
         return past.was_alive or self._tree.t - past.away_since >= self._limits.bring_up_s
 
@@ -148,9 +147,9 @@ class Judge:
         exchanges = state == EXCHANGING
         if past.exchanged and not exchanges:
             past.away_since = t
-            if state != _DEACTIVATED and self._is_served():
+            if state != DEACTIVATED and self._is_served():
                 past.losses.append(t)
-        elif state == _DEACTIVATED or not self._is_served():
+        elif state == DEACTIVATED or not self._is_served():
             past.away_since = t
             past.was_alive = False
         past.was_alive = past.was_alive or self._tree.is_alive(address)
@@ -201,7 +200,7 @@ class Judge:
     def _of_slave(self, address: int, before: _Sample, now: _Sample) -> Verdict:
         values, limits = self._tree.values(address), self._limits
         state, past = values.get("state"), self._past.get(address)
-        if state == _DEACTIVATED or not self._is_served() or past is None:
+        if state == DEACTIVATED or not self._is_served() or past is None:
             return Verdict(UNKNOWN, ("the master does not exchange data with it",))
         found: list[tuple[str, str]] = []
         if state != EXCHANGING and now.t - past.away_since >= limits.bring_up_s:

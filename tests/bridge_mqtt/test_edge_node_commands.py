@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from property_kit import examples
 from sparkplug_host import tag
 
-from dpstack.bridge.mqtt.edge_node import OrderWish
+from dpstack.bridge.mqtt.plant_node import OrderWish
 
 LISTED = {"valves.lamp", "valves.speed", "hoist.start", "hoist.speed"}
 

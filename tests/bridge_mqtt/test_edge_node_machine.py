@@ -14,7 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from plant_items import PLANT
 from property_kit import examples
 
-from dpstack.bridge.mqtt.edge_node import Phase
+from dpstack.bridge.mqtt.plant_node import Phase
 
 
 class EdgeNodeMachine(RuleBasedStateMachine):

@@ -10,7 +10,7 @@ import pytest
 from edge_node_rig import Rig
 from plant_items import PLANT, VALVES
 
-from dpstack.bridge.mqtt.edge_node import NodeSetup, Phase
+from dpstack.bridge.mqtt.plant_node import NodeSetup, Phase
 from dpstack.errors import ConfigError
 
 

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from plant_items import HOIST, PLANT, VALVES
 from property_kit import examples
 
-from dpstack.bridge.mqtt.edge_node import Disconnect, NodeSetup, OrderWish, Publish
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.json_payload import read_order
+from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, NodeSetup, OrderWish, Publish
 from dpstack.bridge.quality import Value
 from dpstack.bridge.tree import ClockSet, PlantTree
 
@@ -37,7 +37,9 @@ class Rig:
         self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
         self.tree = PlantTree()
         self.node = JsonNode(
-            NodeSetup(GROUP, NODE, "", interval_s), self.tree, allowed=lambda: ALLOWED, tell=self.told.append
+            NodeSetup(GROUP, NODE, "", interval_s),
+            self.tree,
+            NodeOptions(allowed=lambda: ALLOWED, tell=self.told.append),
         )
         #: payload and time of expiry by topic
         self.kept: dict[str, tuple[bytes, float]] = {}

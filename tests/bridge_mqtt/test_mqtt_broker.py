@@ -16,9 +16,9 @@ from tls_kit import CERT, KEY, KEY_WITH_PASSWORD, OTHER_KEY
 from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
 from dpstack.bridge.mqtt.client import MqttFace
 from dpstack.bridge.mqtt.connection import text_of
-from dpstack.bridge.mqtt.edge_node import NodeSetup
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.json_node import JsonNode
+from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.tree import PlantTree
 from dpstack.errors import ConfigError
 from dpstack.trace import Severity

@@ -15,7 +15,7 @@ from plant_items import HOIST, PLANT, VALVES
 from dpstack.bridge.mqtt import sparkplug_pb2 as pb
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.client import MqttFace
-from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
 

@@ -13,9 +13,9 @@ from plant_items import FINE, HOIST, PLANT, VALVES
 
 from dpstack.bridge.mqtt.broker import Broker, read_password
 from dpstack.bridge.mqtt.client import MqttFace
-from dpstack.bridge.mqtt.edge_node import EdgeNode, NodeSetup
+from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.json_node import JsonNode
-from dpstack.bridge.mqtt.plant_node import PlantNode
+from dpstack.bridge.mqtt.plant_node import NodeSetup, PlantNode
 from dpstack.bridge.tree import PlantTree
 
 BASE, SPARKPLUG = f"dpstack/{GROUP}/{NODE}", f"spBv1.0/{GROUP}"

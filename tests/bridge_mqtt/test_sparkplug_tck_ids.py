@@ -16,7 +16,7 @@ from history_rig import HistoryRig
 from plant_items import PLANT
 from sparkplug_host import FIELD_OF, Payload, read_payload
 
-from dpstack.bridge.mqtt.edge_node import Disconnect, NodeSetup, Phase
+from dpstack.bridge.mqtt.plant_node import Disconnect, NodeSetup, Phase
 from dpstack.errors import ConfigError
 
 #: ids by the test that shows them

@@ -13,7 +13,7 @@ import pytest
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.client import MqttFace
 from dpstack.bridge.mqtt.connection import cancellations, end_if_cancelled
-from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.tree import PlantTree
 

@@ -10,10 +10,11 @@ from typing import Any
 from plant_items import HOIST, PLANT, VALVES
 from sparkplug_host import Host, read_payload, tag
 
-from dpstack.bridge.mqtt.edge_node import (
+from dpstack.bridge.mqtt.edge_node import EdgeNode
+from dpstack.bridge.mqtt.plant_node import (
     Connection,
     Disconnect,
-    EdgeNode,
+    NodeOptions,
     NodeSetup,
     OrderWish,
     Phase,
@@ -76,10 +77,12 @@ class Rig:
         self.node = EdgeNode(
             self.setup,
             self.tree,
-            allowed=lambda: [one for one in self.tree.orders if self.may(one)],
-            tell=self.told.append,
-            clear_first=self.numbers.damaged,
-            pause=self.pause,
+            NodeOptions(
+                allowed=lambda: [one for one in self.tree.orders if self.may(one)],
+                tell=self.told.append,
+                clear_first=self.numbers.damaged,
+                pause=self.pause,
+            ),
         )
 
     def close(self) -> None:

@@ -9,10 +9,11 @@ from typing import Final
 
 from edge_node_rig import Rig
 
-from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, Publish
+from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.history import CHUNK, EARLIEST_MS, Entry, History
 from dpstack.bridge.mqtt.history_file import HistoryFile
 from dpstack.bridge.mqtt.payload import DataType
+from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, Publish
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.quality import Reason
 from dpstack.bridge.tree import PlantTree
@@ -69,7 +70,7 @@ class HistoryRig(Rig):
         self.file = HistoryFile(self.folder, self.store, f"boot {self.boot}")
         self.history = History(self.memory)
         self.tree = PlantTree()
-        self.node = EdgeNode(self.setup, self.tree, tell=self.told.append, history=self.history)
+        self.node = EdgeNode(self.setup, self.tree, NodeOptions(tell=self.told.append, history=self.history))
 
     def close(self) -> None:
         super().close()

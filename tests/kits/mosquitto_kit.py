@@ -21,7 +21,7 @@ from sparkplug_host import Host
 from dpstack.bridge.face import Tell
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.client import MqttFace
-from dpstack.bridge.mqtt.edge_node import NodeSetup
+from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
 from dpstack.trace import Severity

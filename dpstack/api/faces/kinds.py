@@ -46,9 +46,9 @@ class FaceKind(NamedTuple):
 def _mqtt(config: MqttConfig, parts: Parts) -> Face:
     from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
     from dpstack.bridge.mqtt.client import MqttFace
-    from dpstack.bridge.mqtt.edge_node import EdgeNode, NodeSetup
+    from dpstack.bridge.mqtt.edge_node import EdgeNode
     from dpstack.bridge.mqtt.json_node import JsonNode
-    from dpstack.bridge.mqtt.plant_node import PlantNode
+    from dpstack.bridge.mqtt.plant_node import NodeSetup, PlantNode
 
     if config.format == "json" and config.primary_host:
         raise ConfigError('primary_host: plain JSON knows none; take it out, or write format = "sparkplug"')

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from dpstack.bridge.quality import Reason, clean
-from dpstack.bridge.tree import EXCHANGING, PlantTree
+from dpstack.bridge.tree import DEACTIVATED, EXCHANGING, PlantTree
 from dpstack.bridge.verdicts import CRITICAL, WARNING, Verdict
 from dpstack.text import printable
 
 #: reasons for which no value of the stream is of this moment
 _NO_STREAM: Final = frozenset({Reason.WAITING, Reason.STREAM_SILENT, Reason.STREAM_LATE, Reason.ENDED, Reason.FAILED})
-_DEACTIVATED: Final = "deactivated"
 
 
 class Health(NamedTuple):
@@ -52,7 +51,7 @@ def readiness(tree: PlantTree, verdict: Verdict) -> Health:
     served = 0
     for address, described in tree.slaves.items():
         slave = tree.values(address)
-        if slave.get("state") == _DEACTIVATED:
+        if slave.get("state") == DEACTIVATED:
             continue
         served += 1
         if not tree.is_alive(address):

@@ -13,7 +13,7 @@
 - ``json_payload``: Payloads of plain JSON: values, conditions, results; orders that come
 - ``limited_client``: A client that reads no more than its share of what the broker sends
 - ``payload``: Payloads of Sparkplug B: nodes of the tree as metrics, and the metrics of commands
-- ``plant_node``: The interface between the client and what it publishes
+- ``plant_node``: The base class of ``edge_node`` and ``json_node``, and its messages for the client
 - ``session_file``: The number of the MQTT session on disk (bdSeq), and the lock against a second gateway
 - ``sparkplug_pb2``: The messages of Sparkplug B, made from sparkplug.proto by tools/make_sparkplug_proto.py
 - ``status``: The status of a segment for ``dpstack fleet``: its content, when it is due, and its reader

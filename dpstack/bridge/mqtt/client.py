@@ -33,10 +33,10 @@ from dpstack.bridge.mqtt.connection import (
     subscribe,
     text_of,
 )
-from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, NodeSetup, OrderWish, Publish
+from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.history import History
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
-from dpstack.bridge.mqtt.plant_node import PlantNode
+from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, NodeSetup, OrderWish, PlantNode, Publish
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.mqtt.status import EXPIRY_S, StatusSource, topic_of
 from dpstack.bridge.mqtt.worker_thread import in_thread
@@ -132,11 +132,13 @@ class MqttFace(Face):
         self._node = self._make_node(
             self._setup,
             self.tree,
-            allowed=self._allowed,
-            tell=lambda text: self.tell(text, Severity.WARNING),
-            clear_first=numbers.damaged,
-            history=self._history,
-            pause=lambda: self._pause(_BIRTHS_PAUSE_S),
+            NodeOptions(
+                allowed=self._allowed,
+                tell=lambda text: self.tell(text, Severity.WARNING),
+                clear_first=numbers.damaged,
+                history=self._history,
+                pause=lambda: self._pause(_BIRTHS_PAUSE_S),
+            ),
         )
 
     def _allowed(self) -> frozenset[str]:

@@ -15,8 +15,8 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from dpstack.bridge.mqtt.broker import Broker
-from dpstack.bridge.mqtt.edge_node import Publish
 from dpstack.bridge.mqtt.limited_client import MOST_PACKET, LimitedClient
+from dpstack.bridge.mqtt.plant_node import Publish
 from dpstack.bridge.mqtt.worker_thread import in_thread
 
 #: s for the TCP connection with TLS, and for each answer of the broker

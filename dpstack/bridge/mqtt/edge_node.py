@@ -1,27 +1,18 @@
 """The edge node of Sparkplug B 3.0: births, data, deaths and commands of a plant, in their order.
 
-The bus is the edge node, its slaves are the devices. The caller owns the connection, the time and the tree:
-
-- it connects with :meth:`EdgeNode.connect`, says :meth:`~EdgeNode.connected` when the broker has taken connection and
-  subscriptions, and :meth:`~EdgeNode.disconnected` when the connection is gone
-- it hands in changes of the tree (:meth:`~EdgeNode.take`) and messages (:meth:`~EdgeNode.receive`)
-- it asks for the next message whenever it can send one (:meth:`~EdgeNode.next`)
-
-A message is made when it is asked for, with the values of that moment: a slow broker gets fewer of them, and nothing
-waits in memory but the last value of each metric. With a :class:`~dpstack.bridge.mqtt.history.History`, values that
-could not be delivered are kept there, and follow as history. ``wall``: s since 1970 by the clock of the computer, which
-may jump; ``clock``: s since the start of the computer, by a clock that nobody sets.
+The bus is the edge node, its slaves are the devices. A message is made when it is asked for, with the values of that
+moment: a slow broker gets fewer of them, and nothing waits in memory but the last value of each metric. With a
+:class:`~dpstack.bridge.mqtt.history.History`, values that could not be delivered are kept there, and follow as history.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum, auto
-from typing import ClassVar, Final, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar, Final
 
-from dpstack.bridge.mqtt.history import Absent, Entry, History
+from dpstack.bridge.mqtt.history import Absent, Entry
 from dpstack.bridge.mqtt.json_payload import read_object
 from dpstack.bridge.mqtt.payload import (
     BDSEQ,
@@ -39,14 +30,22 @@ from dpstack.bridge.mqtt.payload import (
     read_command,
     value_given,
 )
+from dpstack.bridge.mqtt.plant_node import (
+    Connection,
+    Disconnect,
+    NodeOptions,
+    NodeSetup,
+    OrderWish,
+    Phase,
+    PlantNode,
+    Publish,
+)
 from dpstack.bridge.names import SPARKPLUG_ID, SPARKPLUG_METRIC, unique_names
 from dpstack.bridge.nodes import Node, Order
 from dpstack.bridge.quality import BOOL, TEXT, Quality, Reading, Reason, Value
 from dpstack.bridge.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
-from dpstack.errors import ConfigError
 from dpstack.text import printable, shortened
 
-NAMESPACE: Final = "spBv1.0"
 #: sequence numbers are 0 to 255
 _SEQUENCE: Final = 256
 #: s between two births that hosts ask for
@@ -54,86 +53,6 @@ _REBIRTH_S: Final = 1.0
 #: octets of a STATE message
 _MOST_STATE: Final = 1024
 _LAST_COMMAND: Final = "Last command"
-
-
-class Publish(NamedTuple):
-    """A message for the broker. ``expiry_s``: s after which the broker forgets it; 0: never. ``session``: of a will
-    whose payload does not have it, the number of its session, as a user property."""
-
-    topic: str
-    payload: bytes
-    qos: int = 0
-    retain: bool = False
-    expiry_s: int = 0
-    session: int | None = None
-
-
-class Disconnect(NamedTuple):
-    """End the connection now; in MQTT 5 with the reason code "Disconnect with Will Message" (0x04)."""
-
-    why: str
-
-
-class Connection(NamedTuple):
-    """The needs of a connection. Clean Start is set, and the Session Expiry Interval is 0. ``subscriptions``: topics,
-    each with QoS 1."""
-
-    client_id: str
-    will: Publish
-    subscriptions: tuple[str, ...]
-
-
-class OrderWish(NamedTuple):
-    """An order for the run. ``made_at``: by the clock of its sender, in s since 1970."""
-
-    name: str
-    value: Value
-    made_at: float
-
-
-@dataclass(frozen=True, slots=True)
-class NodeSetup:
-    """The edge node as it is configured. ``primary_host``: births wait for it; empty: none. ``interval_s``: the metrics
-    of a device are published no more often.
-
-    Raises ConfigError for a name that Sparkplug does not permit.
-    """
-
-    group: str
-    node: str
-    primary_host: str = ""
-    interval_s: float = 1.0
-
-    def __post_init__(self) -> None:
-        for key in ("group", "node", "primary_host"):
-            name = getattr(self, key)
-            valid = SPARKPLUG_ID.valid(name)
-            if name != valid and (name or key != "primary_host"):
-                raise ConfigError(
-                    f"{key} {shortened(printable(name))!r}: MQTT does not permit this name; take {valid!r}"
-                )
-
-    def topic(self, kind: str, device: str | None = None) -> str:
-        """The topic of a message of ``kind``, for instance ``NBIRTH``."""
-        return "/".join((NAMESPACE, self.group, kind, self.node, *(() if device is None else (device,))))
-
-    @property
-    def state_topic(self) -> str:
-        """The topic on which the primary host says whether it is online."""
-        return f"{NAMESPACE}/STATE/{self.primary_host}"
-
-
-class Phase(Enum):
-    """Phases of an edge node."""
-
-    OFFLINE = auto()
-    #: the connection is being made
-    CONNECTING = auto()
-    #: the primary host is not online
-    WAITING = auto()
-    ONLINE = auto()
-    #: NDEATH is the next message, then the end of the connection
-    LEAVING = auto()
 
 
 class _Device:
@@ -148,45 +67,18 @@ class _Device:
         self.not_good: set[str] = set()
 
 
-def no_pause() -> float:
-    return 0.0
-
-
-class EdgeNode:
-    """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
-    ``clear_first``: the number of the last session is not known. So one session without births comes before the
-    others: the broker has published the old will when the first births come. ``history``: keeps values that could not
-    be delivered; None: they are lost. ``pause``: draws the s between "online" of the primary host, which all gateways
-    get at the same moment, and the births.
-
-    ``phase``: see :class:`Phase`. ``merged``: values that newer ones replaced before they were published.
-    """
+class EdgeNode(PlantNode):
+    """``merged``: values that newer ones replaced before they were published."""
 
     counts_sessions: ClassVar[bool] = True
 
-    def __init__(
-        self,
-        setup: NodeSetup,
-        tree: PlantTree,
-        *,
-        allowed: Callable[[], Collection[str]] = tuple,
-        tell: Callable[[str], object] = lambda _: None,
-        clear_first: bool = False,
-        history: History | None = None,
-        pause: Callable[[], float] = no_pause,
-    ) -> None:
-        self.phase = Phase.OFFLINE
+    def __init__(self, setup: NodeSetup, tree: PlantTree, options: NodeOptions) -> None:
+        super().__init__(setup, tree, options)
         self.merged = 0
-        self.lost_results = 0
-        self._setup = setup
-        self._tree = tree
-        self._allowed = allowed
-        self._tell = tell
-        self._clear_first = clear_first
-        self._pause = pause
+        self._clear_first = options.clear_first
+        self._pause = options.pause
         self._number = 0
         self._seq = 0
-        self._leaving = ""
         self._death_sent = False
         # metrics by key: the id of a node; slave/N/order/... of an order without a node, own/... of the edge node
         self._kinds: dict[str, MetricKind] = {}
@@ -215,10 +107,8 @@ class EdgeNode:
         self._births_from = -math.inf
         # commands
         self._own: dict[str, tuple[Value, str, float]] = {}
-        #: the clock of the computer less that of the stream, in s
-        self._offset = 0.0
         # history
-        self._history = history
+        self._history = options.history
         self._clock = 0.0
         self._was_born = False
         #: devices by their id
@@ -230,7 +120,6 @@ class EdgeNode:
     # --- the connection -------------------------------------------------------------------------------------------
 
     def connect(self, number: int, wall: float) -> Connection:
-        """Begin the session ``number`` (bdSeq), which is on disk already (:mod:`dpstack.bridge.mqtt.session_file`)."""
         self.disconnected()
         self._number = number
         self.phase = Phase.CONNECTING
@@ -240,11 +129,9 @@ class EdgeNode:
         if setup.primary_host:
             topics.append(setup.state_topic)
         will = Publish(setup.topic("NDEATH"), node_death(self._number, _ms(wall)), qos=1)
-        # neither id has a slash: so two different edge nodes never have the same one
-        return Connection(f"{setup.group}/{setup.node}", will, tuple(topics))
+        return Connection(setup.client_id, will, tuple(topics))
 
     def connected(self) -> None:
-        """The broker has taken connection and subscriptions."""
         if self.phase is not Phase.CONNECTING:
             return
         if self._clear_first:
@@ -256,7 +143,6 @@ class EdgeNode:
             self._begin()
 
     def disconnected(self) -> None:
-        """The connection is gone, or was not made."""
         self.phase = Phase.OFFLINE
         self._end_session()
 
@@ -288,7 +174,6 @@ class EdgeNode:
     # --- the tree -------------------------------------------------------------------------------------------------
 
     def take(self, changes: Sequence[Change], wall: float, clock: float) -> None:
-        """Take changes of the tree."""
         self._clock = clock
         self._set_clock(changes, wall, clock)
         died = {change.slave for change in changes if isinstance(change, Died)}
@@ -328,13 +213,10 @@ class EdgeNode:
         """Names and aliases of all metrics. A metric keeps its alias; none is given twice."""
         tree = self._tree
         slaves = tree.slaves
-        ids = unique_names(SPARKPLUG_ID, [(f"slave {address}", one.name) for address, one in slaves.items()])
-        ids_before, self._device_ids = self._device_ids, {one: ids.names[f"slave {one}"] for one in slaves}
+        ids_before, self._device_ids = self._device_ids, self._slave_names(SPARKPLUG_ID)
         self._slave_of = {name: one for one, name in self._device_ids.items()}
-        for text in ids.changed:
-            self._tell(text)
         self._kinds, self._orders, self._keys, self._bare_orders = {}, {}, {}, {}
-        allowed = {name: tree.orders[name] for name in self._allowed() if name in tree.orders}
+        allowed = self._allowed_orders()
         known, self._aliases = self._aliases, {}
         # hosts know the old aliases of a device below its old name
         other_id = tuple(f"slave/{one}/" for one in slaves if ids_before.get(one) != self._device_ids[one])
@@ -407,7 +289,6 @@ class EdgeNode:
     # --- messages out ---------------------------------------------------------------------------------------------
 
     def next(self, wall: float, clock: float) -> Publish | Disconnect | None:
-        """The next message, or the end of the connection; None: nothing is to be sent now."""
         if self.phase is Phase.LEAVING:
             if self._death_sent:
                 return Disconnect(self._leaving)
@@ -441,7 +322,6 @@ class EdgeNode:
         return self._historical(wall, clock)
 
     def due(self, clock: float) -> float:
-        """The time by ``clock`` at which :meth:`next` has a message, if nothing happens before; infinite: none."""
         if self.phase is Phase.LEAVING:
             return clock
         if self.phase is not Phase.ONLINE or self._tree.plant is None:
@@ -649,8 +529,6 @@ class EdgeNode:
     # --- messages in ----------------------------------------------------------------------------------------------
 
     def receive(self, topic: str, payload: bytes, wall: float, *, retained: bool = False) -> Sequence[OrderWish]:
-        """Take a message of the broker; nothing that it may hold raises. Returns orders for the run, whose results
-        :meth:`answer` takes."""
         setup = self._setup
         if setup.primary_host and topic == setup.state_topic:
             self._host_state(payload, retained=retained)
@@ -681,7 +559,6 @@ class EdgeNode:
         return wishes
 
     def answer(self, wish: OrderWish, result: str, reason: str, wall: float) -> None:
-        """The result of an order of :meth:`receive`: ``done``, or ``refused`` with the reason."""
         self._show_result(wish.name, result, reason, wall)
 
     def _wish(self, device: str | None, given: Given, time_ms: int | None, *, retained: bool) -> OrderWish:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final
 
-from dpstack.bridge.mqtt.edge_node import NAMESPACE
 from dpstack.bridge.mqtt.payload import BDSEQ, read_command, rebirth_command
+from dpstack.bridge.mqtt.plant_node import SPARKPLUG
 from dpstack.bridge.mqtt.status import ENDED, EXPIRY_S, FAILED, RUNNING, Status, read_status
 from dpstack.bridge.names import SPARKPLUG_ID
 from dpstack.bridge.verdicts import CRITICAL, GOOD, UNKNOWN, WARNING
@@ -89,8 +89,8 @@ class Fleet:
         group = "+" if self.group is None else self.group
         # in this order: a will that the broker has kept comes behind the status of its session
         return (
-            f"{NAMESPACE}/{group}/NDEATH/+",
-            f"{NAMESPACE}/{group}/NBIRTH/+",
+            f"{SPARKPLUG}/{group}/NDEATH/+",
+            f"{SPARKPLUG}/{group}/NBIRTH/+",
             f"dpstack/{group}/+/{_STATUS}",
             f"dpstack/{group}/+/{_ONLINE}",
         )
@@ -139,7 +139,7 @@ class Fleet:
                     return None
                 segment.dead = True
                 return self._judge(segment, now)
-            case [name, group, kind, node] if name == NAMESPACE:
+            case [name, group, kind, node] if name == SPARKPLUG:
                 segment = self._segments.get((group, node))
                 if segment is None:
                     return None
@@ -267,4 +267,4 @@ def _session_of(payload: bytes) -> object:
 
 def rebirth_of(group: str, node: str, now_ms: int) -> tuple[str, bytes]:
     """Topic and payload of the request for all births of an edge node."""
-    return f"{NAMESPACE}/{group}/NCMD/{node}", rebirth_command(now_ms)
+    return f"{SPARKPLUG}/{group}/NCMD/{node}", rebirth_command(now_ms)

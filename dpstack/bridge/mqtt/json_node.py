@@ -1,7 +1,6 @@
 """A plant as topics with plain JSON: values, conditions, orders and their results, in their order.
 
-The interface is that of :class:`~dpstack.bridge.mqtt.edge_node.EdgeNode`: the caller owns the connection, the time and
-the tree. docs/reference/mqtt-json.md has all topics, and the reasons for this layout.
+docs/reference/mqtt-json.md has all topics, and the reasons for this layout.
 
 All topics but the results are retained with a message expiry, and sent again long before it. So the broker forgets
 what nobody keeps up to date. A message is made when it is asked for, with the values of that moment: nothing waits in
@@ -12,13 +11,21 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Final, NamedTuple
 
 from dpstack.bridge.conditions import Condition
-from dpstack.bridge.mqtt.edge_node import Connection, Disconnect, NodeSetup, OrderWish, Phase, Publish, no_pause
-from dpstack.bridge.mqtt.history import History
 from dpstack.bridge.mqtt.json_payload import condition_payload, read_order, result_payload, values_payload
+from dpstack.bridge.mqtt.plant_node import (
+    Connection,
+    Disconnect,
+    NodeOptions,
+    NodeSetup,
+    OrderWish,
+    Phase,
+    PlantNode,
+    Publish,
+)
 from dpstack.bridge.names import MQTT_NAME, unique_names
 from dpstack.bridge.nodes import Node, Order
 from dpstack.bridge.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
@@ -49,41 +56,18 @@ class _Sent(NamedTuple):
     at: float
 
 
-class JsonNode:
-    """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
-    ``clear_first``, ``pause``: have no meaning here, as only the will has the number of the session, and births wait
-    for no primary host.
-
-    ``lost_results``: results of orders that were too many to wait.
-    """
+class JsonNode(PlantNode):
+    """``clear_first`` and ``pause`` of the options have no meaning here, as only the will has the number of the
+    session, and births wait for no primary host."""
 
     counts_sessions: ClassVar[bool] = False
 
-    def __init__(
-        self,
-        setup: NodeSetup,
-        tree: PlantTree,
-        *,
-        allowed: Callable[[], Collection[str]] = tuple,
-        tell: Callable[[str], object] = lambda _: None,
-        clear_first: bool = False,
-        history: History | None = None,
-        pause: Callable[[], float] = no_pause,
-    ) -> None:
-        assert history is None, "plain JSON has no flag for history"
-        self.phase = Phase.OFFLINE
-        self.lost_results = 0
-        self._tree = tree
-        self._allowed = allowed
-        self._tell = tell
-        self._client_id = f"{setup.group}/{setup.node}"
-        self._base = f"{NAMESPACE}/{setup.group}/{setup.node}"
-        self._interval_s = setup.interval_s
+    def __init__(self, setup: NodeSetup, tree: PlantTree, options: NodeOptions) -> None:
+        assert options.history is None, "plain JSON has no flag for history"
+        super().__init__(setup, tree, options)
+        self._base = f"{NAMESPACE}/{setup.client_id}"
         self._expiry_s = max(EXPIRY_S, math.ceil(3 * setup.interval_s))
-        self._leaving = ""
         self._is_told = False
-        #: the clock of the computer less that of the stream, in s
-        self._offset = 0.0
         # names; all of them are made anew with the nodes
         self._folders: dict[int | None, str] = {}
         self._parts: dict[_Key, list[tuple[str, Node]]] = {}
@@ -105,14 +89,12 @@ class JsonNode:
     # --- the connection -------------------------------------------------------------------------------------------
 
     def connect(self, number: int, wall: float) -> Connection:
-        """Begin a session."""
         self.disconnected()
         self.phase = Phase.CONNECTING
         will = Publish(self._online_topic, _SAID[False], qos=1, retain=True, session=number)
-        return Connection(self._client_id, will, (f"{self._base}/slave/+/set/+",))
+        return Connection(self._setup.client_id, will, (f"{self._base}/slave/+/set/+",))
 
     def connected(self) -> None:
-        """The broker has taken connection and subscription."""
         if self.phase is not Phase.CONNECTING:
             return
         self.phase, self._leaving = Phase.ONLINE, ""
@@ -142,7 +124,6 @@ class JsonNode:
     # --- the tree -------------------------------------------------------------------------------------------------
 
     def take(self, changes: Sequence[Change], wall: float, clock: float) -> None:
-        """Take changes of the tree."""
         for change in changes:
             match change:
                 case Changed(node=node):
@@ -198,13 +179,10 @@ class JsonNode:
         """Names of all slaves, values and orders. Topics of other names than before are taken from the broker."""
         tree = self._tree
         slaves = tree.slaves
-        ids = unique_names(MQTT_NAME, [(f"slave {address}", one.name) for address, one in slaves.items()])
-        for text in ids.changed:
-            self._tell(text)
-        folders = {address: ids.names[f"slave {address}"] for address in slaves}
+        folders = self._slave_names(MQTT_NAME)
         self._folders = {None: "bus", **{address: f"slave/{name}" for address, name in folders.items()}}
         self._parts, self._key_of, self._orders = {}, {}, {}
-        allowed = {name: tree.orders[name] for name in self._allowed() if name in tree.orders}
+        allowed = self._allowed_orders()
         for address in (None, *slaves):
             self._add_parts(address, [node for node, _ in tree.readings(address)])
         for key, members in self._parts.items():
@@ -258,7 +236,6 @@ class JsonNode:
     # --- messages out ---------------------------------------------------------------------------------------------
 
     def next(self, wall: float, clock: float) -> Publish | Disconnect | None:
-        """The next message, or the end of the connection; None: nothing is to be sent now."""
         if self.phase is Phase.LEAVING:
             return self._farewell(wall, clock)
         if self.phase is not Phase.ONLINE or self._tree.plant is None:
@@ -278,7 +255,6 @@ class JsonNode:
         return self._next_gone() if self._gone else None
 
     def due(self, clock: float) -> float:
-        """The time by ``clock`` at which :meth:`next` has a message, if nothing happens before; infinite: none."""
         if self.phase is Phase.LEAVING:
             return clock
         if self.phase is not Phase.ONLINE or self._tree.plant is None:
@@ -303,7 +279,7 @@ class JsonNode:
 
     def _due_at(self, key: _Key) -> float:
         sent = self._sent.get(key)
-        return -math.inf if sent is None else sent.at + self._interval_s
+        return -math.inf if sent is None else sent.at + self._setup.interval_s
 
     def _next_gone(self) -> Publish:
         """A topic to forget, before another one gets its name."""
@@ -377,7 +353,6 @@ class JsonNode:
             return ()
 
     def answer(self, wish: OrderWish, result: str, reason: str, wall: float) -> None:
-        """The result of an order of :meth:`receive`: ``done``, or ``refused`` with the reason."""
         self._add_result(wish.name, wish.made_at, result, reason, wall)
 
     def _wish(self, slave: str, name: str, payload: bytes, *, retained: bool) -> OrderWish:

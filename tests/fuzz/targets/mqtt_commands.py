@@ -11,7 +11,8 @@ from __future__ import annotations
 from typing import Any
 
 from dpstack.bridge.mqtt import sparkplug_pb2 as pb
-from dpstack.bridge.mqtt.edge_node import Disconnect, EdgeNode, NodeSetup, Phase, Publish
+from dpstack.bridge.mqtt.edge_node import EdgeNode
+from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, NodeSetup, Phase, Publish
 from dpstack.bridge.tree import PlantTree
 from tests.fuzz.frame import Cutter, Target
 
@@ -44,7 +45,7 @@ class _Session:
 
     def __init__(self) -> None:
         self.tree = PlantTree()
-        self.node = EdgeNode(NodeSetup("g", "n", "host"), self.tree, allowed=lambda: _ALLOWED)
+        self.node = EdgeNode(NodeSetup("g", "n", "host"), self.tree, NodeOptions(allowed=lambda: _ALLOWED))
         self.clock, self.seq = 0.0, 0
         slaves = {"3": _FINE | {"drive": {"state": "ready"}}, "8": _FINE, "9": _FINE | {"state": "offline"}}
         whole = {"t": 1.0, "whole": True, "bus": {"stale": False}, "slaves": slaves}

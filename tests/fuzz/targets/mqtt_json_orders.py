@@ -13,9 +13,9 @@ import json
 import math
 from typing import Any
 
-from dpstack.bridge.mqtt.edge_node import NodeSetup, OrderWish, Publish
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.json_payload import MOST_OCTETS
+from dpstack.bridge.mqtt.plant_node import NodeOptions, NodeSetup, OrderWish, Publish
 from dpstack.bridge.tree import PlantTree
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
@@ -51,7 +51,7 @@ class _Session:
     def __init__(self) -> None:
         tree = PlantTree()
         allowed = (*_ORDERS.values(), "pump.lamp")
-        self.node = JsonNode(NodeSetup("g", "n"), tree, allowed=lambda: allowed)
+        self.node = JsonNode(NodeSetup("g", "n"), tree, NodeOptions(allowed=lambda: allowed))
         slaves = {"3": _FINE | {"drive": {"state": "ready"}}, "8": _FINE, "9": _FINE | {"state": "offline"}}
         whole = {"t": 1.0, "whole": True, "bus": {"stale": False}, "slaves": slaves}
         for item in ({"plant": _PLANT}, {"snapshot": whole}):
