@@ -47,8 +47,8 @@ class MetricsFace(Face):
         self._listen = listen
         self._server: HttpServer | None = None
         self._rendering = asyncio.Lock()
-        self._text = b""
-        self._text_until = 0.0
+        self._answer = Answer(HTTPStatus.OK, b"")
+        self._answer_until = 0.0
         self._pace = Pace(_MADE_PER_S, _MADE_AT_ONCE)
 
     async def open(self) -> None:
@@ -98,15 +98,18 @@ class MetricsFace(Face):
         loop = asyncio.get_running_loop()
         async with self._rendering:
             now = loop.time()
-            if now >= self._text_until and self._pace.wait_s(now) <= 0:
+            if now >= self._answer_until and self._pace.wait_s(now) <= 0:
                 self._pace.take(now)
-                try:
-                    self._text = await rendered(self.collector.families())
-                except Exception as error:
-                    self.tell(f"a defect, please report it: {type(error).__name__}: {error}", Severity.ERROR)
-                    return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, b"a defect, see the log of the run\n")
-                self._text_until = loop.time() + FRESH_S
-            return Answer(HTTPStatus.OK, self._text)
+                self._answer = await self._made()
+                self._answer_until = loop.time() + FRESH_S
+            return self._answer
+
+    async def _made(self) -> Answer:
+        try:
+            return Answer(HTTPStatus.OK, await rendered(self.collector.families()))
+        except Exception as error:
+            self.tell(f"a defect, please report it: {type(error).__name__}: {error}", Severity.ERROR)
+            return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, b"a defect, see the log of the run\n")
 
 
 async def rendered(families: Sequence[Family]) -> bytes:

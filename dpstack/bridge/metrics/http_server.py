@@ -8,6 +8,7 @@ the sake of a bus on the same computer: who asks without a pause waits.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import re
 import socket
 from collections import Counter
@@ -230,7 +231,8 @@ class Connection(asyncio.Protocol):
         self._transport.write(head.encode("ascii") + (body if with_body else b""))
         # a socket that is closed with octets unread would take the answer away from the client
         if self._transport.can_write_eof():
-            self._transport.write_eof()
+            with contextlib.suppress(OSError):  # the client has reset the connection
+                self._transport.write_eof()
         asyncio.get_running_loop().call_later(_GOODBYE_S, self._close)
 
     def _close(self) -> None:
