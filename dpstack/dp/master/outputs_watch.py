@@ -106,8 +106,7 @@ class OutputsWatch:
     def begin(self, now: int) -> None:
         """Begin to watch, because Operate was ordered."""
         for handler in self._handlers.values():
-            handler.asked_at = max(handler.asked_at, now)
-            handler.prm_req_at = NEVER  # a Prm_Req before the order does not count
+            handler.operate_ordered(now)
         self.down.clear()
         self._watching = True
         limit_ns = self._settings.application_watchdog_ns

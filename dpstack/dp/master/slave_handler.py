@@ -84,6 +84,7 @@ class SlaveHandler:
         self.asked_at = 0
         #: time in ns of the diagnosis with Prm_Req after the slave left data exchange by itself, or NEVER
         self.prm_req_at = NEVER
+        self._overdue_at = 0
         #: Slave_Diag is due in data exchange (DH, Stat_Diag)
         self.diag_due = False
         self._context = context
@@ -300,7 +301,7 @@ class SlaveHandler:
         owner = foreign_owner(diagnosis, self._context.params.address)
         if self._refused_data:
             self._refused_data = False
-            if diagnosis.prm_req:
+            if diagnosis.prm_req and self.image.input_time >= self._overdue_at:
                 self.prm_req_at = now
                 self._changed(self, now)
         if diagnosis.prm_req or owner is not None or diagnosis.ident != self.ident:
@@ -352,6 +353,15 @@ class SlaveHandler:
             self.reports.observer.read(diagnosis, self.reports.flagged, self.exchanges, now)
             self.reports.flagged = 0
         self._changed(self, now)
+
+    def operate_ordered(self, now: int) -> None:
+        """What happened to the slave before the order of Operate is no stall. A slave that was not asked until then, as
+        in Stop, wants parameters because of that: its Prm_Req counts again when it has exchanged data."""
+        # the next request comes later than the order, so half of the watchdog is enough
+        if 2 * (now - self.asked_at) > self.watchdog_effective_ns:
+            self._overdue_at = now
+        self.asked_at = max(self.asked_at, now)
+        self.prm_req_at = NEVER
 
     def not_asked(self, now: int) -> None:
         """The driver did not run, or all slaves want parameters at once: this slave does not count as flapping."""

@@ -276,6 +276,23 @@ def test_operate_after_stop_begins_anew() -> None:
     assert mode_of(bus) is Mode.OPERATE
 
 
+def test_a_stop_by_order_is_no_stall_of_all_slaves() -> None:
+    """Their watchdogs have run out in Stop, so all want parameters at the next Operate. Afterwards the rule counts."""
+    bus = running(3, 4)
+    bus.send(SetMode(Mode.STOP))
+    bus.run(1_500 * MS)
+    bus.slave.configured = bus.slaves[4].configured = False
+    bus.send(SetMode(Mode.OPERATE))
+    bus.run_long(3_000 * MS)
+    assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.OPERATE
+    assert not bus.events_of(Stalled)
+    bus.slave.configured = bus.slaves[4].configured = False
+    bus.run_long(3_000 * MS)
+    assert mode_of(bus) is Mode.CLEAR
+    assert len(bus.events_of(Stalled)) == 1
+
+
 def test_a_slow_bring_up_is_no_stall() -> None:
     bus = link(setup(3, initial=RUN))
     bus.send(SetMode(Mode.OPERATE))
