@@ -4,6 +4,7 @@ slow delays nobody, is told, and is tried again."""
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,11 +29,19 @@ class Bench:
     def __init__(self, folder: Path, *, most: int = 20_000) -> None:
         self.folder = folder
         self.told: list[str] = []
+        self.has_told = asyncio.Event()
         self.history = History(most)
         self.keeper = HistoryKeeper(self.history, folder, 1, self.tell, lambda: None, retry_s=0.0)
 
     def tell(self, text: str, severity: Severity) -> None:
         self.told.append(text.replace(str(self.folder), "FOLDER"))
+        self.has_told.set()
+
+    async def until_told(self, count: int) -> None:
+        async with asyncio.timeout(10):
+            while len(self.told) < count:
+                self.has_told.clear()
+                await self.has_told.wait()
 
     def keep(self, first: int, last: int) -> None:
         for number in range(first, last + 1):
@@ -188,10 +197,46 @@ async def test_a_slow_disk_delays_nobody_and_the_end_takes_no_longer_than_its_li
     bench.keep(4, 5)
     serving.cancel()
     await asyncio.gather(serving, return_exceptions=True)
-    with pytest.raises(TimeoutError):
-        async with asyncio.timeout(0.01):
-            await bench.keeper.finish()
+    await bench.keeper.finish(0.01)
+    assert bench.told == [
+        "2 values that wait in memory are lost: the run ends before FOLDER/history.sqlite has taken them"
+    ]
     bench.keeper.close()  # the thread is busy: nobody waits for it
+
+
+async def test_a_disk_that_does_not_answer_is_told_and_so_are_the_losses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path, most=5)
+    answers = threading.Event()
+    monkeypatch.setattr(HistoryFile, "append", lambda *_: answers.wait(30))
+    monkeypatch.setattr(history_keeper, "_SLOW_S", 0.01)
+    bench.keep(1, 2)
+    serving = asyncio.create_task(bench.keeper.serve())
+    try:
+        await bench.until_told(1)
+        bench.keep(3, 9)
+        await bench.until_told(2)
+    finally:
+        answers.set()
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+    assert bench.told[:2] == [
+        "FOLDER/history.sqlite: the disk has not answered for 0.01 s; the newest values wait in memory",
+        "4 values that could not be delivered are lost: 4 more than fit in memory while the disk could not take them",
+    ]
+    bench.keeper.close()
+
+
+async def test_losses_that_were_not_told_yet_are_told_at_the_end(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, most=2)
+    for last in (4, 9):
+        bench.keep(1, last)
+        await bench.keeper.step()
+    assert "2 values that could not be delivered are lost: 2 more than fit in memory" in bench.told[-1]
+    await bench.keeper.finish(5.0)
+    assert "9 values that could not be delivered are lost: 9 more than fit in memory" in bench.told[-1]
+    await closed(bench)
 
 
 async def test_history_is_read_behind_what_was_written_and_leaves_the_disk_when_it_is_confirmed(tmp_path: Path) -> None:

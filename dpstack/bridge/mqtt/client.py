@@ -352,9 +352,7 @@ class MqttFace(Face):
             return  # it has ended by a fault, and told it
         keeping.cancel()
         await asyncio.gather(keeping, return_exceptions=True)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(_LAST_WRITE_S):
-                await keeper.finish()
+        await keeper.finish(_LAST_WRITE_S)
 
     def _keeping_ended(self, task: asyncio.Task[None]) -> None:
         if not task.cancelled() and (error := task.exception()) is not None:

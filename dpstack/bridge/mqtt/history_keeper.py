@@ -1,7 +1,7 @@
 """Moves values that could not be delivered between the memory and the disk, in a thread of its own.
 
 A disk that is slow, full, read-only or damaged delays nobody: the newest values wait in memory meanwhile, it is told
-once, and tried again.
+once, and one that has failed is tried again.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -32,6 +32,8 @@ T = TypeVar("T")
 
 #: s between two looks whether something waits for the disk: a SIGKILL or loss of power costs the values of so long
 PERIOD_S: Final = 1.0
+#: s after which a disk that does not answer is told
+_SLOW_S: Final = 30.0
 #: s until a disk that has failed is tried again
 _RETRY_S: Final = 30.0
 #: s between two remarks about values that were lost
@@ -88,19 +90,31 @@ class HistoryKeeper:
     async def step(self) -> None:
         """One look: write what is new, take off what is done, read what is wanted."""
         async with self._one_at_a_time:
-            try:
-                file = await self._opened()
-                if file is not None:
-                    await self._write(file)
-                    await self._read(file)
-            except HistoryError as error:
-                await self._fail(error)
+            with self._watched():
+                try:
+                    file = await self._opened()
+                    if file is not None:
+                        await self._write(file)
+                        await self._read(file)
+                except HistoryError as error:
+                    await self._fail(error)
             self._tell_losses()
 
-    async def finish(self) -> None:
-        """Write what waits, at the end of the run."""
-        for _ in range(self._history.waiting // MOST_IN_BATCH + 1):
-            await self.step()
+    async def finish(self, limit_s: float) -> None:
+        """Write what waits, at the end of the run, within ``limit_s``. Tells what is lost."""
+        try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(limit_s):
+                    for _ in range(self._history.waiting // MOST_IN_BATCH + 1):
+                        await self.step()
+        finally:
+            self._remark_due = -math.inf
+            self._tell_losses()
+            if waiting := self._history.waiting:
+                text = (
+                    f"{waiting} values that wait in memory are lost: the run ends before {self._place} has taken them"
+                )
+                self._tell(text, Severity.WARNING)
 
     def close(self) -> None:
         """Close the file, without waiting for the disk."""
@@ -109,6 +123,29 @@ class HistoryKeeper:
             self._disk = None
 
     # --- a look -------------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def _watched(self) -> Iterator[None]:
+        """Tell it where the disk does not answer for long, for instance that of a server that is gone; and the values
+        that are lost meanwhile."""
+        loop = asyncio.get_running_loop()
+
+        def tell_slow() -> None:
+            nonlocal timer
+            text = f"{self._place}: the disk has not answered for {_SLOW_S:g} s; the newest values wait in memory"
+            self._tell(text, Severity.ERROR)
+            timer = loop.call_later(_SLOW_S, tell_losses)
+
+        def tell_losses() -> None:
+            nonlocal timer
+            self._tell_losses()
+            timer = loop.call_later(_SLOW_S, tell_losses)
+
+        timer = loop.call_later(_SLOW_S, tell_slow)
+        try:
+            yield
+        finally:
+            timer.cancel()
 
     async def _opened(self) -> HistoryFile | None:
         """The file; None: it is not time for another try."""
