@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -31,6 +32,17 @@ def test_numbers_begin_at_zero_and_wrap_behind_255(tmp_path: Path) -> None:
     assert oct((tmp_path / "a" / "b").stat().st_mode)[-3:] == "700"
     numbers.close()
     numbers.close()
+
+
+def test_a_folder_that_nobody_holds_any_more_is_free(tmp_path: Path) -> None:
+    """As where the task that took it was cancelled meanwhile."""
+    SessionFile(tmp_path)
+    gc.collect()
+    numbers = SessionFile(tmp_path)
+    assert numbers.next() == 0
+    numbers.close()
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        numbers.next()
 
 
 def test_a_number_is_never_given_twice_by_programs_that_are_killed(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import re
+import weakref
 from pathlib import Path
 from typing import Final
 
@@ -47,6 +48,8 @@ class SessionFile:
         except OSError as error:
             os.close(self._fd)
             raise _unusable(folder, error) from None
+        # where open() of the face was cancelled, nobody has this object when its thread has made it
+        self._release = weakref.finalize(self, os.close, self._fd)
         self.damaged = found is None
         self._last = -1 if found is None else found
 
@@ -68,9 +71,8 @@ class SessionFile:
 
     def close(self) -> None:
         """Give the folder free for another gateway."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+        self._fd = -1
+        self._release()
 
     def _read(self) -> int | None:
         """The number in the file; -1 without a file, None where there is none in it."""
