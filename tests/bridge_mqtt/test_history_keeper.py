@@ -254,7 +254,7 @@ async def test_history_is_read_behind_what_was_written_and_leaves_the_disk_when_
     found = history.next_samples(lambda _: KIND, list, NOW, OFFSET, 2.0)
     assert found is not None
     assert [sample.reading.value for sample in found[1]] == [1, 2, 3, 4, 5, 6]
-    assert [sample.told for sample in found[1]] == [True] + [False] * 5
+    assert [sample.with_quality for sample in found[1]] == [True] + [False] * 5
     history.confirm(history.begin_round())
     await bench.keeper.step()
     await closed(bench)

@@ -122,7 +122,7 @@ class HistoryRig(Rig):
         if file.count:
             file.append((), history.offset_ms)
         file.delete(history.take_done())
-        without = history.take_wanted()
+        without = history.take_read_request()
         if without is not None:
             history.give(file.read(CHUNK, without))
         history.displaced += file.displaced

@@ -24,12 +24,15 @@ from paho.mqtt.reasoncodes import ReasonCode
 from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.connection import (
+    FIRST_RETRY_S,
     LastError,
     cancellations,
     close,
     connect,
     end_if_cancelled,
     make_client,
+    retry_s,
+    spread,
     subscribe,
     text_of,
 )
@@ -47,10 +50,6 @@ from dpstack.trace import Severity
 
 #: s for the farewell at the end of the run
 _FAREWELL_S: Final = 2.0
-#: s until the next try: the first, and the longest; each is up to half longer or shorter, so that a thousand gateways
-#: do not come back together
-_PAUSE_S: Final = 1.0
-_LONGEST_PAUSE_S: Final = 30.0
 #: s until the first try of a program, and until the births behind "online" of the primary host, at most: a plant whose
 #: power comes back, and a host that does, would have all births at once
 _FIRST_PAUSE_S: Final = 1.0
@@ -91,7 +90,7 @@ class MqttFace(Face):
         orders: Orders | None = None,
         versions: Mapping[str, str] | None = None,
         store_mb: int = 0,
-        again_s: float = _PAUSE_S,
+        again_s: float = FIRST_RETRY_S,
         draw: Callable[[], float] = random.random,
         make_node: type[PlantNode] = EdgeNode,
     ) -> None:
@@ -175,7 +174,7 @@ class MqttFace(Face):
                 early = loop.time() - began < _GOOD_S
                 failed = failed + 1 if early else 0
                 ended_early = ended_early + 1 if early and self._was_connected else 0
-                pause = min(self._again_s * 2 ** min(failed, 10), _LONGEST_PAUSE_S)
+                pause = retry_s(self._again_s, failed)
                 # not every broker says that a connection was taken over
                 if _is_taken_over(error) or ended_early >= _TAKEN_OVER_AFTER:
                     pause = _TAKEN_OVER_PAUSE_S * self._again_s
@@ -190,11 +189,11 @@ class MqttFace(Face):
             else:
                 failed, ended_early, pause = 0, 0, self._again_s
                 self.tell(f"the session has ended: {end.why}", Severity.INFO)
-            await asyncio.sleep(pause * (0.5 + self._draw()))
+            await asyncio.sleep(spread(pause, self._draw))
 
     def _pause(self, most_s: float) -> float:
         """s, from 0 to ``most_s``."""
-        return most_s * self._again_s / _PAUSE_S * self._draw()
+        return most_s * self._again_s / FIRST_RETRY_S * self._draw()
 
     def close(self) -> None:
         for task in self._giving:

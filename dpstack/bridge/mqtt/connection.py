@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import ssl
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 import aiomqtt
@@ -22,6 +22,9 @@ from dpstack.bridge.mqtt.worker_thread import in_thread
 #: s for the TCP connection with TLS, and for each answer of the broker
 CONNECT_S: Final = 5.0
 ANSWER_S: Final = 5.0
+#: s until the next try: the first, and the longest
+FIRST_RETRY_S: Final = 1.0
+LONGEST_RETRY_S: Final = 30.0
 #: messages that wait to be read
 MOST_WAITING: Final = 100
 #: user property of a will: the number of its session
@@ -157,6 +160,18 @@ async def close(client: aiomqtt.Client) -> None:
         for future in (gone, client._connected):
             if future.done() and not future.cancelled():
                 future.exception()  # asyncio reports one that nobody has asked for
+
+
+def retry_s(first_s: float, failed: int) -> float:
+    """s until the next try, as ``failed`` connections one after the other have failed: ``first_s``, doubled with each,
+    at most :data:`LONGEST_RETRY_S`."""
+    return min(first_s * 2.0 ** min(failed, 10), LONGEST_RETRY_S)
+
+
+def spread(seconds: float, draw: Callable[[], float]) -> float:
+    """``seconds``, up to half longer or shorter, so that a thousand programs do not come back together. ``draw``: draws
+    numbers from 0 to 1."""
+    return seconds * (0.5 + draw())
 
 
 def text_of(error: BaseException) -> str:

@@ -387,12 +387,12 @@ class EdgeNode(PlantNode):
         return Publish(self._setup.topic(kind, device), data(samples, self._next_seq(), now_ms))
 
     def _sample(self, owner: _Device, key: str, reading: Reading, now_ms: int) -> Sample:
-        told = key in owner.not_good
+        was_not_good = key in owner.not_good
         if reading.quality is Quality.GOOD:
             owner.not_good.discard(key)
         else:
             owner.not_good.add(key)
-        return Sample(self._kinds[key], reading, self._time_ms(key, reading, now_ms), told)
+        return Sample(self._kinds[key], reading, self._time_ms(key, reading, now_ms), with_quality=was_not_good)
 
     def _time_ms(self, key: str, reading: Reading, now_ms: int) -> int:
         """The time of a value by the clock of the computer."""

@@ -19,13 +19,17 @@ from paho.mqtt.reasoncodes import ReasonCode
 from dpstack.boottime import boottime_s
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.connection import (
+    FIRST_RETRY_S,
+    LONGEST_RETRY_S,
     LastError,
     cancellations,
     close,
     connect,
     end_if_cancelled,
     make_client,
+    retry_s,
     session_of,
+    spread,
     subscribe,
     text_of,
 )
@@ -37,9 +41,6 @@ from dpstack.text import printable, shortened
 _MOST_WAITING: Final = 1000
 #: s between two looks at the time
 _TICK_S: Final = 0.5
-#: s until the next try: the first, and the longest; each is up to half longer or shorter
-_PAUSE_S: Final = 1.0
-_LONGEST_PAUSE_S: Final = 30.0
 #: s for the retained statuses, until all known gateways are asked for births
 _LEARNING_S: Final = 2.0
 #: s between two requests for births, so that not all gateways publish at once
@@ -65,7 +66,7 @@ class FleetReader:
         changed: Callable[[Segment], object],
         told: Callable[[str], object],
         rebirth: str | tuple[str, str] | None = None,
-        again_s: float = _PAUSE_S,
+        again_s: float = FIRST_RETRY_S,
     ) -> None:
         self.connected = self.was_connected = False
         self._lost_before = 0
@@ -107,10 +108,9 @@ class FleetReader:
                         f"broker {self._place} refuses user or password ({why}): give --user and --password-env or "
                         f"--password-file as the broker knows them"
                     ) from None
-                failed = 0 if loop.time() - began > _LONGEST_PAUSE_S else failed + 1
+                failed = 0 if loop.time() - began > LONGEST_RETRY_S else failed + 1
                 self._tell(f"broker {self._place}: {why}; it is tried again")
-            pause = min(self._again_s * 2 ** min(failed, 10), _LONGEST_PAUSE_S)
-            await asyncio.sleep(pause * random.uniform(0.5, 1.5))
+            await asyncio.sleep(spread(retry_s(self._again_s, failed), random.random))
 
     @property
     def _place(self) -> str:

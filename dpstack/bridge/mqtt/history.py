@@ -120,7 +120,8 @@ class History:
         self._in_flight: deque[tuple[int, Place]] = deque()
         # from the disk, to be sent
         self._chunk: deque[Kept] = deque()
-        self._wanted: frozenset[str] | None = None
+        #: the next part is to be read, without the entries of these devices; None: it is not
+        self._read_without: frozenset[str] | None = None
         self._is_reading = False
         self._is_exhausted = False
         self._must_look_again = False
@@ -193,7 +194,7 @@ class History:
         """Values that were read and not confirmed are on the disk still."""
         self._chunk.clear()
         self._in_flight.clear()
-        self._wanted, self._is_exhausted = None, False
+        self._read_without, self._is_exhausted = None, False
 
     def _bound(self) -> None:
         while len(self._new) + len(self._writing) > self._most and self._new:
@@ -242,7 +243,7 @@ class History:
                 continue
             device = entry.device
             reading = Reading(entry.value, entry.reason, 0.0, entry.note)
-            samples.append(Sample(kind, reading, min(time_ms, now_ms), self._is_told(entry), historical=True))
+            samples.append(Sample(kind, reading, min(time_ms, now_ms), self._needs_quality(entry), historical=True))
             octets += _METRIC_OCTETS + _octets(entry)
             self._in_flight.append((self._round, kept.place))
         self._chunk.extendleft(reversed(rest))
@@ -250,10 +251,10 @@ class History:
             self.due = clock + PACE_S
             return device, samples
         if not (self._in_flight or self._done or self._is_exhausted or self._is_reading):
-            self._wanted = frozenset(waiting())
+            self._read_without = frozenset(waiting())
         return None
 
-    def _is_told(self, entry: Entry) -> bool:
+    def _needs_quality(self, entry: Entry) -> bool:
         """Whether the quality goes with a good value: hosts do not know that the metric is good."""
         metric = entry.device, entry.metric
         if entry.quality is not Quality.GOOD:
@@ -300,7 +301,7 @@ class History:
     @property
     def needs_disk(self) -> bool:
         """Something is to be read, or to be taken off the disk: the owner of the disk should not wait."""
-        return self._wanted is not None or bool(self._done)
+        return self._read_without is not None or bool(self._done)
 
     def take_new(self, most: int = CHUNK) -> Sequence[Entry]:
         """Entries for the disk, oldest first. :meth:`stored` or :meth:`not_stored` comes next."""
@@ -325,12 +326,12 @@ class History:
         done, self._done = self._done, []
         return done
 
-    def take_wanted(self) -> frozenset[str] | None:
-        """Devices whose entries are not wanted; None: nothing is to be read. :meth:`give` or :meth:`not_read` comes
-        next."""
-        wanted, self._wanted = self._wanted, None
-        self._is_reading = wanted is not None
-        return wanted
+    def take_read_request(self) -> frozenset[str] | None:
+        """Devices whose entries are to be left out, where the next part is to be read; :meth:`give` or :meth:`not_read`
+        comes next then. None: nothing is to be read."""
+        without, self._read_without = self._read_without, None
+        self._is_reading = without is not None
+        return without
 
     def give(self, chunk: Iterable[Kept]) -> None:
         """The oldest entries of the disk; none: there are no more."""

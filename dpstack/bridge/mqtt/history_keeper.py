@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -129,19 +130,17 @@ class HistoryKeeper:
         """Tell it where the disk does not answer for long, for instance that of a server that is gone; and the values
         that are lost meanwhile."""
         loop = asyncio.get_running_loop()
+        timer: asyncio.TimerHandle
 
-        def tell_slow() -> None:
+        def look(*, is_first: bool) -> None:
             nonlocal timer
-            text = f"{self._place}: the disk has not answered for {_SLOW_S:g} s; the newest values wait in memory"
-            self._tell(text, Severity.ERROR)
-            timer = loop.call_later(_SLOW_S, tell_losses)
-
-        def tell_losses() -> None:
-            nonlocal timer
+            if is_first:
+                text = f"{self._place}: the disk has not answered for {_SLOW_S:g} s; the newest values wait in memory"
+                self._tell(text, Severity.ERROR)
             self._tell_losses()
-            timer = loop.call_later(_SLOW_S, tell_losses)
+            timer = loop.call_later(_SLOW_S, partial(look, is_first=False))
 
-        timer = loop.call_later(_SLOW_S, tell_slow)
+        timer = loop.call_later(_SLOW_S, partial(look, is_first=True))
         try:
             yield
         finally:
@@ -187,7 +186,7 @@ class HistoryKeeper:
             self._changed()
             if not file.count:
                 self._tell("all values that waited have been delivered", Severity.INFO)
-        without = history.take_wanted()
+        without = history.take_read_request()
         if without is not None:
             try:
                 chunk = await self._call(file.read, CHUNK, without) if file.count else []

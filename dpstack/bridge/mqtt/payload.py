@@ -84,13 +84,13 @@ class MetricKind:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One value of a metric. ``reading``: value, quality, reason; ``time_ms``: source time. ``told``: with the
-    quality, even if it is good."""
+    """One value of a metric. ``reading``: value, quality, reason; ``time_ms``: source time. ``with_quality``:
+    with the quality, even if it is good."""
 
     kind: MetricKind
     reading: Reading
     time_ms: int
-    told: bool = False
+    with_quality: bool = False
     historical: bool = False
 
 
@@ -123,7 +123,7 @@ def data(samples: Iterable[Sample], seq: int, now_ms: int) -> bytes:
             metric.name = sample.kind.name
         if sample.historical:
             metric.is_historical = True
-        if sample.told or sample.reading.quality is not Quality.GOOD:
+        if sample.with_quality or sample.reading.quality is not Quality.GOOD:
             _add_quality(metric.properties, sample.reading)
     return payload.SerializeToString()
 
