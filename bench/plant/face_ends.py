@@ -4,7 +4,8 @@
 - ``scraper``: GET /metrics over and over, a pause of ``--pause`` s between
 - ``opcua``: OPC UA client that subscribes to every variable and takes what comes
 - ``opcua-deaf``: the same, but it stops reading its connection
-- ``hostile``: a broker that takes everybody, and sends commands of up to a megabyte as fast as they are read
+- ``hostile``: a broker that takes everybody, and sends commands of up to a megabyte as fast as they are read, with the
+  packets of tests/kits/fake_broker.py
 
 Each goes on until standard input ends, tries again where nobody answers, and prints a line with its counts then.
 """
@@ -13,19 +14,35 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import contextlib
 import itertools
 import json
 import os
 import struct
+import sys
 import tempfile
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 from bench.masters import Ended
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "kits"))
+
+from fake_broker import (
+    CONNACK,
+    CONNECT,
+    PINGREQ,
+    PINGRESP,
+    PUBLISH,
+    SUBACK,
+    SUBSCRIBE,
+    UNSUBACK,
+    UNSUBSCRIBE,
+    packet,
+    packets,
+)
 
 #: s until the next try
 _AGAIN_S: Final = 0.2
@@ -35,8 +52,6 @@ _END_S: Final = 2.0
 _AT_ONCE: Final = 500
 #: octets of the commands of a hostile broker, in turn
 _SIZES: Final = (20, 2000, 60_000, 1_000_000)
-_CONNACK: Final = bytes((0x20, 3, 0, 0, 0))
-_CONNECT, _SUBSCRIBE, _UNSUBSCRIBE, _PINGREQ = 1, 8, 10, 12
 
 
 async def scrape(port: int, counts: Counter[str], pause_s: float) -> None:
@@ -108,17 +123,17 @@ async def flood(port: int, counts: Counter[str]) -> None:
         counts["connections"] += 1
         sending = asyncio.create_task(send(writer, topics))
         try:
-            async for kind, body in _packets(reader):
-                if kind == _CONNECT:
-                    writer.write(_CONNACK)
-                elif kind in (_SUBSCRIBE, _UNSUBSCRIBE):
-                    code = 0xB0 if kind == _UNSUBSCRIBE else 0x90
-                    writer.write(bytes((code, 4)) + body[:2] + bytes((0, int(kind == _SUBSCRIBE))))
-                    if kind == _SUBSCRIBE:
-                        length = int.from_bytes(body[3:5], "big")
-                        topics.append(body[5 : 5 + length].replace(b"+", b"s0"))
-                elif kind == _PINGREQ:
-                    writer.write(bytes((0xD0, 0)))
+            async for kind, body in packets(reader):
+                if kind == CONNECT:
+                    writer.write(packet(CONNACK, bytes(3)))
+                elif kind == SUBSCRIBE:
+                    writer.write(packet(SUBACK, body[:2] + b"\x00\x01"))
+                    length = int.from_bytes(body[3:5], "big")
+                    topics.append(body[5 : 5 + length].replace(b"+", b"s0"))
+                elif kind == UNSUBSCRIBE:
+                    writer.write(packet(UNSUBACK, body[:2] + b"\x00\x00"))
+                elif kind == PINGREQ:
+                    writer.write(packet(PINGRESP, b""))
         finally:
             sending.cancel()
             writer.close()
@@ -130,38 +145,13 @@ async def flood(port: int, counts: Counter[str]) -> None:
                 continue
             topic, size = topics[number % len(topics)], _SIZES[number % len(_SIZES)]
             body = struct.pack(">H", len(topic)) + topic + b"\x00" + os.urandom(20) + bytes(size)
-            writer.write(b"\x30" + _length(len(body)) + body)
+            writer.write(packet(PUBLISH, body))
             counts["messages"] += 1
             counts["octets"] += len(body)
             await writer.drain()
 
     async with await asyncio.start_server(serve, "127.0.0.1", port) as server:
         await server.serve_forever()
-
-
-async def _packets(reader: asyncio.StreamReader) -> AsyncIterator[tuple[int, bytes]]:
-    """Kind and body of each packet of MQTT, until the end of the connection."""
-    with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError):
-        while True:
-            kind = (await reader.readexactly(1))[0] >> 4
-            length = shift = 0
-            while True:
-                octet = (await reader.readexactly(1))[0]
-                length |= (octet & 0x7F) << shift
-                shift += 7
-                if octet < 0x80:
-                    break
-            yield kind, await reader.readexactly(length)
-
-
-def _length(value: int) -> bytes:
-    """A length of MQTT: seven bits an octet, the lowest first."""
-    octets = bytearray()
-    while True:
-        value, low = divmod(value, 128)
-        octets.append(low | (0x80 if value else 0))
-        if not value:
-            return bytes(octets)
 
 
 async def _again(once: Callable[[], Awaitable[None]], counts: Counter[str]) -> None:

@@ -13,6 +13,7 @@ from asyncua.ua.ua_binary import nodeid_to_binary, struct_to_binary
 
 from dpstack.bridge.opcua.connection import MOST_REQUEST, Connection
 from dpstack.bridge.opcua.server import LimitedServer, Pace
+from tests.fuzz.memory_transport import MemoryTransport
 
 #: Part 6, 7.1.2.3: version, both buffers, no limit of messages and chunks; the text of an address
 HELLO: Final = b"HELF" + struct.pack("<I5Ii", 32, 0, 65_535, 65_535, 0, 0, -1)
@@ -53,36 +54,21 @@ def structure(type_: int, body: bytes) -> bytes:
     return type_id + b"\x01" + text(body)
 
 
-class Wire(asyncio.Transport):
-    """The server's end. ``said``: its octets; ``unread``: answers that the client has not taken."""
+class Wire(MemoryTransport):
+    """``unread``: answers that the client has not taken."""
 
     def __init__(self, server: LimitedServer, address: str = "127.0.0.1") -> None:
-        super().__init__({"peername": (address, 4711), "sockname": ("127.0.0.1", 4840)})
-        self.said = bytearray()
-        self.closed = False
+        super().__init__(address)
         self.unread = 0
         self.number = 1
         limits = TransportLimits(max_message_size=MOST_REQUEST, max_chunk_count=17)
         self.clients = server_clients(server)
         none: Any = type("None_", (), {"matches": lambda *_: True, "create": lambda *_: SecurityPolicyNone()})
-        self.protocol = Connection(server, [none()], self.clients, [], limits)
+        self.protocol: Connection = Connection(server, [none()], self.clients, [], limits)
         self.protocol.connection_made(self)
-
-    def write(self, data: bytes | bytearray | memoryview) -> None:
-        self.said += data
 
     def get_write_buffer_size(self) -> int:
         return self.unread
-
-    def is_closing(self) -> bool:
-        return self.closed
-
-    def close(self) -> None:
-        if not self.closed:
-            self.closed = True
-            asyncio.get_running_loop().call_soon(self.protocol.connection_lost, None)
-
-    abort = close
 
     async def send(self, *octets: bytes) -> bytes:
         """Send, let the server work, return its new octets."""

@@ -168,14 +168,20 @@ class Rig:
                 assert self.node.due(self.clock) > self.clock
                 return count
             if isinstance(message, Disconnect):
-                # with the reason code 0x04 the broker publishes the will, too
-                self.connection = None
-                self.publish_wills()
-                self.node.disconnected()
+                self.leave()
                 return count
-            self.sent.append(message)
-            self.host.feed(message.topic, message.payload, qos=message.qos, retain=message.retain)
+            self.send(message)
         return most
+
+    def send(self, message: Publish) -> None:
+        self.sent.append(message)
+        self.host.feed(message.topic, message.payload, qos=message.qos, retain=message.retain)
+
+    def leave(self) -> None:
+        """With the reason code 0x04 the broker publishes the will, too."""
+        self.connection = None
+        self.publish_wills()
+        self.node.disconnected()
 
     def settle(self) -> None:
         """All that waits for its time is sent."""

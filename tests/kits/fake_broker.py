@@ -7,10 +7,27 @@ from __future__ import annotations
 
 import asyncio
 import struct
+from collections.abc import AsyncIterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
 
-CONNECT, PUBLISH, SUBSCRIBE, PINGREQ = 1, 3, 8, 12
+CONNECT, CONNACK, PUBLISH, SUBSCRIBE, SUBACK, UNSUBSCRIBE, UNSUBACK, PINGREQ, PINGRESP = 1, 2, 3, 8, 9, 10, 11, 12, 13
+
+
+async def packets(reader: asyncio.StreamReader) -> AsyncIterator[tuple[int, bytes]]:
+    """Kind and body of each packet, until the end of the connection."""
+    with suppress(asyncio.IncompleteReadError, ConnectionError):
+        while True:
+            kind = (await reader.readexactly(1))[0] >> 4
+            length = shift = 0
+            while True:
+                octet = (await reader.readexactly(1))[0]
+                length |= (octet & 0x7F) << shift
+                shift += 7
+                if octet < 0x80:
+                    break
+            yield kind, await reader.readexactly(length)
 
 
 def packet(kind: int, body: bytes, flags: int = 0) -> bytes:
@@ -82,27 +99,16 @@ class FakeBroker:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         subscribed = 0
-        try:
-            while True:
-                first = (await reader.readexactly(1))[0]
-                length = shift = 0
-                while True:
-                    octet = (await reader.readexactly(1))[0]
-                    length |= (octet & 0x7F) << shift
-                    shift += 7
-                    if octet < 0x80:
-                        break
-                body = await reader.readexactly(length)
-                self.received.append((first >> 4, body))
-                if first >> 4 == CONNECT:
-                    writer.write(packet(2, bytes([0, self.refuses, 0])))
-                    self.writers.append(writer)
-                elif first >> 4 == SUBSCRIBE:
-                    writer.write(packet(9, body[:2] + b"\x00\x00"))
-                    subscribed += 1
-                    if subscribed == self.topics:
-                        writer.write(b"".join(self.retained))
-                elif first >> 4 == PINGREQ:
-                    writer.write(packet(13, b""))
-        except (asyncio.IncompleteReadError, ConnectionError):
-            writer.close()
+        async for kind, body in packets(reader):
+            self.received.append((kind, body))
+            if kind == CONNECT:
+                writer.write(packet(CONNACK, bytes([0, self.refuses, 0])))
+                self.writers.append(writer)
+            elif kind == SUBSCRIBE:
+                writer.write(packet(SUBACK, body[:2] + b"\x00\x00"))
+                subscribed += 1
+                if subscribed == self.topics:
+                    writer.write(b"".join(self.retained))
+            elif kind == PINGREQ:
+                writer.write(packet(PINGRESP, b""))
+        writer.close()

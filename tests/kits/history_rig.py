@@ -13,7 +13,7 @@ from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.history import CHUNK, EARLIEST_MS, Entry, History
 from dpstack.bridge.mqtt.history_file import HistoryFile
 from dpstack.bridge.mqtt.payload import DataType
-from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, Publish
+from dpstack.bridge.mqtt.plant_node import NodeOptions, Publish
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.quality import Reason
 from dpstack.bridge.tree import PlantTree
@@ -133,27 +133,16 @@ class HistoryRig(Rig):
 
     # --- the network ----------------------------------------------------------------------------------------------
 
-    def pump(self, most: int = 10_000) -> int:
-        """Send messages; they are on the wire then."""
-        for count in range(most):
-            if self.connection is None:
-                return count
-            message = self.node.next(self.wall, self.clock)
-            if message is None:
-                assert self.node.due(self.clock) > self.clock
-                return count
-            if isinstance(message, Disconnect):
-                self.deliver()
-                self.connection = None
-                self.publish_wills()
-                self.node.disconnected()
-                return count
-            self.wire.append((message, self.offset))
-        return most
+    def send(self, message: Publish) -> None:
+        self.wire.append((message, self.offset))
+
+    def leave(self) -> None:
+        self.deliver()
+        super().leave()
 
     def deliver(self, most: int = 1_000_000) -> None:
         for message, offset in self.wire[:most]:
-            self.host.feed(message.topic, message.payload, qos=message.qos)
+            super().send(message)
             self._look(offset)
         del self.wire[:most]
 

@@ -18,6 +18,7 @@ from dpstack.bridge.metrics import http_server
 from dpstack.bridge.metrics.http_server import LONGEST_S, Answer, Connection, HttpServer
 from dpstack.tcp_address import Origins
 from tests.fuzz.frame import Cutter, Target
+from tests.fuzz.memory_transport import MemoryTransport
 from tests.fuzz.quick_loop import quick_loop
 
 HOST = b"127.0.0.1:9464"
@@ -25,33 +26,18 @@ _RIGHT = b"GET /metrics HTTP/1.1\r\nHost: " + HOST + b"\r\n\r\n"
 _STATUS = {200, 400, 404, 405, 421, 431}
 
 
-class Wire(asyncio.Transport):
-    """A transport in memory. ``said``: octets of the server; ``answered_at``: when its last ones came."""
+class Wire(MemoryTransport):
+    """``answered_at``: when the last octets of the server came."""
 
     def __init__(self, server: HttpServer) -> None:
-        super().__init__({"peername": ("127.0.0.1", 4711)})
-        self.said = bytearray()
-        self.closed = False
+        super().__init__()
         self.answered_at = 0.0
         self.protocol = Connection(server)
         self.protocol.connection_made(self)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        self.said += data
+        super().write(data)
         self.answered_at = asyncio.get_running_loop().time()
-
-    def can_write_eof(self) -> bool:
-        return True
-
-    def write_eof(self) -> None:
-        return
-
-    def close(self) -> None:
-        if not self.closed:
-            self.closed = True
-            asyncio.get_running_loop().call_soon(self.protocol.connection_lost, None)
-
-    abort = close
 
 
 async def _page() -> Answer:

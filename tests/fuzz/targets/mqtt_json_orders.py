@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
 
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.json_payload import MOST_OCTETS
@@ -19,18 +18,8 @@ from dpstack.bridge.mqtt.plant_node import NodeOptions, NodeSetup, OrderWish, Pu
 from dpstack.bridge.tree import PlantTree
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
+from tests.fuzz.mqtt_plant import NOW, show_plant
 
-_FINE: dict[str, Any] = {"state": "data_exchange", "inputs_valid": True, "inputs_age_ms": 1.0, "inputs_limit_ms": 100.0}
-_OUTPUTS = [{"name": name, "type": type_, "at": f"{type_}@0"} for name, type_ in (("lamp", "bool"), ("level", "i16"))]
-_PLANT: dict[str, Any] = {
-    "version": 1, "started": 1_700_000_000.0, "port": "/dev/ttyUSB0", "baud": 500_000, "address": 2, "read_only": False,
-    "slaves": {
-        "3": {"name": "hoist", "watchdog_ms": 200.0, "drive": {"profile": "x"}},
-        "8": {"name": "valves", "watchdog_ms": 0, "outputs": _OUTPUTS},
-        "9": {"name": "pump", "watchdog_ms": 0, "outputs": _OUTPUTS},
-    },
-}  # fmt: skip
-_NOW = 1_700_000_010.0
 #: by the topic; slave 9 is not in data exchange
 _ORDERS = {
     "valves/set/lamp": "valves.lamp",
@@ -40,7 +29,7 @@ _ORDERS = {
 }
 _TOPICS = (*_ORDERS, "pump/set/lamp", "hoist/set/stop", "\x1b[2J/set/lamp", "valves/get/lamp")
 _BASE = "dpstack/g/n"
-_GOOD = {"value": True, "time": _NOW}
+_GOOD = {"value": True, "time": NOW}
 #: results that wait, at most
 _MOST_RESULTS = 256
 
@@ -52,18 +41,15 @@ class _Session:
         tree = PlantTree()
         allowed = (*_ORDERS.values(), "pump.lamp")
         self.node = JsonNode(NodeSetup("g", "n"), tree, NodeOptions(allowed=lambda: allowed))
-        slaves = {"3": _FINE | {"drive": {"state": "ready"}}, "8": _FINE, "9": _FINE | {"state": "offline"}}
-        whole = {"t": 1.0, "whole": True, "bus": {"stale": False}, "slaves": slaves}
-        for item in ({"plant": _PLANT}, {"snapshot": whole}):
-            self.node.take(tree.apply(item, 0.0), _NOW, 0.0)
-        self.node.connect(1, _NOW)
+        show_plant(tree, self.node)
+        self.node.connect(1, NOW)
         self.node.connected()
         assert self.results() == 0
 
     def results(self) -> int:
         """Send everything; the number of the results among it, which are judged."""
         count = 0
-        while (message := self.node.next(_NOW, 2.0)) is not None:
+        while (message := self.node.next(NOW, 2.0)) is not None:
             assert isinstance(message, Publish)
             if message.topic == f"{_BASE}/result":
                 count += 1
@@ -89,13 +75,13 @@ def run(octets: bytes) -> None:
             assert session.results() == min(waiting, _MOST_RESULTS)
             waiting = 0
     assert session.results() == min(waiting, _MOST_RESULTS)
-    wishes = session.node.receive(f"{_BASE}/slave/{_TOPICS[0]}", json.dumps(_GOOD).encode(), _NOW)
-    assert list(wishes) == [OrderWish("valves.lamp", True, _NOW)]
+    wishes = session.node.receive(f"{_BASE}/slave/{_TOPICS[0]}", json.dumps(_GOOD).encode(), NOW)
+    assert list(wishes) == [OrderWish("valves.lamp", True, NOW)]
 
 
 def _take(session: _Session, topic: str, payload: bytes, *, retained: bool) -> int:
     """Hand over a message, and refuse the order that comes of it. Returns the number of results to come."""
-    wishes = session.node.receive(f"{_BASE}/slave/{topic}", payload, _NOW, retained=retained)
+    wishes = session.node.receive(f"{_BASE}/slave/{topic}", payload, NOW, retained=retained)
     for wish in wishes:
         assert not retained
         assert wish.name == _ORDERS[topic]
@@ -107,7 +93,7 @@ def _take(session: _Session, topic: str, payload: bytes, *, retained: bool) -> i
         assert set(said) <= {"value", "time"}
         assert (wish.value, type(wish.value)) == (said.get("value"), type(said.get("value")))
         assert isinstance(said["time"], str) or wish.made_at == said["time"]
-        session.node.answer(wish, "refused", "the test", _NOW)
+        session.node.answer(wish, "refused", "the test", NOW)
     assert len(wishes) <= 1
     return "/set/" in topic
 

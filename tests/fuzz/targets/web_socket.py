@@ -24,6 +24,7 @@ from dpstack.web.server import WebServer
 from dpstack.web.source import GivenItems
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
+from tests.fuzz.memory_transport import MemoryTransport
 from tests.fuzz.quick_loop import QuickLoop, quick_loop
 
 HOST = "127.0.0.1:8765"
@@ -44,27 +45,9 @@ _RIGHT: tuple[Any, ...] = (
 )
 
 
-class Wire(asyncio.Transport):
-    """A transport in memory. ``said``: octets of the server."""
-
+class Wire(MemoryTransport):
     def __init__(self) -> None:
-        super().__init__({"peername": ("127.0.0.1", 4711), "sockname": ("127.0.0.1", 8765)})
-        self.said = bytearray()
-        self.closed = False
-        self.protocol: Any = None
-
-    def write(self, data: bytes | bytearray | memoryview) -> None:
-        self.said += data
-
-    def is_closing(self) -> bool:
-        return self.closed
-
-    def close(self) -> None:
-        if not self.closed:
-            self.closed = True
-            asyncio.get_running_loop().call_soon(self.protocol.connection_lost, None)
-
-    abort = close
+        super().__init__(port=8765)
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         return
