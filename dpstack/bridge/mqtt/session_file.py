@@ -43,7 +43,7 @@ class SessionFile:
         except BlockingIOError:
             os.close(self._fd)
             raise ConfigError(
-                f"another gateway on this computer has the same group and node ({folder}): give this one another node"
+                f"another gateway on this computer has the same group and node ({folder}); give this one another node"
             ) from None
         except OSError as error:
             os.close(self._fd)
