@@ -30,6 +30,7 @@ def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     monkeypatch.setenv("PATH", str(folder))
     monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr(strangers, "_MORE_PATH", ())
     return folder
 
 
@@ -48,8 +49,13 @@ def test_a_list_of_packages_that_is_old_is_updated_once(path: Path, tmp_path: Pa
     log = tmp_path / "log"
     _program(path, "apt-get", APT.format(log=log, install="exit 100"))
     strangers.install_debian(["tshark", "tshark", "chromium"])
-    asked = [line.split()[0] for line in log.read_text(encoding="utf-8").splitlines()]
-    assert asked == ["install", "update", "install"]
+    asked = log.read_text(encoding="utf-8").splitlines()
+    assert [line.split()[0] for line in asked[:3]] == ["install", "update", "install"]
+    # a package that is not there keeps no other away
+    assert [line.split()[-2:] for line in asked[3:]] == [
+        ["--no-install-recommends", "chromium"],
+        ["--no-install-recommends", "tshark"],
+    ]
     lines = strangers.missing_lines()
     assert "missing: tshark: install it with: sudo apt-get install tshark" in lines
     assert "missing: capinfos: install it with: sudo apt-get install wireshark-common" in lines
@@ -86,14 +92,18 @@ def test_the_last_lines_name_what_is_missing_and_the_exit_code_is_1(
     path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(strangers, "missing_python", list)
-    results = iter([(0, [], 3), (0, [], 3), (1, ["a::two"], 3), (5, [], 0)])
+    results = iter([(0, [], 3), (0, [], 3), (0, [], 3), (1, ["a::two"], 3), (5, [], 0)])
     monkeypatch.setattr(strangers, "run_tests", lambda arguments: next(results))
     assert strangers.main([]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert "missing: chromium: install it with: sudo apt-get install chromium" in lines
     assert lines[-1] == f"strangers: 3 ran, 0 failed, {len(strangers.PROGRAMS)} missing"
+    other = path.parent / "sbin"
+    other.mkdir()
     for name in strangers.PROGRAMS:
-        _program(path, name)
+        _program(other if name == "mosquitto" else path, name)
+    assert strangers.main([]) == 1
+    monkeypatch.setattr(strangers, "_MORE_PATH", (str(other),))  # the PATH of a user may be without it
     assert strangers.main([]) == 0
     assert strangers.main([]) == 1
     assert capsys.readouterr().out.splitlines()[-2:] == ["failed: a::two", "strangers: 3 ran, 1 failed, 0 missing"]

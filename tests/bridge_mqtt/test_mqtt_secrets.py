@@ -1,4 +1,4 @@
-"""The faces of MQTT at a broker that the test holds: no secret in what they publish, and their wills."""
+"""The faces of MQTT at a broker that the test holds: no secret in what they publish; wills, sessions and expiry."""
 
 from __future__ import annotations
 
@@ -71,6 +71,11 @@ async def test_no_secret_is_published_and_a_will_has_the_number_of_its_session(
     (connect,) = [body for kind, body in broker.received if kind == CONNECT]
     assert text("sesame opens") in connect
     assert will in connect
+    # MQTT 5, Clean Start, a Session Expiry Interval of 0 (tck-id-principles-persistence-clean-session-50)
+    assert (connect[6], connect[7] & 2) == (5, 2)
+    assert b"\x11\0\0\0\0" in connect[11 : 11 + connect[10]]
+    # with a Message Expiry Interval of 30 s
+    assert any(body.startswith(text(f"{BASE}/status") + b"\x05\x02\0\0\0\x1e") for body in sent)
     for body in (*sent, *(remark.encode() for remark in told)):
         for hidden in (b"sesame", b"the gateway", b"hidden.password", str(tmp_path).encode()):
             assert hidden not in body

@@ -107,7 +107,8 @@ NOT_HERE: Final[dict[str, str]] = {
         payloads-nbirth-edge-node-descriptor
     """,
     "a permission": "topic-structure-namespace-duplicate-device-id-across-edge-node",
-    "they are shown with a broker (tests/strangers/test_mosquitto.py): the properties of CONNECT and DISCONNECT": """
+    "they are shown with a broker (test_mqtt_secrets.py, tests/strangers/test_mosquitto.py): the properties of CONNECT "
+    "and DISCONNECT": """
         principles-persistence-clean-session-50 payloads-ndeath-will-message-publisher-disconnect-mqtt50
         operational-behavior-edge-node-intentional-disconnect-packet
     """,

@@ -11,6 +11,7 @@ from typing import Any, Final
 import pytest
 from edge_node_rig import GROUP, NODE, Rig
 from history_rig import HistoryRig
+from stranger_kit import program
 
 from dpstack.bridge.mqtt.payload import DATA_TYPES, DataType, MetricKind, Sample, birth, read_command, value_given
 from dpstack.bridge.quality import LIMITS, Reading, Reason, Value
@@ -58,11 +59,12 @@ VALUES: Final[list[tuple[str, Value]]] = [
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("npm")
     subprocess.run(
-        ["npm", "install", "--no-audit", "--no-fund", "--silent", f"sparkplug-payload@{VERSION}"],
+        [program("npm"), "install", "--no-audit", "--no-fund", "--silent", "--ignore-scripts",
+         f"sparkplug-payload@{VERSION}"],
         cwd=made,
         check=True,
         timeout=300,
-    )
+    )  # fmt: skip
     return made
 
 
