@@ -510,6 +510,57 @@ async def test_filters_that_nobody_can_judge_are_refused(rig: Rig) -> None:
         assert [one.value for one in gone] == [GOOD, 0x80420000]
 
 
+async def test_a_name_that_is_null_in_a_filter_keeps_no_event_from_others(rig: Rig) -> None:
+    fine, seen = rig.values["8"], Seen()
+    async with rig.connected() as client:
+        await (await client.create_subscription(100, seen)).subscribe_events(client.nodes.server)
+        got: list[Any] = []
+        made = await client.uaclient.create_subscription(
+            ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True), got.append
+        )
+        fields = [ua.SimpleAttributeOperand(BrowsePath=[ua.QualifiedName(name)]) for name in (None, "SourceName")]
+        wanted = ua.MonitoredItemCreateRequest(
+            ua.ReadValueId(client.nodes.server.nodeid, ua.AttributeIds.EventNotifier), ua.MonitoringMode.Reporting,
+            ua.MonitoringParameters(1, 0.0, ua.EventFilter(SelectClauses=fields), 10),
+        )  # fmt: skip
+        create = ua.CreateMonitoredItemsParameters(made.SubscriptionId, ua.TimestampsToReturn.Both, [wanted])
+        await client.uaclient.create_monitored_items(create)
+        rig.values["8"] = fine | {"state": "fault", "fault": {"text": "gone"}}
+        rig.snapshot()
+        await rig.until(lambda: any(one.NotificationMessage.NotificationData for one in got) and seen.events)
+        [event] = (data for one in got for data in one.NotificationMessage.NotificationData)
+        assert [field.Value for field in event.Events[0].EventFields] == [None, "valves"]
+        assert seen.events[0].Message.Text == "gone"
+    rig.values["8"] = fine
+    rig.snapshot()
+
+
+async def test_a_deadband_counts_from_the_last_value_and_never_hides_a_status(rig: Rig) -> None:
+    fine, seen = rig.values["8"], Seen()
+
+    async def show(value: float) -> None:
+        """The value reaches the node: a client without deadband has it."""
+        rig.values["8"] = fine | {"fields": {"level": value, "lamp": False, "flow": 7}}
+        rig.snapshot()
+        await rig.until(lambda: every.values and every.values[-1].Value.Value == value)
+
+    async with rig.connected() as client:
+        level, every = client.get_node(id_of("slave/8/input/level")), Seen()
+        await (await client.create_subscription(100, every)).subscribe_data_change(level)
+        await show(1000.0)
+        await (await client.create_subscription(100, seen)).deadband_monitor(level, 10.0)
+        await rig.until(lambda: seen.values)
+        for value in (1006.0, 1009.0, 1012.0, 1015.0):
+            await show(value)
+        await rig.until(lambda: len(seen.values) == 2)
+        rig.values["8"] = rig.values["8"] | {"state": "fault", "fault": {"text": "gone"}}
+        rig.snapshot()
+        await rig.until(lambda: seen.values[-1].StatusCode.value == UNCERTAIN_NO_COMMUNICATION)
+        assert [one.Value.Value for one in seen.values] == [1000.0, 1012.0, 1015.0]
+    rig.values["8"] = fine
+    rig.snapshot()
+
+
 async def test_nodes_follow_the_configuration(rig: Rig) -> None:
     rig.slaves = rig.slaves | {"10": {"name": "valves", "inputs": [{"name": "x", "type": "u8", "at": "u8@0"}]}}
     rig.values = rig.values | {"10": {"state": "data_exchange", "inputs_valid": True, "inputs_age_ms": 1.0,

@@ -59,7 +59,7 @@ class Event:
 def _name(clause: ua.SimpleAttributeOperand) -> str:
     if not clause.BrowsePath:
         return "NodeId" if clause.AttributeId == ua.AttributeIds.NodeId else ""
-    return "/".join(part.Name for part in clause.BrowsePath)
+    return "/".join(part.Name or "" for part in clause.BrowsePath)
 
 
 class Alarms:

@@ -11,6 +11,9 @@ from asyncua import ua
 from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.server.monitored_item_service import MonitoredItemService, WhereClauseEvaluator
 
+# the class that is decoded; ua.DataChangeFilter is made of it, for clients
+from asyncua.ua.uaprotocol_auto import DataChangeFilter
+
 #: values, and fields of events, in one message; the others come with the next one
 MOST_IN_MESSAGE: Final = 5000
 MOST_FIELDS_IN_MESSAGE: Final = 20_000
@@ -121,7 +124,20 @@ class Subscription(InternalSubscription):
 
 
 class Items(MonitoredItemService):
-    """The monitored items of a subscription, found without a search: a request may name a thousand of 20 000."""
+    """The monitored items of a subscription, found without a search: a request may name a thousand of 20 000. A dead
+    band counts from the value that was queued last, and never holds a new status back (Part 4, 7.22.2)."""
+
+    async def datachange_callback(self, handle: int, value: ua.DataValue, error: ua.StatusCode | None = None) -> None:
+        if error:
+            await super().datachange_callback(handle, value, error)
+            return
+        number = self._monitored_datachange[handle]
+        item = self._monitored_items[number]
+        if item.mode == ua.MonitoringMode.Disabled or not _is_news(item.mvalue.current_dvalue, value, item.filter):
+            return
+        item.mvalue.set_current_datavalue(value)
+        news = ua.MonitoredItemNotification(item.client_handle, value)
+        await self.isub.enqueue_datachange_event(number, news, item.queue_size)
 
     def _modify_monitored_item(self, params: ua.MonitoredItemModifyRequest) -> ua.MonitoredItemModifyResult:
         result = ua.MonitoredItemModifyResult()
@@ -180,6 +196,25 @@ def _weight(notification: Any) -> int:
     return 1
 
 
+def _is_news(old: ua.DataValue | None, new: ua.DataValue, given: DataChangeFilter | None) -> bool:
+    """Whether a client wants to know of ``new``, when it got ``old``. ``given``: its filter."""
+    trigger = ua.DataChangeTrigger.StatusValue if given is None else given.Trigger
+    has_deadband = given is not None and given.DeadbandType == ua.DeadbandType.Absolute
+    if old is None or old.StatusCode != new.StatusCode:
+        return True
+    if trigger == ua.DataChangeTrigger.Status:
+        return False
+    if old.Value != new.Value:
+        before, after = (None if one.Value is None else one.Value.Value for one in (old, new))
+        if given is None or not has_deadband:
+            return True
+        if not isinstance(before, (int, float)) or not isinstance(after, (int, float)):
+            return True
+        return not abs(after - before) <= given.DeadbandValue  # true where one of them is NaN
+    is_timed = trigger == ua.DataChangeTrigger.StatusValueTimestamp and not has_deadband
+    return is_timed and (old.SourceTimestamp, old.SourcePicoseconds) != (new.SourceTimestamp, new.SourcePicoseconds)
+
+
 def judged_filter(given: Any, *, is_event: bool) -> tuple[Any, int | None]:
     """The filter of a monitored item, None where there is none, and the status code that refuses it."""
     if given is None or (isinstance(given, ua.ExtensionObject) and given.TypeId.Identifier == 0):
@@ -190,7 +225,7 @@ def judged_filter(given: Any, *, is_event: bool) -> tuple[Any, int | None]:
         fields, elements = given.SelectClauses or (), given.WhereClause.Elements or ()
         if not 0 < len(fields) <= MOST_FIELDS or len(elements) > MOST_ELEMENTS:
             return None, int(ua.StatusCodes.BadEventFilterInvalid)
-    elif not isinstance(given, ua.DataChangeFilter) or given.DeadbandType == ua.DeadbandType.Percent:
+    elif not isinstance(given, DataChangeFilter) or given.DeadbandType == ua.DeadbandType.Percent:
         return None, int(ua.StatusCodes.BadMonitoredItemFilterUnsupported)
     return given, None
 
