@@ -162,6 +162,23 @@ def test_a_slave_that_leaves_is_stale_with_the_reason_at_once(rig: Rig) -> None:
     assert rig.seen("slave/valves/condition/fault")["active"] is False
 
 
+def test_topics_without_news_are_renewed_also_where_the_broker_is_slower_than_the_news() -> None:
+    rig = Rig(interval_s=0.0)
+    rig.connect()
+    topics = set(rig.kept)
+    for number in range(200):
+        rig.clock += 0.5
+        rig.values["3"]["drive"]["speed"] = number % 7 / 10
+        rig.values["8"]["fields"]["level"] = 10.0 * (number % 7)
+        rig.give_values()
+        message = rig.node.next(rig.wall, rig.clock)
+        assert isinstance(message, Publish)
+        rig.keep(message)
+        rig.sent.append(message)
+        assert {topic for topic, (_, expires) in rig.kept.items() if expires > rig.clock} == topics
+    assert {f"{BASE}/slave/valves/inputs", f"{BASE}/slave/hoist/drive"} < {one.topic for one in rig.sent[-20:]}
+
+
 def test_values_merge_within_the_interval_and_are_renewed_before_they_expire(rig: Rig) -> None:
     rig.values["8"]["fields"]["count"] = 1
     rig.clock += 0.1

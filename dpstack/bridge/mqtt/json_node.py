@@ -266,14 +266,20 @@ class JsonNode(PlantNode):
         return first if oldest is None else min(first, oldest.at + self._expiry_s / 3)
 
     def _due_keys(self, clock: float) -> Iterator[_Key]:
-        """Topics to send now: urgent ones, those with news, those that the broker would forget soon."""
+        """Topics to send now: urgent ones, those that the broker is about to forget, as news take all its time, those
+        with news, those to renew."""
         while (key := next((key for key, urgent in self._waiting.items() if urgent), None)) is not None:
             yield key
+        yield from self._older(2 * self._expiry_s / 3, clock)
         while (key := next((key for key in self._waiting if self._due_at(key) <= clock), None)) is not None:
             yield key
+        yield from self._older(self._expiry_s / 3, clock)
+
+    def _older(self, age_s: float, clock: float) -> Iterator[_Key]:
+        """Topics that were sent ``age_s`` ago or before, oldest first; each is sent before the next is asked for."""
         while self._sent:
             key, sent = next(iter(self._sent.items()))
-            if sent.at + self._expiry_s / 3 > clock:
+            if sent.at + age_s > clock:
                 return
             yield key
 
