@@ -133,6 +133,10 @@ def test_every_edge_node_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/dpstack:/other")
     assert state_folder("..", "..") == Path("/var/lib/dpstack/%2E%2E.%2E%2E")
     assert state_folder("a.b", "c") != state_folder("a", "b.c")
+    longest = "線" * 40
+    assert len(state_folder(longest, longest).name) == 255
+    assert state_folder(longest, longest) != state_folder(longest, longest[:39])
+    assert len(state_folder("a" * 120, "b" * 120).name) == 241
 
 
 async def test_without_room_for_the_number_no_session_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

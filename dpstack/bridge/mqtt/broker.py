@@ -6,6 +6,7 @@ import os
 import ssl
 import stat
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote, urlsplit
@@ -14,6 +15,8 @@ from dpstack.errors import ConfigError
 from dpstack.text import printable, shortened
 
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
+#: characters of the name of a folder, by most file systems
+_MOST_FOLDER: Final = 255
 #: octets of a password
 _MOST_PASSWORD: Final = 4096
 
@@ -127,4 +130,7 @@ def state_folder(group: str, node: str) -> Path:
     home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     above = Path(service) if service else Path(home) / "dpstack"
     # a dot separates both, and one name may be ".."
-    return above / ".".join(quote(one, safe=" ").replace(".", "%2E") for one in (group, node))
+    name = ".".join(quote(one, safe=" ").replace(".", "%2E") for one in (group, node))
+    if len(name) > _MOST_FOLDER:  # names of 120 octets, as Chinese ones, whose octets have three characters each here
+        name = f"{name[: _MOST_FOLDER - 65]}.{sha256(name.encode()).hexdigest()}"
+    return above / name
