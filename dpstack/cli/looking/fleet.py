@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
     from dpstack.bridge.mqtt.broker import Broker
 
 _ALL: Final = "all"
-#: options by the keys of a configuration
-_OPTIONS: Final = {"url": "--mqtt", "password_env": "--password-env", "password_file": "--password-file"}
+#: keys of a configuration in a text, not parts of the name of a file
+_KEYS: Final = re.compile(r"(?<![\w./-])(url|ca|cert|key|password_env|password_file)(?![\w./-])|(?<=\()user(?=,)")
 
 
 def add_to(parser: Parser) -> None:
@@ -60,7 +61,8 @@ def execute(args: argparse.Namespace) -> int:
 
     async def run() -> int:
         view = FleetView(fleet, place, json=args.json, redraws=output.redraws() and not args.json)
-        reader = FleetReader(broker, fleet, changed=view.show, told=view.tell, rebirth=rebirth)
+        with _own_words():
+            reader = FleetReader(broker, fleet, changed=view.show, told=view.tell, rebirth=rebirth)
         view.begin(reader)
         with StopSignal() as stop:
             reading = asyncio.ensure_future(reader.run())
@@ -101,8 +103,11 @@ def _own_words() -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        key, space, rest = str(error).partition(" ")
-        raise UsageError(f"{_OPTIONS.get(key.rstrip(':'), key)}{':' * key.endswith(':')}{space}{rest}") from None
+        raise UsageError(_KEYS.sub(_option, str(error))) from None
+
+
+def _option(key: re.Match[str]) -> str:
+    return "--mqtt" if key[0] == "url" else f"--{key[0].replace('_', '-')}"
 
 
 def _name(text: str, option: str) -> str:
