@@ -49,6 +49,19 @@ async def until(condition: Callable[[], object]) -> None:
             await asyncio.sleep(0.02)
 
 
+def count_pages(face: MetricsFace) -> list[int]:
+    """A list that grows with each page that is made."""
+    made: list[int] = []
+    families = face.collector.families
+
+    def counted() -> object:
+        made.append(1)
+        return families()
+
+    face.collector.families = counted  # type: ignore[method-assign,assignment]
+    return made
+
+
 def status_of(answer: bytes) -> int:
     assert answer.startswith(b"HTTP/1.1 "), answer[:100]
     return int(answer[9:12])
@@ -202,14 +215,7 @@ def test_clients_that_never_read_lose_their_place(monkeypatch: pytest.MonkeyPatc
 def test_those_who_ask_together_get_one_text() -> None:
     async def test(face: MetricsFace, port: int) -> None:
         own = request()
-        made: list[int] = []
-        families = face.collector.families
-
-        def counted() -> object:
-            made.append(1)
-            return families()
-
-        face.collector.families = counted  # type: ignore[method-assign,assignment]
+        made = count_pages(face)
         answers = await asyncio.gather(*(ask(port, own) for _ in range(10)))
         assert [status_of(one) for one in answers] == [200] * 10
         assert len(made) < 5  # one for each 0.2 s
@@ -239,14 +245,7 @@ def test_a_flood_waits_and_gets_old_texts(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(metrics_face, "_MADE_AT_ONCE", 1)
 
     async def test(face: MetricsFace, port: int) -> None:
-        made: list[int] = []
-        families = face.collector.families
-
-        def counted() -> object:
-            made.append(1)
-            return families()
-
-        face.collector.families = counted  # type: ignore[method-assign,assignment]
+        made = count_pages(face)
         loop = asyncio.get_running_loop()
         began = loop.time()
         answers = await asyncio.gather(*(ask(port, request(path)) for path in ("/metrics", "/nothing") * 7))

@@ -14,7 +14,7 @@ import pytest
 from history_rig import OFFSET, entry
 
 from dpstack.bridge.mqtt import history_keeper
-from dpstack.bridge.mqtt.history import Entry, History, Kept
+from dpstack.bridge.mqtt.history import Entry, History
 from dpstack.bridge.mqtt.history_file import NAME, HistoryError, HistoryFile
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.payload import DataType, MetricKind
@@ -55,12 +55,14 @@ class Bench:
 
 
 @contextmanager
-def full(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    def append(*_: object) -> None:
-        raise HistoryError("database or disk is full")
+def failing(monkeypatch: pytest.MonkeyPatch, name: str, error: Exception) -> Iterator[None]:
+    """A method of the file raises."""
+
+    def fail(*_: object) -> None:
+        raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr(HistoryFile, "append", append)
+        patch.setattr(HistoryFile, name, fail)
         yield
 
 
@@ -79,7 +81,7 @@ async def test_a_full_disk_is_told_once_and_what_memory_holds_comes_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = Bench(tmp_path, most=10)
-    with full(monkeypatch):
+    with failing(monkeypatch, "append", HistoryError("database or disk is full")):
         for number in range(1, 20):
             bench.keep(number, number)
             await bench.keeper.step()
@@ -118,12 +120,8 @@ async def test_a_fault_of_the_program_in_the_thread_ends_nothing(
     bench = Bench(tmp_path)
     await bench.keeper.step()
 
-    def read(*_: object) -> list[Kept]:
-        raise KeyError("something")
-
     bench.history.next_samples(no_entry, tuple, NOW, OFFSET, 0.0)
-    with monkeypatch.context() as patch:
-        patch.setattr(HistoryFile, "read", read)
+    with failing(monkeypatch, "read", KeyError("something")):
         bench.keep(1, 1)
         await bench.keeper.step()
     assert "KeyError" in bench.told[0]
@@ -138,12 +136,8 @@ async def test_a_disk_that_could_not_be_read_once_is_read_again(
     bench.keep(1, 3)
     await bench.keeper.step()
 
-    def read(*_: object) -> list[Kept]:
-        raise HistoryError("disk I/O error")
-
     bench.history.next_samples(no_entry, tuple, NOW, OFFSET, 0.0)
-    with monkeypatch.context() as patch:
-        patch.setattr(HistoryFile, "read", read)
+    with failing(monkeypatch, "read", HistoryError("disk I/O error")):
         await bench.keeper.step()
     assert bench.history.next_samples(no_entry, tuple, NOW, OFFSET, 1.0) is None
     await bench.keeper.step()

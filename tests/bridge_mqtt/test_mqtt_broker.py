@@ -5,7 +5,10 @@ from __future__ import annotations
 import asyncio
 import os
 import ssl
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import aiomqtt
 import pytest
@@ -21,7 +24,6 @@ from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.tree import PlantTree
 from dpstack.errors import ConfigError
-from dpstack.trace import Severity
 
 
 @pytest.mark.parametrize(
@@ -139,75 +141,67 @@ def test_every_edge_node_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch
     assert len(state_folder("a" * 120, "b" * 120).name) == 241
 
 
-async def test_without_room_for_the_number_no_session_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    face = MqttFace(
+def face_at(folder: Path, told: list[str] | None = None, **options: Any) -> MqttFace:
+    """A face whose broker is not there. ``told``: gets its remarks."""
+    return MqttFace(
         PlantTree(),
-        lambda text, severity: told.append(text),
+        lambda text, severity: None if told is None else told.append(text),
         broker=Broker(url="mqtt://127.0.0.1:1"),
         setup=NodeSetup("group", "node"),
-        folder=tmp_path,
-        again_s=0.001,
+        folder=folder,
+        **options,
     )
-    await face.open()
 
+
+@asynccontextmanager
+async def serving(face: MqttFace) -> AsyncIterator[None]:
+    await face.open()
+    task = asyncio.create_task(face.serve())
+    try:
+        async with asyncio.timeout(10):
+            yield
+    finally:
+        task.cancel()
+        await asyncio.wait((task,))
+        face.close()
+    assert task.cancelled()
+
+
+async def until(condition: Callable[[], object]) -> None:
+    while not condition():  # noqa: ASYNC110  the face tells nobody else
+        await asyncio.sleep(0.001)
+
+
+async def test_without_room_for_the_number_no_session_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(fd: int, octets: bytes) -> int:
         raise OSError(28, "No space left on device")
 
+    told: list[str] = []
+    face = face_at(tmp_path, told, again_s=0.001)
     with monkeypatch.context() as patch:
-        patch.setattr("dpstack.bridge.mqtt.session_file.os.write", full)
-        serving = asyncio.create_task(face.serve())
-        while not told:  # noqa: ASYNC110  the face tells nobody else
-            await asyncio.sleep(0.01)
-        serving.cancel()
-        await asyncio.wait((serving,))
-    face.close()
+        async with serving(face):
+            patch.setattr("dpstack.bridge.mqtt.session_file.os.write", full)
+            await until(lambda: told)
     assert f"the number of the session cannot be written in {tmp_path}: No space left on device" in told[0]
 
 
 async def test_a_broker_that_is_not_there_is_told_once_in_a_row_and_the_end_waits_for_nobody(tmp_path: Path) -> None:
-    told: list[tuple[str, Severity]] = []
-    face = MqttFace(
-        PlantTree(),
-        lambda text, severity: told.append((text, severity)),
-        broker=Broker(url="mqtt://127.0.0.1:1"),
-        setup=NodeSetup("group", "node"),
-        folder=tmp_path,
-        again_s=0.001,
-    )
-    await face.open()
-    serving = asyncio.create_task(face.serve())
-    while len(told) < 3:  # noqa: ASYNC110  the face tells nobody else
-        await asyncio.sleep(0.01)
-    serving.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await serving
-    face.close()
-    assert len({text for text, _ in told}) == 1
-    assert "Connection refused; it is tried again" in told[0][0]
+    told: list[str] = []
+    async with serving(face_at(tmp_path, told, again_s=0.001)):
+        await until(lambda: len(told) >= 3)
+    assert len(set(told)) == 1
+    assert "Connection refused; it is tried again" in told[0]
     assert int((tmp_path / "bdseq").read_text()) >= 2  # each try has a number of its own
 
 
-async def test_the_first_connection_of_a_program_waits_a_moment_by_chance(tmp_path: Path) -> None:
-    for drawn in (0.0, 1.0):
-        told: list[str] = []
-        face = MqttFace(
-            PlantTree(),
-            lambda text, severity, told=told: told.append(text),  # type: ignore[misc]
-            broker=Broker(url="mqtt://127.0.0.1:1"),
-            setup=NodeSetup("group", "node"),
-            folder=tmp_path / str(drawn),
-            draw=lambda drawn=drawn: drawn,  # type: ignore[misc]
-        )
-        await face.open()
-        serving = asyncio.create_task(face.serve())
-        await asyncio.wait((serving,), timeout=0.1)
-        while not told and not drawn:  # noqa: ASYNC110  the face tells nobody else
-            await asyncio.sleep(0.01)
-        assert (tmp_path / str(drawn) / "bdseq").exists() == (not drawn)
-        serving.cancel()
-        await asyncio.wait((serving,))
-        face.close()
+@pytest.mark.parametrize("drawn", [0.0, 1.0])
+async def test_the_first_connection_of_a_program_waits_a_moment_by_chance(tmp_path: Path, drawn: float) -> None:
+    told: list[str] = []
+    async with serving(face_at(tmp_path, told, draw=lambda: drawn)):
+        await asyncio.sleep(0.1)
+        if not drawn:
+            await until(lambda: told)
+        assert (tmp_path / "bdseq").exists() == (not drawn)
 
 
 async def test_the_end_of_the_way_to_the_disk_is_told_and_the_face_goes_on(
@@ -218,35 +212,13 @@ async def test_the_end_of_the_way_to_the_disk_is_told_and_the_face_goes_on(
 
     monkeypatch.setattr(HistoryKeeper, "step", step)
     told: list[str] = []
-    face = MqttFace(
-        PlantTree(),
-        lambda text, severity: told.append(text),
-        broker=Broker(url="mqtt://127.0.0.1:1"),
-        setup=NodeSetup("group", "node"),
-        folder=tmp_path,
-        store_mb=1,
-        again_s=0.001,
-    )
-    await face.open()
-    serving = asyncio.create_task(face.serve())
     text = "values that cannot be delivered are not kept on the disk any more (ZeroDivisionError: a fault)"
-    async with asyncio.timeout(5):
-        while text not in told or len(told) < 3:  # noqa: ASYNC110  the face tells nobody else
-            await asyncio.sleep(0.001)
-    serving.cancel()
-    await asyncio.wait((serving,))
-    face.close()
+    async with serving(face_at(tmp_path, told, store_mb=1, again_s=0.001)):
+        await until(lambda: text in told and len(told) >= 3)
 
 
 async def test_results_that_were_lost_are_counted(tmp_path: Path) -> None:
-    face = MqttFace(
-        PlantTree(),
-        lambda *_: None,
-        broker=Broker(url="mqtt://127.0.0.1:1"),
-        setup=NodeSetup("group", "node"),
-        folder=tmp_path,
-        make_node=JsonNode,
-    )
+    face = face_at(tmp_path, make_node=JsonNode)
     await face.open()
     assert face._node is not None
     face._node.connect(0, 1.0)

@@ -27,6 +27,25 @@ from dpstack.bridge.tree import PlantTree
 from dpstack.trace import Severity
 
 LONGEST_S = 30.0
+_CONFIG = """
+[bus]
+port = "virtual"
+baud = 500000
+
+[[slave]]
+name = "valves"
+address = 8
+ident = 0x1234
+config = "21 11"
+inputs = {{ level = "i16@0" }}
+outputs = {{ lamp = "bool@0.1", speed = "u8@1" }}
+
+[mqtt]
+url = "mqtt://127.0.0.1:{port}"
+group = "{group}"
+node = "{node}"
+interval_ms = 50
+"""
 
 
 class Mosquitto:
@@ -83,6 +102,13 @@ def wait_for(found: Callable[[], object]) -> None:
     while not found():
         assert time.monotonic() < end
         time.sleep(0.02)
+
+
+def plant_file(folder: Path, broker: Mosquitto, *lines: str) -> str:
+    """A configuration for ``dpstack run`` with valves at ``broker``. ``lines``: more keys of [mqtt]."""
+    file = folder / "plant.toml"
+    file.write_text("\n".join((_CONFIG.format(port=broker.port, group=GROUP, node=NODE), *lines)), encoding="utf-8")
+    return str(file)
 
 
 class Subscriber:

@@ -99,13 +99,6 @@ class Screen:
 
 
 @pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Mosquitto]:
-    made = Mosquitto(tmp_path)
-    yield made
-    made.kill()
-
-
-@pytest.fixture
 def starter(tmp_path: Path) -> Iterator[Starter]:
     (tmp_path / "out").mkdir()
     made = Starter(tmp_path / "out")

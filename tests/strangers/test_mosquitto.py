@@ -20,19 +20,12 @@ from typing import Any
 
 import pytest
 from edge_node_rig import GROUP, NODE, metric
-from mosquitto_kit import LONGEST_S, Mosquitto, Plant, following, plain, run, until
+from mosquitto_kit import LONGEST_S, Mosquitto, Plant, following, plain, plant_file, run, until
 from sparkplug_host import tag
 
 from dpstack.bridge.mqtt.broker import Broker
 
 pytestmark = pytest.mark.strangers
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Mosquitto]:
-    made = Mosquitto(tmp_path)
-    yield made
-    made.kill()
 
 
 async def test_births_data_and_an_ordered_end(tmp_path: Path, broker: Mosquitto) -> None:
@@ -352,41 +345,23 @@ async def test_tls_with_user_password_and_client_certificate(tmp_path: Path, col
 
 # --- dpstack run with the table [mqtt] ---
 
-RUN = """[bus]
-port = "virtual"
-baud = 500000
 
-[[slave]]
-name = "valves"
-address = 8
-ident = 0x1234
-config = "21 11"
-outputs = {{ lamp = "bool@0.1", speed = "u8@1" }}
-
-[mqtt]
-url = "mqtt://127.0.0.1:{port}"
-group = "{group}"
-node = "{node}"
-interval_ms = 50
-allow_commands = ["valves.lamp"]
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 async def test_a_run_publishes_its_plant_and_takes_the_orders_that_are_listed(
     tmp_path: Path, broker: Mosquitto, number: signal.Signals
 ) -> None:
-    plant = tmp_path / "plant.toml"
-    plant.write_text(RUN.format(port=broker.port, group=GROUP, node=NODE), encoding="utf-8")
+    config = plant_file(tmp_path, broker, 'allow_commands = ["valves.lamp"]')
     environment = os.environ | {"XDG_STATE_HOME": str(tmp_path / "state"), "XDG_RUNTIME_DIR": str(tmp_path)}
-    words = (sys.executable, "-m", "dpstack", "run", str(plant), "--json", "--log", str(tmp_path / "log.jsonl"))
+    words = (sys.executable, "-m", "dpstack", "run", config, "--json", "--log", str(tmp_path / "log.jsonl"))
     async with following(broker) as subscriber:
         host = subscriber.host
         run = await asyncio.create_subprocess_exec(
             *words, env=environment, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE
         )
         await until(lambda: host.alive == {"valves"})
-        assert host.metric("Outputs/lamp", "valves").value is False
+        lamp, speed = (host.metric(f"Outputs/{name}", "valves") for name in ("lamp", "speed"))
+        assert lamp.value is False
+        assert (lamp.properties["Readonly"], speed.properties["Readonly"]) == (False, True)
         await command(broker, "valves", metric("Outputs/lamp", boolean=True))
         await until(lambda: host.metric("Outputs/lamp", "valves").value is True)
         await until(lambda: host.metric("Last command/result").value == "done")
@@ -395,66 +370,15 @@ async def test_a_run_publishes_its_plant_and_takes_the_orders_that_are_listed(
         run.send_signal(number)
         _, err = await run.communicate()
         await until(lambda: not host.online)
-    assert (run.returncode, err) == (0 if number is signal.SIGTERM else -number, b"")
-    if number is signal.SIGTERM:
+    assert (tmp_path / "state" / "dpstack" / f"{GROUP}.{NODE}" / "bdseq").read_text() == "0\n"
+    assert (run.returncode, err) == (-number if number is signal.SIGKILL else 0, b"")
+    if number is not signal.SIGKILL:
         kinds = subscriber.kinds()
         assert "DDEATH" in kinds[-3:], kinds
         told = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
         texts = [line["text"] for line in told if line["text"].startswith("faces: mqtt")]
         assert texts[0] == f"faces: mqtt: connected to 127.0.0.1:{broker.port}"
         assert "faces: mqtt: order valves.lamp: done" in texts
-
-
-# --- the whole program --------------------------------------------------------------------------------------------
-
-CONFIG = """
-[bus]
-port = "virtual"
-baud = 500000
-
-[[slave]]
-name = "valves"
-address = 8
-ident = 0x4321
-config = "21 11"
-inputs = {{ level = "i16@0" }}
-outputs = {{ lamp = "bool@0.1", speed = "u8@1" }}
-
-[mqtt]
-url = "mqtt://127.0.0.1:{port}"
-group = "{group}"
-node = "{node}"
-interval_ms = 50
-allow_commands = ["valves.lamp"]
-"""
-
-
-async def test_dpstack_run_publishes_its_plant_and_takes_a_command(tmp_path: Path, broker: Mosquitto) -> None:
-    config = tmp_path / "plant.toml"
-    config.write_text(CONFIG.format(port=broker.port, group=GROUP, node=NODE))
-    until = Plant(tmp_path / "unused", plain(broker)).until
-    async with following(broker) as subscriber:
-        host = subscriber.host
-        run_ = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "dpstack", "run", str(config)),
-            env=os.environ | {"XDG_STATE_HOME": str(tmp_path)},
-            stdout=asyncio.subprocess.DEVNULL,
-        )
-        try:
-            await until(lambda: host.alive == {"valves"})
-            assert host.metric("Outputs/lamp", "valves").properties["Readonly"] is False
-            assert host.metric("Outputs/speed", "valves").properties["Readonly"] is True
-            await command(broker, "valves", metric("Outputs/lamp", boolean=True))
-            await until(lambda: host.metric("Outputs/lamp", "valves").value is True)
-            await until(lambda: host.metric("Last command/result").value == "done")
-            run_.send_signal(signal.SIGINT)
-            assert await run_.wait() == 0
-            await until(lambda: not host.online)
-            assert (tmp_path / "dpstack" / f"{GROUP}.{NODE}" / "bdseq").read_text() == "0\n"
-        finally:
-            if run_.returncode is None:
-                run_.kill()
-                await run_.wait()
 
 
 JSON = f"dpstack/{GROUP}/{NODE}"
@@ -489,10 +413,9 @@ async def json_order(broker: Mosquitto, name: str, payload: object) -> Any:
 
 
 async def test_plain_json_from_values_and_orders_to_the_will(tmp_path: Path, broker: Mosquitto) -> None:
-    config = tmp_path / "plant.toml"
-    config.write_text(CONFIG.format(port=broker.port, group=GROUP, node=NODE) + 'format = "json"\n')
+    config = plant_file(tmp_path, broker, 'allow_commands = ["valves.lamp"]', 'format = "json"')
     run_ = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "dpstack", "run", str(config)),
+        *(sys.executable, "-m", "dpstack", "run", config),
         env=os.environ | {"XDG_STATE_HOME": str(tmp_path)},
         stdout=asyncio.subprocess.DEVNULL,
     )

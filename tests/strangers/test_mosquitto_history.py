@@ -8,26 +8,18 @@ import copy
 import os
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 import pytest
 from edge_node_rig import GROUP, NODE
 from history_rig import COUNTER
-from mosquitto_kit import Mosquitto, Plant, following, plain, run, until
+from mosquitto_kit import Mosquitto, Plant, following, plain, plant_file, run, until
 from sparkplug_host import Host
 
 pytestmark = pytest.mark.strangers
 
 TICK_S: Final = 0.25
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Mosquitto]:
-    made = Mosquitto(tmp_path)
-    yield made
-    made.kill()
 
 
 class Counting:
@@ -129,37 +121,15 @@ async def test_the_broker_is_killed_and_the_primary_host_goes_and_no_number_is_m
         assert all(step > TICK_S * 500 for step in steps), steps  # each has the time at which it came
 
 
-RUN: Final = """
-[bus]
-port = "virtual"
-baud = 500000
-
-[[slave]]
-name = "valves"
-address = 8
-ident = 0x1234
-config = "21 11"
-outputs = {{ lamp = "bool@0.1", speed = "u8@1" }}
-
-[mqtt]
-url = "mqtt://127.0.0.1:{port}"
-group = "{group}"
-node = "{node}"
-interval_ms = 50
-store_mb = 1
-"""
-
-
 async def test_values_of_a_run_that_was_killed_without_a_broker_follow_in_the_next_one(
     tmp_path: Path, broker: Mosquitto
 ) -> None:
-    config = tmp_path / "plant.toml"
-    config.write_text(RUN.format(port=broker.port, group=GROUP, node=NODE))
+    config = plant_file(tmp_path, broker, "store_mb = 1")
     environment = os.environ | {"XDG_STATE_HOME": str(tmp_path / "state"), "XDG_RUNTIME_DIR": str(tmp_path)}
     words = (sys.executable, "-m", "dpstack")
     null = asyncio.subprocess.DEVNULL
     broker.kill()
-    run_ = await asyncio.create_subprocess_exec(*words, "run", str(config), env=environment, stdout=null)
+    run_ = await asyncio.create_subprocess_exec(*words, "run", config, env=environment, stdout=null)
     try:
         for speed in range(6):
             ctl = (*words, "ctl", "virtual", "set", f"valves.speed={speed}")
@@ -177,7 +147,7 @@ async def test_values_of_a_run_that_was_killed_without_a_broker_follow_in_the_ne
         broker.start()
         async with following(broker) as subscriber:
             host = subscriber.host
-            run_ = await asyncio.create_subprocess_exec(*words, "run", str(config), env=environment, stdout=null)
+            run_ = await asyncio.create_subprocess_exec(*words, "run", config, env=environment, stdout=null)
             await until(lambda: host.alive == {"valves"})
             speeds = list[int]()
 

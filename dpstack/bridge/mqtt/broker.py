@@ -64,6 +64,10 @@ class Broker:
         if self.password and not self.user:
             raise ConfigError("a password needs a user; give one")
 
+    @property
+    def place(self) -> str:
+        return f"{self.host}:{self.port}"
+
     def tls_context(self) -> ssl.SSLContext | None:
         """Reads the files; None without TLS. The broker's certificate and its name are always judged. Raises
         ConfigError."""

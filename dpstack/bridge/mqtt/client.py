@@ -185,7 +185,7 @@ class MqttFace(Face):
                     )
                 else:
                     why = self._last_error.text or text_of(error)
-                    self.tell(f"broker {self._place}: {printable(why)}; it is tried again", Severity.WARNING)
+                    self.tell(f"broker {self._broker.place}: {printable(why)}; it is tried again", Severity.WARNING)
             else:
                 failed, ended_early, pause = 0, 0, self._again_s
                 self.tell(f"the session has ended: {end.why}", Severity.INFO)
@@ -202,10 +202,6 @@ class MqttFace(Face):
             self._keeper.close()
         if self._numbers is not None:
             self._numbers.close()
-
-    @property
-    def _place(self) -> str:
-        return f"{self._broker.host}:{self._broker.port}"
 
     # --- a session ------------------------------------------------------------------------------------------------
 
@@ -235,7 +231,7 @@ class MqttFace(Face):
             if self._status is not None:
                 self._status.begin(number)
             self.connected = self._was_connected = True
-            self.tell(f"connected to {self._place}", Severity.INFO)
+            self.tell(f"connected to {self._broker.place}", Severity.INFO)
             return await self._exchange(node, client)
         finally:
             self.connected = False

@@ -105,16 +105,12 @@ class FleetReader:
                 why = shortened(printable(self._error.text or text_of(error)), 200)
                 if _is_refused(error) and not self.was_connected:
                     raise UsageError(
-                        f"broker {self._place} refuses user or password ({why}): give --user and --password-env or "
-                        f"--password-file as the broker knows them"
+                        f"broker {self._broker.place} refuses user or password ({why}): give --user and "
+                        f"--password-env or --password-file as the broker knows them"
                     ) from None
                 failed = 0 if loop.time() - began > LONGEST_RETRY_S else failed + 1
-                self._tell(f"broker {self._place}: {why}; it is tried again")
+                self._tell(f"broker {self._broker.place}: {why}; it is tried again")
             await asyncio.sleep(spread(retry_s(self._again_s, failed), random.random))
-
-    @property
-    def _place(self) -> str:
-        return f"{self._broker.host}:{self._broker.port}"
 
     def _tell(self, text: str) -> None:
         """Tell a remark; one that is the same as the last one is left out."""
@@ -138,7 +134,7 @@ class FleetReader:
             await subscribe(client, self._fleet.subscriptions, qos=0)
             end_if_cancelled(before)
             self.connected = self.was_connected = True
-            self._tell(f"connected to {self._place}")
+            self._tell(f"connected to {self._broker.place}")
             if self._rebirth is not None:
                 asking = asyncio.create_task(self._ask_for_births(client), name="dpstack fleet: births")
             await self._read(client)
