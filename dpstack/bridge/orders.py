@@ -43,6 +43,7 @@ class Refusal(Enum):
     TYPE = auto()
     #: too old, ahead of the clock, or given before
     TIME = auto()
+    NO_EXCHANGE = auto()
     TOO_MANY = auto()
     NO_RESULT = auto()
 
@@ -129,6 +130,11 @@ class Orders:
         return order is not None and order.command[0] == "set"
 
     @property
+    def takes_any(self) -> bool:
+        """Whether ``allow_commands`` lists any order."""
+        return bool(self._allow)
+
+    @property
     def allowed(self) -> tuple[Order, ...]:
         """The orders of the plant that :meth:`give` takes."""
         return tuple(order for order in self._tree.orders.values() if is_allowed(self._allow, order.name))
@@ -173,13 +179,20 @@ class Orders:
             return self._told(_refused(name, error))
         return self._told(OrderResult(name, "done"))
 
-    async def give_outputs(self, given: Sequence[tuple[str, object]], *, made_at: float) -> list[OrderResult]:
+    async def give_outputs(
+        self,
+        given: Sequence[tuple[str, object]],
+        *,
+        made_at: float | None,
+        late_s: float | None = None,
+        batch: Batch | None = None,
+    ) -> list[OrderResult]:
         """Set outputs of one slave, by name and value, so that all of them change in one Data_Exchange. Each is judged
         as by :meth:`give`, and one that is refused leaves the others; but the run takes those as one order, and refuses
         all where it refuses one. Results and the rest: as of :meth:`give`."""
 
-        batch = self.batch()
-        age = _Age(batch.came, made_at)
+        batch = batch or self.batch()
+        age = _Age(batch.came, made_at, late_s)
         results: list[OrderResult | None] = []
         orders: list[Order] = []
         words = ["set"]
@@ -206,6 +219,7 @@ class Orders:
     def _judge(self, name: str, value: object, age: _Age) -> tuple[Order, tuple[str, ...]]:
         """An order that comes, and its words. Raises _RefusedError."""
         order = self._find(name)
+        self._judge_slave(order)
         self._judge_age(age)
         try:
             words = order.words(_plain(value))
@@ -223,6 +237,7 @@ class Orders:
                     raise _ChangedError
                 if self._halts[slave] != batch.halts[slave]:
                     raise _RefusedError("a later order has stopped the drive meanwhile")
+                self._judge_slave(orders[0])
                 self._judge_age(age)
                 await self._carry(words)
 
@@ -260,6 +275,12 @@ class Orders:
         if order is None:
             raise _RefusedError("the plant has no such order", Refusal.UNKNOWN)
         return order
+
+    def _judge_slave(self, order: Order) -> None:
+        """Raises _RefusedError where the slave is not in data exchange: it would get the order when it is back,
+        whenever that is. A halt goes to the run, which keeps it for that moment: else the drive would go on then."""
+        if not (_halts_drive(order) or self._tree.is_alive(order.slave)):
+            raise _RefusedError("the slave is not in data exchange", Refusal.NO_EXCHANGE)
 
     def _judge_age(self, age: _Age) -> None:
         waited = asyncio.get_running_loop().time() - age.came

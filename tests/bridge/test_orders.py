@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from api_kit import in_virtual_time
 
-from dpstack.bridge.orders import MOST_OF_A_SLAVE, Orders, check_allowed, is_allowed
+from dpstack.bridge.orders import MOST_OF_A_SLAVE, Orders, Refusal, check_allowed, is_allowed
 from dpstack.bridge.tree import PlantTree
 from dpstack.errors import ConfigError, UsageError
 from dpstack.trace import Severity
@@ -27,12 +27,20 @@ def plant(*, read_only: bool = False, names: tuple[str, str] = ("hoist", "valves
     return {"plant": {"started": NOW, "baud": 500_000, "read_only": read_only, "slaves": slaves}}
 
 
+def snapshot(*gone: str) -> dict[str, Any]:
+    """All slaves are in data exchange, but those of ``gone``."""
+    fine = {"state": "data_exchange", "inputs_valid": True, "inputs_age_ms": 1.0, "inputs_limit_ms": 100.0}
+    slaves = {address: fine | ({"state": "offline"} if address in gone else {}) for address in ("3", "8")}
+    return {"snapshot": {"t": 1.0, "whole": True, "bus": {"stale": False, "mode": "operate"}, "slaves": slaves}}
+
+
 class Run:
     """Carries orders out slowly, and keeps them."""
 
     def __init__(self, *allow: str, seconds: float = 0.0, read_only: bool = False) -> None:
         self.tree = PlantTree()
         self.tree.apply(plant(read_only=read_only), 0.0)
+        self.tree.apply(snapshot(), 0.0)
         self.seconds = seconds
         self.carried: list[tuple[str, ...]] = []
         self.at_once = self.most_at_once = 0
@@ -288,6 +296,23 @@ async def test_a_stop_whose_sender_has_gone_is_carried_out() -> None:
             await given
     await asyncio.sleep(5)
     assert run.carried == [("drive", "3", "stop")]
+
+
+@in_virtual_time
+async def test_an_absent_slave_gets_no_order_but_a_stop() -> None:
+    """Outputs would change when it is back, whenever that is; a drive that has got no stop would go on then."""
+    run = Run("hoist.*", "valves.*", seconds=1.0)
+    why = "the slave is not in data exchange"
+    first, second = (asyncio.ensure_future(run.reason("valves.lamp", on)) for on in (True, False))
+    await asyncio.sleep(0.5)
+    run.tree.apply(snapshot("3", "8"), 0.0)
+    assert [await first, await second] == ["", why]
+    assert await run.reason("hoist.start") == why
+    [result] = await run.orders.give_outputs([("valves.lamp", True)], made_at=None)
+    assert (result.reason, result.kind) == (why, Refusal.NO_EXCHANGE)
+    for word in ("stop", "quick_stop", "coast"):
+        assert await run.reason(f"hoist.{word}") == ""
+    assert run.carried == [("set", "8.lamp=on"), *(("drive", "3", word) for word in ("stop", "quick_stop", "coast"))]
 
 
 @in_virtual_time

@@ -157,6 +157,35 @@ async def test_orders_need_the_list_the_user_and_the_type(rig: Rig) -> None:
         assert await anna.get_node(id_of(lamp)).read_value() is False  # the stream tells, never an echo
 
 
+async def test_outputs_of_one_slave_in_a_write_are_one_order(rig: Rig) -> None:
+    async def written(client: Client, *outputs: tuple[str, object, ua.VariantType]) -> list[int]:
+        ones = [
+            ua.WriteValue(
+                id_of(f"slave/8/output/{name}"), ua.AttributeIds.Value, Value=ua.DataValue(ua.Variant(*value))
+            )
+            for name, *value in outputs
+        ]
+        return [int(found.value) for found in await client.uaclient.write(ua.WriteParameters(ones))]
+
+    boolean, u16 = ua.VariantType.Boolean, ua.VariantType.UInt16
+    rig.given.clear()
+    async with rig.connected(ANNA) as anna:
+        mixed = (("flow", 9, u16), ("horn", True, boolean), ("lamp", 7, u16), ("lamp", True, boolean))
+        assert await written(anna, *mixed) == [GOOD, BAD_NOT_WRITABLE, BAD_TYPE, GOOD]
+        assert rig.given == [("set", "8.flow=9", "8.lamp=on")]
+        # the run takes all or none
+        assert await written(anna, ("lamp", False, boolean), ("flow", 4000, u16)) == [BAD_STATE] * 2
+        assert await anna.get_node(id_of("last/Reason")).read_value() == "the run refuses 4000"
+        assert len(rig.given) == 1
+
+
+async def test_orders_that_nobody_may_give_are_told_at_the_start(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, users_file=None)
+    await rig.face.open()
+    rig.face.close()
+    assert "nobody may give these orders, as no user has the right control; give a users_file" in rig.told[0]
+
+
 async def test_a_stop_overtakes_starts_that_take_long(rig: Rig) -> None:
     drive = id_of("slave/9/drive")
 

@@ -141,6 +141,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     "G2": (
         "bridge/test_orders.py::test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come",
         "bridge/test_orders.py::test_no_order_is_carried_out_twice",
+        "bridge/test_orders.py::test_an_absent_slave_gets_no_order_but_a_stop",
         "bridge/test_orders.py::test_a_stop_waits_for_nobody_and_nothing_that_waits_comes_after_it",
     ),
     "G3": (
@@ -206,11 +207,12 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "bridge_mqtt/test_history_keeper.py::test_a_slow_disk_delays_nobody_and_the_end_takes_no_longer_than_its_limit",
     ),
     "G15": (
-        _JSON + "test_what_is_kept_not_listed_or_not_in_data_exchange_is_refused",
+        _JSON + "test_what_is_kept_or_not_listed_is_refused",
         _JSON + "test_an_order_that_cannot_be_is_refused_with_its_reason",
         _JSON + "test_an_order_that_is_listed",
         _JSON + "test_a_flood_of_orders_is_bounded_and_values_do_not_wait_for_it",
         _JSON + "test_garbage_is_no_order",
+        "bridge/test_orders.py::test_an_absent_slave_gets_no_order_but_a_stop",
         "bridge/test_orders.py::test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come",
     ),
     "G16": (

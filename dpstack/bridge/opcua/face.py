@@ -8,11 +8,11 @@ import math
 import os
 import socket
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import ClassVar, Final, TypeVar
+from typing import ClassVar, Final
 
 from asyncua import ua
 from asyncua.server.monitored_item_service import MonitoredItemService
@@ -36,10 +36,10 @@ from dpstack.bridge.opcua.lateness import LATE_S, seconds_of
 from dpstack.bridge.opcua.server import LimitedServer, LimitedSession, quieten
 from dpstack.bridge.opcua.space import NAMESPACE, VARIANTS, Space
 from dpstack.bridge.opcua.users import Account, Users, read_users
-from dpstack.bridge.orders import Batch, Orders, Refusal
+from dpstack.bridge.orders import Batch, OrderResult, Orders, Refusal
 from dpstack.bridge.quality import Reading, Value
 from dpstack.bridge.tree import Change, Changed, ClockSet, NodesChanged, PlantTree
-from dpstack.errors import ConfigError, UsageError
+from dpstack.errors import ConfigError
 from dpstack.tcp_address import Listen, is_local, join
 from dpstack.trace import Severity
 
@@ -56,7 +56,6 @@ _EVERYWHERE: Final = ("", "0.0.0.0", "::")
 #: writes and calls of one request that are worked on until others have their turn
 _OPERATIONS_AT_ONCE: Final = 25
 _S = ua.StatusCodes
-_T = TypeVar("_T")
 _REFRESH: Final = ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh)
 _REFRESH_ITEM: Final = ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2)
 _ACKNOWLEDGE: Final = ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge)
@@ -68,6 +67,7 @@ _CODES: Final = {
     Refusal.UNKNOWN: _S.BadNodeIdUnknown,
     Refusal.TYPE: _S.BadTypeMismatch,
     Refusal.TIME: _S.BadInvalidTimestamp,
+    Refusal.NO_EXCHANGE: _S.BadNoCommunication,
     Refusal.TOO_MANY: _S.BadResourceUnavailable,
     Refusal.NO_RESULT: _S.BadTimeout,
 }
@@ -137,10 +137,15 @@ class OpcUaFace(Face):
     async def open(self) -> None:
         chosen = self.settings
         if chosen.users_file is None and not chosen.anonymous:
-            raise UsageError('[opcua] lets nobody in: give users_file, or anonymous = "read"')
+            raise ConfigError('users_file: nobody may connect; give users_file, or anonymous = "read"')
         quieten()
         if chosen.users_file is not None:
             self._users = Users(read_users(chosen.users_file))
+        controls = self._users is not None and any(one.control for one in self._users.accounts.values())
+        if self._orders.takes_any and not controls:
+            todo = "give a users_file with a line of `python -m dpstack.bridge.opcua.users NAME control`"
+            self.tell(f"allow_commands: nobody may give these orders, as no user has the right control; {todo}",
+                      Severity.WARNING)  # fmt: skip
         if chosen.trust_dir is not None:
             self._trusted = read_trusted(chosen.trust_dir)
         uri = application_uri(socket.gethostname(), chosen.name)
@@ -323,30 +328,55 @@ class OpcUaFace(Face):
     # --- orders of clients ----------------------------------------------------------------------------------------
 
     async def write(self, values: Sequence[ua.WriteValue], who: Account | None) -> list[ua.StatusCode]:
-        """A client's writes: of outputs that ``allow_commands`` lists, by a user who may."""
+        """A client's writes: of outputs that ``allow_commands`` lists, by a user who may. Those of one slave with
+        the same time are one order."""
         batch = self._orders.batch()
-        return [result async for result in _one_by_one(self._write(one, who, batch) for one in values)]
+        found = [ua.StatusCode()] * len(values)
+        together: dict[tuple[int, float | None], list[tuple[int, str, Value]]] = {}
+        for number, one in enumerate(values):
+            try:
+                order, value = self._judge_write(one, who)
+            except ua.UaStatusCodeError as error:
+                found[number] = ua.StatusCode(error.code)
+            else:
+                made_at = seconds_of(one.Value.SourceTimestamp)
+                together.setdefault((order.slave, made_at), []).append((number, order.name, value))
+            if number % _OPERATIONS_AT_ONCE == 0:
+                await asyncio.sleep(0)
+        for (_, made_at), outputs in together.items():
+            given = [(name, value) for _, name, value in outputs]
+            results = await self._orders.give_outputs(given, made_at=made_at, late_s=LATE_S.get(), batch=batch)
+            for (number, *_), result in zip(outputs, results, strict=True):
+                found[number] = _status_of(result, _S.BadNotWritable)
+            await self._show_last(next((one for one in results if one.result != "done"), results[-1]))
+        return found
 
     async def call(
         self, methods: Sequence[ua.CallMethodRequest], who: Account | None, session: LimitedSession
     ) -> list[ua.CallMethodResult]:
         """A client's calls: orders of drives, refreshes of conditions, acknowledgements."""
         batch = self._orders.batch()
-        return [result async for result in _one_by_one(self._call(one, who, session, batch) for one in methods)]
+        results = []
+        for number, one in enumerate(methods, 1):
+            results.append(await self._call(one, who, session, batch))
+            if number % _OPERATIONS_AT_ONCE == 0:
+                await asyncio.sleep(0)
+        return results
 
-    async def _write(self, value: ua.WriteValue, who: Account | None, batch: Batch) -> ua.StatusCode:
+    def _judge_write(self, write: ua.WriteValue, who: Account | None) -> tuple[Order, Value]:
+        """The order that a write means. Raises UaStatusCodeError."""
         assert self._space is not None
         assert self._server is not None
-        if value.NodeId not in self._server.aspace:
-            return ua.StatusCode(_S.BadNodeIdUnknown)
-        node = self._space.values.get(value.NodeId)
-        if value.AttributeId != ua.AttributeIds.Value or node is None or not self._is_allowed(node.order):
-            return ua.StatusCode(_S.BadNotWritable)
-        given = value.Value
-        if value.IndexRange or (given.StatusCode is not None and not given.StatusCode.is_good()):
-            return ua.StatusCode(_S.BadWriteNotSupported)
-        assert node.order is not None
-        return await self._give(node.order, given.Value, who, node, seconds_of(given.SourceTimestamp), batch)
+        if write.NodeId not in self._server.aspace:
+            raise ua.UaStatusCodeError(_S.BadNodeIdUnknown)
+        node = self._space.values.get(write.NodeId)
+        order = None if node is None else node.order
+        if write.AttributeId != ua.AttributeIds.Value or node is None or order is None or not self._orders.takes(order):
+            raise ua.UaStatusCodeError(_S.BadNotWritable)
+        given = write.Value
+        if write.IndexRange or (given.StatusCode is not None and not given.StatusCode.is_good()):
+            raise ua.UaStatusCodeError(_S.BadWriteNotSupported)
+        return order, _judge_value(order, given.Value, who, node.low, node.high)
 
     async def _call(
         self, method: ua.CallMethodRequest, who: Account | None, session: LimitedSession, batch: Batch
@@ -365,12 +395,19 @@ class OpcUaFace(Face):
         owner, order = found
         if method.ObjectId != owner:
             return _result(_S.BadMethodInvalid)
-        if not self._is_allowed(order):
+        if not self._orders.takes(order):
             return _result(_S.BadNotExecutable)
         wanted = 0 if order.type is None else 1
         if len(arguments) != wanted:
             return _result(_S.BadArgumentsMissing if len(arguments) < wanted else _S.BadTooManyArguments)
-        status = await self._give(order, arguments[0] if arguments else None, who, None, None, batch)
+        try:
+            value = _judge_value(order, arguments[0] if arguments else None, who, None, None)
+        except ua.UaStatusCodeError as error:
+            status = ua.StatusCode(error.code)
+        else:
+            done = await self._orders.give(order.name, value, made_at=None, late_s=LATE_S.get(), batch=batch)
+            await self._show_last(done)
+            status = _status_of(done, _S.BadNotExecutable)
         result = ua.CallMethodResult(status)
         if arguments:
             wrong = status.value in (_S.BadTypeMismatch, _S.BadOutOfRange)
@@ -379,46 +416,11 @@ class OpcUaFace(Face):
                 result.StatusCode = ua.StatusCode(_S.BadInvalidArgument)
         return result
 
-    def _is_allowed(self, order: Order | None) -> bool:
-        return order is not None and self._orders.takes(order)
-
-    async def _give(
-        self,
-        order: Order,
-        given: ua.Variant | None,
-        who: Account | None,
-        node: Node | None,
-        made_at: float | None,
-        batch: Batch,
-    ) -> ua.StatusCode:
-        if who is None or not who.control:
-            return ua.StatusCode(_S.BadUserAccessDenied)
-        value: Value = None
-        if order.type is not None:
-            wanted = VARIANTS[order.type]
-            if given is None or given.VariantType != wanted or given.is_array:
-                return ua.StatusCode(_S.BadTypeMismatch)
-            value = given.Value
-            low, high = (None, None) if node is None else (node.low, node.high)
-            if isinstance(value, float) and not math.isfinite(value):
-                return ua.StatusCode(_S.BadOutOfRange)
-            if isinstance(value, (int, float)) and low is not None and high is not None and not low <= value <= high:
-                return ua.StatusCode(_S.BadOutOfRange)
-        if not self.tree.is_alive(order.slave):
-            await self._show_last(order.name, "refused", "the slave is not in data exchange")
-            return ua.StatusCode(_S.BadNoCommunication)
-        result = await self._orders.give(order.name, value, made_at=made_at, late_s=LATE_S.get(), batch=batch)
-        await self._show_last(result.name, result.result, result.reason)
-        if result.result == "done":
-            return ua.StatusCode()
-        forbidden = _S.BadNotExecutable if node is None else _S.BadNotWritable
-        return ua.StatusCode(_CODES.get(result.kind, forbidden))
-
-    async def _show_last(self, name: str, result: str, reason: str) -> None:
+    async def _show_last(self, last: OrderResult) -> None:
         assert self._space is not None
         assert self._server is not None
         now = self._now()
-        for part, text in (("Name", name), ("Result", result), ("Reason", reason)):
+        for part, text in (("Name", last.name), ("Result", last.result), ("Reason", last.reason)):
             shown = ua.DataValue(ua.Variant(text, ua.VariantType.String), SourceTimestamp=now, ServerTimestamp=now)
             id_ = self._space.node(f"last/{part}")
             await self._server.aspace.write_attribute_value(id_, ua.AttributeIds.Value, shown)
@@ -499,12 +501,27 @@ class OpcUaFace(Face):
         return 0
 
 
-async def _one_by_one(operations: Iterable[Awaitable[_T]]) -> AsyncIterator[_T]:
-    """The results of operations of one request; others have their turn between them."""
-    for number, one in enumerate(operations, 1):
-        yield await one
-        if number % _OPERATIONS_AT_ONCE == 0:
-            await asyncio.sleep(0)
+def _judge_value(
+    order: Order, given: ua.Variant | None, who: Account | None, low: float | None, high: float | None
+) -> Value:
+    """The value of an order by ``who``; ``low`` and ``high``: its range. Raises UaStatusCodeError."""
+    if who is None or not who.control:
+        raise ua.UaStatusCodeError(_S.BadUserAccessDenied)
+    if order.type is None:
+        return None
+    if given is None or given.VariantType != VARIANTS[order.type] or given.is_array:
+        raise ua.UaStatusCodeError(_S.BadTypeMismatch)
+    value: Value = given.Value
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ua.UaStatusCodeError(_S.BadOutOfRange)
+    if isinstance(value, (int, float)) and low is not None and high is not None and not low <= value <= high:
+        raise ua.UaStatusCodeError(_S.BadOutOfRange)
+    return value
+
+
+def _status_of(result: OrderResult, forbidden: int) -> ua.StatusCode:
+    """``forbidden``: the status code of an order that nobody may give."""
+    return ua.StatusCode() if result.result == "done" else ua.StatusCode(_CODES.get(result.kind, forbidden))
 
 
 def _result(code: int) -> ua.CallMethodResult:
