@@ -1,9 +1,10 @@
-"""A broker of octets that floods its client, or sends a packet without end."""
+"""A broker of octets that floods its client, or sends a packet without end; a socket that is gone."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 import struct
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -96,3 +97,26 @@ async def test_messages_with_qos_2_end_the_connection_and_fill_no_memory() -> No
 
         with pytest.raises((aiomqtt.MqttError, OSError), match=r"QoS 2|Disconnected"):
             await take()
+
+
+async def test_a_socket_that_is_gone_before_its_turn_is_watched_by_nobody() -> None:
+    """Its number may be that of another file by then, for instance of the port of the bus."""
+    loop = asyncio.get_running_loop()
+    faults: list[dict[str, object]] = []
+    loop.set_exception_handler(lambda _, context: faults.append(context))
+    async with broker() as port:
+        client = LimitedClient("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V5)
+        await asyncio.to_thread(client.connect_blocking)
+        await client.wait_connected()
+        paho, sock = client._client, client._client.socket()
+        assert sock is not None
+        number = sock.fileno()
+        client._on_socket_open(paho, None, sock)
+        client._on_socket_register_write(paho, None, sock)
+        paho._sock_close()
+        with socket.socket() as other:
+            assert other.fileno() == number
+            await asyncio.sleep(0.01)
+            assert not loop.remove_writer(number)
+            assert not loop.remove_reader(number)
+    assert faults == []

@@ -49,16 +49,37 @@ class LimitedClient(aiomqtt.Client):
         self._read_in_window += len(found)
         return found
 
+    # --- paho calls these, also in the thread that connects. In place of those of aiomqtt: they give the number of the
+    # --- socket to the loop, which may be that of another file when its turn comes
+
     def _on_socket_open(self, client: Client, userdata: Any, sock: Any) -> None:
-        super()._on_socket_open(client, userdata, sock)
-        # paho calls it in a thread
-        self._loop.call_soon_threadsafe(self._begin_reading, sock)
+        self._loop.call_soon_threadsafe(self._begin, sock)
+
+    def _on_socket_register_write(self, client: Client, userdata: Any, sock: Any) -> None:
+        self._loop.call_soon_threadsafe(self._begin_writing, sock)
+
+    def _is_open(self, sock: socket.socket) -> bool:
+        return self._client.socket() is sock and not self._disconnected.done()
+
+    def _begin(self, sock: socket.socket) -> None:
+        if self._is_open(sock):
+            self._misc_task = self._loop.create_task(self._misc_loop(), name="dpstack mqtt: keep alive")
+            self._begin_reading(sock)
 
     def _begin_reading(self, sock: socket.socket) -> None:
-        """Read from now on, in place of the reader of aiomqtt."""
-        if self._client.socket() is sock and not self._disconnected.done():
+        if self._is_open(sock):
             self._loop.add_reader(sock.fileno(), self._read, sock)
             self._read(sock)  # with TLS octets may wait behind the socket
+
+    def _begin_writing(self, sock: socket.socket) -> None:
+        if self._is_open(sock):
+            self._loop.add_writer(sock.fileno(), self._write)
+
+    def _write(self) -> None:
+        try:
+            self._client.loop_write()
+        except Exception as error:  # as aiomqtt does it: the connection is broken
+            self._break(error)
 
     def _read(self, sock: Any) -> None:
         """Take packets until there are no more, or until this part of a second has had its share."""
@@ -78,8 +99,11 @@ class LimitedClient(aiomqtt.Client):
                 if not has_more:
                     return
         except Exception as error:  # as aiomqtt does it: the connection is broken
-            if not self._disconnected.done():
-                self._disconnected.set_exception(error)
+            self._break(error)
+
+    def _break(self, error: Exception) -> None:
+        if not self._disconnected.done():
+            self._disconnected.set_exception(error)
 
     def _pause(self, sock: socket.socket) -> None:
         if self._client.socket() is sock:
