@@ -4,7 +4,7 @@ all three faces and without, in turn.
 Each slave has four named values; the application writes an output of each ten times a second, which comes back as an
 input. All faces publish everything. Around them is one of these:
 
-- ``well``: mosquitto, where it is installed, a scraper once a second, an OPC UA client that subscribes to everything
+- ``well``: mosquitto, a scraper once a second, an OPC UA client that subscribes to everything
 - ``gone``: nobody listens at the address of the broker
 - ``stuck``: the broker takes connections, and never reads nor answers
 - ``stopped``: mosquitto is stopped when the plant has been published, and answers no more
@@ -13,7 +13,8 @@ input. All faces publish everything. Around them is one of these:
 - ``full``: the broker is gone, and the disk of the state is full (a file system of its own, which needs root)
 - ``backlog``: mosquitto comes back when the faces have kept values for a while, and history flows beside the others
 
-The store of MQTT has its default size; its remarks and the size of its file become notes.
+Those that need mosquitto are left out where it is not installed. The store of MQTT has its default size; its remarks
+and the size of its file become notes.
 
 The wire and the masters are those of the benchmark ``record``. With the driver process the bus's own process is
 measured for itself; the goals are about that one. Two habits of the computer would change the figures more than the
@@ -28,14 +29,13 @@ import argparse
 import contextlib
 import json
 import os
-import shutil
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -44,7 +44,7 @@ from bench.masters import DRIVERS
 from bench.options import count, duration, slaves
 from bench.paired import interval
 from bench.plant.backlog import Arrivals, Backlog
-from bench.plant.programs import free_port, wait_for
+from bench.plant.programs import free_port, mosquitto, wait_for
 from bench.report import Report
 from bench.rig import Bench, Process, Processors, available, bench, note_disturbance, pinned
 from dpstack.bridge.mqtt.history_file import NAME
@@ -97,10 +97,7 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--cycle-baud", type=int, default=1_500_000, help="of the fixed cycle (default: %(default)s)")
     args = parser.parse_args(argv)
     report = Report("faces")
-    if shutil.which("mosquitto") is None:
-        without = [one for one in args.around if one not in _MOSQUITTO]
-        report.notes.append(f"{', '.join(set(args.around) - set(without))}: left out, mosquitto is not installed")
-        args.around = without
+    args.around = possible(args.around, report.notes)
     with pinned() as where, _steady(where) as but:
         report.notes.append(where.text + but)
         for kind in available(args.kinds, report.notes):
@@ -109,6 +106,14 @@ def run(argv: list[str]) -> Report:
                     _cpu(report, kind, baud, around, args, where)
                 _cycles(report, kind, around, args, where)
     return report
+
+
+def possible(around: Sequence[str], notes: list[str]) -> list[str]:
+    """Those of ``around`` that can be made here; the others become a note."""
+    left_out = [] if mosquitto() is not None else [one for one in around if one in _MOSQUITTO]
+    if left_out:
+        notes.append(f"{', '.join(left_out)}: left out, mosquitto is not installed")
+    return [one for one in around if one not in left_out]
 
 
 @contextlib.contextmanager
@@ -355,8 +360,9 @@ class _Plant:
     def _begin_mosquitto(self, stack: contextlib.ExitStack, port: int) -> None:
         config = self._folder / "mosquitto.conf"
         config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
-        quiet = subprocess.DEVNULL
-        self._broker = broker = subprocess.Popen(["mosquitto", "-c", str(config)], stdout=quiet, stderr=quiet)
+        path, quiet = mosquitto(), subprocess.DEVNULL
+        assert path is not None, "without it these surroundings are left out"
+        self._broker = broker = subprocess.Popen([path, "-c", str(config)], stdout=quiet, stderr=quiet)
         if self._where.wire is not None:
             os.sched_setaffinity(broker.pid, {self._where.wire})
         stack.callback(broker.wait)

@@ -86,12 +86,17 @@ def rss_kib(pid: int | str) -> int:
     return 0
 
 
+def mosquitto() -> str | None:
+    """The program of the broker; None where it is not installed. Debian has it where only root looks."""
+    return shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+
+
 class Mosquitto:
     """The broker, on a free port of this computer; it keeps nothing on disk. Raises RuntimeError where it is not
     installed."""
 
     def __init__(self, folder: Path) -> None:
-        path = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+        path = mosquitto()
         if path is None:
             raise RuntimeError("mosquitto is not installed: sudo apt-get install mosquitto")
         self.port = free_port()
