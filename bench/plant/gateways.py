@@ -16,7 +16,6 @@ import pickle
 import sys
 import time
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -92,8 +91,6 @@ class Fleet:
 
 
 async def _main(recording: Recording, folder: Path, first: int, count: int, broker: int, interval_ms: int) -> None:
-    # as connecting blocks a thread: each gateway of a plant has the threads of its own computer
-    asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(2 * count + 4))
     fleet = Fleet(recording, broker, interval_ms, folder)
     gc.collect()
     print(json.dumps({"rss_kib": rss_kib("self")}), flush=True)

@@ -436,6 +436,23 @@ async def test_a_client_that_reads_nothing_holds_little(rig: Rig, monkeypatch: p
         assert all(one.RevisedQueueSize == MOST_QUEUE for one in results if one.StatusCode.is_good())
 
 
+async def test_sessions_that_ask_together_share_the_items(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "MOST_ITEMS", 300)
+
+    async def made_by(client: Client) -> int:
+        params = ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True)
+        subscription = (await client.uaclient.create_subscription(params, lambda _: None)).SubscriptionId
+        value = ua.ReadValueId(id_of("slave/8/input/level"), ua.AttributeIds.Value)
+        wanted = [ua.MonitoredItemCreateRequest(value, RequestedParameters=ua.MonitoringParameters(number))
+                  for number in range(300)]  # fmt: skip
+        create = ua.CreateMonitoredItemsParameters(subscription, ua.TimestampsToReturn.Both, wanted)
+        results = await client.uaclient.create_monitored_items(create)
+        return sum(one.StatusCode.is_good() for one in results)
+
+    async with rig.connected() as one, rig.connected() as other, rig.connected() as third:
+        assert 300 <= sum(await asyncio.gather(*map(made_by, (one, other, third)))) <= 300 + 3 * 25
+
+
 async def test_the_standard_nodes_are_a_whole(rig: Rig) -> None:
     """A part of those of asyncua: no reference leads nowhere, and all that the plant uses has its types."""
     assert rig.face._server is not None

@@ -29,6 +29,8 @@ from dpstack.errors import ConfigError
 
 NOW = datetime(2026, 11, 23, 12, tzinfo=UTC)
 LAST = NOW + timedelta(days=3650)
+#: rsaEncryption in DER
+_RSA = bytes.fromhex("06092a864886f70d010101")
 
 
 def test_the_command_makes_a_line_that_the_server_reads(tmp_path: Path) -> None:
@@ -131,6 +133,10 @@ def test_a_client_is_judged_by_dates_and_the_trusted_directory(tmp_path: Path) -
     (tmp_path / "trusted" / "one.der").write_bytes(der)
     assert client_fault(der, read_trusted(tmp_path / "trusted"), now) is None
     assert client_fault(b"\x30\x00", None, now) == 0x80120000  # BadCertificateInvalid
+    # version 8 of X.509, and an RSA key whose algorithm nobody knows
+    for before, behind in ((b"\xa0\x03\x02\x01\x02", b"\xa0\x03\x02\x01\x07"), (_RSA, _RSA[:-1] + b"\x7f")):
+        assert before in der
+        assert client_fault(der.replace(before, behind), None, now) == 0x80120000
 
 
 def at(seconds: float) -> datetime:

@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 from asyncua import ua
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -165,7 +166,7 @@ def client_fault(der: bytes, trusted: frozenset[bytes] | None, now: datetime) ->
     try:
         found = x509.load_der_x509_certificate(der)
         key = found.public_key()
-    except ValueError:
+    except (ValueError, x509.InvalidVersion, UnsupportedAlgorithm):
         return int(ua.StatusCodes.BadCertificateInvalid)
     if not isinstance(key, rsa.RSAPublicKey) or not 2048 <= key.key_size <= 4096:
         return int(ua.StatusCodes.BadCertificatePolicyCheckFailed)

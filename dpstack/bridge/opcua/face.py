@@ -148,13 +148,13 @@ class OpcUaFace(Face):
                       Severity.WARNING)  # fmt: skip
         if chosen.trust_dir is not None:
             self._trusted = read_trusted(chosen.trust_dir)
+        self._take_name()  # before a second server could make the same files
         uri = application_uri(socket.gethostname(), chosen.name)
         host = self._listen.host
         shown = socket.gethostname() if host in _EVERYWHERE else host
         hosts = [socket.gethostname(), "localhost", "127.0.0.1", shown]
         cert, key = own_certificate(chosen.cert, chosen.key, uri=uri, hosts=hosts, now=self._now())
         self._judge_certificate(cert, shown)
-        self._take_name()
         self._listening = self._listen.sockets()
         if chosen.anonymous and not is_local(self._listening):
             self.tell(f"everybody who reaches port {self.port} may read the plant", Severity.WARNING)

@@ -377,6 +377,7 @@ class LimitedSession(InternalSession):
             if len(results) % _AT_ONCE == 0:
                 await asyncio.sleep(0)
                 self._check_own(params.SubscriptionId)  # it can be gone meanwhile
+                values, events = self.iserver.count_items()  # others have made theirs
         service = self.subscription_service.subscriptions[params.SubscriptionId].monitored_item_srv
         for item in service._monitored_items.values():
             if item.where_clause_evaluator is not None and not isinstance(item.where_clause_evaluator, WhereClause):
@@ -394,6 +395,7 @@ class LimitedSession(InternalSession):
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
         self._check_own(params.SubscriptionId)
+        _limit(params.MonitoredItemIds)
         return await super().delete_monitored_items(params)
 
     async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
