@@ -8,6 +8,7 @@ import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from api_kit import in_virtual_time
@@ -24,7 +25,7 @@ from dpstack.bridge.opcua.certificate import (
 )
 from dpstack.bridge.opcua.history import BoundedHistory
 from dpstack.bridge.opcua.lateness import Lateness
-from dpstack.bridge.opcua.users import Account, Users, hash_password, is_right, read_users
+from dpstack.bridge.opcua.users import Account, Users, hash_password, is_right, main, read_users
 from dpstack.errors import ConfigError
 
 NOW = datetime(2026, 11, 23, 12, tzinfo=UTC)
@@ -44,6 +45,21 @@ def test_the_command_makes_a_line_that_the_server_reads(tmp_path: Path) -> None:
     assert is_right("correct horse", found.hash)
     assert not is_right("correct horse ", found.hash)
     assert "correct" not in made
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, EOFError])
+def test_ctrl_c_and_the_end_of_the_terminal_at_the_password_end_the_command_in_one_line(
+    end: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(prompt: str) -> str:
+        raise end
+
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr("getpass.getpass", interrupted)
+    assert main(["anna", "control"]) == 130
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.strip() == "no password was typed: there is no line for this user"
 
 
 def test_a_file_that_others_can_read_or_that_has_no_user_is_refused(tmp_path: Path) -> None:

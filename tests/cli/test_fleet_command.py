@@ -141,6 +141,35 @@ def test_after_a_sleep_of_the_computer_nothing_old_is_drawn_as_alive(
     assert "43 segments: 42 silent, 1 ended" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("width", "height"), [(40, 24), (40, 12), (60, 24), (60, 3), (20, 24)])
+def test_a_narrow_window_shows_the_segment_that_has_lost_slaves(
+    width: int, height: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("LINES", str(height))
+
+    def work(fleet: Fleet, now: float) -> None:
+        north = GOOD | {"lost": [{"address": 12, "name": "hoist " * 40, "state": "offline"}]}
+        fleet.receive("dpstack/hall 5/packaging machine north side/status", json.dumps(north).encode(), now)
+        view = FleetView(fleet, "broker:1883", json=False, redraws=True)
+        view.begin(cast("FleetReader", SimpleNamespace(lost=0, connected=True)))
+        console = Console(width=width, height=height)
+        with console.capture() as got:
+            console.print(view.picture())
+        lines = got.get().splitlines()
+        assert all(len(line) <= width for line in lines)
+        flat = " ".join(got.get().split())
+        assert "\x1b[2J" not in got.get()
+        assert "lost slaves hall 3/b 3 s" in flat
+        if height > 3:
+            assert len(lines) <= height
+            assert "8 valves" in flat
+            assert flat.index("8 valves") < flat.index("hall 5/")
+            assert "more segments" in flat
+
+    in_loop(work)
+
+
 def test_json_and_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
     def work(fleet: Fleet, now: float) -> None:
         segment = fleet.get("hall 3", "b")

@@ -190,7 +190,11 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 2 or arguments[1] not in ("read", "control") or len(arguments[0].split()) != 1:
         print("usage: python -m dpstack.bridge.opcua.users NAME read|control", file=sys.stderr)
         return 2
-    password = getpass.getpass("password: ") if sys.stdin.isatty() else sys.stdin.readline().rstrip("\n")
+    try:
+        password = getpass.getpass("password: ") if sys.stdin.isatty() else sys.stdin.readline().rstrip("\n")
+    except (KeyboardInterrupt, EOFError):
+        print("\nno password was typed: there is no line for this user", file=sys.stderr)
+        return 130
     if not _SHORTEST_PASSWORD <= len(password) <= _LONGEST_PASSWORD:
         print(f"a password has {_SHORTEST_PASSWORD} to {_LONGEST_PASSWORD} characters", file=sys.stderr)
         return 2

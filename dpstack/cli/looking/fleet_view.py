@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import textwrap
 from datetime import UTC, datetime
 from time import time
 from typing import TYPE_CHECKING, Any, Final
@@ -28,9 +29,14 @@ _STYLES: Final = {
     "ok": "green",
 }
 _COLUMNS: Final = ("state", "group", "node", "lost slaves, reasons", "age")
-#: columns of the names of a group and of a node, and lines of a table with one segment
+#: columns of the names of a group and of a node
 _MOST_NAME: Final = 28
-_LEAST: Final = 6
+#: columns of a table for the lost slaves and reasons of a segment; with less the segments stand below each other
+_LEAST_REASON: Final = 24
+_LONGEST_STATE: Final = "lost slaves"
+_LONGEST_AGE: Final = "since 00:00:00"
+#: lines for the lost slaves and reasons of a segment without a table
+_MOST_REASON_LINES: Final = 3
 #: segments that are named when the screen has ended
 _LAST: Final = 20
 
@@ -119,30 +125,56 @@ class FleetView:
         bad = next((one.state.value for one in self._fleet), "unknown")
         head = [drawing.shown(f"{self._place}  {self._counts()}", f"bold {_STYLES[bad]}")]
         head += [drawing.shown(text, "yellow") for text in (self._remark, self._troubles()) if text]
-        room = console.height - 1 - sum(len(console.render_lines(one)) for one in head)
-        fleet = [one for one, _ in zip(self._fleet, range(max(1, room)), strict=False)]
+        room = max(1, console.height - 1 - sum(len(console.render_lines(one)) for one in head))
+        fleet = [one for one, _ in zip(self._fleet, range(room), strict=False)]
+        if any(_reason_room(one, console.width) < _LEAST_REASON for one in fleet):
+            return Group(*head, *self._narrow_list(console.width, room))
         while True:
             out = len(self._fleet) - len(fleet)
-            title = (
-                f"{out} more segment{'' if out == 1 else 's'}, none of them worse: the window is too small"
-                if out
-                else ""
-            )
             rows = [self._row(one, console.width) for one in fleet]
             styles = [_STYLES[one.state.value] for one in fleet]
-            table = drawing.rich_table(title, _COLUMNS, rows, console.width, styles)
-            over = len(console.render_lines(table)) - max(_LEAST, room)
+            table = drawing.rich_table(_left_out(out), _COLUMNS, rows, console.width, styles)
+            over = len(console.render_lines(table)) - room
             if over <= 0 or len(fleet) <= 1:
                 return Group(*head, *([table] if fleet else []))
-            del fleet[-max(1, over // 2) :]
+            # a row has one line or more
+            del fleet[-min(max(1, over // 2), len(fleet) - 1) :]
+
+    def _narrow_list(self, width: int, room: int) -> list[Any]:
+        """The segments below each other, for a window without room for a table: state and name of each, below it the
+        lost slaves and reasons; at most ``room`` lines of ``width`` columns."""
+        from dpstack.cli.terminal import drawing
+
+        lines: list[Any] = []
+        shown = 0
+        for one in self._fleet:
+            name = f"{shortened(printable(one.group), _MOST_NAME)}/{shortened(printable(one.node), _MOST_NAME)}"
+            texts = textwrap.wrap(f"{one.state.value}  {name}  {_age(one)}", width, subsequent_indent="  ")
+            if why := _why(one):
+                texts += textwrap.wrap(
+                    printable(why),
+                    width,
+                    initial_indent="  ",
+                    subsequent_indent="  ",
+                    max_lines=_MOST_REASON_LINES,
+                    placeholder="...",
+                )
+            # one line is kept for the number of the others
+            more = len(self._fleet) > shown + 1
+            if lines and len(lines) + len(texts) + more > room:
+                break
+            lines += [drawing.shown(text, _STYLES[one.state.value]) for text in texts]
+            shown += 1
+        del lines[room:]
+        out = len(self._fleet) - shown
+        return [
+            *lines,
+            *([drawing.shown(shortened(_left_out(out), width), "bold")] if out and len(lines) < room else []),
+        ]
 
     def _row(self, one: Segment, width: int) -> tuple[object, ...]:
         names = [shortened(printable(name), _MOST_NAME) for name in (one.group, one.node)]
-        since = f"since {_clock(_wall(one.since))}"
-        age = since if one.state.value in ("dead", "silent", "ended") else f"{max(0.0, boottime_s() - one.heard):.0f} s"
-        # all others, the borders, and a space on either side of each column
-        room = width - sum(map(len, (one.state.value, *names, age))) - 3 * len(_COLUMNS) - 1
-        return (one.state.value, *names, shortened(_why(one), max(24, room)), age)
+        return (one.state.value, *names, shortened(_why(one), _reason_room(one, width)), _age(one))
 
     def _counts(self) -> str:
         states = ", ".join(f"{count} {state.value}" for state, count in self._fleet.counts().items())
@@ -157,11 +189,11 @@ class FleetView:
         fleet, losses = self._fleet, self._losses()
         texts = []
         if losses["left_out"]:
-            texts.append(f"{losses['left_out']} messages of more than {fleet.most} segments left out")
+            texts.append(f"{_messages(losses['left_out'])} of more than {fleet.most} segments left out")
         if losses["broken"]:
-            texts.append(f"{losses['broken']} messages that are no status ({fleet.why_broken})")
+            texts.append(f"{_messages(losses['broken'])} without a valid status (the last: {fleet.why_broken})")
         if losses["lost"]:
-            texts.append(f"{losses['lost']} messages came faster than they could be read")
+            texts.append(f"{_messages(losses['lost'])} came faster than they could be read")
         return "; ".join(texts)
 
     def _as_dict(self, one: Segment) -> dict[str, object]:
@@ -179,6 +211,28 @@ class FleetView:
             "more_lost": status.more_lost,
             "versions": dict(status.versions),
         }
+
+
+def _age(one: Segment) -> str:
+    if one.state.value in ("dead", "silent", "ended"):
+        return f"since {_clock(_wall(one.since))}"
+    return f"{max(0.0, boottime_s() - one.heard):.0f} s"
+
+
+def _reason_room(one: Segment, width: int) -> int:
+    """Columns of a table of ``width`` that are left for lost slaves and reasons."""
+    names = [shortened(printable(name), _MOST_NAME) for name in (one.group, one.node)]
+    # all others, the borders, and a space on either side of each column
+    return width - sum(map(len, (_LONGEST_STATE, *names, _LONGEST_AGE))) - 3 * len(_COLUMNS) - 1
+
+
+def _messages(count: int) -> str:
+    return f"{count} message{'' if count == 1 else 's'}"
+
+
+def _left_out(count: int) -> str:
+    more = f"{count} more segment{'' if count == 1 else 's'}"
+    return f"{more}, none of them worse: the window is too small" if count else ""
 
 
 def _why(one: Segment) -> str:
