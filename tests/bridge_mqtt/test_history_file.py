@@ -338,4 +338,6 @@ def test_values_that_were_displaced_while_they_were_on_their_way_are_counted_onc
     counted = file.count
     assert counted == len(file.read(1_000_000))
     file.close()
-    assert HistoryFile(tmp_path, 0, "a").count == counted
+    file = HistoryFile(tmp_path, 0, "a")
+    assert file.count == counted
+    file.close()

@@ -153,10 +153,16 @@ class HistoryKeeper:
             return self._file
         self._boot = self._boot or await self._call(boot_id)
         # a file that is looked at as a whole takes its time
-        self._file = file = await self._call(HistoryFile, self._folder, self._most_mb * _MB, self._boot)
+        file = await self._call(self._open)
         if file.count:
             self._tell(f"{file.count} values of an earlier time wait in {self._place}", Severity.INFO)
         return file
+
+    def _open(self) -> HistoryFile:
+        """In the thread: where the caller is cancelled meanwhile, the file is known all the same, and opened once."""
+        if self._file is None:
+            self._file = HistoryFile(self._folder, self._most_mb * _MB, self._boot)
+        return self._file
 
     async def _write(self, file: HistoryFile) -> None:
         history = self._history
