@@ -1,14 +1,17 @@
-"""Memory of the OPC UA server: messages that a client does not acknowledge."""
+"""Memory of the OPC UA server: messages that a client does not acknowledge; garbage collection at the start."""
 
 from __future__ import annotations
 
+import gc
 from typing import Any
 
+import pytest
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 from asyncua.server.internal_subscription import InternalSubscription
 
 from dpstack.bridge.opcua.server import MOST_UNACKED
+from dpstack.bridge.opcua.standard_nodes import add_standard_nodes
 from dpstack.bridge.opcua.subscriptions import (
     MOST_FIELDS_IN_MESSAGE,
     MOST_IN_MESSAGE,
@@ -83,3 +86,28 @@ async def test_a_message_has_no_more_than_its_values_and_fields_and_the_next_one
     assert values == [MOST_IN_MESSAGE, MOST_IN_MESSAGE // 2]
     assert events == [list(range(200)), [*range(200, 250), 1000]]
     assert session.kept() <= MOST_UNACKED_VALUES + MOST_FIELDS_IN_MESSAGE
+
+
+async def test_garbage_is_not_looked_for_among_standard_nodes_and_is_again_afterwards() -> None:
+    seen: list[bool] = []
+
+    class Service:
+        fails = False
+
+        def try_add_nodes(self, nodes: list[ua.AddNodesItem], *, check: bool) -> list[object]:
+            seen.append(gc.isenabled())
+            return nodes[:0]
+
+        def try_add_references(self, references: list[ua.AddReferencesItem]) -> list[object]:
+            if self.fails:
+                raise MemoryError
+            return references[:0]
+
+    service = Service()
+    await add_standard_nodes(service)
+    assert gc.isenabled()
+    service.fails = True
+    with pytest.raises(MemoryError):
+        await add_standard_nodes(service)
+    assert gc.isenabled()
+    assert set(seen) == {False}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from typing import Any, Final
@@ -52,6 +53,16 @@ class _Collected:
 
 async def add_standard_nodes(service: Any) -> None:
     """Add them by the NodeManagementService of a server. Others have their turn every few milliseconds."""
+    collects = gc.isenabled()
+    gc.disable()  # the nodes stay: to look for garbage among them takes half of this time
+    try:
+        await _add_nodes(service)
+    finally:
+        if collects:
+            gc.enable()
+
+
+async def _add_nodes(service: Any) -> None:
     given = _Collected()
     for name in sorted(name for name in vars(standard) if name.startswith("create_standard_address_space_Services_")):
         getattr(standard, name)(given)
