@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager, suppress
 
 import aiomqtt
 import pytest
-from fake_broker import PUBLISH, FakeBroker, publish, user_property
+from fake_broker import CONNECT, DISCONNECT, PINGREQ, PUBLISH, SUBSCRIBE, FakeBroker, publish, user_property
 from fleet_kit import DEATH, LOST, ONLINE, TOPIC, status
 
 from dpstack.boottime import boottime_s
@@ -71,7 +71,9 @@ async def test_it_publishes_nothing_and_comes_back() -> None:
             broker.retained[0] = publish(TOPIC, status(**LOST, session=6), expiry=20, retain=True)
             await seen.until(lambda: seen.changes[-1][1] is State.LOST)
             assert seen.reader.connected
-        assert PUBLISH not in broker.kinds()
+        assert broker.kinds() <= {CONNECT, SUBSCRIBE, PINGREQ, DISCONNECT}
+        flags = {body[7] for kind, body in broker.received if kind == CONNECT}
+        assert flags == {2}  # Clean Start, and no will
 
 
 async def test_after_a_sleep_of_the_computer_an_old_status_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -648,6 +648,10 @@ async def test_wrong_passwords_certificates_and_channels_are_refused(rig: Rig, m
     with pytest.raises(ua.UaStatusCodeError, match="URI"):
         await other.connect()
     unsecured = rig.client(ANNA)
+    offered = await unsecured.connect_and_get_server_endpoints()
+    assert {(one.SecurityPolicyUri.rpartition("#")[2], one.SecurityMode) for one in offered} == {
+        ("Basic256Sha256", ua.MessageSecurityMode.SignAndEncrypt)
+    }
     with pytest.raises((ua.UaError, ConnectionError, TimeoutError, ValueError)):
         async with asyncio.timeout(10), unsecured:
             pass

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 
 CONNECT, CONNACK, PUBLISH, SUBSCRIBE, SUBACK, UNSUBSCRIBE, UNSUBACK, PINGREQ, PINGRESP = 1, 2, 3, 8, 9, 10, 11, 12, 13
+DISCONNECT = 14
 
 
 async def packets(reader: asyncio.StreamReader) -> AsyncIterator[tuple[int, bytes]]:
