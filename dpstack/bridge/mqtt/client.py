@@ -21,6 +21,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
+from dpstack.boottime import boottime_s
 from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.connection import (
@@ -145,7 +146,7 @@ class MqttFace(Face):
 
     def take(self, changes: Sequence[Change]) -> None:
         if self._node is not None:
-            self._node.take(changes, time.time(), _clock())
+            self._node.take(changes, time.time(), boottime_s())
             if self._status is not None:
                 self._status.take(changes)
             self._wake.set()
@@ -269,7 +270,7 @@ class MqttFace(Face):
             if status is not None:
                 await self._publish_status(client, status)
                 end_if_cancelled(before)
-            message = node.next(time.time(), _clock())
+            message = node.next(time.time(), boottime_s())
             if isinstance(message, Disconnect):
                 return message
             if message is not None:
@@ -279,7 +280,7 @@ class MqttFace(Face):
                 continue
             self._wake.clear()
             self._look_after_history()
-            wait_s = node.due(_clock()) - _clock()
+            wait_s = node.due(boottime_s()) - boottime_s()
             if self._status is not None:
                 wait_s = min(wait_s, self._status.due(loop.time()) - loop.time())
             with contextlib.suppress(TimeoutError):
@@ -408,11 +409,6 @@ class MqttFace(Face):
         self.dropped = self._lost
         self.dropped += 0 if self._node is None else self._node.lost_results
         self.dropped += 0 if self._history is None else self._history.dropped
-
-
-def _clock() -> float:
-    """s since the start of the computer, also while it slept."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
 async def _publish(client: aiomqtt.Client, message: Publish) -> None:
