@@ -21,5 +21,4 @@
 - ``sync_freeze``: SYNC and FREEZE: one Global_Control, groups of slaves
 - ``virtual``: Programs on simulated buses in virtual time
 - ``why``: Evidence for ``dpstack why``: gathered from a running bus, or by a class 2 look at a bus
-- ``why_beside``: The story of a slave for a station that is not its master: a class 2 look at the bus
 """

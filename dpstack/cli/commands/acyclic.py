@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any, Final, NamedTuple
 
-from msgspec import structs
-
-from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.events_json import AddressCollision, Event, FaultKind, SlaveFaulted
 from dpstack.api.bus.live_list import joined
 from dpstack.api.bus.opening import open_bus
-from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.commands import Order, Spec, find_word
@@ -189,18 +184,8 @@ class _Request(NamedTuple):
         config = self.config
         if config.bus.read_only:
             raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
-        on_bus.warn_of_simulation(config)
-        world = None
-        if config.virtual:
-            world = World()
-            simulate(world, [self.slave], baud=config.baud)
-
-        def make_bus(address: int) -> Bus:
-            settings = structs.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
-            without_slaves = dataclasses.replace(config, bus=settings, slaves=())
-            return open_bus(without_slaves, on_event=on_bus.once(on_bus.warn_of), world=world)
-
-        taken = {config.bus.address, *(one.address for one in config.slaves)}
+        make_bus = on_bus.class2_maker(config.only(self.slave), read_only=False)
+        taken = on_bus.stations_of(config)
         async with joined(make_bus, self.own, avoid=taken) as bus, bus.class2.connect(self.slave) as connection:
             yield connection
 

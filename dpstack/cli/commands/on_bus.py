@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Final
+
+from msgspec import structs
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.core import BusFailed
@@ -74,6 +77,37 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
             output.warn(f"master {event.address} is on this bus: {args.command} waits until it is let into the ring")
 
     return make_bus
+
+
+def class2_maker(config: Config, *, slaves: tuple[SlaveConfig, ...] = (), read_only: bool = True) -> MakeBus:
+    """A function that makes buses on the port of ``config`` for a master of class 2 beside the other masters. A bus has
+    only ``slaves``. On the port "virtual" the slaves of ``config`` are simulated for it, with a warning."""
+    warn_of_simulation(config)
+    world = None
+    if config.virtual:
+        from dpstack.api.bus.virtual import World, simulate  # here, as a real port needs neither
+
+        world = World()
+        simulate(world, config.slaves, baud=config.baud)
+
+    def make_bus(address: int) -> Bus:
+        settings = structs.replace(
+            config.bus,
+            address=address,
+            read_only=read_only,
+            cycle_ms=None,
+            cycle_freeze=(),
+            cycle_sync=(),
+            auto_clear=False,
+        )
+        return Bus(dataclasses.replace(config, bus=settings, slaves=slaves), on_event=once(warn_of), world=world)
+
+    return make_bus
+
+
+def stations_of(config: Config) -> set[int]:
+    """The addresses of the master and of all slaves."""
+    return {config.bus.address, *(one.address for one in config.slaves)}
 
 
 def warn_of(event: Event) -> None:

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from msgspec import structs
-
-from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.live_list import joined
-from dpstack.api.bus.opening import open_bus
-from dpstack.api.bus.virtual import World, simulate
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control.remote import reading_through_run
 from dpstack.api.slave.station_report import KnownDevices, StationReading, read_station, station_report
@@ -96,36 +90,18 @@ class _Request(NamedTuple):
         reading = await reading_through_run(port, self.config, str(self.address))
         if reading is not None:
             return reading
-        args, config = self.args, self.config
+        args, config, avoid = self.args, self.config, {self.address}
         if config is None:
             on_bus.check_port(args)
             if args.baud is None:
                 args.baud = "auto"
             baud = await on_bus.rate_of(args)
             make_bus = on_bus.bus_maker(args, baud, read_only=True)
-            avoid = {self.address}
         else:
-            make_bus = self._maker(config)
-            avoid = {self.address, config.bus.address, *(one.address for one in config.slaves)}
+            make_bus = on_bus.class2_maker(config)
+            avoid |= on_bus.stations_of(config)
         async with joined(make_bus, args.address, avoid=avoid) as bus:
             return await read_station(bus.class2, self.address, bus.params.address, "class2", bus.snapshot.las)
-
-    def _maker(self, config: Config) -> Any:
-        """A function that makes read-only buses without slaves on the port of ``config``."""
-        on_bus.warn_of_simulation(config)
-        world = None
-        if config.virtual:
-            world = World()
-            simulate(world, config.slaves, baud=config.baud)
-
-        def make_bus(address: int) -> Bus:
-            settings = structs.replace(
-                config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=(), read_only=True
-            )
-            alone = dataclasses.replace(config, bus=settings, slaves=())
-            return open_bus(alone, on_event=on_bus.once(on_bus.warn_of), world=world)
-
-        return make_bus
 
 
 # --- lines for people -------------------------------------------------------------------------------------------------

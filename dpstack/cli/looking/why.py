@@ -6,7 +6,9 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
-from dpstack.api.bus.why_beside import why_beside
+from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.bus.live_list import joined
+from dpstack.api.bus.why import untold
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.remote import why_through_run
@@ -16,7 +18,8 @@ from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.causes import columns
 from dpstack.cli.terminal.signals import run_to_result
-from dpstack.why.story import HEALTHY, story_lines
+from dpstack.errors import BusError
+from dpstack.why.story import HEALTHY, Story, story_lines
 
 
 def add_to(parser: Parser) -> None:
@@ -60,5 +63,25 @@ async def _ask(config: Config, slave: SlaveConfig, address: int | None) -> Mappi
     story = await why_through_run(config, slave.address)
     if story is not None:
         return story
-    on_bus.warn_of_simulation(config)
-    return (await why_beside(config, slave, address=address, on_event=on_bus.once(on_bus.warn_of))).as_dict()
+    return (await _ask_beside(config, slave, address)).as_dict()
+
+
+async def _ask_beside(config: Config, slave: SlaveConfig, address: int | None) -> Story:
+    """The story of a class 2 look at the bus, beside the other masters. Where the ring cannot be joined, it tells that.
+
+    ``address``: of the asking station, None: the lowest one that is not heard and not in the configuration.
+    """
+    made: list[Bus] = []
+    make_bus = on_bus.class2_maker(config, slaves=config.slaves)
+
+    def kept(own: int) -> Bus:
+        made.append(make_bus(own))
+        return made[-1]
+
+    try:
+        async with joined(kept, address, avoid=on_bus.stations_of(config)) as bus:
+            return await bus.why(slave.address, master=config.bus.address)
+    except BusError as error:
+        if not made or made[-1].searching:
+            raise
+        return untold(core_of(made[-1]), made[-1].slave(slave.address), config.bus.address, str(error))

@@ -15,7 +15,7 @@ from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import through_run
 from dpstack.api.streams import OnEvent
-from dpstack.cli.commands import acyclic
+from dpstack.cli.commands import acyclic, on_bus
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -89,6 +89,7 @@ class Field:
 def field(monkeypatch: pytest.MonkeyPatch) -> Field:
     found = Field()
     monkeypatch.setattr(acyclic, "open_bus", found.open_bus)
+    monkeypatch.setattr(on_bus, "Bus", found.open_bus)
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     return found
 
@@ -145,7 +146,7 @@ def test_a_simulated_slave_has_no_master(run: Cli, plant: Path, monkeypatch: pyt
         buses.append(dpstack.open_bus(config, on_event=on_event, world=world))
         return buses[-1]
 
-    monkeypatch.setattr(acyclic, "open_bus", spy)
+    monkeypatch.setattr(on_bus, "Bus", spy)
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     settings = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "fan"\n'
     plant.write_text(f'{settings}address = 8\ndrive = "ls-s100"\ntelegram = "PPO1"\n', encoding="utf-8")

@@ -17,7 +17,7 @@ from dpstack.api.control.commands import Order
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import through_run
 from dpstack.api.streams import OnEvent
-from dpstack.cli.commands import acyclic
+from dpstack.cli.commands import acyclic, on_bus
 from dpstack.cli.main import main
 from dpstack.profile.record47 import (
     Address,
@@ -115,7 +115,8 @@ def run(cli: Cli, plant: Path) -> Cli:
 def device(monkeypatch: pytest.MonkeyPatch) -> Device:
     """The foreground in virtual time, with the device at 8 in its world."""
     made = Device()
-    monkeypatch.setattr(acyclic, "open_bus", lambda config, on_event=None, world=None: open_bus(made, config, on_event))
+    for module, name in ((acyclic, "open_bus"), (on_bus, "Bus")):
+        monkeypatch.setattr(module, name, lambda config, on_event=None, world=None: open_bus(made, config, on_event))
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     return made
 

@@ -12,11 +12,11 @@ from cli_kit import Cli
 from slave_kit import make_slave
 
 import dpstack
-from dpstack.api.bus import why_beside
 from dpstack.api.bus.bus import core_of
 from dpstack.api.control.client import connect
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import WhyAnswer
+from dpstack.cli.commands import on_bus
 from dpstack.cli.terminal.causes import CauseLines, as_json
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveFaulted, SlaveState
@@ -59,9 +59,9 @@ class Field:
         self.world.command(self.station, SetMode(Mode.OPERATE))
         self.world.run_for(300_000_000)
 
-    def open_bus(self, config: Any, *, on_event: Any = None, world: object = None) -> dpstack.Bus:
+    def bus(self, config: Any, *, on_event: Any = None, world: object = None) -> dpstack.Bus:
         assert world is None
-        return dpstack.open_bus(config, on_event=on_event, world=self.world, join_timeout=0.4)
+        return dpstack.Bus(config, on_event=on_event, world=self.world, join_timeout=0.4)
 
     def is_undisturbed(self) -> bool:
         counted = self.station.stats.stations[8]
@@ -70,7 +70,7 @@ class Field:
 
 def field(monkeypatch: pytest.MonkeyPatch, gap: int = 1) -> Field:
     found = Field(gap)
-    monkeypatch.setattr(why_beside, "open_bus", found.open_bus)
+    monkeypatch.setattr(on_bus, "Bus", found.bus)
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     return found
 

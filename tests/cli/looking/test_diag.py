@@ -20,7 +20,6 @@ from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import reading_through_run
 from dpstack.api.slave.station_report import KnownDevices, StationReading, read_station, station_report
 from dpstack.cli.commands import on_bus
-from dpstack.cli.looking import diag
 from dpstack.dp.master.master import Master
 from dpstack.fdl.telegram import Telegram
 from dpstack.params import BusParams
@@ -88,18 +87,14 @@ class Field:
         self.master = add_station(self.world, params, Master(params, []))
         self.world.run_for(100_000_000)
 
-    def open_bus(self, config: Config, on_event: Any = None, world: object = None) -> dpstack.Bus:
+    def bus(self, config: Config, on_event: Any = None, watched: bool = True, world: object = None) -> dpstack.Bus:
         assert world is None
-        return dpstack.open_bus(config, on_event=on_event, world=self.world)
-
-    def bus(self, config: Config, on_event: Any = None, watched: bool = True) -> dpstack.Bus:
         return dpstack.Bus(config, on_event=on_event, watched=watched, world=self.world)
 
 
 @pytest.fixture
 def field_bus(monkeypatch: pytest.MonkeyPatch) -> Field:
     found = Field()
-    monkeypatch.setattr(diag, "open_bus", found.open_bus)
     monkeypatch.setattr(on_bus, "Bus", found.bus)
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     return found
