@@ -47,6 +47,8 @@ html_css_files = ["book.css"]
 _LINK = re.compile(r"\]\((?P<target>[\w./-]+\.md)\)")
 _PICTURE = re.compile(r"<!-- picture: ([\w-]+) -->")
 _ANCHOR = re.compile(r'<a id="([\w-]+)">')
+_CELL = re.compile(r"<td\b.*?</td>", re.DOTALL)
+_NAME = re.compile(r'(?<=<span class="pre">)[^<]+')
 _LONGEST_VALUE = 80
 #: beside each README.html, so that the folder's own address leads to it
 _TO_README = """<!doctype html>
@@ -113,6 +115,14 @@ class LongValues(SphinxTransform):
                 node.replace_self(addnodes.desc_annotation("", " = ..."))
 
 
+def break_names(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: object) -> None:
+    """A long name in a cell breaks behind ``_``, not within a word."""
+    if "body" in context:
+        context["body"] = _CELL.sub(
+            lambda cell: _NAME.sub(lambda name: re.sub(r"(?<=\w)_(?=\w)", "_<wbr>", name[0]), cell[0]), context["body"]
+        )
+
+
 def write_redirects(app: Sphinx, exception: Exception | None) -> None:
     if exception is None and app.builder.format == "html":
         for page in Path(app.outdir).rglob("README.html"):
@@ -126,5 +136,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_transform(LongValues)
     app.connect("source-read", add_tree)
     app.connect("source-read", link_outside)
+    app.connect("html-page-context", break_names)
     app.connect("build-finished", write_redirects)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
