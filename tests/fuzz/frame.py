@@ -56,10 +56,16 @@ class Target:
 
     def once(self, octets: bytes) -> None:
         """Judge one input. Raises what the product must not raise, and :class:`TooSlowError`."""
-        begun = time.process_time()
+        begun = time.monotonic()
         with contextlib.suppress(*self.allowed):
             self.run(octets)
-        took = time.process_time() - begun
+        if time.monotonic() - begun <= self.slow_s:
+            return
+        # once more: to ask for the time of the processor takes longer than many an input
+        spent = time.process_time()
+        with contextlib.suppress(*self.allowed):
+            self.run(octets)
+        took = time.process_time() - spent
         if took > self.slow_s:
             raise TooSlowError(
                 f"{took:.1f} s of the processor for {len(octets)} octets, at most {self.slow_s:g} s are allowed"

@@ -196,11 +196,11 @@ async def _main(octets: bytes) -> None:
     stage = head % _STAGES
     server = by.bare_server()
     plant = _Plant(server)
-    good = await by.Wire(server, "10.0.0.1").opened()
-    wire = by.Wire(server, "10.0.0.2")
     unsecured = connection._SERVICES if stage == _STAGES - 1 else connection._UNSECURED
     # there are no certificates, and nobody has to wait
     with mock.patch.multiple(connection, _UNSECURED=unsecured, is_of_application=_is_fine, time=_NO_TIME):
+        good = await by.Wire(server, "10.0.0.1").opened()
+        wire = by.Wire(server, "10.0.0.2")
         await wire.send(_FIRST[min(stage, 2)])
         if stage == _STAGES - 1:
             await wire.send(wire.message(_RIGHT[2]))
