@@ -302,7 +302,7 @@ class _Plant:
 
     @contextlib.contextmanager
     def _broker_back(self) -> Iterator[None]:
-        """The broker comes after a while; then history flows. What arrives within the block becomes a note."""
+        """The broker comes after a while; then history flows. The values that arrive within the block become a note."""
         time.sleep(_OUTAGE_S)
         arrivals = Arrivals(_GROUP)
         with contextlib.ExitStack() as stack:

@@ -22,7 +22,7 @@ _LOOK_S: Final = 0.01
 
 
 class Program:
-    """One program, started from a module or as it is; what it prints are lines of JSON."""
+    """One program, started from a module or as it is; it prints lines of JSON."""
 
     def __init__(self, words: Sequence[str], env: Mapping[str, str] | None = None) -> None:
         self._process = Process(words, None, None if env is None else dict(env))
@@ -67,7 +67,7 @@ class Program:
         self._process.end()
 
     def end(self, timeout: float = 15.0) -> list[dict[str, Any]]:
-        """End it in order; what it told at the end."""
+        """End it in order; the lines that it printed at the end."""
         return self._process.end(timeout)
 
 

@@ -257,7 +257,7 @@ async def test_requests_get_half_of_the_time_beyond_a_burst(monkeypatch: pytest.
 
     monkeypatch.setattr(server, "time", type("Time", (), {"monotonic": lambda: now[0]}))
     monkeypatch.setattr(server, "asyncio", type("Asyncio", (), {"sleep": sleep}))
-    turns = server.Pace()
+    turns = server.ProcessorShare()
     for _ in range(100):
         await turns.turn()
         now[0] += 0.01

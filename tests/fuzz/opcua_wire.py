@@ -12,7 +12,7 @@ from asyncua.crypto.security_policies import SecurityPolicyNone
 from asyncua.ua.ua_binary import nodeid_to_binary, struct_to_binary
 
 from dpstack.bridge.opcua.connection import MOST_REQUEST, Connection
-from dpstack.bridge.opcua.server import LimitedServer, Pace
+from dpstack.bridge.opcua.server import LimitedServer, ProcessorShare
 from tests.fuzz.memory_transport import MemoryTransport
 
 #: Part 6, 7.1.2.3: version, both buffers, no limit of messages and chunks; the text of an address
@@ -118,6 +118,6 @@ def bare_server() -> LimitedServer:
     return server
 
 
-class _Hasty(Pace):
+class _Hasty(ProcessorShare):
     async def turn(self) -> None:
         await asyncio.sleep(0)

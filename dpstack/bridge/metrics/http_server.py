@@ -2,7 +2,7 @@
 
 It has no thread, reads no body, and keeps no connection: the answer to the first request ends it. So a client costs a
 place for ten seconds at most, and what it sends besides is thrown away. The answers of a second are bounded, for
-the sake of a bus on the same computer: who asks without a pause waits.
+the sake of a bus on the same computer: a client that asks without a pause waits.
 """
 
 from __future__ import annotations

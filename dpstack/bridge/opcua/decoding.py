@@ -142,7 +142,7 @@ def guard() -> None:
     ua_binary.variant_from_binary = bounded_variant
     ua_binary.Primitives.Null = _Null(bounded_null)
     for name in _CACHES:
-        getattr(ua_binary, name).cache_clear()  # what was made before holds the functions of before
+        getattr(ua_binary, name).cache_clear()  # functions that were made before hold those that are replaced
 
 
 class _Null:

@@ -52,7 +52,7 @@ _MOST_TARGETS: Final = 100
 _AT_ONCE: Final = 25
 #: s of processor that requests may take in a row; beyond that they get half of the time
 _IN_A_ROW: Final = 0.02
-#: s that one request counts at most: what it waits for is not its own
+#: s that one request counts at most: others run while it waits
 _LONGEST: Final = 0.1
 _S = ua.StatusCodes
 _BAD_ITEMS: Final = ua.StatusCode(_S.BadTooManyMonitoredItems)
@@ -68,7 +68,7 @@ class Services(Protocol):
     ) -> list[ua.CallMethodResult]: ...
 
 
-class Pace:
+class ProcessorShare:
     """Requests get the processor for a short burst, beyond that half of the time: others have their turn."""
 
     def __init__(self) -> None:
@@ -111,7 +111,7 @@ class LimitedServer(InternalServer):
         #: users whose password was found right a moment ago, by name and digest of the password
         self.verified: dict[tuple[str, bytes], Account] = {}
         self.losses = Losses()
-        self.pace = Pace()
+        self.pace = ProcessorShare()
         guard()
         super().__init__(user_manager=_UserManager())
         self.view_service = _Views(self.aspace)
@@ -237,7 +237,7 @@ class LimitedSession(InternalSession):
         before, was = self.user, self.state
         result = super().activate_session(params, peer_certificate)
         if was is SessionState.Activated and before.name != self.user.name:
-            # whoever shares this session by its token would change its rights
+            # another client with the token of this session would change its rights
             self.user = before
             raise ServiceError(_S.BadIdentityChangeNotSupported)
         return result
