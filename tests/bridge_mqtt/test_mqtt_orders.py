@@ -7,7 +7,10 @@ import copy
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import aiomqtt
 from edge_node_rig import GROUP, NODE
 from fake_broker import FakeBroker, publish, text
 from plant_items import HOIST, PLANT, VALVES
@@ -15,6 +18,7 @@ from plant_items import HOIST, PLANT, VALVES
 from dpstack.bridge.mqtt import sparkplug_pb2 as pb
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.connection import Inbox
 from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
@@ -55,3 +59,24 @@ async def test_outputs_of_one_command_change_together(tmp_path: Path) -> None:
             await serving
         face.close()
     assert carried == [("set", "8.lamp=on", "8.speed=7")]
+
+
+async def test_messages_that_came_too_fast_are_counted_and_told_while_the_connection_stands(tmp_path: Path) -> None:
+    told: list[str] = []
+    face = MqttFace(
+        PlantTree(),
+        lambda remark, severity: told.append(remark),
+        broker=Broker(url="mqtt://127.0.0.1:1"),
+        setup=NodeSetup(GROUP, NODE),
+        folder=tmp_path,
+    )
+    inbox, message = Inbox(1), aiomqtt.Message("t", b"", 0, False, 1, None)
+    client: Any = SimpleNamespace(_queue=inbox)
+    text = "{} messages of the broker came faster than they could be read: they are lost"
+    for told_now, is_end in ((2, False), (None, False), (6, True), (None, True)):
+        for _ in range(0 if told_now is None and is_end else 3):
+            inbox.put_nowait(message)
+        before = len(told)
+        face._count_lost(client, is_end=is_end)
+        assert told[before:] == ([] if told_now is None else [text.format(told_now)])
+    assert face.dropped == 8

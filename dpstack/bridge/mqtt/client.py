@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import random
 import ssl
 import time
@@ -26,6 +27,7 @@ from dpstack.bridge.face import Face, Tell
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.connection import (
     FIRST_RETRY_S,
+    Inbox,
     LastError,
     cancellations,
     close,
@@ -64,6 +66,8 @@ _GOOD_S: Final = 30.0
 _ROUND_S: Final = 2.0
 _LAST_ROUND_S: Final = 0.5
 _LAST_WRITE_S: Final = 0.5
+#: s between two remarks about messages that were lost
+_LOST_REMARK_S: Final = 10.0
 #: name of a thread
 _DISK: Final = "dpstack mqtt: number of the session"
 #: orders that wait for their result
@@ -117,8 +121,9 @@ class MqttFace(Face):
         self._last_error = LastError(logging.ERROR)
         #: orders that are carried out, and their number by task
         self._giving: dict[asyncio.Task[None], int] = {}
-        #: messages of the broker that were too many at once
-        self._lost = 0
+        #: messages of the broker that were too many at once; those not told yet, and the time of the next remark
+        self._lost = self._lost_untold = 0
+        self._lost_remark_due = -math.inf
 
     async def open(self) -> None:
         """Read the certificates, take the folder. Raises ConfigError."""
@@ -237,7 +242,7 @@ class MqttFace(Face):
         finally:
             self.connected = False
             node.disconnected()
-            self._count_lost(client)
+            self._count_lost(client, is_end=True)
             await close(client)
 
     async def _exchange(self, node: PlantNode, client: aiomqtt.Client) -> Disconnect:
@@ -296,6 +301,7 @@ class MqttFace(Face):
             payload = message.payload if isinstance(message.payload, bytes) else b""
             wishes = node.receive(str(message.topic), payload, time.time(), retained=message.retain)
             self._give_all(node, wishes)
+            self._count_lost(client)
             self._wake.set()
 
     async def _say_farewell(self, node: PlantNode, client: aiomqtt.Client) -> None:
@@ -396,14 +402,20 @@ class MqttFace(Face):
             node.answer(wish, result.result, result.reason, time.time())
         self._wake.set()
 
-    def _count_lost(self, client: aiomqtt.Client) -> None:
-        lost = getattr(client._queue, "lost", 0)
-        if lost:
-            self._lost += lost
-            self._count_dropped()
-            self.tell(
-                f"{lost} messages of the broker came faster than they could be read: they are lost", Severity.WARNING
-            )
+    def _count_lost(self, client: aiomqtt.Client, *, is_end: bool = False) -> None:
+        """Count the messages for which there was no room, and tell them, not too often; ``is_end``: now."""
+        inbox = client._queue
+        assert isinstance(inbox, Inbox)
+        lost, inbox.lost = inbox.lost, 0
+        self._lost += lost
+        self._lost_untold += lost
+        self._count_dropped()
+        now = asyncio.get_running_loop().time()
+        if not self._lost_untold or (now < self._lost_remark_due and not is_end):
+            return
+        text = f"{self._lost_untold} messages of the broker came faster than they could be read: they are lost"
+        self._lost_untold, self._lost_remark_due = 0, now + _LOST_REMARK_S
+        self.tell(text, Severity.WARNING)
 
     def _count_dropped(self) -> None:
         self.dropped = self._lost
