@@ -27,7 +27,7 @@ class FaceState(NamedTuple):
 class Face(ABC):
     """Made before the bus is opened; a :class:`~dpstack.bridge.gateway.Gateway` feeds it.
 
-    ``tree`` is read in :meth:`take` and :meth:`serve`, and changed by the gateway and :meth:`acknowledge` only.
+    ``tree`` is read in :meth:`take` and :meth:`serve`; the gateway, :meth:`acknowledge` and :meth:`comment` change it.
     ``tell``: for remarks, each one line; the caller leaves out one that repeats the last one. The constructor touches
     neither network nor disk.
     """

@@ -48,8 +48,8 @@ class Inbox(asyncio.Queue[aiomqtt.Message]):
 
 
 class LastError(logging.Handler):
-    """The last error that the library logs: why a socket was lost, for instance by a certificate of ours that has
-    expired, which the broker says behind the handshake."""
+    """Keeps the last error that the library logs. For some lost sockets it is the only reason there is: for instance, a
+    broker says after the handshake that the certificate of this program has expired."""
 
     text = ""
 

@@ -138,7 +138,8 @@ class NodeOptions:
 
 class PlantNode(ABC):
     """A plant on a broker, without network and clock. ``counts_sessions``: the number of a session is part of what it
-    sends, so one that was lost must be told. ``lost_results``: results of orders that were too many to wait."""
+    sends, so one that was lost must be told. ``lost_results``: number of the results of orders that were dropped, as
+    too many waited."""
 
     counts_sessions: ClassVar[bool]
 
