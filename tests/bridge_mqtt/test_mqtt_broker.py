@@ -18,7 +18,7 @@ from tls_kit import CERT, KEY, KEY_WITH_PASSWORD, OTHER_KEY
 
 from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
 from dpstack.bridge.mqtt.client import MqttFace
-from dpstack.bridge.mqtt.connection import text_of
+from dpstack.bridge.mqtt.connection import LastError, text_of, why_lost
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.plant_node import NodeSetup
@@ -111,6 +111,38 @@ def test_passwords_come_from_the_environment_or_from_a_file_of_ones_own(
             read_password("", tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("logged", "text"),
+    [
+        (
+            "failed to receive on socket: [SSL: TLSV13_ALERT_CERTIFICATE_REQUIRED] tlsv13 alert certificate required",
+            "it wants a certificate of this program: give cert and key",
+        ),
+        (
+            "failed to receive on socket: [SSL: SSLV3_ALERT_CERTIFICATE_EXPIRED] sslv3 alert certificate expired",
+            "it refuses the certificate of this program: it has expired; give a new cert and key",
+        ),
+        (
+            "failed to receive on socket: [Errno 104] Connection reset by peer",
+            "Connection reset by peer; is that its port? (mqtts:// is with TLS, mqtt:// without)",
+        ),
+        ("", "it refuses user or password (Not authorized)"),
+    ],
+)
+def test_a_connection_that_never_stood_has_a_reason_with_a_remedy(logged: str, text: str) -> None:
+    last = LastError()
+    last.text = logged
+    error = aiomqtt.MqttCodeError(ReasonCode(PacketTypes.CONNACK, identifier=0x87))
+    assert why_lost(error if not logged else TimeoutError(), last, connected=False) == text
+
+
+def test_a_connection_that_stood_is_no_matter_of_port_or_password() -> None:
+    reset = ConnectionResetError(104, "Connection reset by peer")
+    assert why_lost(reset, LastError(), connected=True) == "Connection reset by peer"
+    acl = aiomqtt.MqttCodeError(ReasonCode(PacketTypes.DISCONNECT, identifier=0x87))
+    assert why_lost(acl, LastError(), connected=True) == "Not authorized"
+
+
 def test_errors_of_the_connection_are_in_words() -> None:
     lost = aiomqtt.MqttCodeError(ReasonCode(PacketTypes.DISCONNECT, identifier=0x80))
     assert text_of(lost) == "it has ended the connection, or the network has"
@@ -118,6 +150,8 @@ def test_errors_of_the_connection_are_in_words() -> None:
     refused = ssl.SSLCertVerificationError(1, "certificate verify failed (_ssl.c:1006)")
     refused.verify_message = "certificate has expired"
     assert text_of(refused).startswith("its certificate is refused (certificate has expired); see url")
+    refused.verify_code = 10
+    assert text_of(refused).endswith("give the broker a new one, or set the clock of this computer")
     wrapped = aiomqtt.MqttError("gone")
     wrapped.__cause__ = ConnectionRefusedError(111, "Connection refused")
     assert text_of(wrapped) == "Connection refused"

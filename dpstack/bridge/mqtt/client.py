@@ -37,7 +37,7 @@ from dpstack.bridge.mqtt.connection import (
     retry_s,
     spread,
     subscribe,
-    text_of,
+    why_lost,
 )
 from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.history import History
@@ -190,7 +190,7 @@ class MqttFace(Face):
                         Severity.ERROR,
                     )
                 else:
-                    why = self._last_error.text or text_of(error)
+                    why = why_lost(error, self._last_error, connected=self._was_connected)
                     self.tell(f"broker {self._broker.place}: {printable(why)}; it is tried again", Severity.WARNING)
             else:
                 failed, ended_early, pause = 0, 0, self._again_s

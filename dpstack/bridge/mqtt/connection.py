@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import ssl
 from collections.abc import Callable, Iterable
 from typing import Final
@@ -33,6 +34,29 @@ _MOST_DIGITS: Final = 9
 #: reason code of MQTT 5 (2.4)
 _DISCONNECT_WITH_WILL: Final = 0x04
 _UNSPECIFIED: Final = 0x80
+#: the same (3.2.2.2): bad user name or password, not authorized, bad authentication method
+_REFUSED: Final = frozenset({0x86, 0x87, 0x8C})
+#: codes of OpenSSL for a certificate: not valid yet, expired
+_DATES: Final = frozenset({9, 10})
+_SEE_CERTIFICATE: Final = "see url (its host) and ca (who signed it)"
+#: alerts of TLS in the words of OpenSSL: the broker judges the certificate of this program
+_ALERTS: Final = (
+    ("ALERT_CERTIFICATE_REQUIRED", "it wants a certificate of this program: give cert and key"),
+    (
+        "ALERT_CERTIFICATE_EXPIRED",
+        "it refuses the certificate of this program: it has expired; give a new cert and key",
+    ),
+    (
+        "ALERT_UNKNOWN_CA",
+        "it does not know who signed the certificate of this program: see cert and key",
+    ),
+    ("ALERT_BAD_CERTIFICATE", "it refuses the certificate of this program: see cert"),
+    ("ALERT_CERTIFICATE_UNKNOWN", "it refuses the certificate of this program: see cert"),
+)
+#: in front of a reason that paho logs
+_PAHO: Final = re.compile(r"^failed to receive on socket: (\[Errno \d+\] )?")
+#: texts of a connection to a port that expects TLS, or does not
+_WRONG_PORT: Final = ("Connection reset", "WRONG_VERSION_NUMBER", "wrong version number", "RECORD_LAYER_FAILURE")
 
 
 class Inbox(asyncio.Queue[aiomqtt.Message]):
@@ -174,6 +198,28 @@ def spread(seconds: float, draw: Callable[[], float]) -> float:
     return seconds * (0.5 + draw())
 
 
+def is_refused(error: BaseException) -> bool:
+    """Whether the broker has refused user or password."""
+    code = getattr(error, "rc", None)
+    return isinstance(code, ReasonCode) and code.value in _REFUSED
+
+
+def why_lost(error: BaseException, last: LastError, *, connected: bool) -> str:
+    """The reason of an error of the connection, with a remedy where there is one. ``connected``: whether the broker had
+    accepted the connection."""
+    for alert, text in _ALERTS:
+        if alert in last.text:
+            return text
+    text = _PAHO.sub("", last.text) or text_of(error)
+    if connected:
+        return text
+    if is_refused(error):
+        return f"it refuses user or password ({text})"
+    if any(reason in text for reason in _WRONG_PORT):
+        return f"{text}; is that its port? (mqtts:// is with TLS, mqtt:// without)"
+    return text
+
+
 def text_of(error: BaseException) -> str:
     """The reason of an error of the connection; a text of the libraries, which hold no secrets."""
     cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
@@ -185,5 +231,7 @@ def text_of(error: BaseException) -> str:
         # paho's code for a socket that was closed without a word
         return "it has ended the connection, or the network has" if code.value == _UNSPECIFIED else str(code)
     if isinstance(cause, ssl.SSLCertVerificationError):
-        return f"its certificate is refused ({cause.verify_message}); see url (its host) and ca (who signed it)"
+        dates = getattr(cause, "verify_code", None) in _DATES
+        see = "give the broker a new one, or set the clock of this computer" if dates else _SEE_CERTIFICATE
+        return f"its certificate is refused ({cause.verify_message}); {see}"
     return (isinstance(cause, OSError) and cause.strerror) or str(cause) or type(error).__name__

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from typing import Final
 
 import aiomqtt
-from paho.mqtt.reasoncodes import ReasonCode
 
 from dpstack.boottime import boottime_s
 from dpstack.bridge.mqtt.broker import Broker
@@ -26,12 +25,14 @@ from dpstack.bridge.mqtt.connection import (
     close,
     connect,
     end_if_cancelled,
+    is_refused,
     make_client,
     retry_s,
     session_of,
     spread,
     subscribe,
     text_of,
+    why_lost,
 )
 from dpstack.bridge.mqtt.fleet import Fleet, Segment, rebirth_of
 from dpstack.errors import UsageError
@@ -45,8 +46,6 @@ _TICK_S: Final = 0.5
 _LEARNING_S: Final = 2.0
 #: s between two requests for births, so that not all gateways publish at once
 _REBIRTH_S: Final = 0.05
-#: reason codes of MQTT 5 (3.2.2.2): bad user name or password, not authorized, bad authentication method
-_REFUSED: Final = frozenset({0x86, 0x87, 0x8C})
 ALL: Final = "all"
 
 
@@ -68,6 +67,8 @@ class FleetReader:
         rebirth: str | tuple[str, str] | None = None,
         again_s: float = FIRST_RETRY_S,
     ) -> None:
+        #: since the connection began
+        self._accepted = False
         self.connected = self.was_connected = False
         self._lost_before = 0
         self._queue: object = None
@@ -98,15 +99,15 @@ class FleetReader:
         loop = asyncio.get_running_loop()
         failed = 0
         while True:
-            began, self._error.text = loop.time(), ""
+            began, self._error.text, self._accepted = loop.time(), "", False
             try:
                 await self._session()
             except (aiomqtt.MqttError, OSError, ValueError) as error:
-                why = shortened(printable(self._error.text or text_of(error)), 200)
-                if _is_refused(error) and not self.was_connected:
+                why = shortened(printable(why_lost(error, self._error, connected=self._accepted)), 200)
+                if is_refused(error) and not self.was_connected:
                     raise UsageError(
-                        f"broker {self._broker.place} refuses user or password ({why}): give --user and "
-                        f"--password-env or --password-file as the broker knows them"
+                        f"broker {self._broker.place}: {why}: give --user and --password-env or --password-file as the "
+                        f"broker knows them"
                     ) from None
                 failed = 0 if loop.time() - began > LONGEST_RETRY_S else failed + 1
                 self._tell(f"broker {self._broker.place}: {why}; it is tried again")
@@ -133,7 +134,7 @@ class FleetReader:
             await connect(client)
             await subscribe(client, self._fleet.subscriptions, qos=0)
             end_if_cancelled(before)
-            self.connected = self.was_connected = True
+            self.connected = self.was_connected = self._accepted = True
             self._tell(f"connected to {self._broker.place}")
             if self._rebirth is not None:
                 asking = asyncio.create_task(self._ask_for_births(client), name="dpstack fleet: births")
@@ -197,8 +198,3 @@ class FleetReader:
             self._tell(f"only {count} of {len(asked)} gateways were asked for births: {why}")
         else:
             self._tell(f"asked for births: {count} gateway{'' if count == 1 else 's'}")
-
-
-def _is_refused(error: BaseException) -> bool:
-    code = getattr(error, "rc", None)
-    return isinstance(code, ReasonCode) and code.value in _REFUSED
