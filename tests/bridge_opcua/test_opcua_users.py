@@ -79,6 +79,10 @@ def test_a_file_that_others_can_read_or_that_has_no_user_is_refused(tmp_path: Pa
             read_users(path)
         assert why in str(error.value)
         assert hashed not in str(error.value)
+    with pytest.raises(
+        ConfigError, match=r"none: there is no such file; write one line for each user, made by `python -m"
+    ):
+        read_users(tmp_path / "none")
 
 
 @in_virtual_time

@@ -221,7 +221,7 @@ class OpcUaFace(Face):
             self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            why = f"[opcua] name: another OPC UA server of this computer is called {self.settings.name!r}"
+            why = f"name: another OPC UA server of this computer is called {self.settings.name!r}"
             raise ConfigError(f"{why}; give this one another name") from None
         except OSError as error:
             raise ConfigError(f"{path}: cannot be used: {error.strerror or error}") from None

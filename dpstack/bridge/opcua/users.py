@@ -135,6 +135,12 @@ def read_users(path: Path) -> dict[str, Account]:
     Raises ConfigError where others can read the file, it does not belong to this user, or a line is none. No message
     holds a hash.
     """
+    try:
+        path.stat()
+    except FileNotFoundError:
+        raise ConfigError(f"users_file {path}: there is no such file; write {_HOW}") from None
+    except OSError:
+        pass  # the next line says why
     lines = read_private(path).splitlines()
     found: dict[str, Account] = {}
     for number, line in enumerate(lines, 1):
