@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import re
 import subprocess
 import sys
+from collections import deque
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from api_kit import in_virtual_time
@@ -194,6 +198,50 @@ def test_the_history_has_one_bound_over_all_values_and_an_hour() -> None:
     assert found[-1].StatusCode.value == 0x80D70000  # BadBoundNotFound
     history.keep(nodes[0], ua.DataValue(ua.Variant(1), SourceTimestamp=at(3850)), at(3850))
     assert len(history) == 51
+
+
+def test_parts_of_a_history_are_the_whole_one() -> None:
+    """Values at 0, 10, 10, 20 ... s, read from and to each time, forwards and backwards, with bounds and without."""
+    history, node = BoundedHistory(3600.0, 100), ua.NodeId("x", 2)
+    kept = [(10 * (number // 2 + number % 2), number) for number in range(9)]
+    for seconds, number in kept:
+        history.keep(node, ua.DataValue(ua.Variant(number), SourceTimestamp=at(seconds)), at(seconds))
+    times = range(-5, 60, 5)
+    for start, end, bounds in itertools.product(times, times, (False, True)):
+        low, high = min(start, end), max(start, end)
+        wanted: list[object] = [number for seconds, number in kept if low <= seconds <= high]
+        inside = {seconds for seconds, _ in kept if low <= seconds <= high}
+        if bounds and low not in inside:
+            wanted.insert(0, max((number for seconds, number in kept if seconds < low), default=None))
+        if bounds and high not in inside:
+            wanted.append(min((number for seconds, number in kept if seconds > high), default=None))
+        if start > end:
+            wanted.reverse()
+        for most in (1, 2, 3, 0):
+            read, point = history.read(node, at(start), at(end), most, bounds=bounds)
+            while point is not None:
+                more, point = history.read(node, at(start), at(end), most, bounds=bounds, point=point)
+                read += more
+            assert numbers(read) == wanted, (start, end, bounds, most)
+
+
+def test_a_long_history_is_not_walked_through_for_each_answer() -> None:
+    history, node = BoundedHistory(1e6, 20_000), ua.NodeId("x", 2)
+    for number in range(20_000):
+        history.keep(node, ua.DataValue(ua.Variant(number), SourceTimestamp=at(number)), at(number))
+    looked: list[object] = []
+
+    class Counted(deque[object]):
+        def __iter__(self) -> Iterator[object]:
+            raise AssertionError("a walk through all values")
+
+        def __getitem__(self, place: Any) -> Any:
+            looked.append(place)
+            return super().__getitem__(place)
+
+    history._of[node] = Counted(list(history._of[node]))  # type: ignore[assignment]
+    assert numbers(history.read(node, at(9000), at(12_000), 10)[0]) == list(range(9000, 9010))
+    assert len(looked) < 100
 
 
 def test_the_history_tells_since_when_a_value_was_not_good_and_keeps_values_of_one_time() -> None:
