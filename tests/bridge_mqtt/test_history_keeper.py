@@ -58,6 +58,12 @@ class Bench:
         for number in range(first, last + 1):
             self.history.keep(entry(number))
 
+    def historical(self, clock: float) -> list[Value]:
+        """The values of the next message with history."""
+        found = self.history.next_samples(lambda _: KIND, list, NOW, OFFSET, clock)
+        assert found is not None
+        return [sample.reading.value for sample in found[1]]
+
     def stored(self) -> list[Value]:
         file = HistoryFile(self.folder, 1_000_000, "a")
         found = [kept.entry.value for kept in file.read(100_000)]
@@ -152,9 +158,7 @@ async def test_a_disk_that_could_not_be_read_once_is_read_again(
         await bench.keeper.step()
     assert bench.history.next_samples(no_entry, tuple, NOW, OFFSET, 1.0) is None
     await bench.keeper.step()
-    found = bench.history.next_samples(lambda _: KIND, list, NOW, OFFSET, 2.0)
-    assert found is not None
-    assert [sample.reading.value for sample in found[1]] == [1, 2, 3]
+    assert bench.historical(2.0) == [1, 2, 3]
     await closed(bench)
 
 
@@ -172,9 +176,7 @@ async def test_a_device_that_is_born_while_the_disk_is_read_without_it_gets_its_
     await reading
     history.next_samples(no_entry, list, NOW, OFFSET, 1.0)
     await bench.keeper.step()
-    found = history.next_samples(lambda _: KIND, list, NOW, OFFSET, 2.0)
-    assert found is not None
-    assert [sample.reading.value for sample in found[1]] == [1, 2, 3]
+    assert bench.historical(2.0) == [1, 2, 3]
     await closed(bench)
 
 
