@@ -351,6 +351,32 @@ async def test_a_slave_that_is_lost_leaves_its_last_value_and_an_alarm_until_it_
         await rig.until(lambda: len(at_server.events) == 9)
 
 
+async def test_the_types_declare_what_their_objects_have(rig: Rig) -> None:
+    async with rig.connected() as client:
+
+        async def members(node: ua.NodeId, path: tuple[str, ...] = ()) -> dict[tuple[str, ...], str]:
+            """Path and modelling rule of each object, variable and method below ``node``, to the next typed object."""
+            found: dict[tuple[str, ...], str] = {}
+            for one in await client.get_node(node).get_references(ua.ObjectIds.Aggregates, ua.BrowseDirection.Forward):
+                own = (*path, str(one.BrowseName.Name))
+                rules = await client.get_node(one.NodeId).get_references(ua.ObjectIds.HasModellingRule)
+                found[own] = ",".join(rule.BrowseName.Name for rule in rules)
+                if one.TypeDefinition == ua.NodeId(ua.ObjectIds.FolderType):
+                    found |= await members(one.NodeId, own)
+            return found
+
+        for type_, instance in (("BusType", "bus"), ("SlaveType", "slave/8"), ("SlaveType", "slave/9"),
+                                ("DriveType", "slave/9/drive")):  # fmt: skip
+            declared = await members(id_of(f"type/{type_}"))
+            assert set(declared.values()) == {"Mandatory", "Optional"}, type_
+            there = set(await members(id_of(instance)))
+            if instance == "bus":
+                there -= {("valves",), ("hoist",)}
+            there = {path for path in there if path[0] not in {"Inputs", "Outputs"} or len(path) == 1}
+            assert there <= set(declared), instance
+            assert {path for path, rule in declared.items() if rule == "Mandatory"} <= there, instance
+
+
 async def test_a_drive_shows_its_last_transition(rig: Rig) -> None:
     async with rig.connected() as client:
         last = client.get_node(id_of("slave/9/drive/machine/transition"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
 from dpstack.bridge.names import OPCUA_BROWSE, unique_names
-from dpstack.bridge.nodes import Described, Kind, Node, Order
+from dpstack.bridge.nodes import Described, Kind, Node, Order, bus_of, slave_of
 from dpstack.bridge.quality import BOOL, BYTES, TEXT, Reading
 
 NAMESPACE: Final = "urn:dpstack:plant"
@@ -83,15 +83,14 @@ class Space:
         return self.methods.get(own if method == self.node(f"type/DriveType/{word}") else method)
 
     def add_types(self) -> None:
-        """BusType, SlaveType, DriveType, LastCommandType; DriveStateMachineType with its states. A transition comes
-        when a drive makes it first."""
+        """BusType, SlaveType, DriveType with their members, LastCommandType; DriveStateMachineType with its states. A
+        transition comes when a drive makes it first."""
         base = ua.NodeId(ua.ObjectIds.BaseObjectType)
         for name in ("BusType", "SlaveType", "DriveType", "LastCommandType"):
             self._type(name, base)
         for word, name in METHODS.items():
             self._method(self.node(f"type/DriveType/{word}"), self.node("type/DriveType"), name, executable=False)
-            self._refer(self.node(f"type/DriveType/{word}"), ua.ObjectIds.HasModellingRule,
-                        ua.NodeId(ua.ObjectIds.ModellingRule_Optional), ua.NodeClass.Object)  # fmt: skip
+            self._rule(self.node(f"type/DriveType/{word}"), mandatory=False)
         self._type("DriveStateMachineType", ua.NodeId(ua.ObjectIds.FiniteStateMachineType))
         machine = self.node("type/DriveStateMachineType")
         for number, name in enumerate(DRIVE_STATES):
@@ -101,8 +100,37 @@ class Space:
                            reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
         for made in self._state_machine("type/DriveType", self.node("type/DriveType")):
             if made == self.node("type/DriveType/machine"):
-                self._refer(made, ua.ObjectIds.HasModellingRule, ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory),
-                            ua.NodeClass.Object)  # fmt: skip
+                self._rule(made, mandatory=True)
+        self._declare("BusType", bus_of({"plan": {"cycle_us": 1}}), bus_of({}))
+        with_all = slave_of(0, {"dpv1": True, "drive": {}}, writable=False)
+        own = tuple(node for node in with_all.nodes if node.kind is not Kind.DRIVE)
+        self._declare("SlaveType", replace(with_all, nodes=own), slave_of(0, {}, writable=True))
+        for name in ("Inputs", "Outputs", "Drive"):
+            kind = self.node("type/DriveType") if name == "Drive" else ua.NodeId(ua.ObjectIds.FolderType)
+            part = self._object(f"type/SlaveType/{name}", self.node("type/SlaveType"), name, kind)
+            self._rule(part, mandatory=False)
+        of_drive = (node for node in with_all.nodes if node.kind is Kind.DRIVE)
+        drive = Described("", tuple(replace(node, path=node.path[1:]) for node in of_drive))
+        self._declare("DriveType", drive, drive)
+
+    def _declare(self, name: str, most: Described, least: Described) -> None:
+        """Members of a type: those of ``least`` are in each object, the others of ``most`` in some."""
+        own = f"type/{name}"
+        folders: dict[tuple[str, ...], ua.NodeId] = {(): self.node(own)}
+        always = {node.path[:depth] for node in least.nodes for depth in range(1, len(node.path) + 1)}
+        for about in most.about:
+            self._rule(self._about(own, about, ""), mandatory=False)
+        for node in most.nodes:
+            for path in self._add_folders(own, node.path[:-1], folders):
+                self._rule(folders[path], mandatory=path in always)
+            declared = replace(node, id=f"{own}/value/{'/'.join(node.path)}")
+            made = next(self._value(declared, folders[node.path[:-1]], node.path[-1], writable=False))
+            self._rule(made, mandatory=node.path in always)
+
+    def _rule(self, member: ua.NodeId, *, mandatory: bool) -> None:
+        """The modelling rule of a type's member (Part 3, 6.4.4)."""
+        rule = ua.ObjectIds.ModellingRule_Mandatory if mandatory else ua.ObjectIds.ModellingRule_Optional
+        self._refer(member, ua.ObjectIds.HasModellingRule, ua.NodeId(rule), ua.NodeClass.Object)
 
     def _state_machine(self, own: str, drive: ua.NodeId) -> Iterator[ua.NodeId]:
         machine = self._object(f"{own}/machine", drive, "StateMachine", self.node("type/DriveStateMachineType"))
@@ -207,8 +235,7 @@ class Space:
         self._refer(notifier, ua.ObjectIds.HasNotifier, root, ua.NodeClass.Object)
         for about, text in described.about.items():
             if text:
-                yield self._variable(f"{own}/about/{about}", root, about, _V.String, ua.Variant(text, _V.String),
-                                     reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
+                yield self._about(own, about, text)
         folders: dict[tuple[str, ...], ua.NodeId] = {(): root}
         drives = [node for node in described.nodes if node.kind is Kind.DRIVE]
         if drives:
@@ -218,19 +245,30 @@ class Space:
                 yield node
         names = self._value_names(described, changed)
         for node in described.nodes:
-            for depth in range(1, len(node.path)):
-                path = node.path[:depth]
-                if path not in folders:
-                    id_ = f"{own}/folder/{'/'.join(path)}"
-                    folder = ua.NodeId(ua.ObjectIds.FolderType)
-                    folders[path] = self._object(id_, folders[path[:-1]], OPCUA_BROWSE.valid(path[-1]), folder)
-                    yield folders[path]
+            for path in self._add_folders(own, node.path[:-1], folders):
+                yield folders[path]
+            self.values[self.node(node.id)] = node
             writable = node.order is not None and node.order.name in allowed
             for made in self._value(node, folders[node.path[:-1]], names[node.id], writable=writable):
                 yield made
             self._added += 1
             if self._added % _AT_ONCE == 0:
                 await asyncio.sleep(0)
+
+    def _about(self, own: str, about: str, text: str) -> ua.NodeId:
+        return self._variable(f"{own}/about/{about}", self.node(own), about, _V.String, ua.Variant(text, _V.String),
+                              reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType)  # fmt: skip
+
+    def _add_folders(
+        self, own: str, path: tuple[str, ...], folders: dict[tuple[str, ...], ua.NodeId]
+    ) -> Iterator[tuple[str, ...]]:
+        """Add the folders of ``path`` that are not among ``folders`` yet; yields their paths."""
+        for depth in range(1, len(path) + 1):
+            part = path[:depth]
+            if part not in folders:
+                id_, kind = f"{own}/folder/{'/'.join(part)}", ua.NodeId(ua.ObjectIds.FolderType)
+                folders[part] = self._object(id_, folders[part[:-1]], OPCUA_BROWSE.valid(part[-1]), kind)
+                yield part
 
     def _value_names(self, described: Described, changed: list[str]) -> dict[str, str]:
         groups: dict[tuple[str, ...], list[tuple[str, str]]] = {}
@@ -248,7 +286,6 @@ class Space:
         kind = ua.ObjectIds.BaseAnalogType if analog else ua.ObjectIds.BaseDataVariableType
         id_ = self._variable(node.id, parent, name, VARIANTS[node.type], None, kind=kind,
                              access=_READ | (_WRITE if writable else 0), text=node.text)  # fmt: skip
-        self.values[id_] = node
         yield id_
         if analog and node.unit:
             unit = ua.EUInformation(NAMESPACE, -1, ua.LocalizedText(node.unit), ua.LocalizedText(node.unit))
