@@ -166,11 +166,12 @@ class FleetView:
             lines += [drawing.shown(text, _STYLES[one.state.value]) for text in texts]
             shown += 1
         del lines[room:]
-        out = len(self._fleet) - shown
-        return [
-            *lines,
-            *([drawing.shown(shortened(_left_out(out), width), "bold")] if out and len(lines) < room else []),
-        ]
+        if shown < len(self._fleet) and len(lines) < room:
+            text = _left_out(len(self._fleet) - shown)
+            # the reason is left out where it does not fit
+            text = text if len(text) <= width else text.partition(":")[0]
+            lines.append(drawing.shown(shortened(text, width), "bold"))
+        return lines
 
     def _row(self, one: Segment, width: int) -> tuple[object, ...]:
         names = [shortened(printable(name), _MOST_NAME) for name in (one.group, one.node)]
