@@ -35,7 +35,7 @@ check: $(VENV)/.check
 		&& $(PY) -m mypy.stubtest dpstack.blocking --mypy-config-file pyproject.toml \
 		&& $(PY) -m pytest tests/test_docs.py tests/test_imports.py; \
 		judged=$$?; wait $$build && exit $$judged
-	$(PY) -m pytest -m check tests/blocking tests/bridge_mqtt
+	$(PY) -m pytest -m check tests/blocking tests/bridge_mqtt tests/test_book_names.py
 	$(PY) -m pytest -p tools.book_blocks -n 1 README.md docs
 
 # Only pages that changed are read again; rm -r build/docs builds the whole book

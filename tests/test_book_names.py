@@ -6,7 +6,12 @@ import runpy
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import dpstack
+
+#: the configuration of the book imports docutils, which only `make check` needs
+pytestmark = pytest.mark.check
 
 _CONF = Path(dpstack.__file__).parents[1] / "docs" / "conf.py"
 

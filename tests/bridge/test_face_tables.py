@@ -103,7 +103,7 @@ def test_errors_of_reading_name_the_line(text: str, error: str) -> None:
         ),
         (LEAST + '[opcua]\ncert = "c.der"', "plant:16: [opcua]: cert and key go together; give both, or neither"),
         (LEAST + "[opcua]", "plant:15: [opcua]: users_file: nobody may connect; give users_file, or anonymous"),
-        (LEAST + '[opcua]\nusers_file = "none"', "plant:15: [opcua]: none: cannot be read"),
+        (LEAST + '[opcua]\nusers_file = "none"', "plant:16: [opcua]: users_file none: there is no such file"),
         (LEAST + 'user = "anna"\npassword_env = "NO_SUCH"', "plant:16: [mqtt]: password_env: the environment has no"),
         (LEAST + 'allow_commands = ["valves.lmap"]', "plant:15: [mqtt]: allow_commands: 'valves.lmap' fits no order"),
     ],
