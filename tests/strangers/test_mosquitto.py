@@ -330,7 +330,7 @@ async def test_tls_with_user_password_and_client_certificate(tmp_path: Path, col
         for number, (wrong, text) in enumerate(
             [
                 (made(password="wrong secret"), "Not authorized"),
-                (made("expired"), "certificate expired"),
+                (made("expired"), "refuses the certificate of this program: it has expired"),
                 (made(ca=None), "its certificate is refused"),
             ]
         ):
