@@ -355,8 +355,8 @@ class SlaveHandler:
         self._changed(self, now)
 
     def operate_ordered(self, now: int) -> None:
-        """What happened to the slave before the order of Operate is no stall. A slave that was not asked until then, as
-        in Stop, wants parameters because of that: its Prm_Req counts again when it has exchanged data."""
+        """An event before the order of Operate is no stall. A slave that was not asked until then, as in Stop, wants
+        parameters because of that: its Prm_Req counts again when it has exchanged data."""
         # the next request comes later than the order, so half of the watchdog is enough
         if 2 * (now - self.asked_at) > self.watchdog_effective_ns:
             self._overdue_at = now
