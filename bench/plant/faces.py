@@ -307,7 +307,7 @@ class _Plant:
         arrivals = Arrivals(_GROUP)
         with contextlib.ExitStack() as stack:
             self._begin_mosquitto(stack, self._port)
-            stack.enter_context(arrivals.counting(self._port, _BACK_S))
+            stack.enter_context(arrivals.counting(self._port, _BACK_S, self._where.wire))
             wait_for(lambda: arrivals.historical, "history", _BACK_S)
             began, historical, live = time.monotonic(), arrivals.historical, arrivals.live
             yield

@@ -120,6 +120,7 @@ async def test_it_asks_for_births_once(rebirth: str | tuple[str, str], monkeypat
         seen = Seen(broker, rebirth)
         async with seen.running():
             await seen.until(lambda: "asked for births: 1 gateway" in seen.told)
+            await seen.until(lambda: PUBLISH in [kind for kind, _ in broker.received])
             broker.cut()
             await seen.until(lambda: len([kind for kind, _ in broker.received if kind == 1]) == 2)
             await seen.until(lambda: seen.reader.connected)

@@ -30,7 +30,7 @@ MOST_IN_MEMORY: Final = 20_000
 #: entries that are read from the disk at once
 CHUNK: Final = 1000
 #: s between two messages of history; metrics and octets (about) of one
-PACE_S: Final = 0.05
+PACE_S: Final = 0.1
 MOST_METRICS: Final = 200
 MOST_OCTETS: Final = 16_384
 #: ms since 1970 at the begin of 2020: a clock that says less was never set
