@@ -5,8 +5,7 @@
 - ``core``: ``BusCore``: the inside of a ``Bus``: beginning and end, events and failures of the machine
 - ``cycles``: ``bus.cycles()``: consistent inputs of all slaves, once a round of data exchange
 - ``driver_choice``: The choice of the driver: asyncio, process or virtual
-- ``event_logging``: Events of a bus as records of ``logging``
-- ``events_json``: Events of a bus for applications, their severity and their JSON
+- ``events_json``: Events of a bus for applications: their severity, their JSON, and records of ``logging``
 - ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and never sends
 - ``live``: ``bus.live()``: plant, snapshots and events of a bus as one stream
 - ``live_list``: The live list of a port, read by a temporary master, and a configuration skeleton made from it

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.compose import Parts
 from dpstack.api.bus.driver_choice import ASYNCIO
-from dpstack.api.bus.event_logging import EventLogging
+from dpstack.api.bus.events_json import EventLogging
 from dpstack.api.bus.plan_checks import refuse_misfit
 from dpstack.api.config.config import AUTO, Config
 from dpstack.api.config.slave import SlaveConfig

@@ -23,7 +23,7 @@ from time import monotonic
 from types import FrameType
 from typing import Final
 
-from dpstack.api.bus.event_logging import log_or_print
+from dpstack.api.bus.events_json import log_or_print
 from dpstack.api.bus.parts import BusBase
 from dpstack.dp.master.commands import Mode
 from dpstack.drivers.futures import wait_through_cancellation

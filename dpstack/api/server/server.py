@@ -469,7 +469,7 @@ class SlaveServer(Sealed):
             call_on_event(self.on_event, stamped)
 
     def _log(self, event: Event) -> None:
-        """A record of ``logging``, as those of a bus (dpstack/api/bus/event_logging.py)."""
+        """A record of ``logging``, as those of a bus (dpstack/api/bus/events_json.py)."""
         logger = logging.getLogger(logger_below("served", event.name)) if isinstance(event, SlaveAppEvent) else _SERVED
         level = LEVELS[event.severity]
         if logger.isEnabledFor(level):

@@ -14,7 +14,7 @@ import pytest
 
 import dpstack
 from dpstack.api.bus.bus import core_of
-from dpstack.api.bus.event_logging import EventLogging, log_or_print, slave_logger_name
+from dpstack.api.bus.events_json import EventLogging, log_or_print, slave_logger_name
 from dpstack.dp.master.events import SlaveRemark
 from dpstack.logs import JsonFormatter
 from dpstack.slave import DpSlave, SlaveDescription, serve_slave
