@@ -94,22 +94,28 @@ def in_loop(work: Callable[[Fleet, float], None]) -> None:
     asyncio.run(run())
 
 
+def drawn(fleet: Fleet, width: int, height: int) -> tuple[FleetView, str]:
+    """A view of ``fleet``, and what it draws in a window."""
+    view = FleetView(fleet, "broker:1883", json=False, redraws=True)
+    view.begin(cast("FleetReader", SimpleNamespace(lost=0, connected=True)))
+    console = Console(width=width, height=height)
+    with console.capture() as got:
+        console.print(view.picture())
+    return view, got.get()
+
+
 @pytest.mark.parametrize(("width", "height"), [(100, 24), (40, 12), (200, 60)])
 def test_the_table_shows_the_worst_first_and_fits(width: int, height: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", str(width))
     monkeypatch.setenv("LINES", str(height))
 
     def work(fleet: Fleet, now: float) -> None:
-        view = FleetView(fleet, "broker:1883", json=False, redraws=True)
-        view.begin(cast("FleetReader", SimpleNamespace(lost=0, connected=True)))
-        console = Console(width=width, height=height)
-        with console.capture() as got:
-            console.print(view.picture())
-        lines = got.get().splitlines()
+        _, shown = drawn(fleet, width, height)
+        lines = shown.splitlines()
         assert len(lines) <= height
-        flat = " ".join(got.get().split())
+        flat = " ".join(shown.split())
         assert "43 segments: 1 lost slaves, 1 ended, 41 ok" in flat
-        assert "\x1b[2J" not in got.get()
+        assert "\x1b[2J" not in shown
         if width == 200:
             assert "more segments" not in flat
             row = next(line for line in lines if "lost slaves" in line and "hall 3" in line)
@@ -128,12 +134,8 @@ def test_after_a_sleep_of_the_computer_nothing_old_is_drawn_as_alive(
     monkeypatch.setattr("dpstack.cli.looking.fleet_view.boottime_s", lambda: boottime_s() + 3600)
 
     def work(fleet: Fleet, now: float) -> None:
-        view = FleetView(fleet, "broker:1883", json=False, redraws=True)
-        view.begin(cast("FleetReader", SimpleNamespace(lost=0, connected=True)))
-        console = Console(width=100, height=24)
-        with console.capture() as got:
-            console.print(view.picture())
-        assert "43 segments: 42 silent, 1 ended" in " ".join(got.get().split())
+        view, shown = drawn(fleet, 100, 24)
+        assert "43 segments: 42 silent, 1 ended" in " ".join(shown.split())
         fill(fleet, now)
         assert view.end()
 
@@ -151,15 +153,11 @@ def test_a_narrow_window_shows_the_segment_that_has_lost_slaves(
     def work(fleet: Fleet, now: float) -> None:
         north = GOOD | {"lost": [{"address": 12, "name": "hoist " * 40, "state": "offline"}]}
         fleet.receive("dpstack/hall 5/packaging machine north side/status", json.dumps(north).encode(), now)
-        view = FleetView(fleet, "broker:1883", json=False, redraws=True)
-        view.begin(cast("FleetReader", SimpleNamespace(lost=0, connected=True)))
-        console = Console(width=width, height=height)
-        with console.capture() as got:
-            console.print(view.picture())
-        lines = got.get().splitlines()
+        _, shown = drawn(fleet, width, height)
+        lines = shown.splitlines()
         assert all(len(line) <= width for line in lines)
-        flat = " ".join(got.get().split())
-        assert "\x1b[2J" not in got.get()
+        flat = " ".join(shown.split())
+        assert "\x1b[2J" not in shown
         assert "lost slaves hall 3/b 3 s" in flat
         if height > 3:
             assert len(lines) <= height
