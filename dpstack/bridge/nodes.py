@@ -27,7 +27,6 @@ class Kind(StrEnum):
     DRIVE = "drive"
     VALUE = "value"
     DIAGNOSIS = "diagnosis"
-    ALARM = "alarm"
     STATISTIC = "statistic"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import difflib
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import Enum, auto
@@ -115,7 +115,7 @@ class Orders:
         self._now = now
         self._max_age_s = max_age_s
         self._tell = tell
-        self._known: deque[tuple[str, float]] = deque()
+        self._known: dict[tuple[str, float], None] = {}
         self._waiting: Counter[int] = Counter()
         self._turns: dict[int, asyncio.Lock] = {}
         #: number of the halts of each slave
@@ -309,15 +309,15 @@ class Orders:
             return
         # an order is refused for its age before it could be given again with the same time
         now = self._now()
-        while self._known and self._known[0][1] < now - 2 * self._max_age_s:
-            self._known.popleft()
-        if self._known and self._known[0][1] > now + 2 * self._max_age_s:
+        while self._known and (oldest := next(iter(self._known)))[1] < now - 2 * self._max_age_s:
+            del self._known[oldest]
+        if self._known and next(iter(self._known))[1] > now + 2 * self._max_age_s:
             # the clock was set back: those of before it are refused for their time, too
-            self._known = deque(one for one in self._known if abs(now - one[1]) <= 2 * self._max_age_s)
+            self._known = {one: None for one in self._known if abs(now - one[1]) <= 2 * self._max_age_s}
         if (name, made_at) in self._known:
             raise _RefusedError("an order with this name and time was given already", Refusal.TIME)
         if len(self._known) < _MOST_KNOWN:
-            self._known.append((name, made_at))
+            self._known[name, made_at] = None
         elif not halts_drive:
             raise _RefusedError("too many orders have come", Refusal.TOO_MANY)
 

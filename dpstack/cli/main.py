@@ -39,7 +39,7 @@ _COMMANDS = {
     "decode": "explains telegrams to the bit: of a pcapng file, or octets in hex",
     "plot": "a recording of `run --record` drawn over wall clock, in a window or as SVG, PNG, PDF",
     "web": "the page in the browser: joins the run that holds the port, else reads only",
-    "fleet": "all segments of an MQTT broker at a glance: verdict, lost slaves, silent gateways; sends nothing",
+    "fleet": "all segments of an MQTT broker at a glance: verdict, lost slaves, silent gateways; only --rebirth sends",
     "wireshark": "dissector and extcap program for the Wireshark that is there: install, remove, where",
     "ports": "serial adapters with their lasting path, chip and holder",
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",

@@ -101,7 +101,7 @@ async def test_a_slave_that_goes_has_no_value_that_looks_fresh() -> None:
         assert sum(seen.of("dpstack_slave_state").values()) == 1
         assert seen("dpstack_slave_in_data_exchange", **NINE) == seen("dpstack_slave_inputs_valid", **NINE) == 1
         assert seen("dpstack_slave_inputs_age_seconds", **NINE) < 0.1
-        assert readiness(face.tree, face.collector.verdict()) == (
+        assert readiness(face.tree, face.collector.verdict) == (
             True,
             "the bus operates; in data exchange: all slaves (1)\n",
         )
@@ -115,12 +115,12 @@ async def test_a_slave_that_goes_has_no_value_that_looks_fresh() -> None:
         assert not seen.has("dpstack_slave_inputs_age")
         assert seen("dpstack_slave_timeouts_total", **NINE) > 0
         assert liveness(face.tree).good
-        good, text = readiness(face.tree, face.collector.verdict())
+        good, text = readiness(face.tree, face.collector.verdict)
         assert not good
         assert text.startswith("slave 9 (valves) is not in data exchange: ")
         await bus.clear()
         await asyncio.sleep(0.5)
-        assert "the master is in clear, not in operate\n" in readiness(face.tree, face.collector.verdict()).text
+        assert "the master is in clear, not in operate\n" in readiness(face.tree, face.collector.verdict).text
 
 
 async def test_a_bus_process_has_its_own_metrics_and_its_death_is_told() -> None:
@@ -158,7 +158,7 @@ async def test_of_a_dead_bus_nothing_but_its_death_is_left() -> None:
     async with publishing:
         face = face_of(publishing)
         assert not liveness(face.tree).good
-        assert not readiness(face.tree, face.collector.verdict()).good
+        assert not readiness(face.tree, face.collector.verdict).good
         async with bus:
             await bus.operate()
             await bus.ready()
@@ -174,4 +174,4 @@ async def test_of_a_dead_bus_nothing_but_its_death_is_left() -> None:
         }
         assert seen("dpstack_bus_verdict", verdict="unknown") == 1
         assert liveness(face.tree).text.startswith("the bus has ended")
-        assert readiness(face.tree, face.collector.verdict()).text.startswith("the bus has ended")
+        assert readiness(face.tree, face.collector.verdict).text.startswith("the bus has ended")

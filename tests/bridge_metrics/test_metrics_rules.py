@@ -67,7 +67,7 @@ def test_hostile_and_equal_names_become_labels_that_are_different() -> None:
     assert [line for line in bench.told if "pump slave 5" in line]
     assert all(line.isprintable() for line in bench.told)
     bench.give(2.0, snapshot(2.0, *[FINE | {"state": "fault", "fault": {"kind": "lost", "text": EVIL}}] * 4))
-    text = readiness(bench.tree, bench.face.collector.verdict()).text
+    text = readiness(bench.tree, bench.face.collector.verdict).text
     assert len(text.splitlines()) == 4
     assert all(line.isprintable() for line in text.splitlines())
 
@@ -103,7 +103,7 @@ def test_a_bus_that_is_dead_in_any_way_loses_its_series(how: str) -> None:
     assert not seen.has("dpstack_slave_")
     assert not seen.has("dpstack_bus_rotation")
     assert liveness(bench.tree).good == (how in ("stale", "searching"))
-    good, text = readiness(bench.tree, bench.face.collector.verdict())
+    good, text = readiness(bench.tree, bench.face.collector.verdict)
     assert not good
     assert text.rstrip("\n").isprintable()
 
@@ -117,7 +117,7 @@ def test_a_slave_that_the_stream_does_not_show_any_more_is_unknown() -> None:
     assert seen("dpstack_slave_state", **labels(4, "pump"), state="unknown") == 1
     assert seen("dpstack_slave_in_data_exchange", **labels(4, "pump")) == 0
     assert {dict(one)["slave"] for one in seen.of("dpstack_slave_exchanges_total")} == {"valves"}
-    assert "slave 4 (pump)" in readiness(bench.tree, bench.face.collector.verdict()).text
+    assert "slave 4 (pump)" in readiness(bench.tree, bench.face.collector.verdict).text
 
 
 def test_a_new_configuration_leaves_no_series_of_the_old_one() -> None:
@@ -146,14 +146,14 @@ def test_the_series_of_a_full_bus_are_bounded() -> None:
 
 def test_a_slave_out_of_service_does_not_count_and_a_reading_run_is_ready_in_the_ring() -> None:
     bench = Bench(plant("valves", "pump"), snapshot(1.0, FINE, FINE | {"state": "deactivated"}))
-    assert readiness(bench.tree, bench.face.collector.verdict()) == (
+    assert readiness(bench.tree, bench.face.collector.verdict) == (
         True,
         "the bus operates; in data exchange: all slaves (1)\n",
     )
     bench = Bench(plant("valves", read_only=True), snapshot(1.0, FINE, mode="stop"))
-    assert readiness(bench.tree, bench.face.collector.verdict()).good
+    assert readiness(bench.tree, bench.face.collector.verdict).good
     bench.give(1.2, snapshot(1.2, FINE, mode="stop", in_ring=False))
-    assert readiness(bench.tree, bench.face.collector.verdict()).text == "the master is not in the token ring\n"
+    assert readiness(bench.tree, bench.face.collector.verdict).text == "the master is not in the token ring\n"
 
 
 def test_the_usage_of_a_process_is_that_of_the_system() -> None:

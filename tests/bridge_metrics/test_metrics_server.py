@@ -325,6 +325,51 @@ def test_a_defect_is_told_and_the_next_page_is_served(monkeypatch: pytest.Monkey
     served(test)
 
 
+@pytest.mark.parametrize("path", ["/readyz", "/healthz"])
+def test_a_defect_of_health_is_answered_counted_and_told(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def judge(*_: object) -> object:
+        raise KeyError("slave")
+
+    for name in ("readiness", "liveness"):
+        monkeypatch.setattr(metrics_face, name, judge)
+
+    async def test(face: MetricsFace, port: int) -> None:
+        assert status_of(await ask(port, request(path))) == 500
+        assert face.collector.requests[500] == 1
+
+    served(test)
+
+
+def test_clients_that_go_away_while_the_text_is_made_leave_no_old_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have used up the pace: the next one must get the text that was made for them."""
+
+    async def test(face: MetricsFace, port: int) -> None:
+        made, go_on = count_pages(face), asyncio.Event()
+        render = metrics_face.rendered
+
+        async def slowly(families: object) -> bytes:
+            await go_on.wait()
+            return await render(families)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(metrics_face, "rendered", slowly)
+        for _ in range(metrics_face._MADE_AT_ONCE + 3):
+            _, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(request().replace(b"PORT", str(port).encode()))
+            await until(lambda: made)
+            await asyncio.sleep(0.01)
+            writer.transport.abort()
+        await asyncio.sleep(0.05)
+        honest = asyncio.create_task(ask(port, request()))
+        await asyncio.sleep(0.05)
+        go_on.set()
+        answer = await honest
+        assert status_of(answer) == 200
+        assert b"dpstack_bus_up" in answer
+        assert len(made) == 1
+
+    served(test)
+
+
 def test_random_octets_never_reach_the_handler_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(http_server, "MOST_ANSWERS", 1000)
     chance = random.Random(21)

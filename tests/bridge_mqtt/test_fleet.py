@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from fleet_kit import BIRTH, DEATH, LOST, ONLINE, TOPIC, status
 from hypothesis import given
 from hypothesis import strategies as st
@@ -131,12 +132,12 @@ def test_a_status_that_the_broker_kept_does_not_take_a_death_back() -> None:
 def test_a_kept_status_without_expiry_is_as_old_as_it_says_where_the_clocks_agree() -> None:
     wall = 1_700_000_000.0
     for sent, expiry, state, silent_at in (
-        (wall - 12, None, State.OK, 118.0),
-        (wall - 12, 4_294_967_295, State.OK, 118.0),  # not an expiry that a gateway gives
-        (wall + 1.5, None, State.OK, 130.0),
-        (wall + 5, None, State.UNKNOWN, 130.0),
-        (wall - 30, None, State.UNKNOWN, 130.0),
-        ("x", None, State.UNKNOWN, 130.0),
+        (wall - 8, None, State.OK, 104.0),
+        (wall - 8, 4_294_967_295, State.OK, 104.0),  # not an expiry that a gateway gives
+        (wall + 1.5, None, State.OK, 112.0),
+        (wall + 5, None, State.UNKNOWN, 112.0),
+        (wall - 30, None, State.UNKNOWN, 112.0),
+        ("x", None, State.UNKNOWN, 112.0),
     ):
         fleet = Fleet()
         segment = fleet.receive(TOPIC, status(sent=sent), 100.0,
@@ -151,6 +152,20 @@ def test_a_kept_status_without_expiry_is_as_old_as_it_says_where_the_clocks_agre
     assert state_of(fleet) is State.SILENT
     fleet.receive(TOPIC, status(sent=5, state="ended"), 201.0, retained=True, wall=wall)
     assert state_of(fleet) is State.ENDED
+
+
+@pytest.mark.parametrize("is_dated_by_expiry", [True, False])
+def test_a_kept_status_that_its_gateway_should_have_renewed_is_silent(is_dated_by_expiry: bool) -> None:
+    """The gateway died before this program began, and its death is not kept."""
+    wall = 1_700_000_000.0
+    fleet = Fleet()
+    fleet.receive(TOPIC, status(sent=wall - 14), 100.0,
+                  expiry=16 if is_dated_by_expiry else None, retained=True, wall=wall)  # fmt: skip
+    assert state_of(fleet) is State.SILENT
+    fleet.receive(TOPIC, status(sent=wall + 1), 101.0, expiry=30, wall=wall + 1)
+    assert state_of(fleet) is State.OK
+    assert fleet.tick(130.9) == []
+    assert len(fleet.tick(131.0)) == 1
 
 
 def test_a_will_in_json_counts_for_its_session_only() -> None:

@@ -99,6 +99,30 @@ async def test_messages_with_qos_2_end_the_connection_and_fill_no_memory() -> No
             await take()
 
 
+async def test_confirmations_that_the_broker_does_not_read_end_the_connection_and_fill_no_memory() -> None:
+    body = struct.pack(">H", 1) + b"t" + struct.pack(">H", 7) + b"\x00"
+    async with broker((bytes((0x32, len(body))) + body) * 3000) as port:
+        client = LimitedClient("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V5)
+        send = client._client._sock_send
+
+        def send_all_but_confirmations(octets: bytes) -> int:
+            if octets[0] == 0x40:
+                raise BlockingIOError  # as where the sockets between client and broker are full
+            return send(octets)
+
+        client._client._sock_send = send_all_but_confirmations  # type: ignore[method-assign,assignment]
+
+        async def take() -> None:
+            async with asyncio.timeout(10), client:
+                await client.publish("t")
+                async for _ in client.messages:
+                    pass
+
+        with pytest.raises((aiomqtt.MqttError, OSError), match=r"does not read|Disconnected"):
+            await take()
+        assert len(client._client._out_packet) < 1100
+
+
 async def test_a_socket_that_is_gone_before_its_turn_is_watched_by_nobody() -> None:
     """Its number may be that of another file by then, for instance of the port of the bus."""
     loop = asyncio.get_running_loop()

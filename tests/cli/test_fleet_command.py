@@ -34,6 +34,7 @@ LOST: dict[str, Any] = GOOD | {
     ("words", "text"),
     [
         ("--mqtt http://x", "--mqtt 'http://x' is no address of a broker; write mqtt://HOST:PORT"),
+        ("--mqtt mqtt://x:0", "--mqtt 'mqtt://x:0' is no address of a broker"),
         (
             "--mqtt mqtt://me:sesame@x",
             "--mqtt: user and password have keys of their own (--user, --password-file); take them out",

@@ -46,7 +46,7 @@ class MetricsFace(Face):
         self.address: tuple[str, int] | None = None
         self._listen = listen
         self._server: HttpServer | None = None
-        self._rendering = asyncio.Lock()
+        self._making: asyncio.Task[None] | None = None
         self._answer = Answer(HTTPStatus.OK, b"")
         self._answer_until = 0.0
         self._pace = Pace(_MADE_PER_S, _MADE_AT_ONCE)
@@ -60,12 +60,13 @@ class MetricsFace(Face):
             {
                 "/metrics": self._metrics,
                 "/healthz": lambda: _health(liveness(self.tree)),
-                "/readyz": lambda: _health(readiness(self.tree, self.collector.verdict())),
+                "/readyz": lambda: _health(readiness(self.tree, self.collector.verdict)),
             },
             sockets,
             origins=Origins((), port, secure=False) if local else None,
             count=self._count,
             refused=self._refuse,
+            fault=self._fault,
         )
         await self._server.begin()
         more = "" if local else "; other computers reach it, without TLS and password"
@@ -84,6 +85,8 @@ class MetricsFace(Face):
                 self._server.end()
 
     def close(self) -> None:
+        if self._making is not None:
+            self._making.cancel()
         if self._server is not None:
             self._server.end()
 
@@ -95,21 +98,27 @@ class MetricsFace(Face):
 
     async def _metrics(self) -> Answer:
         """The text for Prometheus. All who ask within :data:`FRESH_S` get the same one, in a flood within a second."""
-        loop = asyncio.get_running_loop()
-        async with self._rendering:
-            now = loop.time()
-            if now >= self._answer_until and self._pace.wait_s(now) <= 0:
-                self._pace.take(now)
-                self._answer = await self._made()
-                self._answer_until = loop.time() + FRESH_S
-            return self._answer
+        now = asyncio.get_running_loop().time()
+        if self._making is None and now >= self._answer_until and self._pace.wait_s(now) <= 0:
+            self._pace.take(now)
+            self._making = asyncio.create_task(self._make(), name="dpstack metrics: text")
+        if self._making is not None:
+            # it is made for all: a client that goes away ends only its own wait
+            await asyncio.shield(self._making)
+        return self._answer
 
-    async def _made(self) -> Answer:
+    async def _make(self) -> None:
         try:
-            return Answer(HTTPStatus.OK, await rendered(self.collector.families()))
+            self._answer = Answer(HTTPStatus.OK, await rendered(self.collector.families()))
         except Exception as error:
-            self.tell(f"a defect, please report it: {type(error).__name__}: {error}", Severity.ERROR)
-            return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, b"a defect, see the log of the run\n")
+            self._answer = self._fault(error)
+        finally:
+            self._answer_until = asyncio.get_running_loop().time() + FRESH_S
+            self._making = None
+
+    def _fault(self, error: Exception) -> Answer:
+        self.tell(f"a defect, please report it: {type(error).__name__}: {error}", Severity.ERROR)
+        return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, b"a defect, see the log of the run\n")
 
 
 async def rendered(families: Sequence[Family]) -> bytes:

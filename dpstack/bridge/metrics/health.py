@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from dpstack.bridge.quality import Reason, clean
@@ -35,9 +36,10 @@ def liveness(tree: PlantTree) -> Health:
     return Health(False, f"{_line(*trouble)}\n")
 
 
-def readiness(tree: PlantTree, verdict: Verdict) -> Health:
+def readiness(tree: PlantTree, judge: Callable[[], Verdict]) -> Health:
     """``/readyz``: the bus operates (on a bus that is read only: its master is in the ring), and all slaves are in data
-    exchange, but those that were taken out of service by order. Where it is ready, ``verdict`` is its further lines."""
+    exchange, but those that were taken out of service by order. Where it is ready, ``judge`` is asked for further
+    lines."""
     trouble = tree.trouble(None)
     if trouble is not None:
         return Health(False, f"{_line(*trouble)}\n")
@@ -61,6 +63,7 @@ def readiness(tree: PlantTree, verdict: Verdict) -> Health:
             lines.append(f"slave {address} ({printable(described.name)}) is not in data exchange: {why}")
     if lines:
         return Health(False, "".join(f"{line}\n" for line in lines))
+    verdict = judge()
     judged = [f"verdict: {verdict.level}", *verdict.reasons] if verdict.level in (WARNING, CRITICAL) else []
     return Health(True, "\n".join([f"the bus operates; in data exchange: all slaves ({served})", *judged, ""]))
 

@@ -47,7 +47,7 @@ class Answer(NamedTuple):
     body: bytes
 
 
-#: the answer to a GET of one path; it raises nothing
+#: the answer to a GET of one path
 Page = Callable[[], Awaitable[Answer]]
 
 
@@ -73,7 +73,7 @@ class HttpServer:
 
     ``origins``: a ``Host`` that is not one of them is refused, against pages of others in a browser of this computer;
     None: every host. ``count``: takes the status of each answer; ``refused``: is called for each connection that was
-    closed at once.
+    closed at once. ``fault``: the answer where a page raises.
     """
 
     def __init__(
@@ -84,11 +84,13 @@ class HttpServer:
         origins: Origins | None,
         count: Callable[[HTTPStatus], object],
         refused: Callable[[], object],
+        fault: Callable[[Exception], Answer],
     ) -> None:
         self.pages = pages
         self.origins = origins
         self.count = count
         self.refused = refused
+        self.fault = fault
         self.open: set[Connection] = set()
         self._of: Counter[str] = Counter()
         self._sockets = sockets
@@ -202,7 +204,10 @@ class Connection(asyncio.Protocol):
             self._say(asked, f"{asked.phrase}\n".encode(), more)
         else:
             page, with_body = asked
-            status, body = await page()
+            try:
+                status, body = await page()
+            except Exception as error:
+                status, body = self._server.fault(error)
             self._say(status, body, with_body=with_body)
 
     def _judge(self, head: bytes) -> tuple[Page, bool] | HTTPStatus:

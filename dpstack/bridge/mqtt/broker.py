@@ -48,7 +48,14 @@ class Broker:
             host, port, parts = None, None, urlsplit("")
         if "@" in parts.netloc:
             raise ConfigError("url: user and password have keys of their own (user, password_file); take them out")
-        if parts.scheme not in _PORTS or not host or parts.path not in ("", "/") or parts.query or parts.fragment:
+        if (
+            parts.scheme not in _PORTS
+            or not host
+            or port == 0
+            or parts.path not in ("", "/")
+            or parts.query
+            or parts.fragment
+        ):
             raise ConfigError(
                 f"url {shortened(printable(self.url))!r} is no address of a broker; write mqtt://HOST:PORT, or with "
                 "TLS mqtts://HOST:PORT"

@@ -68,13 +68,10 @@ class _Device:
 
 
 class EdgeNode(PlantNode):
-    """``merged``: values that newer ones replaced before they were published."""
-
     counts_sessions: ClassVar[bool] = True
 
     def __init__(self, setup: NodeSetup, tree: PlantTree, options: NodeOptions) -> None:
         super().__init__(setup, tree, options)
-        self.merged = 0
         self._clear_first = options.clear_first
         self._pause = options.pause
         self._number = 0
@@ -370,8 +367,9 @@ class EdgeNode(PlantNode):
             self._keep_pending_of(slave, before)
         device = self._devices[slave] = _Device(self._device_ids[slave])
         device.due = clock + self._setup.interval_s
-        self._is_covered(slave, self._tree.readings(slave))
-        samples = [self._sample(device, one.id, reading, now_ms) for one, reading in self._tree.readings(slave)]
+        readings = self._tree.readings(slave)
+        self._is_covered(slave, readings)
+        samples = [self._sample(device, one.id, reading, now_ms) for one, reading in readings]
         for key in self._bare_orders.get(slave, ()):
             # as Node Control/Rebirth: it is false, and a host writes true
             reading = Reading(False if self._orders[key].type is None else None, Reason.GOOD)
@@ -448,10 +446,8 @@ class EdgeNode(PlantNode):
     def _replace(self, slave: int | None, owner: _Device, key: str, clock: float) -> None:
         """A newer value takes the place of one that was not sent: it is kept where it was its turn already."""
         before = owner.pending.get(key)
-        if before is not None:
-            self.merged += 1
-            if clock >= owner.due:
-                self._keep(self._entries(slave, {key: before}))
+        if before is not None and clock >= owner.due:
+            self._keep(self._entries(slave, {key: before}))
 
     def _keep_pending(self) -> None:
         """Keep changes that were not sent, and those that the deaths would have shown."""

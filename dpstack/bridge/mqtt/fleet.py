@@ -15,7 +15,7 @@ from typing import Final
 
 from dpstack.bridge.mqtt.payload import BDSEQ, read_command, rebirth_command
 from dpstack.bridge.mqtt.plant_node import SPARKPLUG
-from dpstack.bridge.mqtt.status import ENDED, EXPIRY_S, FAILED, RUNNING, Status, read_status
+from dpstack.bridge.mqtt.status import ENDED, EXPIRY_S, FAILED, RENEW_S, RUNNING, Status, read_status
 from dpstack.bridge.names import SPARKPLUG_ID
 from dpstack.bridge.verdicts import CRITICAL, GOOD, UNKNOWN, WARNING
 from dpstack.text import printable
@@ -28,6 +28,8 @@ _STATUS: Final = "status"
 _ONLINE: Final = "online"
 #: s by which the clock of a gateway may be ahead of that of this computer, where only ``sent`` dates a status
 _MOST_AHEAD_S: Final = 2.0
+#: s for which a status counts that the broker had kept: nobody has heard its gateway yet, and it sends one by then
+_KEPT_S: Final = RENEW_S + 2.0
 _NOT_DATED: Final = "the broker had kept its status without a message expiry: nobody knows how old it is"
 _BORN: Final = "its gateway has begun anew; no status has come since"
 _ENDED_AFTER_DEATH: Final = "after its death came a status that says: ended"
@@ -208,7 +210,7 @@ class Fleet:
                 status = replace(status, state=RUNNING, reasons=(_ENDED_AFTER_DEATH, *status.reasons))
         segment.status = status
         age = min(age, EXPIRY_S)
-        segment.heard, segment.until = now - age, now - age + EXPIRY_S
+        segment.heard, segment.until = now - age, now - age + (_KEPT_S if retained else EXPIRY_S)
         changed = before is None or _seen(before) != _seen(status)
         return self._judge(segment, now) or (segment if changed else None)
 

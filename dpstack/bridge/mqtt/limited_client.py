@@ -15,9 +15,11 @@ from dpstack.bridge.mqtt.payload import MOST_OCTETS
 
 #: octets of a packet; the broker is told so
 MOST_PACKET: Final = 2 * MOST_OCTETS
-#: octets that are read in a second, and the part of it for which they are counted
+#: octets that are read in a second; s in which they are counted together
 MOST_A_SECOND: Final = 2 << 20
 _WINDOW_S: Final = 0.1
+#: packets that wait for a broker which does not read, confirmations among them
+_MOST_UNREAD: Final = 1000
 #: octets for which a packet counts besides its own: the time to take it
 _A_PACKET: Final = 1000
 
@@ -60,11 +62,14 @@ class LimitedClient(aiomqtt.Client):
         self._loop.call_soon_threadsafe(self._begin, sock)
 
     def _on_socket_register_write(self, client: Client, userdata: Any, sock: Any) -> None:
-        """A packet waits, the first one. It goes out at once: a way through the loop takes more time than all else."""
+        """paho has put a packet into its queue, which was empty. It is sent now: a turn of the loop would cost more
+        than the sending."""
         if threading.get_ident() != self._thread or client._in_callback_mutex.locked():
             self._loop.call_soon_threadsafe(self._begin_writing, sock)
             return
-        # nobody waits for the callback of a message that is gone when publish() returns, and paho makes much for it
+        # The queue holds nothing else, so nobody awaits a callback yet: publish() sees that its message is gone.
+        # Without the callback paho makes no reason code and properties for it, which take longer than the sending.
+        # What stays in the queue is sent by the writer of the loop, with the callback.
         client._on_publish = None
         try:
             self._write()
@@ -107,6 +112,8 @@ class LimitedClient(aiomqtt.Client):
             while True:
                 self._client.loop_read()
                 self._read_in_window += _A_PACKET
+                if len(self._client._out_packet) > _MOST_UNREAD:
+                    raise OSError("the broker does not read what it is sent")
                 if self._client._in_messages:
                     raise OSError("the broker sends a message with QoS 2, which nobody has subscribed")
                 has_more = self._client.socket() is sock and bool(getattr(sock, "pending", int)())
@@ -117,6 +124,8 @@ class LimitedClient(aiomqtt.Client):
                     return
         except Exception as error:  # as aiomqtt does it: the connection is broken
             self._break(error)
+            if (still := self._client.socket()) is not None and still is sock:
+                self._loop.remove_reader(still.fileno())
 
     def _break(self, error: Exception) -> None:
         if not self._disconnected.done():

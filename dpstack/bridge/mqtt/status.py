@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from dpstack.bridge.mqtt.json_payload import read_object
+from dpstack.bridge.mqtt.session_file import NUMBERS
 from dpstack.bridge.quality import clean
 from dpstack.bridge.tree import EXCHANGING, Change, Changed, PlantTree
 from dpstack.bridge.verdicts import UNKNOWN, VERDICTS, Judge
@@ -185,7 +186,7 @@ def read_status(octets: bytes) -> Status:
         tuple(lost[:MOST_LOST]),
         _count(given, "more_lost", 127) + max(0, len(lost) - MOST_LOST),
         known,
-        _count(given, "session", 255),
+        _count(given, "session", NUMBERS - 1),
         float(sent) if is_time and sent is not None else 0.0,
     )
 

@@ -351,6 +351,7 @@ class LimitedSession(InternalSession):
     ) -> list[ua.MonitoredItemCreateResult]:
         self._check_own(params.SubscriptionId)
         _limit(params.ItemsToCreate)
+        made = self.subscription_service.subscriptions[params.SubscriptionId].monitored_item_srv._monitored_items
         values, events = self.iserver.count_items()
         results: list[ua.MonitoredItemCreateResult] = []
         given, params.ItemsToCreate = params.ItemsToCreate, []
@@ -374,14 +375,13 @@ class LimitedSession(InternalSession):
                 continue
             params.ItemsToCreate = [one]
             results += await super().create_monitored_items(params)
+            if is_event and results[-1].StatusCode.is_good():
+                item = made[results[-1].MonitoredItemId]
+                item.where_clause_evaluator = WhereClause(self.logger, self.aspace, item.filter.WhereClause)
             if len(results) % _AT_ONCE == 0:
                 await asyncio.sleep(0)
                 self._check_own(params.SubscriptionId)  # it can be gone meanwhile
                 values, events = self.iserver.count_items()  # others have made theirs
-        service = self.subscription_service.subscriptions[params.SubscriptionId].monitored_item_srv
-        for item in service._monitored_items.values():
-            if item.where_clause_evaluator is not None and not isinstance(item.where_clause_evaluator, WhereClause):
-                item.where_clause_evaluator = WhereClause(self.logger, self.aspace, item.filter.WhereClause)
         return results
 
     async def modify_monitored_items(

@@ -45,6 +45,10 @@ async def _page() -> Answer:
     return Answer(HTTPStatus.OK, b"dpstack_bus_up 1\n")
 
 
+def _fault(error: Exception) -> Answer:
+    raise AssertionError("the page of this target raises nothing") from error
+
+
 async def _main(octets: bytes) -> None:
     script, counted, loop = Cutter(octets), Counter[HTTPStatus](), asyncio.get_running_loop()
     with mock.patch.object(http_server, "MOST_ANSWERS", 1):
@@ -54,6 +58,7 @@ async def _main(octets: bytes) -> None:
             origins=Origins((), 9464, secure=False),
             count=lambda status: counted.update((status,)),
             refused=lambda: None,
+            fault=_fault,
         )
     begun = loop.time()
     how, crowd = script.octet(), script.octet()
