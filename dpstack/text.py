@@ -13,6 +13,7 @@ from enum import IntEnum
 from typing import Final
 
 _MOST_DIGITS: Final = 9
+_OF_NUMBERS: Final = "0123456789."
 _SEPARATORS: Final = (",", ":")
 #: json.dumps makes an encoder a call
 _to_json: Final = json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False, check_circular=False).encode
@@ -80,8 +81,13 @@ def octets_text(count: int) -> str:
 
 
 def shortened(text: str, most: int = 60) -> str:
-    """``text`` cut to ``most`` characters."""
-    return text if len(text) <= most else text[: most - 3] + "..."
+    """``text`` cut to ``most`` characters, but not within a number, which would become another one."""
+    if len(text) <= most:
+        return text
+    kept = text[: most - 3]
+    if text[most - 3] in _OF_NUMBERS:
+        kept = kept.rstrip(_OF_NUMBERS) or kept
+    return f"{kept}..."
 
 
 def json_text(value: object, *, encoding: str = "utf-8", **how: object) -> str:

@@ -127,3 +127,18 @@ async def test_an_exception_of_an_event_handler_is_logged_printable(caplog: pyte
 
 def assert_printable(text: str) -> None:
     assert all(line.isprintable() for line in text.split("\n")), text
+
+
+@pytest.mark.parametrize(
+    ("text", "most", "short"),
+    [
+        ("a watchdog of 1000 ms", 18, "a watchdog of ..."),
+        ("a watchdog of 1000 ms", 21, "a watchdog of 1000 ms"),
+        ("a watchdog of 1000 ms, which", 22, "a watchdog of 1000 ..."),
+        ("at 12.5 Hz", 9, "at ..."),
+        ("123456789", 6, "123..."),
+        ("", 3, ""),
+    ],
+)
+def test_a_text_is_not_cut_within_a_number(text: str, most: int, short: str) -> None:
+    assert shortened(text, most) == short
