@@ -14,7 +14,7 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Final
+from typing import Final, get_origin
 
 from dpstack import events as bus_events
 from dpstack import slave as slave_names
@@ -41,6 +41,7 @@ _INHERITING: Final = {"dpstack": "object, int, tuple, BaseException, Enum, DpErr
 _MADE: Final = "Made from the sources by `tools/make_reference_docs.py`; do not edit."
 _EVENT_CLASS: Final = re.compile(r"^class \w+\([\w, ]*(?:Event|Notice)\):", re.MULTILINE)
 _ROLE: Final = re.compile(r":\w+:`~?([^`]+)`")
+_FIRST: Final = re.compile(r".+?\.(?= |$)")
 _EXAMPLE: Final = re.compile(r"dpstack (?:'[^']*'|[^;\n'])*")
 
 
@@ -180,6 +181,30 @@ def elsewhere(namespace: str) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
+def _line(value: object) -> str:
+    """One line about a public name: the first sentence of its docstring, or the value of a constant."""
+    if get_origin(value) is not None:
+        return "a type alias"
+    if isinstance(value, int | float | str):
+        return f"`{value!r}`"
+    if inspect.isclass(value) and value.__module__ == "builtins":
+        return f"another name of `{value.__name__}`"
+    if inspect.ismodule(value) or inspect.isclass(value) or inspect.isroutine(value):
+        text = first_sentence(value.__doc__)
+        sentence = _FIRST.match(text)
+        return text if sentence is None else sentence[0]
+    return f"a `{type(value).__name__}`"
+
+
+def names_table(namespace: str, left_out: Iterable[str]) -> str:
+    """The public names of ``namespace`` with a line each."""
+    module = importlib.import_module(namespace)
+    rows = (
+        f"| `{name}` | {cell(_line(getattr(module, name)))} |" for name in sorted(set(module.__all__) - set(left_out))
+    )
+    return "\n".join(["| name | |", "|---|---|", *rows])
+
+
 def api_page(namespace: str) -> str:
     others = elsewhere(namespace)
     links = ", ".join(f"[{name}]({other}.md)" for name, other in others.items())
@@ -188,8 +213,10 @@ def api_page(namespace: str) -> str:
     inherited = f"\n   :inherited-members: {_INHERITING[namespace]}" if namespace in _INHERITING else ""
     return f"""# {namespace}
 
-{_MADE} `make docs` fills this page from the docstrings; on a plain viewer of Markdown it is empty.
+{_MADE} `make docs` adds the whole docstrings; on a plain viewer of Markdown there is a line for each name.
 {sentence}
+{names_table(namespace, others)}
+
 ```{{eval-rst}}
 .. automodule:: {namespace}{inherited}{excluded}
 ```
