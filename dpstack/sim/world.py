@@ -209,7 +209,7 @@ class Medium:
             self._begin(tx)
 
     def _begin_late(self, tx: Transmission) -> None:
-        if tx.node is None or tx.node.on_bus:
+        if tx.node is None or (tx.node.on_bus and tx.node.mute_until <= self._world.now):
             self._begin(tx, late=True)
             self.schedule_end()
 
@@ -467,6 +467,18 @@ class World:
         node.mute_until = self.now + for_ns
         if deaf:
             node.hears_from = max(node.hears_from, node.mute_until)
+
+    def unplug(self, station: BusStation) -> None:
+        """Cut the station off the line until :meth:`plug`, even in the middle of a telegram. Its clock goes on."""
+        node = self._node(station)
+        self._medium.cut(node, self.now)
+        node.sending_until = min(node.sending_until, self.now)
+        node.mute_until = node.hears_from = NEVER
+
+    def plug(self, station: BusStation) -> None:
+        """Connect the station again. It hears transmissions that begin from now on."""
+        node = self._node(station)
+        node.mute_until = node.hears_from = self.now
 
     def inject(self, octets: bytes, *, baud: int | None = None, sender: str = "injected") -> None:
         """Put ``octets`` that no station sends on the line now; ``baud`` None: the common rate of the stations."""

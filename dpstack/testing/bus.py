@@ -322,12 +322,7 @@ class SimulatedBus:
         """The device side of a simulated slave by name or address. Raises UsageError, which lists the slaves; after the
         end of the test, too."""
         self._time.check_open()
-        names = self._bench.names()
-        for address, name in names.items():
-            if which in (name, address):
-                return SimulatedDevice(self._bench, address)
-        known = ", ".join(f"{name} ({address})" for address, name in names.items()) or "none"
-        raise UsageError(f"no slave {which!r} is simulated on this line; there are: {known}")
+        return SimulatedDevice(self._bench, self._bench.address_of(which))
 
     # --- end --------------------------------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ from dpstack.api.control.scenario import NORMAL, kind_of
 from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.server.fault_steps import End
 from dpstack.api.server.virtual_bench import VirtualBench
-from dpstack.errors import ConfigError, UsageError
+from dpstack.errors import ConfigError
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
 from dpstack.units import ns_to_s, s_to_ns
@@ -213,12 +213,8 @@ class Faults:
         return self._muted > 0 and tx.telegram is not None and tx.telegram.sa == self._master
 
     def _find(self, slave: str | int) -> tuple[int, str]:
-        names = self._bench.names()
-        for address, name in names.items():
-            if slave in (name, address):
-                return address, name
-        known = ", ".join(f"{name} ({address})" for address, name in names.items()) or "none"
-        raise UsageError(f"no slave {slave!r} is simulated on this line; there are: {known}")
+        address = self._bench.address_of(slave)
+        return address, self._bench.units[address].name
 
 
 def _for_ns(for_s: float | None) -> int | None:

@@ -154,10 +154,10 @@ def test_behind_a_port_late_answers_come_at_their_time_unless_the_slave_is_off()
     assert begun == asked.wire.now >= 400 * BIT
     asked.unit.faults.begin(LateAnswers(2_000_000))
     assert asked.exchange("12 34") == ""
-    port.silence(8)
+    port.silence(unit.station)
     asked.wire.pass_time(3_000_000)
     assert asked.wire.out == []
-    port.resume(8)
+    port.resume(unit.station)
     assert asked.exchange("56 78") == ""
     asked.wire.pass_time(3_000_000)
     assert [octets.hex(" ").upper() for _, octets in asked.wire.out] == ["68 05 05 68 02 08 08 56 78 E0 16"]

@@ -192,7 +192,7 @@ def test_faults_by_name_begin_and_end(dpstack_bus: BusFactory) -> None:
         bus.faults.late_answers("raw", 99_999)
     with pytest.raises(dpstack.ConfigError, match="did you mean 'silence'"):
         bus.faults.begin("raw", "silense")
-    with pytest.raises(dpstack.UsageError, match=r"no slave 'fan' is simulated on this line; there are: raw \(9\)"):
+    with pytest.raises(dpstack.UsageError, match=r"no slave 'fan' is simulated here; there are: raw \(9\)"):
         bus.faults.silence("fan")
 
 

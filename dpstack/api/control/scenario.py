@@ -209,10 +209,10 @@ def _command(spec: Spec, handler: Handler, table: Table, given: Mapping[str, Any
 
 
 def _address(table: Table, wanted: object, bench: Bench) -> int:
+    found = bench.find(wanted)
+    if found is not None:
+        return found
     names = bench.names()
-    for address, name in names.items():
-        if wanted in (address, name, str(address)) and not isinstance(wanted, bool):
-            return address
     near = difflib.get_close_matches(str(wanted), names.values(), n=1, cutoff=0.5)
     known = ", ".join(f"{address} ({name})" for address, name in sorted(names.items())) or "none"
     raise table.error("slave", f"no slave {wanted!r}", f"did you mean {near[0]!r}?" if near else f"there are: {known}")
@@ -306,6 +306,7 @@ class ScenarioRun:
         if step is None:
             self._publish(ScenarioEvent(t_ns=now, step=0, state=state, detail=detail))
             return
+        unit = self._bench.units[step.address]
         self._publish(
             ScenarioEvent(
                 t_ns=now,
@@ -313,8 +314,8 @@ class ScenarioRun:
                 state=state,
                 detail=detail,
                 do=step.do,
-                address=step.address,
-                name=self._bench.names().get(step.address),
+                address=unit.address,
+                name=unit.name,
                 lasts_s=None if step.for_ns is None else ns_to_s(step.for_ns),
             )
         )

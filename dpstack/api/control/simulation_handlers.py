@@ -9,7 +9,7 @@ from typing import Final
 
 from dpstack.api.bus.core import BusCore
 from dpstack.api.control import arguments
-from dpstack.api.control.arguments import PTY, address_of
+from dpstack.api.control.arguments import PTY
 from dpstack.api.control.commands import KINDS
 from dpstack.api.control.scenario import read_fault
 from dpstack.api.control.server import ControlServer, Handler
@@ -93,7 +93,7 @@ def slave_handlers(bench: Bench, program: BusCore | Simulation | None = None) ->
 
     def handler(command: str, act: _Act) -> Handler:
         def carry_out(args: list[str]) -> object:
-            address = address_of(args[0], bench.names())
+            address = bench.address_of(args[0])
             result = act(bench, address, args[1:])
             _publish(bench, program, command, address, tuple(args))
             return result
@@ -141,7 +141,7 @@ def set_inputs(bench: Bench, program: BusCore | Simulation | None, args: list[st
     said: list[tuple[int, str, str]] = []
     for text in args:
         where, name, value = arguments.field_value(text)
-        address = address_of(where, bench.names())
+        address = bench.address_of(where)
         unit = bench.units[address]
         found = unit.input_field(name)
         try:
@@ -159,8 +159,8 @@ def _publish(
     bench: Bench, program: BusCore | Simulation | None, command: str, address: int, args: tuple[str, ...]
 ) -> None:
     if program is not None:
-        now, name = program.runtime.now(), bench.names()[address]
-        program.publish(Injected(t_ns=now, command=command, args=args, address=address, name=name))
+        now, unit = program.runtime.now(), bench.units[address]
+        program.publish(Injected(t_ns=now, command=command, args=args, address=unit.address, name=unit.name))
 
 
 def _input(bench: Bench, address: int, args: list[str]) -> object:

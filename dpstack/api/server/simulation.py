@@ -133,10 +133,13 @@ class Simulation(Bench):
     def status(self) -> dict[str, object]:
         slaves: dict[str, object] = {}
         for slave in self.slaves:
+            address = str(slave.address)
             entry = {"name": slave.name, "kind": slave.kind, **slave.as_dict()}
             if not slave.powered:
                 entry["state"] = "off"
-            slaves[str(slave.address)] = entry | self.status_of(slave.address)
+            # of two slaves that have come to have one address the second one is shown with its name
+            place = f"{address} ({slave.name})" if address in slaves else address
+            slaves[place] = entry | self.status_of(slave.config.address)
         status: dict[str, object] = {"seconds": round(self.seconds, 3), "baud": self.baud}
         status |= {"telegrams": self.telegrams, "bad": self.bad}
         if self._search is not None:
@@ -145,7 +148,7 @@ class Simulation(Bench):
 
     @property
     def units(self) -> Mapping[int, SimulatedSlave]:
-        return {slave.address: slave for slave in self.slaves}
+        return {slave.config.address: slave for slave in self.slaves}
 
     @property
     def now(self) -> int:
@@ -162,24 +165,27 @@ class Simulation(Bench):
             callback()
 
     def silence(self, address: int, for_ns: int | None) -> None:
-        if self.units[address].powered:
-            self._line.silence(address, NEVER if for_ns is None else self.runtime.now() + for_ns)
+        slave = self.units[address]
+        if slave.powered:
+            self._line.silence(slave.station, NEVER if for_ns is None else self.runtime.now() + for_ns)
 
     def resume(self, address: int) -> None:
-        if self.units[address].powered:
-            self._line.resume(address)
+        slave = self.units[address]
+        if slave.powered:
+            self._line.resume(slave.station)
 
     def _silent_ns(self, address: int) -> int | None:
-        until = self._line.silent_until(address) if self.units[address].powered else None
+        slave = self.units[address]
+        until = self._line.silent_until(slave.station) if slave.powered else None
         return None if until is None else until - self.runtime.now()
 
     def _switch(self, address: int, on: bool) -> None:
+        slave = self.units[address]
         if on:
-            slave = self.units[address]
             slave.renew(self._line.params)
             self._line.add(slave.station)
         else:
-            self._line.remove(address)
+            self._line.remove(slave.station)
 
     def publish(self, event: Event) -> None:
         call_on_event(self.on_event, self._clock.stamped(event))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, cast
@@ -254,7 +255,15 @@ class SimulatedSlave:
     def _new_device(self) -> Device:
         return device_of(self.config, self._held) if self._own is None else self._own
 
+    def switch_off(self, now: int) -> None:
+        """Take its power: its outputs are off, the motor of a drive coasts."""
+        self.station.command(LineDown("switched off"), now)
+        self.app.restart(now)
+        if self.drive is not None:
+            self.drive.switch_off(now)
+
     def renew(self, params: BusParams) -> None:
+        """Give it power again."""
         before, drive_before = self.device, self.drive
         self.device = self._new_device()
         kept, self._address_fixed = self.app.kept_address
@@ -283,14 +292,19 @@ class SimulatedSlave:
 
 
 class Bench(ABC):
-    """Simulated slaves that commands silence and switch off and on. Methods with ``address`` do not check it."""
+    """Simulated slaves that commands silence and switch off and on.
+
+    A slave is known by the address of its configuration, also when it has another one in the meantime (a parameter,
+    Set_Slave_Add). Methods with ``address`` mean that one and do not check it.
+    """
 
     #: True where the keys ``simulate`` of the slaves are carried out
     is_fed: bool = False
 
     @property
     @abstractmethod
-    def units(self) -> Mapping[int, SimulatedSlave]: ...
+    def units(self) -> Mapping[int, SimulatedSlave]:
+        """The slaves by the addresses of their configuration."""
 
     @property
     @abstractmethod
@@ -303,7 +317,8 @@ class Bench(ABC):
 
     @abstractmethod
     def silence(self, address: int, for_ns: int | None) -> None:
-        """Silence a slave: it neither receives nor sends for ``for_ns``; None: until :meth:`resume`."""
+        """Silence a slave: it neither receives nor sends for ``for_ns``; None: until :meth:`resume`. Its watchdog
+        runs."""
 
     @abstractmethod
     def resume(self, address: int) -> None: ...
@@ -331,12 +346,24 @@ class Bench(ABC):
         """Address and name of every slave."""
         return {address: unit.config.name for address, unit in self.units.items()}
 
+    def find(self, which: object) -> int | None:
+        """A slave by its name, by its present address, or by that of its configuration. None: there is no such one."""
+        wanted, units = str(which), self.units
+        for names in (
+            {unit.name: address for address, unit in units.items()},
+            {str(unit.address): address for address, unit in units.items()},
+            {str(address): address for address in units},
+        ):
+            if wanted in names:
+                return names[wanted]
+        return None
+
     def address_of(self, which: str | int) -> int:
-        """The address of a slave by name or address. Raises UsageError, which lists the slaves."""
-        for address, unit in self.units.items():
-            if which in (unit.name, address):
-                return address
-        known = ", ".join(f"{unit.name} ({address})" for address, unit in self.units.items()) or "none"
+        """As :meth:`find`. Raises UsageError, which lists the slaves."""
+        found = self.find(which)
+        if found is not None:
+            return found
+        known = ", ".join(f"{unit.name} ({unit.address})" for unit in self.units.values()) or "none"
         raise UsageError(f"no slave {which!r} is simulated here; there are: {known}")
 
     def device(self, address: int) -> Device:
@@ -345,9 +372,12 @@ class Bench(ABC):
     def power(self, which: str | int, on: bool) -> None:
         """Switch a slave, by name or address, off or on; a drive keeps its EEPROM. Raises UsageError."""
         address = self.address_of(which)
-        if on is not self.units[address].powered:
+        unit = self.units[address]
+        if on is not unit.powered:
             self._switch(address, on)
-            self.units[address].powered = on
+            if not on:
+                unit.switch_off(self.now)
+            unit.powered = on
 
     def injected(self, address: int) -> list[str]:
         """The injected faults that act on the slave at this moment."""
@@ -384,6 +414,7 @@ class VirtualBench(Bench):
         self._searching = params is None
         self._units: dict[int, SimulatedSlave] = {}
         self._silent: dict[int, int] = {}  # ends of the silences in ns
+        self._cut: Counter[int] = Counter()  # number of times that a slave was silenced or switched off
         #: gets the events of the slaves: what only the device side knows, such as an exception in a simulated drive
         self.on_events: Callable[[list[Event]], None] | None = None
 
@@ -412,16 +443,16 @@ class VirtualBench(Bench):
         off."""
         unit = self._units[self.address_of(which)]
         fields = unit.config.output_fields
-        octets = unit.app.outputs if unit.powered else b""
-        return fields.values(octets.ljust(fields.length, b"\x00"))
+        return fields.values(unit.app.outputs.ljust(fields.length, b"\x00"))
 
     def add(self, config: SlaveConfig, own: Device | None = None, *, t_sdr: int | None = None) -> None:
         """Add a slave; it replaces one with the same address. ``own``: the device of a test. ``t_sdr``: its T_SDR in
         bit times; None: min T_SDR."""
-        before = self._units.get(config.address)
-        if before is not None and before.powered:
-            self._unplug(config.address)
-        self._silent.pop(config.address, None)
+        for address in [key for key, unit in self._units.items() if config.address in (key, unit.address)]:
+            if self._units[address].powered:
+                self._world.remove(self._units[address].on_bus)
+            self._silent.pop(address, None)
+            del self._units[address]
         unit = SimulatedSlave(config, self._params, searching=self._searching, own=own, t_sdr=t_sdr)
         self._units[config.address] = unit
         unit.faults.connect(partial(self._send_at, unit))
@@ -446,10 +477,11 @@ class VirtualBench(Bench):
         self._world.call_at(max(at_ns, self._world.now), callback)
 
     def _send_at(self, unit: SimulatedSlave, octets: bytes, at_ns: int) -> None:
-        """Put octets of a faulty slave on the line, unless it is off or silent then."""
+        """Put octets of a faulty slave on the line, unless it was switched off or silenced since."""
+        station, cut = unit.station, self._cut[unit.config.address]
 
         def send() -> None:
-            if unit.powered and self._silent_ns(unit.config.address) is None:
+            if unit.station is station and self._cut[unit.config.address] == cut:
                 self._world.inject(octets, baud=unit.station.baud, sender=unit.name)
 
         self.call_at(at_ns, send)
@@ -458,9 +490,12 @@ class VirtualBench(Bench):
         """Silence a slave, by name or address: it neither receives nor sends for ``for_ns`` nanoseconds; None: until
         :meth:`resume`. Raises UsageError."""
         address = self.address_of(address)
-        if not self._units[address].powered:
+        unit = self._units[address]
+        if not unit.powered:
             return
-        self._unplug(address)
+        self._cut[address] += 1
+        self._world.unplug(unit.on_bus)
+        self._world.command(unit.on_bus, LineDown("off the line"))
         until = self._silent[address] = NEVER if for_ns is None else self._world.now + for_ns
         if for_ns is not None:
             self._world.call_at(until, lambda: self._end(address, until))
@@ -476,14 +511,9 @@ class VirtualBench(Bench):
             unit.renew(self._params)
             self._connect(unit)
         else:
-            self._unplug(address)
+            self._cut[address] += 1
+            self._world.remove(unit.on_bus)
             self._silent.pop(address, None)
-
-    def _unplug(self, address: int) -> None:
-        if address not in self._silent:
-            station = self._units[address].on_bus
-            self._world.remove(station)
-            station.command(LineDown("off the line"), self._world.now)
 
     def _silent_ns(self, address: int) -> int | None:
         until = self._silent.get(address)
@@ -493,4 +523,4 @@ class VirtualBench(Bench):
         """End the silence with the end ``until``, unless another one has replaced it."""
         if until is not None and self._silent.get(address) == until:
             del self._silent[address]
-            self._connect(self._units[address])
+            self._world.plug(self._units[address].on_bus)

@@ -35,10 +35,12 @@ def _at_of(unasked: _Unasked) -> int:
 
 
 class Multidrop(PassiveReceiver):
-    """The machine of a port with several passive stations. Raises ConfigError when two stations have one address.
+    """The machine of a port with several passive stations. Raises ConfigError when two ``stations`` have one address.
 
     :meth:`add` and :meth:`remove` change the set of stations; :meth:`silence` makes a station deaf and mute for a
-    while. After a change of a station's address or deadline other than by a telegram or a tick, call :meth:`poke`.
+    while. These raise UsageError for a station that is not on the port. A station may change its address at any time;
+    of two stations that come to have the same one the first answers. After a change of a station's deadline other than
+    by a telegram or a tick, call :meth:`poke`.
     """
 
     def __init__(self, stations: Iterable[PassiveStation], params: BusParams, *, patience: Patience = EXACT) -> None:
@@ -51,6 +53,10 @@ class Multidrop(PassiveReceiver):
         self._unasked: list[_Unasked] = []  # of faulty stations, the first one first
         self.set_params(params)
         for station in stations:
+            if station.address in self._index:
+                raise ConfigError(
+                    f"two stations with address {station.address} on one port: give one of them another address"
+                )
             self.add(station)
 
     # --- the stations ---
@@ -59,34 +65,39 @@ class Multidrop(PassiveReceiver):
         return tuple(sorted(self._due, key=lambda station: station.address))
 
     def add(self, station: PassiveStation) -> None:
-        """Put a station on the line. Raises ConfigError for a second station at its address or another baud rate."""
-        address = station.address
-        if address in self._index:
-            raise ConfigError(f"two stations with address {address} on one port: give one of them another address")
+        """Put a station on the line. Raises ConfigError for another baud rate than that of the port."""
         if station.baud != self.params.baud:
-            raise ConfigError(f"station {address} listens at {station.baud} bit/s, the port at {self.params.baud}")
+            raise ConfigError(
+                f"station {station.address} listens at {station.baud} bit/s, the port at {self.params.baud}"
+            )
         self._due[station] = NEVER
+        station.on_move = self._index_addresses
+        self._index_addresses()
         self.poke()
 
-    def remove(self, address: int) -> PassiveStation:
-        """Take the station at ``address`` off the line, and drop its answer. Raises UsageError when there is none."""
-        station = self._stop_answer(address)
+    def remove(self, station: PassiveStation) -> None:
+        """Take ``station`` off the line, and drop its answer."""
+        self._stop_answer(station)
         del self._due[station]
         self._silent.pop(station, None)
+        station.on_move = None
+        self._index_addresses()
         self.poke()
-        return station
 
-    def silence(self, address: int, until: int = NEVER) -> None:
-        """Make a station deaf and mute until ``until`` (ns); its application continues. Raises UsageError."""
-        self._silent[self._stop_answer(address)] = until
+    def silence(self, station: PassiveStation, until: int = NEVER) -> None:
+        """Make ``station`` deaf and mute until ``until`` (ns); its application continues."""
+        self._stop_answer(station)
+        self._silent[station] = until
 
-    def resume(self, address: int) -> None:
-        """End a silence early. Raises UsageError when there is no such station."""
-        self._silent.pop(self._station(address), None)
+    def resume(self, station: PassiveStation) -> None:
+        """End a silence early."""
+        self._check(station)
+        self._silent.pop(station, None)
 
-    def silent_until(self, address: int) -> int | None:
-        """End of a station's silence in ns; None when it is not silenced. Raises UsageError."""
-        return self._silent.get(self._station(address))
+    def silent_until(self, station: PassiveStation) -> int | None:
+        """End of a station's silence in ns; None when it is not silenced."""
+        self._check(station)
+        return self._silent.get(station)
 
     def send_at(self, station: PassiveStation, octets: bytes, at: int) -> None:
         """Send ``octets`` of a faulty ``station`` at ``at`` (ns), whatever is on the line then, unless the station is
@@ -94,8 +105,7 @@ class Multidrop(PassiveReceiver):
         insort(self._unasked, _Unasked(at, octets, station), key=_at_of)
 
     def poke(self) -> None:
-        """Read the address and the deadline of every station anew."""
-        self._index_addresses()
+        """Read the deadline of every station anew."""
         for station in self._due:
             station.poke()
             self._due[station] = station.due
@@ -188,11 +198,8 @@ class Multidrop(PassiveReceiver):
     def _pass_to(self, station: PassiveStation, telegram: Telegram, now: int) -> None:
         if self._silent and self._is_silent(station, now):
             return
-        address = station.address
         station.line.idle_since = self.line.idle_since
         station.process(telegram, now)
-        if station.address != address:
-            self._index_addresses()  # Set_Slave_Add
         if station.answer_at() != NEVER:
             self._answering = station
         due = self._due
@@ -212,20 +219,17 @@ class Multidrop(PassiveReceiver):
         del self._silent[station]
         return False
 
-    def _stop_answer(self, address: int) -> PassiveStation:
-        station = self._station(address)
+    def _stop_answer(self, station: PassiveStation) -> None:
+        self._check(station)
         station.command(LineDown("off the line"), self.line.idle_since)
         if self._answering is station:
             self._answering = None
         self._unasked = [one for one in self._unasked if one.station is not station]
-        return station
 
-    def _station(self, address: int) -> PassiveStation:
-        station = self._index.get(address)
-        if station is None:
+    def _check(self, station: PassiveStation) -> None:
+        if station not in self._due:
             known = ", ".join(str(s.address) for s in self.stations) or "none"
-            raise UsageError(f"no station {address} on this port; there are: {known}")
-        return station
+            raise UsageError(f"station {station.address} is not on this port; there are: {known}")
 
     def _index_addresses(self) -> None:
         """Index by the present addresses; of two stations with one address the first answers."""

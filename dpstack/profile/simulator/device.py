@@ -83,6 +83,7 @@ class DriveDevice(Device):
         self._outputs: bytes | None = None
         self._inputs = b""
         self._next: int | None = None
+        self._powered = True
         self._trip: int | None = None
         self._tripped: str | None = None  # by trip(), while the fault stands
         self._own_load: float | None = None  # before set_load()
@@ -205,6 +206,12 @@ class DriveDevice(Device):
         if self.address_parameter:
             self.store.install(self.address_parameter, address)
 
+    def switch_off(self, now: int) -> None:
+        """It has no power any more: its scans end, the motor coasts."""
+        self.advance(now)
+        self.motor.switch(False)
+        self._powered = False
+
     def restart_soon(self) -> None:
         """Restart :data:`RESTART_NS` after the last scan, at the address of its own setting."""
         self.due_at = (self.seen_until or 0) + RESTART_NS
@@ -281,6 +288,9 @@ class DriveDevice(Device):
         """Do every scan up to ``now``. Call it before reading the drive between exchanges."""
         at = self._next
         if at is not None and now < at:
+            return
+        if not self._powered:
+            self.motor.advance(now)
             return
         scan_ns = self.scan_ns
         if at is None:  # switched on

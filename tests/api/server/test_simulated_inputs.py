@@ -58,7 +58,7 @@ def test_inputs_replace_the_mirrored_outputs_until_they_are_mirrored_again() -> 
         ("set valves.levle=1", "did you mean level"),
         ("set valves.level=300", "level = 300 is outside 0..255"),
         ("set valves.limit=maybe", "write on or off"),
-        ("set fan.level=1", "there are: 8 .valves"),
+        ("set fan.level=1", "there are: valves .8."),
         ("set level", "write it as 8.limit=on"),
         ("input valves 01", "2 octets of inputs, 1 octet given"),
         ("input valves 1 01", "no GSD file says what its slots are; write `input SLAVE HEX`"),

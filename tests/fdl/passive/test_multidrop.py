@@ -102,13 +102,12 @@ def test_stations_come_and_go_while_running() -> None:
     rig.multidrop.add(rig.stations[5])
     assert rig.answers(REQUEST[5], 10**6) == [ANSWER[5]]
     rig.say(REQUEST[5], 10**8)
-    gone = rig.multidrop.remove(5)  # in the middle of its answer
-    assert gone.address == 5
+    rig.multidrop.remove(rig.stations[5])  # in the middle of its answer
     rig.run_until(10**9)
     assert len(rig.sent) == 1
     assert rig.answers(REQUEST[5], 2 * 10**9) == []
     assert rig.answers(REQUEST[4], 3 * 10**9) == [ANSWER[4]]
-    rig.multidrop.add(gone)
+    rig.multidrop.add(rig.stations[5])
     assert rig.answers(REQUEST[5], 4 * 10**9) == [ANSWER[5]]
 
 
@@ -133,23 +132,23 @@ def test_an_action_at_a_station_may_change_its_address_and_its_deadline() -> Non
 def test_misuse() -> None:
     rig = Rig()
     with pytest.raises(ConfigError, match="two stations with address 4"):
-        rig.multidrop.add(PassiveStation(4, rig.applications[4], PARAMS))
+        Multidrop([*rig.multidrop.stations, PassiveStation(4, rig.applications[4], PARAMS)], PARAMS)
     slow = PassiveStation(5, rig.applications[5], BusParams.preset(9_600))
     with pytest.raises(ConfigError, match="9600 bit/s"):
         rig.multidrop.add(slow)
     for call in (rig.multidrop.remove, rig.multidrop.silence, rig.multidrop.resume):
-        with pytest.raises(UsageError, match="no station 9 on this port; there are: 3, 4"):
-            call(9)
+        with pytest.raises(UsageError, match="station 5 is not on this port; there are: 3, 4"):
+            call(rig.stations[5])
     with pytest.raises(UsageError, match="str"):
         rig.multidrop.command("jump", 0)
     with pytest.raises(UsageError, match="none"):
-        Multidrop([], PARAMS).remove(1)
+        Multidrop([], PARAMS).remove(rig.stations[5])
 
 
 def test_a_silenced_station_is_deaf_and_mute_for_a_while() -> None:
     rig = Rig()
     rig.say(REQUEST[3], 10**6)
-    rig.multidrop.silence(3, 10**9)
+    rig.multidrop.silence(rig.stations[3], 10**9)
     rig.applications[3].due = 5 * 10**8
     rig.multidrop.poke()
     rig.run_until(10**6 + 1_000 * BIT)
@@ -161,9 +160,9 @@ def test_a_silenced_station_is_deaf_and_mute_for_a_while() -> None:
     assert rig.applications[3].ticks == [5 * 10**8]  # its application goes on
     assert len(rig.applications[3].indicated) == 0
     assert rig.answers(REQUEST[3], 10**9) == [ANSWER[3]]
-    rig.multidrop.silence(3)
+    rig.multidrop.silence(rig.stations[3])
     assert rig.answers(REQUEST[3], 10**12) == []
-    rig.multidrop.resume(3)
+    rig.multidrop.resume(rig.stations[3])
     assert rig.answers(REQUEST[3], 2 * 10**12) == [ANSWER[3]]
 
 
@@ -176,7 +175,6 @@ def test_a_station_that_changes_its_address() -> None:
     assert rig.answers(REQUEST[5], 10**9) == ["68 04 04 68 02 05 08 04 13 16"]
     assert [station.address for station in rig.multidrop.stations] == [3, 5]
     rig.multidrop.stations[1].set_address(3)  # two with one address, from outside: the first one answers
-    rig.multidrop.poke()
     assert rig.answers(REQUEST[3], 10**10) == [ANSWER[3]]
     assert rig.answers(REQUEST[5], 10**11) == []
 

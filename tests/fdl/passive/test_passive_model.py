@@ -267,39 +267,40 @@ def test_the_stations_of_a_port() -> None:
     assert line.stations == (stations[3], stations[5])
     assert line.wake_at() == NEVER
     with pytest.raises(ConfigError) as refused:
-        line.add(PassiveStation(3, Application(), PARAMS))
+        Multidrop([stations[3], PassiveStation(3, Application(), PARAMS)], PARAMS)
     assert str(refused.value) == "two stations with address 3 on one port: give one of them another address"
     with pytest.raises(ConfigError) as refused:
         line.add(PassiveStation(4, Application(), BusParams.preset(9_600)))
     assert str(refused.value) == "station 4 listens at 9600 bit/s, the port at 500000"
     for call in (line.remove, line.silence, line.resume, line.silent_until):
         with pytest.raises(UsageError) as unknown:
-            call(9)
-        assert str(unknown.value) == "no station 9 on this port; there are: 3, 5"
-    assert line.remove(5) is stations[5]
-    assert line.remove(3) is stations[3]
+            call(PassiveStation(9, Application(), PARAMS))
+        assert str(unknown.value) == "station 9 is not on this port; there are: 3, 5"
+    line.remove(stations[5])
+    line.remove(stations[3])
     assert line.wake_at() == NEVER
     with pytest.raises(UsageError, match="there are: none"):
-        line.remove(3)
+        line.remove(stations[3])
     applications[3].due = 77
     line.add(stations[3])
     assert line.wake_at() == 77
 
 
 def test_a_silenced_station_neither_hears_nor_answers_until_its_time() -> None:
-    line, _, applications = port(3)
+    line, stations, applications = port(3)
+    three = stations[3]
     line.receive(REQUEST, 1_000)
-    line.silence(3, 9_000)
-    assert (line.wake_at(), line.silent_until(3)) == (NEVER, 9_000)
+    line.silence(three, 9_000)
+    assert (line.wake_at(), line.silent_until(three)) == (NEVER, 9_000)
     line.receive(REQUEST, 8_999)
     assert len(applications[3].served) == 1
     line.receive(REQUEST, 9_000)
-    assert (len(applications[3].served), line.silent_until(3)) == (2, None)
-    line.silence(3)
-    assert line.silent_until(3) == NEVER
-    line.resume(3)
-    line.resume(3)
-    assert line.silent_until(3) is None
+    assert (len(applications[3].served), line.silent_until(three)) == (2, None)
+    line.silence(three)
+    assert line.silent_until(three) == NEVER
+    line.resume(three)
+    line.resume(three)
+    assert line.silent_until(three) is None
 
 
 def test_octets_of_a_faulty_station_go_out_at_their_time() -> None:
@@ -318,7 +319,7 @@ def test_octets_of_a_faulty_station_go_out_at_their_time() -> None:
     assert line.take_tx(1_500) is None
     line.receive(REQUEST, 1_600)  # its answer is due later
     assert line.wake_at() == 2_000
-    line.remove(4)
+    line.remove(stations[4])
     assert [line.take_tx(2_000), line.take_tx(2_000)] == [b"\x02", None]
     line.send_at(stations[3], b"\x05", 30_000)
     assert line.wake_at() == 1_600 + 11 * BIT
