@@ -45,6 +45,10 @@ class CyclicPlugin(Protocol):
     def safe(self, configured: bytes) -> bytes:
         """The safe outputs: ``configured``, unless they would change settings that the device keeps."""
 
+    def moved(self, address: int) -> str | None:
+        """The slave stopped answering at ``address``: where it is for people, if an order of this plugin has given it
+        another address; else None."""
+
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
         """Carry out an order of the application (plain JSON data). Its result is an event with the same ``token``."""
 

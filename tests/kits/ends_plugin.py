@@ -23,6 +23,9 @@ class Plugin:
     def safe(self, configured: bytes) -> bytes:
         return configured
 
+    def moved(self, address: int) -> str | None:
+        return None
+
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None: ...
 
     def take_events(self) -> list[dict[str, object]]:

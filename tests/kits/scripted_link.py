@@ -118,6 +118,9 @@ class ScriptedPlugin:
     def safe(self, configured: bytes) -> bytes:
         return configured
 
+    def moved(self, address: int) -> str | None:
+        return None
+
     def command(self, op: str, args: object, token: int, now: int) -> None:
         self.events.append({"type": "result", "token": token, "ok": True, "value": op})
 

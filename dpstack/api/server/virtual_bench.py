@@ -380,8 +380,10 @@ class Bench(ABC):
             unit.powered = on
 
     def injected(self, address: int) -> list[str]:
-        """The injected faults that act on the slave at this moment."""
-        unit = self.units[address]
+        """The injected faults that act on the slave at this moment; none where it is not simulated."""
+        unit = self.units.get(address)
+        if unit is None:
+            return []
         left_ns = self._silent_ns(address) or 0
         found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
         found += [fault_text(fault) for fault in unit.faults.active]
@@ -393,7 +395,9 @@ class Bench(ABC):
 
     def status_of(self, address: int) -> dict[str, object]:
         """Keys of ``status`` for a simulated slave: ``slots`` of an I/O station, ``set_inputs`` in hex, ``injected``
-        faults."""
+        faults. None of them where the slave is not simulated, because another one of the bus is its device now."""
+        if address not in self.units:
+            return {}
         device, injected, held = self.device(address), self.injected(address), self.units[address].held_inputs
         slots: dict[str, object] = {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
         if held is not None:
@@ -446,13 +450,21 @@ class VirtualBench(Bench):
         return fields.values(unit.app.outputs.ljust(fields.length, b"\x00"))
 
     def add(self, config: SlaveConfig, own: Device | None = None, *, t_sdr: int | None = None) -> None:
-        """Add a slave; it replaces one with the same address. ``own``: the device of a test. ``t_sdr``: its T_SDR in
-        bit times; None: min T_SDR."""
-        for address in [key for key, unit in self._units.items() if config.address in (key, unit.address)]:
-            if self._units[address].powered:
-                self._world.remove(self._units[address].on_bus)
-            self._silent.pop(address, None)
-            del self._units[address]
+        """Add a slave; it replaces one with the same address in its configuration. A drive of this kind that has moved
+        to this address is the one that is meant: it stays, with its memory. ``own``: the device of a test. ``t_sdr``:
+        its T_SDR in bit times; None: min T_SDR."""
+        address = config.address
+        before = self._units.get(address)
+        if before is None and own is None:
+            for key, unit in self._units.items():
+                if unit.address == address and config.profile is unit.config.profile is not None:
+                    self.resume(key)
+                    unit.config = config
+                    self._units[address] = self._units.pop(key)
+                    return
+        if before is not None and before.powered:
+            self._world.remove(before.on_bus)
+        self._silent.pop(address, None)
         unit = SimulatedSlave(config, self._params, searching=self._searching, own=own, t_sdr=t_sdr)
         self._units[config.address] = unit
         unit.faults.connect(partial(self._send_at, unit))

@@ -102,8 +102,8 @@ def absent(address: int, baud: int, why: Failure = Failure.NO_ANSWER) -> Fault:
     )
 
 
-def lost(during: str, why: Failure) -> Fault:
-    """The slave stopped answering; ``why``: the end of the last request."""
+def lost(during: str, why: Failure, moved: str | None = None) -> Fault:
+    """The slave stopped answering; ``why``: the end of the last request; ``moved``: where it is if its plugin knows."""
     if why is not Failure.NO_ANSWER:
         return Fault(
             FaultKind.LOST,
@@ -113,7 +113,7 @@ def lost(during: str, why: Failure) -> Fault:
     return Fault(
         FaultKind.LOST,
         f"stopped answering during {during}",
-        "check its power and the cable; it is taken up again as soon as it answers",
+        f"{moved or 'check its power and the cable'}; it is taken up again as soon as it answers",
     )
 
 

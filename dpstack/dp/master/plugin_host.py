@@ -27,6 +27,7 @@ class PluginHost:
         #: the exception that the plugin raised, as a fault; from then on the plugin is not called any more
         self.fault: Fault | None = None
         self._image = image
+        self._address = setup.address
         self._name = setup.name
         self._safe = setup.safe_outputs
         self._reports = reports
@@ -62,6 +63,16 @@ class PluginHost:
         plugin = self._image.plugin
         if plugin is not None and self.fault is None:
             self._call(plugin, now, plugin.lost, now)
+
+    def moved(self) -> str | None:
+        """Where the slave is that stopped answering, if the plugin has given it another address."""
+        plugin = self._image.plugin
+        if plugin is None or self.fault is not None:
+            return None
+        try:
+            return plugin.moved(self._address)
+        except FAILURES:  # no fault: the loss of the slave is reported without it
+            return None
 
     def safe_outputs(self) -> bytes:
         """The outputs that the master sends before it leaves Operate or gives the slave up.

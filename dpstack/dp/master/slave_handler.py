@@ -178,7 +178,7 @@ class SlaveHandler:
             return
         self.bring_ups.answered(self.state, DATA_EXCHANGE, self._data.data, outcome, now)
         if not isinstance(outcome, Telegram):
-            self._step(Trigger.SILENT, now, fault_texts.lost("Data_Exchange", outcome))
+            self._step(Trigger.SILENT, now, fault_texts.lost("Data_Exchange", outcome, self.plugin_host.moved()))
             return
         verdict = self._odd.judge(outcome)
         if verdict is Trigger.WRONG_LENGTH:
@@ -281,7 +281,7 @@ class SlaveHandler:
         if self.state in (SlaveState.SET_PRM, SlaveState.CHK_CFG):
             self._ready.unacked = service
         else:
-            fault = fault_texts.lost(service, why)
+            fault = fault_texts.lost(service, why, self.plugin_host.moved())
         self._step(Trigger.SILENT, now, fault)
 
     def _on_refusal(self, outcome: Telegram, service: str, now: int) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Final, Generic, TypeVar
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile.channel.base import ParameterChannel, ParamKey
 from dpstack.profile.channel.pkw import PLAIN_PKW, ParamRef, PkwAccess, PkwDialect, plain_ref
+from dpstack.profile.master.new_address import NewAddress
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, CHECK_SETTINGS, DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, DriveJob, DriveJobs, Steps
@@ -135,6 +136,10 @@ class DriveCore:
     lock_hint: str = ""
     #: what to check when the drive does not start for no known reason, for people
     start_hint: str = ""
+    #: see :class:`~dpstack.profile.master.new_address.NewAddress`
+    address_parameter: str = ""
+    address_acts: str = "when it is switched off and on"
+    address_trigger: str = ""
     #: orders beyond those of every drive, see :meth:`order`
     own_ops: tuple[str, ...] = ()
 
@@ -185,6 +190,9 @@ class DriveCore:
         self.take_events: Callable[[], list[dict[str, object]]] = self._orders.take_events
         #: the settings of the drive, compared with those that the plugin relies on
         self.settings_check = SettingsCheck(self, enabled=bool(options.get(CHECK_SETTINGS, True)))
+        named = None if self.parameter_table is None else self.parameter_table.named(self.address_parameter)
+        label = self.address_parameter if named is None else named.label
+        self._new_address = NewAddress(self.address_parameter, label, self.address_acts, self.address_trigger)
         self._last_event: tuple[object, ...] = ()  # key of the last status event
         bits = self.table.status.bits
         self._event_mask = self.table.status.mask(*(n for n in ("reached", "remote", "warning") if n in bits))
@@ -208,6 +216,7 @@ class DriveCore:
             self.online = True
             self.received()
             if begins:
+                self._new_address.answered()
                 self.settings_check.begin()
             for lookup in self.lookups:
                 lookup.watch(self)
@@ -245,6 +254,10 @@ class DriveCore:
         self.state = State.OFFLINE
         self._tell_status()
         self._build()
+
+    def moved(self, address: int) -> str | None:
+        """See :class:`CyclicPlugin`."""
+        return self._new_address.where(address)
 
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
         """An order of the application in plain JSON data; its result is an event that carries ``token``.
@@ -756,6 +769,7 @@ def _parameter_steps(core: DriveCore, op: str, args: Args, deadline: int) -> Ste
 def _written(core: DriveCore, writing: Steps[dict[str, object]]) -> Steps[dict[str, object]]:
     outcome = yield from writing
     core.settings_check.changed()
+    core._new_address.written(outcome)
     return outcome
 
 

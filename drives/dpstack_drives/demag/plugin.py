@@ -89,6 +89,8 @@ class DemagCore(MappedCore[OutMap]):
     parameter_table = t.PARAMETERS
     outputs_at = 2  # behind PZD1 and PZD2
     outputs_map: OutMap
+    address_parameter = "node_id"
+    address_acts = ""
     own_ops = ("output", "trace")
     lock_hint = f" before it is {t.FAULT_LOCK_S} s old, nor while its cause lasts"
 

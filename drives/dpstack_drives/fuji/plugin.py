@@ -53,6 +53,8 @@ class FujiCore(MappedCore[PcdMap]):
     safe_control = _SAFE
     parameter_table = t.PARAMETERS
     dialect = t.PKW
+    address_parameter = "o31"
+    address_acts = "when it is switched off and on with its address switches at 00"
     channel_hint = ": take PPO2"
     inputs_at = outputs_at = 2  # PCD1 stands behind STW and MAV
     inputs_map: PcdMap

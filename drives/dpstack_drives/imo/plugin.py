@@ -64,6 +64,7 @@ class ImoCore(MappedCore[PzdMap]):
     safe_control = t.Command.STOP  # zeros are no command and would leave the drive running
     parameter_table = t.PARAMETERS
     inputs_at = outputs_at = 1  # behind SW and CW
+    address_parameter = t.name_of(t.ADDRESS)
     own_ops = (*MAP_OPS, "inch", "pre_excite", "control")
     start_hint = "; does the inverter take run command and frequency from the communication card?"
 

@@ -71,6 +71,7 @@ class KebCore(MappedCore[PdMap]):
     inputs_map: PdMap
     outputs_map: PdMap
     channel_hint = ": take PCH+..."
+    address_parameter = t.name_of(t.ADDRESS)
     start_hint = f"; does it obey the control word? {t.RECIPE}"
 
     def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:

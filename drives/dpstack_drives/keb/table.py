@@ -194,6 +194,8 @@ def _row(
 
 
 _ANY: Final = 0x7FFF_FFFF
+#: sy.06, the station address
+ADDRESS: Final = 0x2006
 #: of the simulated drive; the plugin takes only the titles from it
 PARAMETERS: Final = ParamTable(
     (

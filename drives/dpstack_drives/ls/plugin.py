@@ -72,6 +72,9 @@ class LsCore(MappedCore[ParaMap]):
     scan_ns = t.SCAN_MS * NS_PER_MS
     parameter_table = t.PARAMETERS
     dialect = t.PKW
+    address_parameter = "COM-07"
+    address_acts = "with COM-94 = 1, or when it is switched off and on"
+    address_trigger = "COM-94"
     inputs_map: ParaMap
     outputs_map: ParaMap
     map_options = ("para_status", "para_control")

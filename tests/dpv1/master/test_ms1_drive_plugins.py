@@ -28,6 +28,9 @@ class Unit:
     def safe(self, configured: bytes) -> bytes:
         return configured
 
+    def moved(self, address: int) -> str | None:
+        return None
+
     def lost(self, now: int) -> None:
         self.records.clear()
 

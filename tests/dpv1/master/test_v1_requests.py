@@ -212,6 +212,9 @@ class _Unit:
     def safe(self, configured: bytes) -> bytes:
         return configured
 
+    def moved(self, address: int) -> str | None:
+        return None
+
 
 def test_the_queue_of_a_plugin() -> None:
     queue = RecordQueue()
