@@ -7,10 +7,12 @@ import sys
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from octet_wire import BIT, PARAMS
+from octet_wire import BIT, MS, PARAMS
 from property_kit import examples
 from simulated_kit import SC, VALVES, Asked
 
+from dpstack.api.config.config import slave_config
+from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.dp.pdu.diag_blocks import UserDiag
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.telegram import Resp
@@ -23,6 +25,7 @@ from dpstack.sim.slave_faults import (
     StubNoise,
     WrongLength,
 )
+from dpstack.sim.world import World
 
 #: the answer to Data_Exchange of slave 8 with inputs 12 34
 GOOD = "68 05 05 68 02 08 08 12 34 58 16"
@@ -161,6 +164,27 @@ def test_behind_a_port_late_answers_come_at_their_time_unless_the_slave_is_off()
     assert asked.exchange("56 78") == ""
     asked.wire.pass_time(3_000_000)
     assert [octets.hex(" ").upper() for _, octets in asked.wire.out] == ["68 05 05 68 02 08 08 56 78 E0 16"]
+
+
+@pytest.mark.parametrize("cut", ["power", "silence"])
+def test_a_late_answer_is_not_sent_after_a_cut_that_is_over(cut: str) -> None:
+    world = World(referee=False)
+    bench = VirtualBench(world, PARAMS)
+    bench.add(slave_config(VALVES))
+    bench.units[8].faults.begin(LateAnswers(50 * MS))
+    world.inject(bytes.fromhex(STATUS))
+    world.run_for(10 * MS)
+    if cut == "power":
+        bench.power(8, False)
+        bench.power(8, True)
+    else:
+        bench.silence(8)
+        bench.resume(8)
+    world.run_for(100 * MS)
+    assert [entry[2].hex(" ").upper() for entry in world.log] == [STATUS]
+    world.inject(bytes.fromhex(STATUS))
+    world.run_for(100 * MS)
+    assert [entry[2].hex(" ").upper() for entry in world.log][1:] == [STATUS, "10 02 08 00 0A 16"]
 
 
 def calls_of(asked: Asked) -> int:

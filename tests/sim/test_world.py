@@ -352,6 +352,22 @@ def test_a_deaf_station_does_not_hear_either(world: WorldFactory) -> None:
     assert [at for at, _ in receiver.heard] == [ends(0, DATA), ends(2 * MS, DATA)]
 
 
+def test_an_unplugged_station_is_cut_in_the_middle_and_its_time_goes_on(world: WorldFactory) -> None:
+    sender = Dummy(2, plan=[(number * MS, DATA) for number in range(4)])
+    receiver = Dummy(5)
+    w = world(receiver, sender, token_rules=False)
+    w.run_until(MS + 10_000)
+    w.unplug(sender)
+    w.unplug(receiver)
+    w.run_until(2 * MS + 500_000)
+    assert len(sender.ends) == 3  # it believes that it has sent
+    w.plug(sender)
+    w.plug(receiver)
+    w.run_until(4 * MS)
+    assert [at for at, _ in receiver.heard] == [ends(0, DATA), ends(3 * MS, DATA)]
+    assert "cut off after 0 of 11 octets" in wire_log(w)
+
+
 def test_noise_damages_as_many_telegrams_as_it_should(world: WorldFactory) -> None:
     w = world(seed=1, token_rules=False)
     count = 2_000

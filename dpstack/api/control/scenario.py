@@ -129,16 +129,19 @@ def read_fault(args: Sequence[str], bench: Bench, address: int) -> tuple[Deed, i
 
     Raises ConfigError.
     """
-    do, *options = args
-    data: dict[str, object] = {"do": do}
+    word, *options = args
+    data: dict[str, object] = {"do": word}
+    source, title = Source("fault"), shortened(word, 40)
+    do = word.strip().lower().replace("-", "_")
+    kind = kind_of(Table(source, (), data, title), do, {})
     for text in options:
         key, equals, value = text.partition("=")
         if not equals:
             raise ConfigError(f"fault: {text!r} is not KEY=VALUE; write for instance by_ms=20 for=3s")
-        data[key] = ns_to_s(time_ns(value)) if key == "for" else _value(value)
-    table = Table(Source("fault"), (), data, shortened(do, 40))
-    do = do.strip().lower().replace("-", "_")
-    kind = kind_of(table, do, {})
+        wanted = kind.keys.get(key)
+        is_text = wanted is not None and wanted.read is None and wanted.kind in (str, bytes)
+        data[key] = ns_to_s(time_ns(value)) if key == "for" else value if is_text else _value(value)
+    table = Table(source, (), data, title)
     given = table.read({"do": _STEP_KEYS["do"], "for": _STEP_KEYS["for"], **kind.keys})
     if "for" in given and not kind.lasting:
         table.fail("for", f"{do} has no end of its own", "leave for out")
