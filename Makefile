@@ -44,8 +44,9 @@ docs: $(VENV)/.check
 	@echo "the book is on http://127.0.0.1:$(DOCS_PORT) until Ctrl-C"
 	@$(PY) -m http.server --bind 127.0.0.1 --directory build/docs/html $(DOCS_PORT)
 
-# Summed up from its files, run one by one: about 45 minutes of a processor (some of it estimated), two hours where others
-# compute beside it. The longest, about five minutes each: fdl/test_autobaud.py, dp/acyclic/test_acyclic_endurance.py.
+# Summed up from its files, run one by one: about an hour of a processor (some of it estimated), two to three where others
+# compute beside it. The longest: soak/test_soak_day.py, a day of virtual time in some 13 minutes; about five minutes each:
+# fdl/test_autobaud.py, dp/acyclic/test_acyclic_endurance.py.
 # make soak TESTS=tests/dp runs a part (ptys: tests/cli, tests/drivers), make soak SEED=... looks again where an earlier
 # run looked
 soak: SEED := $(shell date +%s)
