@@ -230,8 +230,8 @@ _ACTS: Final[dict[str, _Act]] = {
     "pull": _of_station(lambda io, slot, args: io.pull(slot)),
     "plug": _of_station(lambda io, slot, args: io.plug(slot, args[0] if args else "")),
     "parameter": _of_station(lambda io, slot, args: io.set_parameter(slot, arguments.octet(args[0]))),
-    "silence": lambda bench, address, args: bench.silence(address, _time_ns(args)),
-    "resume": lambda bench, address, args: bench.resume(address),
-    "power-off": lambda bench, address, args: bench.power(address, False),
-    "power-on": lambda bench, address, args: bench.power(address, True),
+    "silence": lambda bench, address, args: bench.silence(bench.units[address].name, _time_ns(args)),
+    "resume": lambda bench, address, args: bench.resume(bench.units[address].name),
+    "power-off": lambda bench, address, args: bench.power(bench.units[address].name, False),
+    "power-on": lambda bench, address, args: bench.power(bench.units[address].name, True),
 }

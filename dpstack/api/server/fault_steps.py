@@ -164,11 +164,13 @@ def _unknown(table: Table, key: str, wanted: str, known: list[str], none: str) -
 
 
 def _silence(_table: Table, _given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
+    name = bench.units[address].name
+
     def begin() -> End:
-        bench.silence(address, None)
+        bench.silence(name)
 
         def end() -> bool:
-            bench.resume(address)
+            bench.resume(name)
             return True
 
         return end
@@ -177,12 +179,14 @@ def _silence(_table: Table, _given: Mapping[str, Any], bench: Bench, address: in
 
 
 def _power_off(_table: Table, _given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
+    unit = bench.units[address]
+
     def begin() -> End:
-        bench.power(address, False)
+        bench.power(unit.name, False)
 
         def end() -> bool:
-            was = bench.units[address].powered
-            bench.power(address, True)
+            was = unit.powered
+            bench.power(unit.name, True)
             return not was
 
         return end

@@ -164,15 +164,11 @@ class Simulation(Bench):
         if not self._is_over:
             callback()
 
-    def silence(self, address: int, for_ns: int | None) -> None:
-        slave = self.units[address]
-        if slave.powered:
-            self._line.silence(slave.station, NEVER if for_ns is None else self.runtime.now() + for_ns)
+    def _silence(self, address: int, for_ns: int | None) -> None:
+        self._line.silence(self.units[address].station, NEVER if for_ns is None else self.runtime.now() + for_ns)
 
-    def resume(self, address: int) -> None:
-        slave = self.units[address]
-        if slave.powered:
-            self._line.resume(slave.station)
+    def _resume(self, address: int) -> None:
+        self._line.resume(self.units[address].station)
 
     def _silent_ns(self, address: int) -> int | None:
         slave = self.units[address]

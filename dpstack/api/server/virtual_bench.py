@@ -295,7 +295,8 @@ class Bench(ABC):
     """Simulated slaves that commands silence and switch off and on.
 
     A slave is known by the address of its configuration, also when it has another one in the meantime (a parameter,
-    Set_Slave_Add). Methods with ``address`` mean that one and do not check it.
+    Set_Slave_Add). Methods with ``address`` mean that one and do not check it; those with ``which`` find a slave as
+    :meth:`address_of` does.
     """
 
     #: True where the keys ``simulate`` of the slaves are carried out
@@ -316,12 +317,10 @@ class Bench(ABC):
         """Call ``callback`` at ``at_ns``, at once where that time is over; never after the end of the slaves."""
 
     @abstractmethod
-    def silence(self, address: int, for_ns: int | None) -> None:
-        """Silence a slave: it neither receives nor sends for ``for_ns``; None: until :meth:`resume`. Its watchdog
-        runs."""
+    def _silence(self, address: int, for_ns: int | None) -> None: ...
 
     @abstractmethod
-    def resume(self, address: int) -> None: ...
+    def _resume(self, address: int) -> None: ...
 
     @abstractmethod
     def _silent_ns(self, address: int) -> int | None:
@@ -351,11 +350,11 @@ class Bench(ABC):
         wanted, units = str(which), self.units
         for names in (
             {unit.name: address for address, unit in units.items()},
-            {str(unit.address): address for address, unit in units.items()},
+            {str(unit.address): address for address, unit in reversed([*units.items()])},  # the first answers
             {str(address): address for address in units},
         ):
             if wanted in names:
-                return names[wanted]
+                return units[names[wanted]].config.address
         return None
 
     def address_of(self, which: str | int) -> int:
@@ -369,6 +368,19 @@ class Bench(ABC):
     def device(self, address: int) -> Device:
         return self.units[address].device
 
+    def silence(self, which: str | int, for_ns: int | None = None) -> None:
+        """Silence a slave, by name or address: it neither receives nor sends for ``for_ns`` nanoseconds; None: until
+        :meth:`resume`. Its watchdog runs. Nothing happens while it is off. Raises UsageError."""
+        address = self.address_of(which)
+        if self.units[address].powered:
+            self._silence(address, for_ns)
+
+    def resume(self, which: str | int) -> None:
+        """End the silence of a slave. Raises UsageError."""
+        address = self.address_of(which)
+        if self.units[address].powered:
+            self._resume(address)
+
     def power(self, which: str | int, on: bool) -> None:
         """Switch a slave, by name or address, off or on; a drive keeps its EEPROM. Raises UsageError."""
         address = self.address_of(which)
@@ -380,10 +392,8 @@ class Bench(ABC):
             unit.powered = on
 
     def injected(self, address: int) -> list[str]:
-        """The injected faults that act on the slave at this moment; none where it is not simulated."""
-        unit = self.units.get(address)
-        if unit is None:
-            return []
+        """The injected faults that act on the slave at this moment."""
+        unit = self.units[address]
         left_ns = self._silent_ns(address) or 0
         found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
         found += [fault_text(fault) for fault in unit.faults.active]
@@ -395,9 +405,7 @@ class Bench(ABC):
 
     def status_of(self, address: int) -> dict[str, object]:
         """Keys of ``status`` for a simulated slave: ``slots`` of an I/O station, ``set_inputs`` in hex, ``injected``
-        faults. None of them where the slave is not simulated, because another one of the bus is its device now."""
-        if address not in self.units:
-            return {}
+        faults."""
         device, injected, held = self.device(address), self.injected(address), self.units[address].held_inputs
         slots: dict[str, object] = {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
         if held is not None:
@@ -455,12 +463,14 @@ class VirtualBench(Bench):
         its T_SDR in bit times; None: min T_SDR."""
         address = config.address
         before = self._units.get(address)
+        if before is not None and before.config.address != address:
+            before = None  # it has moved, and is another one's device now
         if before is None and own is None:
             for key, unit in self._units.items():
                 if unit.address == address and config.profile is unit.config.profile is not None:
-                    self.resume(key)
+                    self._resume(key)
                     unit.config = config
-                    self._units[address] = self._units.pop(key)
+                    self._units[address] = unit  # steps of a scenario and faults may still mean the former address
                     return
         if before is not None and before.powered:
             self._world.remove(before.on_bus)
@@ -498,13 +508,8 @@ class VirtualBench(Bench):
 
         self.call_at(at_ns, send)
 
-    def silence(self, address: str | int, for_ns: int | None = None) -> None:
-        """Silence a slave, by name or address: it neither receives nor sends for ``for_ns`` nanoseconds; None: until
-        :meth:`resume`. Raises UsageError."""
-        address = self.address_of(address)
+    def _silence(self, address: int, for_ns: int | None) -> None:
         unit = self._units[address]
-        if not unit.powered:
-            return
         self._cut[address] += 1
         self._world.unplug(unit.on_bus)
         self._world.command(unit.on_bus, LineDown("off the line"))
@@ -512,9 +517,7 @@ class VirtualBench(Bench):
         if for_ns is not None:
             self._world.call_at(until, lambda: self._end(address, until))
 
-    def resume(self, address: str | int) -> None:
-        """End the silence of a slave. Raises UsageError."""
-        address = self.address_of(address)
+    def _resume(self, address: int) -> None:
         self._end(address, self._silent.get(address))
 
     def _switch(self, address: int, on: bool) -> None:

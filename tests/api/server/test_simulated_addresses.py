@@ -136,6 +136,28 @@ def test_two_slaves_that_come_to_have_one_address_are_both_reached_by_name() -> 
     assert port.answering() == [8]
 
 
+@in_a_loop
+def test_a_slave_at_the_former_address_of_another_one() -> None:
+    second = {**drive_table("keb"), "name": "second", "address": 8}
+    port = Port(drive_table("keb"), second)
+    port.set_parameter("sy.06", 9)
+    other = port.simulation.units[8].drive
+    assert other is not None
+    other.store.install("sy.06", 4)
+    for name in ("it", "second"):
+        port.order(f"power-off {name}")
+        port.order(f"power-on {name}")
+    assert port.answering() == [4, 9]
+    port.order("power-off it")
+    assert port.answering() == [4]
+    port.order("power-on it")
+    port.order("silence 4")
+    assert port.answering() == [9]
+    assert port.states() == {"9": ("it", "wait_prm"), "4": ("second", "wait_prm")}
+    port.order("resume second")
+    assert port.answering() == [4, 9]
+
+
 @pytest.mark.parametrize(
     ("table", "ident", "kept"), [(drive_table("demag"), "06 96", 9), ({**RAW, "address": 4}, "12 34", 4)]
 )
@@ -156,32 +178,33 @@ def test_set_slave_add_behind_a_port(table: dict[str, object], ident: str, kept:
         assert port.answering() == [kept]
 
 
-@pytest.mark.parametrize(
-    ("drive", "writes", "says"),
-    [
-        (
-            "demag",
-            [(391, 9)],
-            "it is at address 9 now, because 391 (Profibus Node-ID) was set to 9 here: give it address = 9 in the "
-            "configuration; it is taken up again as soon as it answers",
-        ),
-        (
-            "ls",
-            [("COM-07", 9), ("COM-94", 1)],
-            "it is at address 9 now, because COM-07 (FBus ID) was set to 9 here: give it address = 9 in the "
-            "configuration; it is taken up again as soon as it answers",
-        ),
-        (
-            "keb",
-            [("sy.06", 9)],
-            "sy.06 (2006h) was set to 9 here, which takes effect when it is switched off and on: if that has happened "
-            "it is at address 9 now, give it address = 9 in the configuration; otherwise check its power and the "
-            "cable; it is taken up again as soon as it answers",
-        ),
-        ("imo", [("P15.01", 9)], "if that has happened it is at address 9 now, give it address = 9"),
-        ("fuji", [("o31", 9)], "takes effect when it is switched off and on with its address switches at 00: if"),
-    ],
-)
+#: what a program writes to a drive, and what it is told when the drive no longer answers
+MOVES: list[tuple[str, list[tuple[str | int, int]], str]] = [
+    (
+        "demag",
+        [(391, 9)],
+        "it is at address 9 now, because 391 (Profibus Node-ID) was set to 9 here: give it address = 9 in the "
+        "configuration; it is taken up again as soon as it answers",
+    ),
+    (
+        "ls",
+        [("COM-07", 9), ("COM-94", 1)],
+        "it is at address 9 now, because COM-07 (FBus ID) was set to 9 here: give it address = 9 in the "
+        "configuration; it is taken up again as soon as it answers",
+    ),
+    (
+        "keb",
+        [("sy.06", 9)],
+        "sy.06 (2006h) was set to 9 here, which takes effect when it is switched off and on: if that has happened "
+        "it is at address 9 now, give it address = 9 in the configuration; otherwise check its power and the "
+        "cable; it is taken up again as soon as it answers",
+    ),
+    ("imo", [("P15.01", 9)], "if that has happened it is at address 9 now, give it address = 9"),
+    ("fuji", [("o31", 9)], "takes effect when it is switched off and on with its address switches at 00: if"),
+]
+
+
+@pytest.mark.parametrize(("drive", "writes", "says"), MOVES)
 @in_virtual_time
 async def test_the_plugin_that_moved_a_drive_says_where_it_is(
     drive: str, writes: list[tuple[str | int, int]], says: str
@@ -202,6 +225,40 @@ async def test_the_plugin_that_moved_a_drive_says_where_it_is(
         moved = await bus.add_slave({**drive_table(drive), "address": 9, "name": "moved"})
         await moved.ready(20)
         assert await bus.drive("moved").read(PARAMETERS[drive]) == 9  # it is the same drive, with its memory
+        bench.silence("moved")
+        await moved.wait_state(dpstack.SlaveState.OFFLINE, timeout=2)
+        assert bench.injected(9) == ["silence until resume"]
+        bench.resume(9)
+        await moved.ready(20)
+        await bus.add_slave({**drive_table(drive), "name": "new"})  # beside the one that has moved
+        await bus.slave("new").ready(20)
+        assert moved.state is dpstack.SlaveState.DATA_EXCHANGE
+
+
+@pytest.mark.strangers
+@pytest.mark.parametrize(("drive", "writes", "says"), MOVES)
+def test_a_master_finds_it_behind_a_pty(drive: str, writes: list[tuple[str | int, int]], says: str) -> None:
+    async def program() -> None:
+        table = drive_table(drive)
+        simulation = Simulation(make_config("pty", BAUD, 2, [table], where="test", bus={}), "pty", BAUD)
+        handlers = slave_handlers(simulation, simulation)
+        async with simulation, dpstack.open_bus(port=simulation.port_name, baud=BAUD, address=2, slaves=[table]) as bus:
+            await bus.operate()
+            await bus.ready(20)
+            for parameter, value in writes:
+                await bus.drive("it").write(parameter, value, timeout=20)
+            if drive not in ("demag", "ls"):
+                handlers["power-off"](["it"])
+                await bus.slave("it").wait_state(dpstack.SlaveState.OFFLINE, timeout=20)
+                handlers["power-on"](["it"])
+            await bus.slave("it").wait_state(dpstack.SlaveState.OFFLINE, timeout=20)
+            fault = bus.slave("it").fault
+            assert fault is not None
+            assert says in fault.remedy
+            found = await bus.scan()
+            assert {station.address for station in found if station.ident is not None} == {9}
+
+    asyncio.run(program())
 
 
 @in_virtual_time

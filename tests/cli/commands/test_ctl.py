@@ -67,7 +67,9 @@ def test_three_programs_are_told_what_to_do(tmp_path: Path, start: Starter, cli:
 
     assert "trip is a command of `dpstack sim`, this is a run" in ctl(cli, str(bus / "1"), "trip", "3", "1", code=2)
     assert "did you mean silence" in ctl(cli, str(bus / "0"), "silense", "3", code=2)
-    assert "no slave '77' is simulated here; there are: hoist (3)" in ctl(cli, str(bus / "0"), "trip", "77", "1", code=2)
+    assert "no slave '77' is simulated here; there are: hoist (3)" in ctl(
+        cli, str(bus / "0"), "trip", "77", "1", code=2
+    )
     error = ctl(cli, "/dev/ttyUSB77", "status", code=1)
     assert error.startswith("dpstack: nobody answers for /dev/ttyUSB77; there is: ")
     assert f"segment on {bus}" in error
