@@ -38,6 +38,9 @@ class Face(ABC):
     dropped: int = 0
     #: whether it is connected to its broker; None: it has none, clients come to it
     connected: bool | None = None
+    #: whether it has made all that it makes of the nodes of the tree. The bus opens its port behind that: a face that
+    #: makes many would hold up the bus, and its safe end
+    is_built: bool = True
 
     def __init__(self, tree: PlantTree, tell: Tell) -> None:
         self.tree = tree

@@ -18,6 +18,8 @@ from dpstack.trace import Severity
 
 #: s between two looks at the time
 TICK_S: Final = 0.5
+#: s between two looks whether the faces have made their nodes
+_LOOK_S: Final = 0.01
 #: s that the faces have for their end, all together
 END_S: Final = 3.0
 #: s until a face that goes on in spite of its cancellation is left
@@ -64,6 +66,12 @@ class Gateway:
     def faces(self) -> tuple[Face, ...]:
         """The faces that have not ended."""
         return tuple(self._faces)
+
+    async def built(self) -> None:
+        """Wait until the tree has the plant of a bus whose rate is known, and each face its nodes, or has ended."""
+        # noqa below: neither tree nor faces tell anybody
+        while (self.tree.plant or {}).get("baud") is None or not all(face.is_built for face in self._faces):  # noqa: ASYNC110
+            await asyncio.sleep(_LOOK_S)
 
     async def run(self) -> None:
         """Feed the faces until the stream ends; then end them, within about :data:`END_S`.

@@ -99,10 +99,12 @@ Trouble = tuple[Reason, str] | None
 class _Branch:
     """The bus, or one slave: its nodes and the values that they have."""
 
-    def __init__(self, slave: int | None, described: Described, plant: Mapping[str, Any]) -> None:
+    def __init__(self, slave: int | None, described: Described) -> None:
         self.slave = slave
         self.described = described
-        self.plant = plant
+        #: of a slave: its part of the plant, and the nodes for which there was room; ``described`` was made of these
+        self.plant: Mapping[str, Any] = {}
+        self.room = 0
         #: the values of the stream, merged; None before the first
         self.values: dict[str, Any] | None = None
         #: time of the stream, and of the caller, when they came
@@ -136,7 +138,7 @@ class PlantTree:
         self._statistics_s = statistics_s
         self._plant: Mapping[str, Any] | None = None
         self._started = 0.0
-        self._bus = _Branch(None, Described("", ()), {})
+        self._bus = _Branch(None, Described("", ()))
         self._slaves: dict[int, _Branch] = {}
         self._t = 0.0
         #: the caller's time at the last snapshot; None before the first one behind a plant
@@ -290,31 +292,40 @@ class PlantTree:
         found: list[Change] = []
         started = min(max(0.0, _float(plant.get("started"))), _LATEST)
         other_run = self._plant is None or started != self._started
+        writable = plant.get("read_only") is False
+        # orders depend on it
+        is_as_before = self._plant is not None and (self._plant.get("read_only") is False) is writable
         self._plant, self._started, self._end = plant, started, None
         self._silent_process = False
+        changed = False
+        before, self._slaves = self._slaves, {}
         if other_run:
-            found += self._end_branches("another run of the bus has begun")
+            found += self._end_branches(before, "another run of the bus has begun")
             self._t, self._heard, self._delay, self._late = 0.0, None, None, False
-            self._bus = _Branch(None, bus_of(plant), plant)
+            bus = bus_of(plant)
+            changed = not is_as_before or bus != self._bus.described
+            self._bus = _Branch(None, bus)
             self._fill(self._bus)
             found += self._end_alarms("another run of the bus has begun")
-        changed = other_run
-        writable = plant.get("read_only") is False
-        before, self._slaves = self._slaves, {}
         room = MOST_NODES
         given = sorted((int(address), one) for address, one in plant["slaves"].items() if int(address) < _MOST_SLAVES)
         for address, one in given:
-            described = slave_of(address, one, writable=writable, room=room)
+            branch = before.pop(address, None)
+            if branch is not None and is_as_before and room == branch.room and one == branch.plant:
+                described = branch.described
+            else:
+                described = slave_of(address, one, writable=writable, room=room)
+            is_same = branch is not None and branch.described == described
+            if branch is None or other_run or not is_same:
+                if branch is not None:
+                    found += self._end_branch(branch, "its configuration has changed")
+                branch = _Branch(address, described)
+                self._fill(branch)
+                changed = changed or not is_same
+            branch.plant, branch.room = one, room
             room -= len(described.nodes)
             if described.left_out:
                 found += self._remark(f"slave {address}: {described.left_out} named values cannot be shown")
-            branch = before.pop(address, None)
-            if branch is None or branch.described != described:
-                if branch is not None:
-                    found += self._end_branch(branch, "its configuration has changed")
-                branch = _Branch(address, described, one)
-                self._fill(branch)
-                changed = True
             self._slaves[address] = branch
         for address, branch in before.items():
             found += self._end_branch(branch, "it was removed from the configuration")
@@ -519,11 +530,11 @@ class PlantTree:
             branch.born = False
             yield Died(branch.slave, why)
 
-    def _end_branches(self, why: str) -> Iterator[Change]:
-        for branch in self._slaves.values():
+    def _end_branches(self, slaves: Mapping[int, _Branch], why: str) -> Iterator[Change]:
+        """Deaths of ``slaves``, and of the bus."""
+        for branch in slaves.values():
             yield from self._end_branch(branch, why)
         yield from self._end_branch(self._bus, why)
-        self._slaves = {}
 
     # --- conditions -----------------------------------------------------------------------------------------------
 

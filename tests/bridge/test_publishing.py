@@ -21,8 +21,8 @@ from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import parse_config
 from dpstack.api.faces.kinds import KINDS, FaceKind
 from dpstack.api.faces.publishing import Publishing
-from dpstack.bridge.nodes import slave_of
-from dpstack.bridge.tree import Born
+from dpstack.bridge.nodes import Kind, slave_of
+from dpstack.bridge.tree import Born, NodesChanged
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import ConfigError, PortError, UsageError
@@ -130,6 +130,79 @@ async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFact
         assert told == []
         # the end of the bus reaches a face that ends after it
         assert face.course[2] == ("last: Died 9, Died None" if how == "outside" else "last: Born None, Born 9")
+
+
+@in_virtual_time
+async def test_nothing_is_sent_before_the_faces_have_made_their_nodes(world: WorldFactory) -> None:
+    """A face that makes many nodes holds up the event loop, and so the safe end of a bus that runs."""
+    w = world()
+    plant = Plant(w)
+    async with dpstack.publish(plant.bus, probe={"fails": "build"}):
+        opening = asyncio.ensure_future(plant.bus.open())
+        await asyncio.sleep(2)
+        [face] = ProbeFace.made
+        assert [node.id for node in face.tree.nodes if node.slave == 9 and node.kind is Kind.VALUE] == [
+            "slave/9/input/level", "slave/9/output/lamp", "slave/9/output/target"
+        ]  # fmt: skip
+        assert (opening.done(), list(w.log)) == (False, [])
+        face.is_built = True
+        await opening
+        await plant.operate()
+        # the nodes are those of before
+        assert sum(isinstance(one, NodesChanged) for one in face.changes) == 1
+        await plant.bus.close()
+    assert plant.ended_safely()
+
+
+@in_virtual_time
+async def test_nodes_are_made_behind_the_search_for_the_baud_rate(world: WorldFactory) -> None:
+    w = world()
+    plant = Plant(w)
+    async with plant.bus:
+        await plant.operate()
+        other = {"name": "tank", "address": 7, "ident": 0x1234, "config": "11", "inputs": {"full": "bool@0.0"}}
+        second = dpstack.open_bus(world=w, baud="auto", address=5, slaves=[other], t_tr=plant.bus.params.t_tr)
+        async with dpstack.publish(second, probe={"fails": "build"}):
+            opening = asyncio.ensure_future(second.open())
+            await asyncio.sleep(2)
+            assert (second.searching, opening.done(), plant.bus.snapshot.las) == (False, False, frozenset({2}))
+            [face] = ProbeFace.made
+            assert "slave/7/input/full" in [node.id for node in face.tree.nodes]
+            face.is_built = True
+            await opening
+            await second.close()
+
+
+@in_virtual_time
+async def test_a_face_that_fails_as_it_makes_its_nodes_does_not_hold_up_the_bus(world: WorldFactory) -> None:
+    plant, loop = Plant(world()), asyncio.get_running_loop()
+
+    def fail() -> None:
+        face.breaks = True
+        face.spread([])
+
+    async with dpstack.publish(plant.bus, probe={"fails": "build"}):
+        [face] = ProbeFace.made
+        loop.call_later(0.5, fail)
+        begun = loop.time()
+        async with plant.bus:
+            assert 0.5 <= loop.time() - begun < 1
+            await plant.operate()
+    assert plant.ended_safely()
+
+
+@in_virtual_time
+async def test_a_bus_that_is_closed_while_nodes_are_made_is_never_opened(world: WorldFactory) -> None:
+    w = world()
+    plant = Plant(w)
+    async with dpstack.publish(plant.bus, probe={"fails": "build"}):
+        opening = asyncio.ensure_future(plant.bus.open())
+        await asyncio.sleep(1)
+        await plant.bus.close()
+        ProbeFace.made[0].is_built = True
+        with pytest.raises(UsageError, match="the bus was closed before its port was opened"):
+            await opening
+    assert list(w.log) == []
 
 
 @in_virtual_time

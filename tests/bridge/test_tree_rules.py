@@ -504,3 +504,21 @@ def test_a_number_that_its_octets_cannot_hold_is_none() -> None:
                 is value_of(float("nan"), type_)
                 is None
             )
+
+
+def test_nodes_stay_where_another_run_has_the_same_slaves() -> None:
+    """A bus has a plant before it is open, too, with another time of its start: what was made of the nodes stays."""
+    tree = PlantTree()
+    up(tree)
+    before = tree.slaves
+    found = tree.apply({"plant": copy.deepcopy(AGAIN)}, 1.0)
+    assert [one for one in found if isinstance(one, NodesChanged)] == []
+    assert [one.slave for one in found if isinstance(one, Died)] == [3, 8, None]
+    assert all(tree.slaves[address] is before[address] for address in (3, 8))
+    other = copy.deepcopy(AGAIN)
+    other["slaves"]["8"]["inputs"][0]["unit"] = "mbar"
+    assert NodesChanged() in tree.apply({"plant": other}, 1.1)
+    # orders depend on the right to give them
+    assert tree.orders
+    assert NodesChanged() in tree.apply({"plant": other | {"started": 1.0, "read_only": True}}, 1.2)
+    assert not tree.orders

@@ -7,8 +7,8 @@ import contextlib
 import dataclasses
 import math
 import stat
-from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Callable, Iterator
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +16,7 @@ from typing import Any, Final
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+from asyncua.server.address_space import NodeManagementService
 from opcua_rig import ANNA, BOB, Rig, id_of
 
 from dpstack.bridge.conditions import Condition, ConditionBook, Level
@@ -24,7 +25,7 @@ from dpstack.bridge.opcua.alarms import SERVER, Event, refresh
 from dpstack.bridge.opcua.certificate import utc_now
 from dpstack.bridge.opcua.face import OpcUaFace
 from dpstack.bridge.opcua.server import MOST_QUEUE
-from dpstack.bridge.opcua.space import DRIVE_STATES
+from dpstack.bridge.opcua.space import DRIVE_STATES, Space
 from dpstack.bridge.orders import Orders
 from dpstack.errors import ConfigError, PortError
 from dpstack.profile.model.states import State
@@ -656,6 +657,65 @@ async def test_nodes_follow_the_configuration(rig: Rig) -> None:
                    await client.get_node(id_of("slave/8/folder/Outputs")).get_children()]  # fmt: skip
         assert "a_b_c_d______u202e" in {one.Name for one in special} or len(special) == 4
         assert not any(set(one.Name) & set("/.<>:#!&\u202e") for one in special)
+
+
+async def test_nodes_are_made_and_removed_in_slices_of_a_few(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bus, or its safe end, has its turn between them; and the time of a node does not depend on those beside it:
+    asyncua would compare each with all of its folder."""
+    turn, made, compared = 0, Counter[int](), 0
+    make, unique = Space._make, NodeManagementService._add_unique_reference
+
+    async def count_turns() -> None:
+        nonlocal turn
+        while True:
+            await asyncio.sleep(0)
+            turn += 1
+
+    def counted(space: Space, *args: Any) -> ua.NodeId:
+        made[turn] += 1
+        return make(space, *args)
+
+    def compare(service: Any, data: Any, reference: Any) -> Any:
+        nonlocal compared
+        compared += len(data.references)
+        return unique(service, data, reference)
+
+    monkeypatch.setattr(Space, "_make", counted)
+    monkeypatch.setattr(NodeManagementService, "_add_unique_reference", compare)
+    fields = [
+        {"name": f"level{n}", "type": "i16", "at": f"i16@{2 * n}", "unit": "mm", "scale": 0.1} for n in range(100)
+    ]
+    turns = asyncio.create_task(count_turns())
+    try:
+        rig.slaves = rig.slaves | {"11": {"name": "tanks", "inputs": fields}}
+        rig.plant()
+        await rig.until(lambda: rig.face.is_built)
+        # a value with unit and range has three nodes
+        assert made.total() >= 300
+        assert max(made.values()) <= 22
+        assert compared <= 3 * made.total()
+        gone, made_before = Counter[int](), len(rig.ids())
+        values = rig.face._space.values  # type: ignore[union-attr]
+        monkeypatch.setattr(rig.face._space, "values", Removing(values, lambda: gone.update([turn])))
+        del rig.slaves["11"]
+        rig.plant()
+        await rig.until(lambda: rig.face.is_built)
+        assert made_before - len(rig.ids()) >= 100
+        assert max(gone.values()) <= 21
+    finally:
+        turns.cancel()
+
+
+class Removing(dict[Any, Any]):
+    """A dictionary that tells each time that somebody takes a key out."""
+
+    def __init__(self, values: dict[Any, Any], tell: Callable[[], object]) -> None:
+        super().__init__(values)
+        self._tell = tell
+
+    def pop(self, *args: Any) -> Any:
+        self._tell()
+        return super().pop(*args)
 
 
 async def test_wrong_passwords_certificates_and_channels_are_refused(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:

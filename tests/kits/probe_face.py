@@ -43,6 +43,7 @@ class ProbeFace(Face):
         #: fail at the next changes
         self.breaks = False
         self.listening: socket.socket | None = None
+        self.is_built = config.fails != "build"
         ProbeFace.made.append(self)
 
     async def open(self) -> None:
@@ -65,6 +66,8 @@ class ProbeFace(Face):
 
     async def serve(self) -> None:
         self.course.append("serve")
+        if self.config.fails == "build":
+            print("builds", flush=True)
         if self.config.fails == "serve":
             await asyncio.sleep(0.4)
             raise ZeroDivisionError("serve")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
@@ -71,6 +71,8 @@ class BusCore(BusBase):
         self.cycles = Cycles(self)
         self._live: LiveFeed | None = None
         self._recordings: list[BusRecording] = []
+        #: awaited when the rate is known, before the port is opened
+        self.before_opening: list[Callable[[], Awaitable[None]]] = []
         if not self.searching:
             self._build(config)
         elif world is None:
@@ -116,8 +118,10 @@ class BusCore(BusBase):
             report = await rate_of(self.config, self._given_world)
             self._build(self.config.with_bus(baud=report.baud))
             rate_text = report.text
+        for prepared in self.before_opening:
+            await prepared()
         if self._ending is not None:
-            raise UsageError("the bus was closed while it was searching for its baud rate")
+            raise UsageError("the bus was closed before its port was opened")
         self.started_ns = self.runtime.now()
         if self.bench is not None:
             self.bench.on_events = self._on_device_events

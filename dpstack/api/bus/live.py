@@ -363,7 +363,7 @@ def plant_of(bus: BusBase, started: float) -> dict[str, object]:
         "paced": bus.runtime.paced,
         "parameters": plan["parameters"],
         "plan": {"rotation_us": plan["rotation_us"], "cycle_us": _cycle_us(config.bus.cycle_ns)},
-        "slaves": {str(slave.address): _slave_plant(slave) for slave in bus.slaves},
+        "slaves": {str(slave.address): _slave_plant(bus, slave) for slave in bus.slaves},
     }
 
 
@@ -371,8 +371,10 @@ def _cycle_us(cycle_ns: int | None) -> float | None:
     return cycle_ns / NS_PER_US if cycle_ns else None
 
 
-def _slave_plant(slave: Slave) -> dict[str, object]:
+def _slave_plant(bus: BusBase, slave: Slave) -> dict[str, object]:
+    """The same before the bus is open, so that readers can prepare themselves."""
     config, params = slave.config, slave.setup
+    watchdog = None if bus.config.bus.read_only else params.watchdog(bus.plan.watchdog_ms)
     device, profile = config.device, config.profile
     drive = None
     if profile is not None:
@@ -395,7 +397,7 @@ def _slave_plant(slave: Slave) -> dict[str, object]:
         "input_len": params.input_len,
         "output_len": params.output_len,
         "safe": params.safe_outputs.hex(),
-        "watchdog_ms": slave.watchdog_ms,
+        "watchdog_ms": 0 if watchdog is None else watchdog.ms,
         "groups": list(params.groups),
         "dpv1": params.dpv1 is not None,
         "every": params.every,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import logging
+from asyncio import FIRST_COMPLETED
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib.util import find_spec
@@ -30,6 +32,8 @@ from dpstack.trace import Severity
 
 #: s between two snapshots for the faces
 _INTERVAL_S: Final = 0.2
+#: s that the faces have for their nodes before the bus begins: 50 000 take some 10 s
+_BUILD_S: Final = 60.0
 #: s that the faces have where the user is in a hurry, or the bus still runs
 _HURRIED_S: Final = 0.5
 #: s between two looks whether the user is in a hurry
@@ -128,6 +132,7 @@ class Publishing:
             raise
         self._running = asyncio.create_task(self._gateway.run(), name="dpstack gateway")
         self._running.add_done_callback(self._ended)
+        core_of(self._bus).before_opening.append(self._built)
         return self
 
     async def __aexit__(
@@ -167,6 +172,23 @@ class Publishing:
                 self._tell(f"{face.name}: {type(error).__name__}: {error}", Severity.WARNING)
         self.remarks += [text for text, severity in self._untold if severity is not Severity.INFO]
         self._untold.clear()
+
+    async def _built(self) -> None:
+        """Wait until the faces have made their nodes, or are over: afterwards the bus must not wait for them."""
+        assert self._gateway is not None
+        assert self._running is not None
+        building = asyncio.ensure_future(self._gateway.built())
+        collects = gc.isenabled()
+        gc.disable()  # the nodes stay: to look for garbage among them again and again takes half of this time
+        try:
+            done, _ = await asyncio.wait({building, self._running}, timeout=_BUILD_S, return_when=FIRST_COMPLETED)
+            gc.freeze()  # nor does a collection while the bus runs, which would hold up its end
+        finally:
+            building.cancel()
+            if collects:
+                gc.enable()
+        if not done:
+            self._tell(f"faces: their nodes are not made after {_BUILD_S:g} s; the bus begins now", Severity.WARNING)
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         error = None if task.cancelled() else task.exception()

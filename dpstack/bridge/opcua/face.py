@@ -119,6 +119,7 @@ class OpcUaFace(Face):
         self._changed: dict[str, tuple[Node, Reading]] = {}
         self._events: deque[Condition] = deque(maxlen=MOST_EVENTS_WAITING)
         self._structure = True
+        self.is_built = False
         self._left_out = 0
         #: it was told that the history has too little room
         self._told_history = False
@@ -182,7 +183,7 @@ class OpcUaFace(Face):
                     self._left_out += 1
                 self._events.append(change)
             elif isinstance(change, NodesChanged):
-                self._structure = True
+                self._structure, self.is_built = True, False
             elif isinstance(change, ClockSet):
                 self._offset = change.offset
                 self.history.clear()
@@ -256,6 +257,7 @@ class OpcUaFace(Face):
         if self._structure and self.tree.plant is not None:
             self._structure = False
             await self._build()
+            self.is_built = not self._structure
         changed, self._changed = self._changed, {}
         now = self._now()
         for number, (node, reading) in enumerate(changed.values(), 1):

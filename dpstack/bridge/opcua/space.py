@@ -33,10 +33,13 @@ METHODS: Final[Mapping[str, str]] = {
     "start": "Start", "stop": "Stop", "quick_stop": "QuickStop", "coast": "Coast", "acknowledge": "Acknowledge",
     "speed": "SetSpeed",
 }  # fmt: skip
-#: nodes that are added before others have their turn
-_AT_ONCE: Final = 50
+#: nodes that are made, or removed, before others have their turn, some 0.15 ms each
+_AT_ONCE: Final = 20
 _READ: Final = 1 << ua.AccessLevel.CurrentRead | 1 << ua.AccessLevel.HistoryRead
 _WRITE: Final = 1 << ua.AccessLevel.CurrentWrite
+_TYPE_DEFINITION: Final = ua.NodeId(ua.ObjectIds.HasTypeDefinition)
+#: classes of nodes that have a type
+_INSTANCES: Final = (ua.NodeClass.Object, ua.NodeClass.Variable)
 
 
 class SharedValue(ua.DataValue):
@@ -65,7 +68,8 @@ class Space:
         self._server = server
         self._index = index
         self._built: dict[int | None, _Built] = {}
-        self._added = 0
+        #: nodes made since others had their turn
+        self._made = 0
         #: the last good state of each drive
         self._states: dict[str, str] = {}
         self.values: dict[ua.NodeId, Node] = {}
@@ -251,9 +255,9 @@ class Space:
             writable = node.order is not None and node.order.name in allowed
             for made in self._value(node, folders[node.path[:-1]], names[node.id], writable=writable):
                 yield made
-            self._added += 1
-            if self._added % _AT_ONCE == 0:
+            if self._made >= _AT_ONCE:
                 await asyncio.sleep(0)
+                self._made = 0
 
     def _about(self, own: str, about: str, text: str) -> ua.NodeId:
         return self._variable(f"{own}/about/{about}", self.node(own), about, _V.String, ua.Variant(text, _V.String),
@@ -317,7 +321,9 @@ class Space:
         self._states.pop(f"slave/{key}/drive", None)
         space = self._server.aspace
         gone = set(built.nodes)
-        for id_ in built.nodes:
+        for number, id_ in enumerate(built.nodes, 1):
+            if number % _AT_ONCE == 0:
+                await asyncio.sleep(0)
             data = space[id_]
             for attribute in data.attributes.values():
                 for handle, callback in tuple(attribute.datachange_callbacks.items()):
@@ -394,16 +400,29 @@ class Space:
         self, id_: ua.NodeId, parent: ua.NodeId, reference: int, name: str | ua.QualifiedName, class_: ua.NodeClass,
         attributes: Any, type_: ua.NodeId | None = None,
     ) -> ua.NodeId:  # fmt: skip
+        space = self._server.aspace
+        above = space[parent]
         item = ua.AddNodesItem()
         item.RequestedNewNodeId = id_
         item.BrowseName = ua.QualifiedName(name, self._index) if isinstance(name, str) else name
         item.NodeClass = class_
-        item.ParentNodeId = parent
-        item.ReferenceTypeId = ua.NodeId(reference)
         item.TypeDefinition = type_ or ua.NodeId()
         item.NodeAttributes = attributes
-        [result] = self._server.node_mgt_service.add_nodes([item])
-        result.StatusCode.check()
+        self._made += 1
+        # without its parent: asyncua compares each new node with all that the parent has already
+        if [*self._server.node_mgt_service.try_add_nodes([item], check=False)]:
+            raise ValueError(f"{id_} is there already, or has an unknown type")
+        kind = ua.NodeId(reference)
+        down = _reference(kind, id_, class_, item.BrowseName, attributes.DisplayName, item.TypeDefinition)
+        above.references.append(down)
+        class_above, browse, display = (
+            space.read_attribute_value(parent, one).Value.Value
+            for one in (ua.AttributeIds.NodeClass, ua.AttributeIds.BrowseName, ua.AttributeIds.DisplayName)
+        )
+        types = (one.NodeId for one in above.references if one.IsForward and one.ReferenceTypeId == _TYPE_DEFINITION)
+        type_above = next(types, None) if class_above in _INSTANCES else None
+        up = _reference(kind, parent, class_above, browse, display, type_above, is_forward=False)
+        space[id_].references.insert(0, up)
         return id_
 
     def _refer(self, source: ua.NodeId, kind: int, target: ua.NodeId, class_: ua.NodeClass) -> None:
@@ -412,6 +431,18 @@ class Space:
         item.IsForward, item.TargetNodeClass = True, class_
         [result] = self._server.node_mgt_service.add_references([item])
         result.check()
+
+
+def _reference(
+    kind: ua.NodeId, target: ua.NodeId, class_: ua.NodeClass, browse: ua.QualifiedName, display: ua.LocalizedText,
+    type_: ua.NodeId | None, *, is_forward: bool = True,
+) -> ua.ReferenceDescription:  # fmt: skip
+    made = ua.ReferenceDescription()
+    made.ReferenceTypeId, made.NodeId, made.NodeClass, made.IsForward = kind, target, class_, is_forward
+    made.BrowseName, made.DisplayName = browse, display
+    if type_ is not None:
+        made.TypeDefinition = type_
+    return made
 
 
 def data_value(node: Node, reading: Reading, wall: Callable[[float], datetime]) -> ua.DataValue:
