@@ -69,8 +69,11 @@ class Gateway:
 
     async def built(self) -> None:
         """Wait until the tree has the plant of a bus whose rate is known, and each face its nodes, or has ended."""
-        # noqa below: neither tree nor faces tell anybody
-        while (self.tree.plant or {}).get("baud") is None or not all(face.is_built for face in self._faces):  # noqa: ASYNC110
+
+        def is_built() -> bool:
+            return (self.tree.plant or {}).get("baud") is not None and all(face.is_built for face in self._faces)
+
+        while not is_built():  # noqa: ASYNC110  neither the tree nor the faces tell it
             await asyncio.sleep(_LOOK_S)
 
     async def run(self) -> None:
