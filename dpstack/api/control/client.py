@@ -134,7 +134,7 @@ class ControlClient:
         except TimeoutError:
             raise PortError(f"{self.port}: the program does not answer; is it stopped or busy?") from None
         except OSError as exc:
-            raise PortError(f"{self.port}: the program ended ({exc.strerror or exc})") from None
+            raise PortError(f"{self.port}: the program closed the connection ({exc.strerror or exc})") from None
 
     def _line(self) -> Mapping[str, Any]:
         rest = self._rest
@@ -144,7 +144,7 @@ class ControlClient:
                 raise PortError(f"{self.port}: an answer of more than {LONGEST_ANSWER} octets; is it dpstack?")
             chunk = self._socket.recv(_CHUNK)
             if not chunk:
-                raise PortError(f"{self.port}: the program ended without an answer")
+                raise PortError(f"{self.port}: the program closed the connection before its answer was complete")
             rest += chunk
         line = bytes(rest[:end])
         del rest[: end + 1]

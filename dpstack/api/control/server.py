@@ -10,6 +10,7 @@ import contextlib
 import inspect
 import itertools
 import json
+import math
 import os
 import socket
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
@@ -55,10 +56,9 @@ _BACKLOG: Final = 64
 _PAUSE_S: Final = 1.0
 #: time limit for the next request of a client
 _IDLE_S: Final = 60.0
-#: limits of unread octets, and of the time in which a client reads its answer; beyond them it is disconnected
-_UNREAD: Final = 1 << 18
 #: octets that wait for the client of a stream (:meth:`Sender.offer`) at most, and one line
 _MOST_OFFERED: Final = 1 << 20
+#: s without an octet read after which a client is disconnected that has an answer to read
 _PATIENCE_S: Final = 5.0
 
 
@@ -163,7 +163,7 @@ class ControlServer:
         self._also = also
         #: the reason why `dpstack ctl` does not find the program by its port alone; None where it does
         self.remark: str | None = None
-        #: time limit (s) for a client that does not read its answers
+        #: time limit (s) for a client that reads nothing of its answer
         self.patience_s = _PATIENCE_S
         #: time limit (s) for a client that sends no request
         self.idle_s = _IDLE_S
@@ -404,15 +404,23 @@ class ControlServer:
         return spec, args
 
     async def _send(self, writer: asyncio.StreamWriter, answer: Mapping[str, object]) -> None:
-        """Raises _ClientGoneError when the client has gone or does not read."""
+        """Raises _ClientGoneError when the client has gone, or has read nothing for :attr:`patience_s`: an answer of a
+        large plant is longer than the buffers of the system, and of any length as long as its client reads."""
+        transport = writer.transport
         writer.write(_line(answer))
-        if writer.transport.get_write_buffer_size() > _UNREAD:
-            raise _ClientGoneError
-        try:
-            async with asyncio.timeout(self.patience_s):  # wait_for loses a cancellation on 3.11: the end would hang
-                await writer.drain()
-        except (OSError, TimeoutError):
-            raise _ClientGoneError from None
+        unread = math.inf
+        while (waiting := transport.get_write_buffer_size()) < unread:
+            unread = waiting
+            try:
+                # wait_for loses a cancellation on 3.11: the end would hang
+                async with asyncio.timeout(self.patience_s):
+                    await writer.drain()
+                return
+            except TimeoutError:
+                continue
+            except OSError:
+                break
+        raise _ClientGoneError
 
     def _help(self, _args: list[str]) -> object:
         commands = [spec.as_dict() for spec in self._specs]

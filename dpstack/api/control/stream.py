@@ -36,6 +36,6 @@ async def stream_lines(client: ControlClient, command: str, *args: str) -> Async
     except ValueError:  # a line without end
         raise PortError(f"{client.port}: an answer of more than {LONGEST_ANSWER} octets; is it dpstack?") from None
     except OSError as exc:
-        raise PortError(f"{client.port}: the program ended ({exc.strerror or exc})") from None
+        raise PortError(f"{client.port}: the program closed the connection ({exc.strerror or exc})") from None
     finally:
         writer.close()

@@ -11,6 +11,7 @@ import socket
 import stat
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from control_kit import control_directory, octet_client, socket_of
 
 from dpstack.api.control.client import ControlClient, connect, running
 from dpstack.api.control.commands import COMMON, KINDS, SLAVES, Spec, find
-from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send
+from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, _ClientGoneError
 from dpstack.api.control.socket_path import names_of, socket_name
 from dpstack.errors import BusError, PortBusyError, PortError, SlaveTimeout, UsageError
 
@@ -198,6 +199,45 @@ async def test_a_client_that_does_not_read_is_dropped_and_the_others_are_served(
             assert await client.is_served()
             await asyncio.wait_for(ended.wait(), 10)
             assert await client.is_served()
+
+
+async def test_an_answer_is_as_long_as_the_plant_is_large() -> None:
+    """More than the buffers of the system and of the loop take at once."""
+    slaves = {str(address): {"name": f"slave {address}", "inputs": "5a" * 20_000} for address in range(1, 101)}
+    async with ControlServer("sim", "COM3", SPECS, HANDLERS | {"status": lambda _: {"slaves": slaves}}):
+
+        def ask() -> tuple[object, object]:
+            with connect("COM3") as client:
+                return client.call("status"), client.call("echo", "hello")
+
+        assert await asyncio.to_thread(ask) == ({"slaves": slaves}, ["hello"])
+
+
+class SlowWriter:
+    """A connection whose client has left so many octets of an answer whenever the patience of the program ends."""
+
+    def __init__(self, *left: int) -> None:
+        self.transport = self
+        self._left = deque(left)
+
+    def write(self, line: bytes) -> None:
+        self.line = line
+
+    def get_write_buffer_size(self) -> int:
+        return self._left.popleft()
+
+    async def drain(self) -> None:
+        if self._left[0]:
+            raise TimeoutError
+
+
+async def test_a_client_has_as_much_time_for_its_answer_as_it_reads_of_it() -> None:
+    slow: Any = SlowWriter(1000, 600, 200, 0)
+    await server()._send(slow, {"ok": True})
+    assert slow.line == b'{"ok":true}\n'
+    deaf: Any = SlowWriter(1000, 600, 600, 0)
+    with pytest.raises(_ClientGoneError):
+        await server()._send(deaf, {"ok": True})
 
 
 async def test_the_seventeenth_client_pushes_out_the_one_that_was_idle_longest() -> None:
@@ -390,7 +430,11 @@ async def test_nobody_there_names_those_who_are() -> None:
 
 @pytest.mark.parametrize(
     ("answer", "says"),
-    [(b"", "ended without an answer"), (b"hello\n", "is no JSON object"), (b'"x"\n', "is no JSON object")],
+    [
+        (b"", "closed the connection before its answer was complete"),
+        (b"hello\n", "is no JSON object"),
+        (b'"x"\n', "is no JSON object"),
+    ],
 )
 def test_a_program_that_answers_nonsense(answer: bytes, says: str) -> None:
     with listening() as program:
