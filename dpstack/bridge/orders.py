@@ -15,7 +15,7 @@ from dpstack.bridge.face import Tell
 from dpstack.bridge.nodes import Order
 from dpstack.bridge.quality import Value, clean
 from dpstack.bridge.tree import PlantTree
-from dpstack.errors import ConfigError, DpError
+from dpstack.errors import ConfigError, DpError, SlaveError
 from dpstack.trace import Severity
 
 #: age of an order in s, as long as the configuration does not say otherwise
@@ -359,6 +359,8 @@ def _refused(name: str, error: Exception) -> OrderResult:
     """The result of an order that has failed by ``error``."""
     if isinstance(error, _RefusedError):
         return OrderResult(name, "refused", str(error), error.kind)
+    if isinstance(error, SlaveError):
+        return OrderResult(name, "refused", clean(str(error)), Refusal.NO_EXCHANGE)
     text = str(error) if isinstance(error, DpError) else f"{type(error).__name__}: {error}"
     return OrderResult(name, "refused", clean(text))
 

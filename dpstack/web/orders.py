@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final, Protocol
 
+from dpstack.api.control.commands import NOW
 from dpstack.errors import DpError, UsageError
 from dpstack.web.messages import Order
 from dpstack.web.rights import Visitor
@@ -17,8 +18,8 @@ class Tell(Protocol):
     def __call__(self, text: str, severity: str = "info", *, pages: bool = True, **more: object) -> None: ...
 
 
-def _same(command: str) -> Callable[[tuple[str, ...]], tuple[str, ...]]:
-    return lambda args: (command, *args)
+def _same(*command: str) -> Callable[[tuple[str, ...]], tuple[str, ...]]:
+    return lambda args: (*command, *args)
 
 
 def _write(args: tuple[str, ...]) -> tuple[str, ...]:
@@ -29,7 +30,9 @@ def _write(args: tuple[str, ...]) -> tuple[str, ...]:
 
 #: for each order the command of the control socket, with its arguments
 _COMMANDS: Final[dict[str, Callable[[tuple[str, ...]], tuple[str, ...]]]] = {
-    **{one: _same(one) for one in ("operate", "clear", "stop", "set", "outputs", "drive")},
+    **{one: _same(one) for one in ("operate", "clear", "stop")},
+    # whoever looks at a page does not stand beside the plant
+    **{one: _same(one, NOW) for one in ("set", "outputs", "drive")},
     "write": _write,
 }
 #: starts the run where there is none

@@ -11,7 +11,7 @@ from api_kit import in_virtual_time
 
 from dpstack.bridge.orders import MOST_OF_A_SLAVE, Orders, Refusal, check_allowed, is_allowed
 from dpstack.bridge.tree import PlantTree
-from dpstack.errors import ConfigError, UsageError
+from dpstack.errors import ConfigError, SlaveError, UsageError
 from dpstack.trace import Severity
 
 NOW = 1_700_000_000.0
@@ -64,6 +64,8 @@ class Run:
             await asyncio.sleep(self.seconds)
             if "8.speed=200" in words:
                 raise UsageError("valves: speed = 200 is outside 0..100")
+            if words == ("set", "8.speed=202"):
+                raise SlaveError(8, "slave 8 is not in data exchange: it is in diagnosis")
             if words == ("set", "8.speed=201"):
                 raise ZeroDivisionError("\x1b[2J")
         finally:
@@ -104,6 +106,10 @@ async def test_types_and_ranges_are_judged_by_plant_and_run() -> None:
     assert await run.reason("valves.speed", [1]) == "a list is no value of an order"
     assert await run.reason("valves.speed", 200) == "valves: speed = 200 is outside 0..100"
     assert await run.reason("valves.speed", 201) == "ZeroDivisionError: \\x1b[2J"
+    # the run knows it earlier than the tree
+    absent = await run.orders.give("valves.speed", 202, made_at=None)
+    assert absent.reason == "slave 8 is not in data exchange: it is in diagnosis"
+    assert absent.kind is Refusal.NO_EXCHANGE
     # a face writes a value to an order without an argument: nothing starts because of false
     assert await run.reason("hoist.start", False) == "hoist.start takes true, not False"
     assert await run.reason("hoist.start", True) == ""

@@ -19,13 +19,16 @@ from support import WorldFactory
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import parse_config
+from dpstack.api.control.handlers import carry_out_order
 from dpstack.api.faces.kinds import KINDS, FaceKind
 from dpstack.api.faces.publishing import Publishing
 from dpstack.bridge.nodes import Kind, slave_of
+from dpstack.bridge.orders import Refusal
 from dpstack.bridge.tree import Born, NodesChanged
+from dpstack.dp.master.commands import Mode
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
-from dpstack.errors import ConfigError, PortError, UsageError
+from dpstack.errors import ConfigError, PortError, SlaveError, UsageError
 from dpstack.sim.world import World
 from dpstack.trace import Notice
 
@@ -56,13 +59,13 @@ def notices(bus: dpstack.Bus) -> list[str]:
 class Plant:
     """A bus with a slave that keeps the outputs that it gets."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, **more: Any) -> None:
         self.outputs: list[bytes] = []
         #: when the safe values came, by the clock of the loop
         self.safe_at = 0.0
         description = SlaveDescription(ident=0x1234, configs=(bytes.fromhex("21 11"),))
-        _, self.app = slave_in(world, DpSlave(description, self._exchange), 9)
-        self.bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[VALVES], world=world)
+        self.station, self.app = slave_in(world, DpSlave(description, self._exchange), 9)
+        self.bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[VALVES], world=world, **more)
 
     def _exchange(self, outputs: bytes, elapsed: int) -> bytes:
         self.outputs.append(outputs)
@@ -249,6 +252,46 @@ async def test_values_go_out_and_orders_come_back(world: WorldFactory) -> None:
 
 
 @in_virtual_time
+async def test_an_output_that_cannot_reach_its_slave_now_is_refused_and_never_acts_later(world: WorldFactory) -> None:
+    """In Clear, in a Clear that the master went to by itself, and where the slave is gone before the tree knows it."""
+    w = world()
+    plant = Plant(w, application_watchdog_ms=100)
+    async with plant.bus as bus, dpstack.publish(bus, probe={"allow_commands": ["valves.*"]}):
+        [face] = ProbeFace.made
+
+        async def refused() -> tuple[str, Refusal]:
+            one = await face.orders.give("valves.target", 7.5, made_at=None)
+            both = await face.orders.give_outputs([("valves.target", 7.5), ("valves.lamp", True)], made_at=None)
+            assert {(two.result, two.reason, two.kind) for two in both} == {one[1:]}
+            assert one.result == "refused"
+            return one.reason, one.kind
+
+        await bus.ready()
+        await asyncio.sleep(1)
+        operate = "(of a run: dpstack ctl virtual operate)"
+        clear = f"the bus is in Clear, nothing reaches valves: call operate() first {operate}"
+        assert (bus.mode, await refused()) == (Mode.CLEAR, (clear, Refusal.STATE))
+        await bus.operate()
+        bus.alive()
+        await asyncio.sleep(0.05)
+        assert (await face.orders.give("valves.target", 8.0, made_at=None)).reason == ""
+        await asyncio.sleep(0.5)
+        assert bus.forced_clear is not None
+        reason, kind = await refused()
+        assert reason.startswith("the bus went to Clear by itself (")
+        assert reason.endswith(f"): look at the plant, then operate() {operate}")
+        assert kind is Refusal.STATE
+        await bus.operate()
+        await asyncio.sleep(0.05)
+        assert {octets[1] for octets in plant.outputs} == {0, 16}  # 7.5 bar would be 15
+        w.remove(plant.station)
+        await bus.until(lambda: not bus.slave(9).ready_now)
+        with pytest.raises(SlaveError, match=r"^slave 9 is not in data exchange: "):
+            await carry_out_order(bus, ("set", "9.target=7.5"))
+        assert bus.slave(9)["target"] == 8.0
+
+
+@in_virtual_time
 async def test_orders_to_a_drive() -> None:
     async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
         await bus.operate()
@@ -265,6 +308,13 @@ async def test_orders_to_a_drive() -> None:
             await asyncio.sleep(0.5)
             assert not bus.drive("pump").status.running
             assert face.values("slave/6/drive/running")[-1] is False
+            await bus.clear()
+            await bus.wait_state(Mode.CLEAR)
+            reason = (await face.orders.give("pump.speed", 0.5, made_at=None)).reason
+            assert "the bus is in Clear, nothing reaches pump: call operate() first" in reason
+            await bus.operate()
+            await asyncio.sleep(1)
+            assert bus.drive("pump").status.setpoint == 0.25
 
 
 @pytest.mark.parametrize("baud", [500_000, "auto"])

@@ -61,7 +61,13 @@ async def test_orders_become_commands_of_the_run_and_all_pages_are_told() -> Non
         for number, (command, *args) in enumerate(orders):
             answer = await page.order(command, *args, id=number)
             assert answer == {"id": number, "ok": True, "result": {"did": run.commands[-1][0]}}
-        assert run.commands == [*orders[:-1], ("acyclic", "8", "write", "1", "47", "00FF")]
+        assert run.commands == [
+            *orders[:3],
+            ("set", "now", "valves.limit=on", "8.level=3"),
+            ("outputs", "now", "9=00FF"),
+            ("drive", "now", "hoist", "speed", "0.5"),
+            ("acyclic", "8", "write", "1", "47", "00FF"),
+        ]
         refused = await page.order("set", "refuse", id=9)
         assert refused == {"id": 9, "ok": False, "error": "no slave <b>'refuse'</b> here"}
         assert "held by another" in (await page.order("start"))["error"]

@@ -285,13 +285,18 @@ async def bus_with_page(tmp_path: Path) -> AsyncIterator[tuple[dpstack.Bus, Page
 async def test_orders_and_asks_reach_a_bus(tmp_path: Path) -> None:
     async with bus_with_page(tmp_path) as (bus, page, stopped):
         assert (await page.until("plant"))["slaves"]["9"]["name"] == "raw"
-        assert (await page.order("set", "raw.lamp=on"))["ok"] is True
-        assert bus.slave(9).outputs == b"\x08"
         assert bus.mode.name == "CLEAR"
+        for order in (("set", "raw.lamp=on"), ("outputs", "9=08")):
+            # else they would act when somebody gives operate, whenever that is
+            refused = (await page.order(*order))["error"]
+            assert refused.startswith("the bus is in Clear, nothing reaches raw: call operate() first")
+        assert bus.slave(9).outputs == b"\x00"
         assert (await page.order("operate"))["ok"] is True
         while (await page.until("snapshot"))["bus"].get("mode") != "operate":
             pass
         assert bus.mode.name == "OPERATE"
+        assert (await page.order("set", "raw.lamp=on"))["ok"] is True
+        assert bus.slave(9).outputs == b"\x08"
         assert (await page.order("outputs", "9=zz"))["ok"] is False
         assert "no slave" in (await page.order("outputs", "77=00"))["error"]
         diag = await page.ask("diag", 9)

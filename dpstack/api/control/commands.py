@@ -91,13 +91,17 @@ SEGMENT: Final = (
     Spec("resume", "STATION", "connects it again", "0"),
     Spec("stats", "", "octets of each station, damaged octets", ""),
 )
+#: first argument of an order that is refused where it cannot reach the slave at this moment
+NOW: Final = "now"
 RUN: Final = (
-    Spec("outputs", "SLAVE=HEX...", "output octets of slaves without a drive plugin", "9=00FF"),
-    Spec("set", "SLAVE.FIELD=VALUE...", "named outputs, and no other bits", "8.limit=on 8.level=1200"),
+    Spec("outputs", f"[{NOW}] SLAVE=HEX...", "output octets of slaves without a drive plugin", "9=00FF"),
+    Spec("set", f"[{NOW}] SLAVE.FIELD=VALUE...", "named outputs, and no other bits", "8.limit=on 8.level=1200"),
     Spec("operate", "", "outputs go out", ""),
     Spec("clear", "", "inputs are read, outputs are zero", ""),
     Spec("stop", "", "ends the run in order: safe values, Clear", ""),
-    Spec("drive", "NAME ORDER [ARG]...", "tells a drive what to do, as `dpstack drive` does", "hoist speed 0.5"),
+    Spec(
+        "drive", f"[{NOW}] NAME ORDER [ARG]...", "tells a drive what to do, as `dpstack drive` does", "hoist speed 0.5"
+    ),
     Spec("acyclic", "SLAVE ORDER [ARG]...", "records of a slave, as `dpstack acyclic` does", "8 read 1 47"),
     Spec("class2", "SLAVE ORDER [ARG]...", "the same over a class 2 connection (MS2)", "8 read 1 47"),
     Spec("diag", "ADDRESS", "diagnosis, configuration, inputs and outputs of any station, read as class 2", "8"),

@@ -11,7 +11,8 @@ from typing import Any, Final
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.control import errors
-from dpstack.api.control.commands import Arguments, Order, Spec, find_word
+from dpstack.api.control.commands import NOW, Arguments, Order, Spec, find_word
+from dpstack.api.control.held import refuse_held
 from dpstack.api.control.server import LongCommand, kept_alive
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue
 from dpstack.api.slave.drive import Drive
@@ -76,13 +77,21 @@ def drive_order(bus: Bus, args: list[str]) -> LongCommand:
 
 
 def find_order(bus: Bus, args: Sequence[str]) -> tuple[Drive, Order]:
-    """The drive and the order of ``NAME ORDER [ARG]...``. Raises UsageError, and BusError while it is not known."""
+    """The drive and the order of ``[now] NAME ORDER [ARG]...``. Raises UsageError, and BusError while it is not known.
+
+    With ``now``: raises as :func:`~dpstack.api.control.held.refuse_held` for an order of :data:`LASTING`. (A drive may
+    have that name: then an order stands behind it.)
+    """
     if bus.searching:
         raise BusError(f"{SEARCHING}: the drives are known once it is found")
     if bus.config.bus.read_only:
         raise BusError("this run is read only: it gives no drive an order; end it and run without read_only")
-    name, word, *texts = args
-    return bus.drive(number_or_name(name)), parse_order(word, texts)
+    now = len(args) > 2 and args[0] == NOW and all(args[1] != spec.name for spec in WORDS)
+    name, word, *texts = args[1:] if now else args
+    drive, order = bus.drive(number_or_name(name)), parse_order(word, texts)
+    if now and order.word in LASTING:
+        refuse_held(bus, [drive.slave])
+    return drive, order
 
 
 async def carry_out(drive: Drive, order: Order) -> dict[str, Any]:

@@ -17,7 +17,8 @@ from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import clear_since, diagnosis_dict, drive_dict, inputs_dict
 from dpstack.api.control import arguments
 from dpstack.api.control.arguments import PTY, address_of
-from dpstack.api.control.commands import KINDS, SLAVES
+from dpstack.api.control.commands import KINDS, NOW, SLAVES
+from dpstack.api.control.held import held_answer, refuse_held
 from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.slave.slave import Slave
@@ -91,18 +92,18 @@ def _by_need(module: str, name: str, bus: Bus, **options: bool) -> Handler:
 
 
 async def carry_out_order(bus: Bus, words: Sequence[str]) -> None:
-    """Carry out an order of a face, ``set`` or ``drive`` with its arguments, as the control server does. Raises
-    UsageError, and the errors of the order."""
+    """Carry out an order of a face, ``set`` or ``drive`` with its arguments, as the control server does with ``now``.
+    Raises UsageError, and the errors of the order."""
     command, *args = words
     if command == "set":
-        await _set(bus, args)
+        await _set(bus, (NOW, *args))
         return
     if command != "drive":
         raise UsageError(f"a face gives no order {command!r}")
     place = f"{__package__}.drive_orders"
     await load_beside(place)
     orders = sys.modules[place]
-    await orders.carry_out(*orders.find_order(bus, args))
+    await orders.carry_out(*orders.find_order(bus, (NOW, *args)))
 
 
 def run_feed(bus: Bus) -> TapFeed:
@@ -180,13 +181,19 @@ def _outputs_of(slave: Slave) -> dict[str, object]:
     return entry
 
 
-async def _outputs(bus: Bus, args: list[str]) -> None:
-    """Set output octets. Parses all arguments before the first one takes effect."""
-    await _put_out(bus, {_slave_of(bus, where): octets for where, octets in map(arguments.octets, args)})
+async def _outputs(bus: Bus, args: Sequence[str]) -> object:
+    """Set output octets. Parses all arguments before the first one takes effect. Returns as :func:`_put_out`."""
+    now, args = _split_now(args)
+    wanted = {_slave_of(bus, where): octets for where, octets in map(arguments.octets, args)}
+    if now:
+        refuse_held(bus, wanted)
+    return await _put_out(bus, wanted)
 
 
-async def _set(bus: Bus, args: list[str]) -> None:
-    """Set named outputs, and named inputs of simulated slaves. Parses all arguments before the first takes effect."""
+async def _set(bus: Bus, args: Sequence[str]) -> object:
+    """Set named outputs, and named inputs of simulated slaves. Parses all arguments before the first takes effect.
+    Returns as :func:`_put_out`."""
+    now, args = _split_now(args)
     wanted: dict[Slave, bytes] = {}
     inputs: list[str] = []
     core = core_of(bus)
@@ -201,16 +208,25 @@ async def _set(bus: Bus, args: list[str]) -> None:
             wanted[slave] = found.put(wanted.get(slave, slave.outputs_held), found.read(value))
         except ValueError as error:
             raise UsageError(f"{slave.who}: {error}") from None
+    if now:
+        refuse_held(bus, wanted)
     if core.bench is not None and inputs:
         from dpstack.api.control.simulation_handlers import set_inputs
 
         set_inputs(core.bench, core, inputs)
-    if wanted:
-        await _put_out(bus, wanted)
+    return await _put_out(bus, wanted) if wanted else None
 
 
-async def _put_out(bus: Bus, wanted: dict[Slave, bytes]) -> None:
-    """Set outputs, and wait until the master has them. Raises OrderDropped where it does not take them in time."""
+def _split_now(args: Sequence[str]) -> tuple[bool, Sequence[str]]:
+    """Whether :data:`NOW` stands in front, and the arguments behind it."""
+    return (True, args[1:]) if args[0] == NOW and len(args) > 1 else (False, args)
+
+
+async def _put_out(bus: Bus, wanted: dict[Slave, bytes]) -> object:
+    """Set outputs, and wait until the master has them. Raises OrderDropped where it does not take them in time.
+
+    Returns as :func:`held_answer`.
+    """
     for slave, octets in wanted.items():
         if any(drive.slave is slave for drive in bus.drives):
             raise UsageError(f"{slave.who}: its drive plugin makes the outputs")
@@ -220,6 +236,7 @@ async def _put_out(bus: Bus, wanted: dict[Slave, bytes]) -> None:
     for slave, octets in wanted.items():
         slave.outputs = octets
     await bus.outputs_taken()
+    return held_answer(bus, wanted)
 
 
 def _diag(bus: Bus, where: str) -> LongCommand:

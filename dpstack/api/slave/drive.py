@@ -17,7 +17,7 @@ from dpstack.api.slave.record_parameters import drive_error
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Stream
 from dpstack.argcheck import Sealed, is_number
-from dpstack.dp.master.commands import DriveCommand, Mode
+from dpstack.dp.master.commands import DriveCommand
 from dpstack.dp.master.events import FaultKind
 from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import DriveCore, DriveStatus, ListedParam
@@ -407,22 +407,10 @@ class Drive(Sealed, Readable):
         return DriveError(self.name, f"drive {self.name}: {op}: {text}")
 
     def _why_silent(self) -> str:
-        slave = self.slave
-        forced = self._bus.forced_clear
-        if forced is not None:
-            return (
-                f"the bus went to Clear by itself ({forced.why}): look at the plant, then operate() "
-                f"(of a run: dpstack ctl {self._bus.config.bus.port} operate) and start() again"
-            )
-        if not slave.ready_now:
-            why = slave.fault.text if slave.fault else f"it is in {slave.state.value}"
-            return f"slave {slave.address} is not in data exchange: {why}"
-        if self._bus.mode is not Mode.OPERATE:
-            return (
-                f"the bus is in {self._bus.mode.name.capitalize()}, nothing reaches the drive: call operate() first "
-                f"(of a run: dpstack ctl {self._bus.config.bus.port} operate)"
-            )
-        return "no answer from the plugin"
+        held = self.slave.held_because
+        if held is None:
+            return "no answer from the plugin"
+        return held if self._bus.forced_clear is None else f"{held} and start() again"
 
     def _entry(self, payload: Mapping[str, object]) -> ParameterValue | ParameterError:
         if "error" not in payload:

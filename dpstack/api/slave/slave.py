@@ -255,6 +255,25 @@ class Slave(Sealed, RecordAccess):
                 return b"" if self.setup.fail_safe else bytes(len(self.outputs_held))
         return b""
 
+    @property
+    def held_because(self) -> str | None:
+        """The reason why the master holds :attr:`outputs` back at present, and what to do; None while it sends them.
+
+        Outputs that a program sets meanwhile are prepared: they go out when the reason is over, however long that
+        takes (in Clear: with ``operate()``).
+        """
+        bus = self._bus
+        operate = f"(of a run: dpstack ctl {bus.config.bus.port} operate)"
+        if (forced := bus.forced_clear) is not None:
+            return f"the bus went to Clear by itself ({forced.why}): look at the plant, then operate() {operate}"
+        if not self.ready_now:
+            why = self.fault.text if self.fault else f"it is in {self.state.value}"
+            return f"slave {self.address} is not in data exchange: {why}"
+        if bus.mode is not Mode.OPERATE:
+            mode = bus.mode.name.capitalize()
+            return f"the bus is in {mode}, nothing reaches {self.name}: call operate() first {operate}"
+        return None
+
     def check_outputs(self, octets: bytes) -> None:
         """Raises UsageError where ``octets`` cannot become the outputs (see :attr:`outputs`)."""
         self._bus.check_open()

@@ -16,7 +16,7 @@ from dpstack.api.injected import Injected
 from dpstack.api.server.simulation import Segment, sim_event_json
 from dpstack.cli.commands import ctl
 from dpstack.dp.master.commands import Mode
-from dpstack.errors import UsageError
+from dpstack.errors import BusError, SlaveError, UsageError
 from dpstack.units import ns_to_s
 
 FAIL_SAFE: dict[str, object] = {
@@ -81,6 +81,44 @@ async def test_in_clear_it_shows_the_outputs_that_the_slave_has(capsys: pytest.C
         await bus.clear()
         await bus.rotated(bus.stats.rotations + 5)
         assert told(11)["outputs"] == "00"
+
+
+@in_virtual_time
+async def test_outputs_that_are_set_in_clear_wait_for_operate_unless_they_are_for_now() -> None:
+    async with bus_of(RAW, VALVE) as bus:
+        run = control_run(bus, "virtual")
+
+        async def answer(*words: str) -> Any:
+            result: Any = order(run, *words)
+            return await result
+
+        await bus.ready()
+        operate = "call operate() first (of a run: dpstack ctl virtual operate)"
+        because = f"the bus is in Clear, nothing reaches valve: {operate}"
+        assert bus.slave("valve").held_because == because
+        assert await answer("set", "valve.open=on") == {"held": {"valve": f"held until operate: {because}"}}
+        assert set((await answer("outputs", "raw=01", "valve=01"))["held"]) == {"raw", "valve"}
+        with pytest.raises(BusError, match=r"^the bus is in Clear, nothing reaches valve: "):
+            await answer("set", "now", "valve.open=off")
+        with pytest.raises(BusError, match=r"^the bus is in Clear, nothing reaches raw: "):
+            await answer("outputs", "now", "raw=02", "valve=00")
+        assert (bus.slave("raw").outputs, bus.slave("valve").outputs) == (b"\x01", b"\x01")
+        await bus.operate()
+        assert bus.slave("valve").held_because is None
+        assert [await answer("set", *now, "valve.open=off") for now in ((), ("now",))] == [None, None]
+        bench_of(bus).power(9, False)
+        await bus.until(lambda: not bus.slave(9).ready_now, 5)
+        # nothing of an order takes effect where a part of it is refused
+        with pytest.raises(SlaveError, match=r"^slave 9 is not in data exchange: ") as refused:
+            await answer("outputs", "now", "valve=01", "raw=02")
+        assert refused.value.address == 9
+        assert bus.slave("valve").outputs == b"\x00"
+        held = await answer("outputs", "valve=01", "raw=02")
+        assert held["held"]["raw"].startswith("held until data exchange: slave 9 is not in data exchange: ")
+        assert set(held["held"]) == {"raw"}
+        for words in (("set", "now"), ("outputs", "now")):
+            with pytest.raises(UsageError, match=r"^'now' is not SLAVE"):
+                await answer(*words)
 
 
 @in_virtual_time

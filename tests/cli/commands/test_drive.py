@@ -409,7 +409,7 @@ async def test_a_client_that_hangs_up_ends_the_order(plant: Path, monkeypatch: p
         await bus.ready()  # in Clear
         found = await find_drive(dpstack.load_config(plant), "fan")
         assert found is not None
-        says = r"the bus is in Clear, nothing reaches the drive: .* \(of a run: dpstack ctl virtual operate\)"
+        says = r"the bus is in Clear, nothing reaches fan: .* \(of a run: dpstack ctl virtual operate\)"
         with pytest.raises(DriveTimeout, match=says):
             await order(found, "start", "timeout=0.01")
         starting = asyncio.ensure_future(order(found, "start", "timeout=60"))
