@@ -55,6 +55,19 @@ def test_births_come_first_then_history_by_the_aliases_of_these_births(rig: Hist
     assert rig.history.dropped == 0
 
 
+def test_a_host_that_asks_for_births_without_end_holds_no_history_back(rig: HistoryRig) -> None:
+    outage(rig, 5)
+    rig.connect()
+    for _ in range(200):
+        rig.rebirth()  # again before each message, the births too
+        rig.pump(1)
+        rig.step_disk()
+        rig.round_trip()
+        rig.wait(0.02)
+    alias = rig.host.alias("Inputs/number", "valves")
+    assert [one.value(8) for one in history(rig) if one.alias == alias] == [1, 2, 3, 4, 5]
+
+
 def test_a_value_that_waited_when_the_connection_was_cut_comes_in_the_birth_alone(rig: HistoryRig) -> None:
     rig.count()
     rig.pump()  # sent, and not confirmed

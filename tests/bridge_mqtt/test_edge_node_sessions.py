@@ -84,6 +84,26 @@ def test_a_host_that_asks_for_births_without_end_gets_those_of_all_devices(rig: 
     rig.close()
 
 
+def test_a_host_that_asks_for_births_without_end_holds_no_data_back(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, interval_s=0.2)
+    rig.give_plant()
+    rig.connect()
+    rig.pump()
+    rig.host.messages.clear()
+    for number in range(30):
+        rig.rebirth()
+        rig.values["8"]["fields"]["count"] = number
+        rig.wait(0.1)
+        rig.pump()
+        # by data or births, as the interval permits
+        assert number < 3 or rig.host.metric("Inputs/count", "valves").value >= number - 2
+    sent = kinds(rig)
+    assert sent.count(("NBIRTH", None)) == 3
+    assert sent.count(("DDATA", "valves")) >= 10
+    rig.check()
+    rig.close()
+
+
 def test_a_rebirth_has_the_same_session_number_and_comes_at_most_once_a_second(rig: Rig) -> None:
     first = rig.host.number
     count = len(rig.host.messages)

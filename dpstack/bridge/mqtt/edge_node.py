@@ -307,9 +307,10 @@ class EdgeNode(PlantNode):
             del self._births[slave]
             if self._tree.is_alive(slave) and slave in self._device_ids:
                 return self._device_birth(slave, now_ms, clock)
-        if self._rebirth_asked:
-            # behind the births: a host that asks again for each of them would never get the last one
-            return self._node_birth(now_ms, clock) if clock >= self._born_at + _REBIRTH_S else None
+        # behind the births: a host that asks again for each of them would never get the last one. Until it is due, data
+        # and history go on: a host that asks again and again holds nothing back
+        if self._rebirth_asked and clock >= self._born_at + _REBIRTH_S:
+            return self._node_birth(now_ms, clock)
         assert self._node is not None
         waiting = [one for one in ((None, self._node), *self._devices.items()) if one[1].pending]
         # the one that has waited longest: behind a slow broker no device takes the turn of another
@@ -327,10 +328,9 @@ class EdgeNode(PlantNode):
             return births_from
         if self._deaths or self._births or self._needs_birth:
             return clock
-        if self._rebirth_asked:
-            return self._born_at + _REBIRTH_S
+        rebirth = self._born_at + _REBIRTH_S if self._rebirth_asked else math.inf
         history = math.inf if self._history is None else self._history.next_due()
-        return min(history, *(owner.due for owner in self._owners() if owner.pending), math.inf)
+        return min(rebirth, history, *(owner.due for owner in self._owners() if owner.pending))
 
     def _first_births(self, clock: float) -> float:
         """The time by ``clock`` before which this session has no births."""
