@@ -44,6 +44,44 @@ def test_each_change_is_told_once() -> None:
     assert state_of(fleet) is State.LOST
 
 
+@pytest.mark.parametrize("other", [17, 5, 200])
+def test_a_segment_whose_session_flips_is_not_ok(other: int) -> None:
+    """Two gateways of one group and node: each takes the connection over from the other, with numbers of its own."""
+    fleet = Fleet()
+    fleet.receive(TOPIC, status(session=5), 100.0)
+    states = []
+    for at, (dies, comes) in enumerate(((5, other), (other, 6), (6, other + 1), (other + 1, 7)), 2):
+        fleet.receive(DEATH, node_death(dies, 1), 60.0 * at)
+        states.append(state_of(fleet))
+        fleet.receive(BIRTH, node_death(comes, 1), 60.0 * at + 1)
+        fleet.receive(TOPIC, status(session=comes), 60.0 * at + 2)
+        states.append(state_of(fleet))
+    # the first change may be one gateway whose network was away
+    assert states[:2] == [State.DEAD, State.OK if other == 17 else State.WARNING]
+    assert states[2:] == [State.DEAD, State.WARNING] * 3
+    segment = fleet.get("hall 3", "line 7")
+    assert segment is not None
+    assert segment.reasons == (
+        "its session has gone back: another gateway uses this node's name, or its state folder was lost",
+    )
+    fleet.receive(TOPIC, status(session=7, verdict="critical"), 310.0)
+    assert state_of(fleet) is State.CRITICAL
+    # 300 s later the other one is gone
+    for at in range(320, 620, 10):
+        fleet.receive(TOPIC, status(session=7), float(at))
+    assert (state_of(fleet), segment.reasons) == (State.OK, ())
+
+
+def test_a_gateway_whose_number_goes_up_does_not_flip() -> None:
+    fleet = Fleet()
+    for turn, session in enumerate((5, 6, 40, 150, 255, 0, 1)):  # each try to connect takes one
+        at = 100.0 + 10 * turn
+        fleet.receive(BIRTH, node_death(session, 1), at)
+        fleet.receive(TOPIC, status(session=session), at + 1)
+        assert state_of(fleet) is State.OK
+        fleet.receive(DEATH, node_death(session, 1), at + 3)
+
+
 def test_silence_is_measured_here_with_the_rest_of_the_expiry() -> None:
     fleet = Fleet()
     fleet.receive(TOPIC, status(), 100.0, expiry=12)  # published 18 s ago

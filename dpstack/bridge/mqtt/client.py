@@ -13,6 +13,7 @@ import math
 import random
 import ssl
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Final
@@ -60,6 +61,8 @@ _BIRTHS_PAUSE_S: Final = 2.0
 #: s after another client took the connection over, and the number of sessions ended early that look like it
 _TAKEN_OVER_PAUSE_S: Final = 60.0
 _TAKEN_OVER_AFTER: Final = 4
+#: s in which so many ends of sessions look like it, too
+_AGAIN_AND_AGAIN_S: Final = 600.0
 #: a session that lasted so many s was a good one
 _GOOD_S: Final = 30.0
 #: s between two round trips by which the broker confirms what was sent; and for those at the end of the run
@@ -171,6 +174,8 @@ class MqttFace(Face):
     async def _serve(self) -> None:
         loop = asyncio.get_running_loop()
         failed = ended_early = 0
+        #: times at which a session has ended that the broker had accepted
+        ends: deque[float] = deque(maxlen=_TAKEN_OVER_AFTER)
         await asyncio.sleep(self._pause(_FIRST_PAUSE_S))
         while True:
             began, self._was_connected, self._last_error.text = loop.time(), False, ""
@@ -181,12 +186,22 @@ class MqttFace(Face):
                 failed = failed + 1 if early else 0
                 ended_early = ended_early + 1 if early and self._was_connected else 0
                 pause = retry_s(self._again_s, failed)
-                # not every broker says that a connection was taken over
-                if _is_taken_over(error) or ended_early >= _TAKEN_OVER_AFTER:
+                if self._was_connected:
+                    ends.append(loop.time())
+                taken_over = _is_taken_over(error)
+                if taken_over or ended_early >= _TAKEN_OVER_AFTER:
                     pause = _TAKEN_OVER_PAUSE_S * self._again_s
+                # not every broker says that a connection was taken over; two gateways that wait have long sessions
+                if taken_over or (len(ends) == ends.maxlen and ends[-1] - ends[0] < _AGAIN_AND_AGAIN_S):
+                    does = (
+                        "has given the connection to another client"
+                        if taken_over
+                        else "closes the connection again and again"
+                    )
+                    probably = "" if taken_over else "probably "
                     self.tell(
-                        f"the broker ends each session soon: another gateway seems to have the same group "
-                        f"{self._setup.group!r} and node {self._setup.node!r}; give one of them another node",
+                        f"broker {self._broker.place} {does}: {probably}another gateway uses this node's name (group "
+                        f"{self._setup.group!r}, node {self._setup.node!r}); give one of them another node",
                         Severity.ERROR,
                     )
                 else:

@@ -7,6 +7,7 @@ sleeps.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -15,6 +16,7 @@ from typing import Final
 
 from dpstack.bridge.mqtt.payload import BDSEQ, read_command, rebirth_command
 from dpstack.bridge.mqtt.plant_node import SPARKPLUG
+from dpstack.bridge.mqtt.session_file import NUMBERS
 from dpstack.bridge.mqtt.status import ENDED, EXPIRY_S, FAILED, RENEW_S, RUNNING, Status, read_status
 from dpstack.bridge.names import SPARKPLUG_ID
 from dpstack.bridge.verdicts import CRITICAL, GOOD, UNKNOWN, WARNING
@@ -32,6 +34,10 @@ _MOST_AHEAD_S: Final = 2.0
 _KEPT_S: Final = RENEW_S + 2.0
 _NOT_DATED: Final = "the broker had kept its status without a message expiry: nobody knows how old it is"
 _BORN: Final = "its gateway has begun anew; no status has come since"
+#: s for which a segment is not ok whose session has a number of before: two gateways that take the connection over from
+#: each other do so once a minute
+_FLIPS_S: Final = 300.0
+_FLIPPING: Final = "its session has gone back: another gateway uses this node's name, or its state folder was lost"
 _ENDED_AFTER_DEATH: Final = "after its death came a status that says: ended"
 
 
@@ -69,6 +75,14 @@ class Segment:
     dead: bool = False
     state: State = State.UNKNOWN
     since: float = 0.0
+    #: when a session began whose number was used already; and whether that was within :data:`_FLIPS_S`
+    went_back: float = -math.inf
+    flips: bool = False
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The reasons of its state."""
+        return (_FLIPPING, *self.status.reasons) if self.flips else self.status.reasons
 
 
 @dataclass(slots=True)
@@ -162,6 +176,8 @@ class Fleet:
         if not segment.dead and not is_new:
             return None  # a host has asked for births
         segment.dead = False
+        if isinstance(session, int) and _was_used(segment.status.session, session):
+            segment.went_back = now
         segment.status = _not_known(segment.status, _BORN)
         if isinstance(session, int):
             segment.status = replace(segment.status, session=session)
@@ -206,6 +222,8 @@ class Fleet:
             # in the session that has died, or an end without births: a death is not taken back by it
             is_old = retained and status.session == before.session
             segment.dead = segment.dead and (is_old or (status.state == ENDED and not retained))
+            if status.session != before.session and _was_used(before.session, status.session):
+                segment.went_back = now  # of plain JSON, or its birth was lost
             if segment.dead and status.state == ENDED and before.state != ENDED:
                 status = replace(status, state=RUNNING, reasons=(_ENDED_AFTER_DEATH, *status.reasons))
         segment.status = status
@@ -220,7 +238,7 @@ class Fleet:
 
     def _judge(self, segment: Segment, now: float) -> Segment | None:
         """The segment where its state has changed."""
-        status = segment.status
+        status, segment.flips = segment.status, now - segment.went_back < _FLIPS_S
         if status.state == ENDED:
             state = State.ENDED
         elif status.state == FAILED:
@@ -233,6 +251,8 @@ class Fleet:
             state = State.LOST
         else:
             state = _STATES.get(status.verdict, State.UNKNOWN)
+            if segment.flips and state is not State.CRITICAL:
+                state = State.WARNING
         if state is segment.state and segment.since:
             return None
         segment.state = state
@@ -251,6 +271,11 @@ def _age_by_clocks(status: Status, wall: float) -> float | None:
 def _not_known(status: Status, why: str) -> Status:
     """``status`` without all that may not be so any more."""
     return replace(status, state=RUNNING, verdict=UNKNOWN, reasons=(why,), lost=(), more_lost=0)
+
+
+def _was_used(before: int, session: int) -> bool:
+    """Whether the gateway of the session ``before`` cannot have come to ``session``: each try has the next number."""
+    return not 0 < (session - before) % NUMBERS < NUMBERS // 2
 
 
 def _seen(status: Status) -> tuple[object, ...]:

@@ -206,7 +206,7 @@ class FleetView:
             "since": _time(_wall(one.since)),
             "age_s": round(max(0.0, boottime_s() - one.heard), 1),
             "verdict": status.verdict,
-            "reasons": status.reasons,
+            "reasons": one.reasons,
             "slaves": status.slaves,
             "lost": [{"address": slave.address, "name": slave.name, "state": slave.state} for slave in status.lost],
             "more_lost": status.more_lost,
@@ -243,7 +243,7 @@ def _why(one: Segment) -> str:
     if status.more_lost:
         texts.append(f"and {status.more_lost} more")
     lost = ", ".join(texts)
-    return "; ".join(text for text in (lost, *status.reasons) if text)
+    return "; ".join(text for text in (lost, *one.reasons) if text)
 
 
 def _wall(at: float) -> float:
