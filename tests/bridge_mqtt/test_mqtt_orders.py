@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import aiomqtt
+import pytest
 from edge_node_rig import GROUP, NODE
 from fake_broker import FakeBroker, publish, text
 from plant_items import HOIST, PLANT, VALVES
@@ -80,3 +81,35 @@ async def test_messages_that_came_too_fast_are_counted_and_told_while_the_connec
         face._count_lost(client, is_end=is_end)
         assert told[before:] == ([] if told_now is None else [text.format(told_now)])
     assert face.dropped == 8
+
+
+@pytest.mark.parametrize("good_s", [30.0, 0.0])
+async def test_a_broker_that_closes_again_and_again_names_the_likely_cause(
+    good_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two gateways of one node, at a broker that does not say why; each has long sessions while the other waits."""
+    monkeypatch.setattr("dpstack.bridge.mqtt.client._GOOD_S", good_s)
+    told: list[str] = []
+    async with FakeBroker() as broker:
+        face = MqttFace(
+            PlantTree(),
+            lambda remark, severity: told.append(remark),
+            broker=Broker(url=broker.url),
+            setup=NodeSetup(GROUP, NODE),
+            folder=tmp_path,
+            again_s=0.001,
+        )
+        await face.open()
+        serving = asyncio.create_task(face.serve())
+        place = f"broker 127.0.0.1:{broker.port}"
+        cause = f"another gateway uses this node's name (group {GROUP!r}, node {NODE!r}); give one of them another node"
+        async with asyncio.timeout(20):
+            while f"{place} closes the connection again and again: probably {cause}" not in told:
+                if face.connected:
+                    broker.cut()
+                await asyncio.sleep(0.002)  # the broker tells nobody of its clients
+        assert sum("it is tried again" in text for text in told) == 3
+        serving.cancel()
+        with suppress(asyncio.CancelledError):
+            await serving
+        face.close()
