@@ -24,6 +24,8 @@ _LOOK_S: Final = 0.01
 END_S: Final = 3.0
 #: s until a face that goes on in spite of its cancellation is left
 _LAST_S: Final = 0.5
+#: changes after which those of further slaves wait until others had their turn, some 20 us each
+MOST_CHANGES: Final = 500
 #: items that wait to be applied together
 MOST_ITEMS: Final = 1000
 #: s by which the clock of the computer may differ from that of the stream
@@ -89,12 +91,12 @@ class Gateway:
         reading = loop.create_task(self._read(), name="dpstack gateway: the live stream")
         try:
             while not (reading.done() and self._waiting.empty()):
-                self._step(await self._next_items(reading))
+                await self._step(await self._next_items(reading))
             why, error = "the live stream has ended", None if reading.cancelled() else reading.exception()
             if error is not None:
                 why = f"the live stream has ended by an error: {clean(str(error))}"
             # a bus that has ended has said so itself
-            self._step([] if self.tree.has_ended else [end_of(why, failed=error is not None)])
+            await self._step([] if self.tree.has_ended else [end_of(why, failed=error is not None)])
             await reading
         finally:
             reading.cancel()
@@ -121,10 +123,19 @@ class Gateway:
             found.append(self._waiting.get_nowait())
         return found
 
-    def _step(self, items: Sequence[Mapping[str, Any]]) -> None:
+    async def _step(self, items: Sequence[Mapping[str, Any]]) -> None:
+        """Apply ``items``. The loop may drive a bus, which has its turn behind some :data:`MOST_CHANGES`."""
         now = asyncio.get_running_loop().time()
-        changes = self.tree.apply_all(items, now)
-        changes += self._compare_clocks(now)
+        changes: list[Change] = []
+        for part in self.tree.apply_in_parts(items, now):
+            changes += part
+            if len(changes) >= MOST_CHANGES:
+                self._give_out(changes)
+                changes = []
+                await asyncio.sleep(0)
+        self._give_out(changes + self._compare_clocks(now))
+
+    def _give_out(self, changes: Sequence[Change]) -> None:
         for change in changes:
             if isinstance(change, Remark):
                 self._tell(change.text, Severity.WARNING)

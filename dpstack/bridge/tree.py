@@ -227,8 +227,13 @@ class PlantTree:
     def apply_all(self, items: Iterable[Mapping[str, Any]], now: float) -> list[Change]:
         """Take items that were there together at ``now``. They are judged once, behind the last one: where a program
         that was stopped finds old items, nobody dies of them to be born again at once."""
-        found = [change for item in items for change in self._take(item, now)]
-        return found + self.tick(now)
+        return [change for part in self.apply_in_parts(items, now) for change in part]
+
+    def apply_in_parts(self, items: Iterable[Mapping[str, Any]], now: float) -> Iterator[list[Change]]:
+        """As :meth:`apply_all`, in a part for each slave: a caller whose loop drives a bus lets others have their turn
+        between them. Nothing else may be applied before the last part."""
+        yield [change for item in items for change in self._take(item, now)]
+        yield from self._tick(now)
 
     def _take(self, item: Mapping[str, Any], now: float) -> list[Change]:
         found: list[Change] = []
@@ -253,26 +258,31 @@ class PlantTree:
 
     def tick(self, now: float) -> list[Change]:
         """The changes since the last call that came with the passing of time, or with the items taken."""
+        return [change for part in self._tick(now) for change in part]
+
+    def _tick(self, now: float) -> Iterator[list[Change]]:
+        """The bus is born before its slaves, and dies behind them."""
         if self._plant is None:
-            return []
+            return
         trouble = self._bus_trouble(now)
-        slaves: list[Change] = []
-        for branch in self._slaves.values():
-            slaves += self._judge(branch, trouble, now)
-        bus = list(self._compare(self._bus, (trouble, None), now))
-        if self._bus.born and trouble is not None:
+        dies = self._bus.born and trouble is not None
+        if not dies:
+            bus = [*self._compare(self._bus, (trouble, None), now)]
+            if not self._bus.born and trouble is None:
+                self._bus.born = True
+                bus.append(Born(None))
+            yield bus
+        for branch in tuple(self._slaves.values()):
+            yield self._judge(branch, trouble, now)
+        found = self._bus_conditions(trouble)
+        if dies and trouble is not None:
             self._bus.born = False
-            found = [*slaves, Died(None, Reason.with_note(*trouble)), *bus]
-        elif not self._bus.born and trouble is None:
-            self._bus.born = True
-            found = [*bus, Born(None), *slaves]
-        else:
-            found = [*bus, *slaves]
-        found += self._bus_conditions(trouble)
+            died = Died(None, Reason.with_note(*trouble))
+            found = [died, *self._compare(self._bus, (trouble, None), now), *found]
         if self.conditions.left_out > self._forgotten:
             self._forgotten = self.conditions.left_out
             found += self._remark("there are more conditions than can be kept: the oldest are forgotten")
-        return found
+        yield found
 
     def acknowledge(self, id_: str, by: str = "", comment: str | None = None) -> list[Change]:
         """Acknowledge a condition. Nothing changes where it is not there, or acknowledged already. ``comment`` None

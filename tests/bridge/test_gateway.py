@@ -12,7 +12,7 @@ from api_kit import in_virtual_time
 
 from dpstack.bridge.conditions import Condition
 from dpstack.bridge.face import Face, Tell, Teller
-from dpstack.bridge.gateway import END_S, MOST_ITEMS, TICK_S, Gateway
+from dpstack.bridge.gateway import END_S, MOST_CHANGES, MOST_ITEMS, TICK_S, Gateway
 from dpstack.bridge.quality import Quality
 from dpstack.bridge.tree import SILENT_S, Born, Change, Changed, ClockSet, Died, PlantTree
 from dpstack.errors import ConfigError
@@ -253,6 +253,41 @@ async def test_a_stream_that_stops_kills_within_its_limit() -> None:
     assert recorder.lives[4:] == [Born(None), Born(8)]
     assert recorder.levels[-1] == 77
     world.running.cancel()
+
+
+@in_virtual_time
+async def test_the_loop_has_its_turn_between_two_slaves() -> None:
+    """All values of a large plant come at once, and the loop may drive its bus."""
+    turn = 0
+    by_turn: dict[int, set[int | None]] = {}
+
+    class Turns(Recorder):
+        def take(self, changes: Sequence[Change]) -> None:
+            super().take(changes)
+            values = {one.node.slave for one in changes if isinstance(one, Changed)}
+            by_turn[turn] = by_turn.get(turn, set()) | values
+
+    async def count() -> None:
+        nonlocal turn
+        for turn in range(100_000):  # noqa: B007
+            await asyncio.sleep(0)
+
+    world = World(Turns)
+    given, fields = plant(), snapshot(0.0, 5)
+    level = {"type": "i16", "at": "i16@0"}
+    given["plant"]["slaves"]["8"]["inputs"] = [level | {"name": f"level{n}"} for n in range(MOST_CHANGES)]
+    fields["snapshot"]["slaves"]["8"]["fields"] = {f"level{n}": n for n in range(MOST_CHANGES)}
+    for address in ("9", "10", "11"):
+        given["plant"]["slaves"][address] = given["plant"]["slaves"]["8"] | {"name": f"valves {address}"}
+        fields["snapshot"]["slaves"][address] = fields["snapshot"]["slaves"]["8"]
+    counting = asyncio.create_task(count())
+    world.items.put_nowait(given)
+    world.items.put_nowait(fields)
+    await asyncio.sleep(0.1)
+    counting.cancel()
+    world.running.cancel()
+    assert set().union(*by_turn.values()) == {None, 8, 9, 10, 11}
+    assert max(len(slaves - {None}) for slaves in by_turn.values()) == 1
 
 
 @pytest.mark.parametrize("broken", [False, True])

@@ -96,15 +96,31 @@ PROBE: Final = """
 [probe]
 fails = "{}"
 """
+#: four further slaves with 7168 named bits in all; their outputs, and the tables of their configuration
+BIG_OUTPUTS: Final = "55" + "00" * 111
+BIG_SLAVES: Final = tuple(f"{address}:1234:{'1f2f' * 7}:112:112={BIG_OUTPUTS}" for address in range(10, 14))
+BIG: Final = "".join(
+    f"""
+[[slave]]
+name = "big {address}"
+address = {address}
+ident = 0x1234
+config = "{"1f2f" * 7}"
+watchdog_ms = 1000
+inputs = {{ {", ".join(f'i{bit} = "bool@{bit // 8}.{bit % 8}"' for bit in range(896))} }}
+outputs = {{ {", ".join(f'o{bit} = "bool@{bit // 8}.{bit % 8}"' for bit in range(896))} }}
+"""
+    for address in range(10, 14)
+)
 
 
 class Recorder:
     """The process of ``recording_slave``."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, more: tuple[str, ...] = ()) -> None:
         self.link = str(folder / "line")
         self.process = subprocess.Popen(
-            [sys.executable, str(KITS / "recording_slave.py"), self.link, *SLAVES],
+            [sys.executable, str(KITS / "recording_slave.py"), self.link, *SLAVES, *more],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
@@ -162,7 +178,8 @@ class Program:
             files = [argument.replace("FOLDER", str(folder)) for argument in row.arguments]
             main = [str(KITS / "ends_run.py")] if "[probe]" in row.tables else ["-m", "dpstack.cli.main"]
             command = [sys.executable, *main, "run", str(plant)]
-            command += ["--outputs", f"4={LIVE}", f"5={LIVE_LAMPS}", "--plain", *files]
+            big = [f"{slave.partition(':')[0]}={BIG_OUTPUTS}" for slave in row.slaves]
+            command += ["--outputs", f"4={LIVE}", f"5={LIVE_LAMPS}", *big, "--plain", *files]
         else:
             file = "ends_blocking.py" if row.program == "blocking" else "ends_faults.py"
             command = [sys.executable, str(KITS / file), link, row.driver, row.way]
@@ -275,8 +292,11 @@ class Row:
     reader_goes: bool = False
     stdout: str | None = None
     arguments: tuple[str, ...] = ()
-    #: more of the configuration of ``dpstack run``
+    #: more of the configuration of ``dpstack run``, and the slaves in it
     tables: str = ""
+    slaves: tuple[str, ...] = ()
+    #: ``act`` comes when the program has written this, and not when outputs are live
+    writes: str = ""
     environment: dict[str, str] = field(default_factory=dict)
     limits: dict[int, int] = field(default_factory=dict)
     ignored: int = 0
@@ -587,6 +607,7 @@ def rows() -> list[Row]:
         run = functools.partial(Row, driver=driver, program="run")
         few = {resource.RLIMIT_NOFILE: FEW_HANDLES[driver]}
         files = ("--record", "FOLDER/rows.csv", "--log", "FOLDER/events.log")
+        end = send(signal.SIGTERM)
         found += [
             run("no handles", "too few of them to open the bus", limits=few),
             run("no handles", "while the bus runs, and SIGTERM", act=no_handles),
@@ -602,6 +623,13 @@ def rows() -> list[Row]:
             *(
                 run("face", f"{text}, and SIGTERM", tables=PROBE.format(fails), act=end_beside_a_face)
                 for fails, text in FACE_ENDS.items()
+            ),
+            run("face", "it makes its nodes, and SIGTERM", tables=PROBE.format("build"), writes="builds", act=end),
+            faced(
+                "metrics, MQTT and OPC UA of 7168 values at their start, and SIGTERM",
+                tables=BIG + FACES,
+                slaves=BIG_SLAVES,
+                act=end,
             ),
             run("full disk", "of the store of MQTT, without a broker", tables=FACES, act=full_store),
         ]
@@ -644,11 +672,13 @@ NO_CACHE: Final = {"PYTHONPYCACHEPREFIX": "/dev/full/cache"}
 def measure(row: Row) -> dict[str, str]:
     """The last octets to the slaves, the cause of their safe state, the texts that were printed, and the exit code."""
     with tempfile.TemporaryDirectory() as name:
-        recorder = Recorder(Path(name))
+        recorder = Recorder(Path(name), row.slaves)
         program = Program(row, recorder.link, Path(name))
         try:
-            is_live = wait_until_live(program, recorder)
-            if is_live and row.act is not None:
+            if row.writes:
+                wait_for(lambda: row.writes in program.written["out"], "the program's own word")
+            is_live = not row.writes and wait_until_live(program, recorder)
+            if (is_live or row.writes) and row.act is not None:
                 recorder.say("mark")
                 row.act(program, recorder)
             outcome = program.settle(time.monotonic(), functools.partial(exchanges, recorder))

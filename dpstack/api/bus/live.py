@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from time import time
 from typing import Any, Final
 
@@ -36,8 +36,10 @@ from dpstack.stats import Histogram
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS, NS_PER_US, ns_to_s
 
-#: slaves in one step of a snapshot, about 0.2 ms, and the pause between two steps
+#: slaves in one step of a snapshot, about 0.2 ms, and their named values, of which one slave may have more; and the
+#: pause between two steps
 _STEP: Final = 8
+_STEP_VALUES: Final = 500
 _PAUSE_S: Final = 0.002
 #: a snapshot takes one in so many parts of the time at most: that of 125 slaves, or on a busy computer, comes later,
 #: by so many s at most
@@ -219,12 +221,12 @@ class LiveFeed:
             return
         loop, slaves = asyncio.get_running_loop(), self._bus.slaves
         since = loop.time()
-        for first in range(0, len(slaves), _STEP):
-            if first:
+        for step in _steps(slaves):
+            if step[0] is not slaves[0]:
                 self._busy += loop.time() - since
                 await asyncio.sleep(_PAUSE_S)
                 since = loop.time()
-            self._hand_out(self._slave_changes(slaves[first : first + _STEP]))
+            self._hand_out(self._slave_changes(step))
         self._hand_out(self._bus_changes())
         self._busy += loop.time() - since
 
@@ -319,6 +321,21 @@ class LiveFeed:
         item = {"event": line | more}
         for stream in readers:
             stream.put(item)
+
+
+def _steps(slaves: Iterable[Slave]) -> Iterator[list[Slave]]:
+    """``slaves`` in the steps of a snapshot."""
+    step: list[Slave] = []
+    values = 0
+    for slave in slaves:
+        own = len(slave.config.input_fields) + len(slave.config.output_fields)
+        if step and (len(step) == _STEP or values + own > _STEP_VALUES):
+            yield step
+            step, values = [], 0
+        step.append(slave)
+        values += own
+    if step:
+        yield step
 
 
 def checked_interval(interval: float) -> float:
