@@ -630,6 +630,7 @@ def rows() -> list[Row]:
                 tables=BIG + FACES,
                 slaves=BIG_SLAVES,
                 act=end,
+                may_tell="dpstack: mqtt: ",  # of values that the disk has not taken by then
             ),
             run("full disk", "of the store of MQTT, without a broker", tables=FACES, act=full_store),
         ]
