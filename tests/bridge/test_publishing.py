@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import resource
 import socket
 from collections.abc import Iterator
 from typing import Any, Literal
@@ -28,7 +29,7 @@ from dpstack.bridge.tree import Born, NodesChanged
 from dpstack.dp.master.commands import Mode
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
-from dpstack.errors import ConfigError, PortError, SlaveError, UsageError
+from dpstack.errors import BusError, ConfigError, PortError, SlaveError, UsageError
 from dpstack.sim.world import World
 from dpstack.trace import Notice
 
@@ -360,6 +361,37 @@ async def test_what_cannot_begin_is_an_error_before_anything_is_sent(world: Worl
         dpstack.publish(plant.bus)
     with pytest.raises(ConfigError, match=r"publish: unknown table or key 'prob'; did you mean 'probe'\?"):
         dpstack.publish(plant.bus, prob={})
+    assert list(w.log) == []
+
+
+@pytest.mark.parametrize(
+    ("fails", "why"),
+    [
+        (None, r"\d+ MB of addresses are left, they take some 1000000000"),
+        (MemoryError(), "MemoryError"),
+        (RuntimeError("can't start new thread"), "can't start new thread"),
+        (ImportError("_rust.abi3.so: failed to map segment from shared object"), "_rust.abi3.so: failed to map .*"),
+    ],
+)
+@in_virtual_time
+async def test_too_little_memory_for_the_faces_is_one_clear_line(
+    fails: Exception | None, why: str, world: WorldFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As under `ulimit -v`; a package that is written in Rust ends the program there, so it is not loaded."""
+
+    async def load(*modules: str) -> None:
+        assert fails is not None, "nothing is loaded"
+        raise fails
+
+    w = world()
+    plant = Plant(w)
+    KINDS["probe"] = KINDS["probe"]._replace(room_mb=1_000_000_000 if fails is None else 0)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (1 << 44, 1 << 44))
+    monkeypatch.setattr("dpstack.api.faces.publishing.load_beside", load)
+    todo = r"raise that limit \(ulimit -v, LimitAS= of systemd\), or take one of these tables out"
+    with pytest.raises(BusError, match=rf"^probe: there is too little memory for them \({why}\): {todo}$"):
+        async with dpstack.publish(plant.bus, probe={}), plant.bus:
+            raise AssertionError("it must not begin")
     assert list(w.log) == []
 
 

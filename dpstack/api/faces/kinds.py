@@ -36,11 +36,13 @@ class Parts(NamedTuple):
 
 class FaceKind(NamedTuple):
     """``module``: loaded before ``make`` is called, which takes the table of the face and its parts. ``needs``: the
-    packages of its extra, which has the name of the face."""
+    packages of its extra, which has the name of the face. ``room_mb``: MB of addresses that its packages and threads
+    take."""
 
     module: str
     needs: tuple[str, ...]
     make: Callable[[Any, Parts], Face]
+    room_mb: int = 0
 
 
 def _mqtt(config: MqttConfig, parts: Parts) -> Face:
@@ -111,7 +113,7 @@ def _opcua(config: OpcUaConfig, parts: Parts) -> Face:
 
 
 KINDS: Final[dict[str, FaceKind]] = {
-    "mqtt": FaceKind("dpstack.bridge.mqtt.client", ("aiomqtt", "google.protobuf"), _mqtt),
-    "metrics": FaceKind("dpstack.bridge.metrics.face", ("prometheus_client",), _metrics),
-    "opcua": FaceKind("dpstack.bridge.opcua.face", ("asyncua", "cryptography"), _opcua),
+    "mqtt": FaceKind("dpstack.bridge.mqtt.client", ("aiomqtt", "google.protobuf"), _mqtt, 60),
+    "metrics": FaceKind("dpstack.bridge.metrics.face", ("prometheus_client",), _metrics, 20),
+    "opcua": FaceKind("dpstack.bridge.opcua.face", ("asyncua", "cryptography"), _opcua, 130),
 }

@@ -10,6 +10,7 @@ from asyncio import FIRST_COMPLETED
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 from types import TracebackType
 from typing import Final
 
@@ -18,15 +19,16 @@ from dpstack.api.bus.live import LiveStream, named_values
 from dpstack.api.config.faces import FaceConfig, read_faces
 from dpstack.api.config.table import Source
 from dpstack.api.control.handlers import carry_out_order
-from dpstack.api.faces.kinds import KINDS, Parts
+from dpstack.api.faces.kinds import KINDS, FaceKind, Parts
 from dpstack.api.streams import LEVELS, load_beside
 from dpstack.bridge.face import Face, FaceState, Teller
 from dpstack.bridge.gateway import END_S, TICK_S, Gateway
 from dpstack.bridge.nodes import slave_of
 from dpstack.bridge.orders import Orders, check_allowed
 from dpstack.bridge.tree import PlantTree
-from dpstack.errors import ConfigError, UsageError
+from dpstack.errors import BusError, ConfigError, UsageError
 from dpstack.live.state import Item
+from dpstack.ports import posix
 from dpstack.text import printable
 from dpstack.trace import Severity
 
@@ -41,6 +43,9 @@ _LOOK_S: Final = 0.1
 #: remarks that are kept until the bus is open
 _MOST_REMARKS: Final = 100
 _SOURCE: Final = "faces"
+#: texts of Python and of the loader where there are no addresses left
+_NO_THREAD: Final = "can't start new thread"
+_NO_MAP: Final = ("failed to map segment", "annot allocate memory")
 _LOG: Final = logging.getLogger("dpstack.bridge")
 
 
@@ -106,14 +111,48 @@ class Publishing:
         return () if self._gateway is None else tuple(face.name for face in self._gateway.faces)
 
     async def __aenter__(self) -> Publishing:
+        try:
+            return await self._begin()
+        except (MemoryError, RuntimeError) as error:
+            if isinstance(error, RuntimeError) and str(error) != _NO_THREAD:
+                raise
+            raise self._no_memory(str(error) or type(error).__name__) from None
+
+    def _check_room(self, kinds: Mapping[str, FaceKind]) -> None:
+        """Raises BusError where the limit of addresses is too low: some packages end the program then, without a word
+        that anybody could catch."""
+        if not posix.is_available():
+            return
+        import resource  # here, as other systems have none
+
+        most, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if most == resource.RLIM_INFINITY:
+            return
+        with contextlib.suppress(OSError, ValueError):  # of another system than Linux
+            left = most - int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+            wanted = sum(kind.room_mb for kind in kinds.values()) << 20
+            if left < wanted:
+                raise self._no_memory(f"{left >> 20} MB of addresses are left, they take some {wanted >> 20}")
+
+    def _no_memory(self, why: str) -> BusError:
+        names = ", ".join(self._tables)
+        return BusError(
+            f"{names}: there is too little memory for them ({why}): raise that limit (ulimit -v, LimitAS= of systemd), "
+            f"or take one of these tables out"
+        )
+
+    async def _begin(self) -> Publishing:
         kinds = {name: KINDS[name] for name in self._tables}
         for name, kind in kinds.items():
             for package in kind.needs:
                 if find_spec(package) is None:
                     raise UsageError(f"[{name}] needs {package}: pip install 'dpstack[{name}]'")
+        self._check_room(kinds)
         try:
             await load_beside(*(kind.module for kind in kinds.values()))
         except ImportError as error:
+            if any(text in str(error) for text in _NO_MAP):
+                raise self._no_memory(str(error)) from None
             names = ",".join(self._tables)
             raise UsageError(f"a face cannot be loaded ({error}): pip install 'dpstack[{names}]'") from None
         try:
