@@ -15,7 +15,7 @@ from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.dpv1 import Dpv1Keys
 from dpstack.api.config.faces import FACES
 from dpstack.api.config.simulate import SimulateConfig, SimulateKeys
-from dpstack.api.config.slave import Changes, FieldKeys, SlaveConfig, SlaveKeys
+from dpstack.api.config.slave import Changes, FieldKeys, IdentKeys, SlaveConfig, SlaveKeys
 from dpstack.api.config.table import Key, Octets, keys_of
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.process_data import Field
@@ -27,6 +27,7 @@ TABLES: Final[Mapping[str, tuple[type, type]]] = {
     "bus": (BusConfig, BusConfig),
     "slave": (SlaveKeys, SlaveConfig),
     "parameters": (Changes, SlaveParams),
+    "ident": (IdentKeys, SlaveParams),
     "dpv1": (Dpv1Keys, Dpv1),
     "field": (FieldKeys, Field),
     "simulate": (SimulateKeys, SimulateConfig),

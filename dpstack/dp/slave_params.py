@@ -9,10 +9,11 @@ from typing import Final, NamedTuple
 
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
-from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
+from dpstack.dp.pdu.dpv1_status import FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
 from dpstack.params import UNADDRESSED
 from dpstack.text import octets_text
@@ -57,7 +58,8 @@ class WatchdogTime(NamedTuple):
 class SlaveParams:
     """The parameters of one slave.
 
-    ``ident`` None takes the ident number from the slave's diagnosis. ``config`` are the identifier octets of Chk_Cfg
+    ``ident`` None takes the ident number from the slave's diagnosis. ``ident_adapts``: the device shows another ident
+    number until Set_Prm, and takes over the one in it. ``config`` are the identifier octets of Chk_Cfg
     (1..244), ``user_prm`` the octets after the seven fixed ones of Set_Prm (0..237). ``watchdog_ms`` 0 is off,
     None lets the master choose from the plan. ``safe`` are the output octets for every way out (default zeros),
     ``initial`` the first ones (default ``safe``). ``groups`` are group numbers 1..8. ``every``: every n-th round.
@@ -97,6 +99,7 @@ class SlaveParams:
     on_loss: str = ""
     #: for people, where the slave refuses ``user_prm``: how its GSD file can be read otherwise, and how to ask for that
     prm_note: str = field(default="", compare=False)
+    ident_adapts: bool = False
 
     def __post_init__(self) -> None:
         where = self.who
@@ -109,6 +112,8 @@ class SlaveParams:
             raise ConfigError(f"{where}: {len(self.config)} identifier octets; 1..{MAX_DATA} are possible")
         if len(self.user_prm) > MAX_USER_PRM:
             raise ConfigError(f"{where}: {len(self.user_prm)} octets of user parameters; {MAX_USER_PRM} are possible")
+        if self.ident_adapts and self.ident is None:
+            raise ConfigError(f"{where}: a device that adapts its ident number needs one to adapt to: give configured")
         for key in ("wd_base_1ms", "fail_safe_told", "dpv1"):
             if getattr(self, key) and len(self.user_prm) < DPV1_STATUS_LEN:
                 raise ConfigError(
@@ -125,6 +130,10 @@ class SlaveParams:
             given = getattr(self, name)
             if given and len(given) != outputs:
                 raise ConfigError(f"{where}: {name} has {len(given)} octets, the configuration has {outputs} outputs")
+
+    def is_other_ident(self, ident: int) -> bool:
+        """Whether a device with ``ident`` in its diagnosis is another one. A device that adapts may have any number."""
+        return not self.ident_adapts and self.ident not in (None, ident)
 
     @property
     def who(self) -> str:

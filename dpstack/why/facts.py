@@ -210,8 +210,11 @@ class Facts:
 
     @cached_property
     def wrong_ident(self) -> int | None:
+        """The ident number of another device at its address. A device that adapts is one if it refused to."""
         wanted = self.setup.ident
         if wanted is None or self.diagnosis is None or self.diagnosis.ident == wanted:
+            return None
+        if self.setup.ident_adapts and not self.is_fault("wrong_ident"):
             return None
         return self.diagnosis.ident
 

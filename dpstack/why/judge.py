@@ -329,6 +329,8 @@ def _ident(f: Facts) -> Findings:
     said = [
         f"Its diagnosis says ident 0x{f.wrong_ident:04X} (octets 5 and 6), the configuration 0x{f.setup.ident:04X}."
     ]
+    if f.setup.ident_adapts:
+        said.append("It did not adapt its ident number to the one in Set_Prm.")
     against = []
     confidence = 0.96
     if _alternates(f):
@@ -344,6 +346,8 @@ def _ident(f: Facts) -> Findings:
 
 def _alternates(f: Facts) -> bool:
     """Whether diagnoses of two devices came in turn."""
+    if f.setup.ident_adapts:
+        return False
     idents = [one.ident for step in f.steps if (one := step.diagnosis) is not None]
     changes = sum(a != b for a, b in itertools.pairwise(idents))
     return changes >= _ALTERNATING

@@ -41,8 +41,7 @@ def refused_by(step: Step, evidence: Evidence) -> str:
     diagnosis = step.diagnosis
     if diagnosis is None:
         return ""
-    wanted = evidence.setup.ident
-    if wanted is not None and diagnosis.ident != wanted:
+    if evidence.setup.is_other_ident(diagnosis.ident):
         return f"octets 5-6: ident 0x{diagnosis.ident:04X}"
     owner = foreign_owner(diagnosis, evidence.ring.own)
     if owner is not None:
@@ -91,8 +90,8 @@ def _meaning(step: Step, evidence: Evidence) -> str:
 def diagnosis_words(diagnosis: Diagnosis, evidence: Evidence) -> str:
     """The fixed octets of a diagnosis in a few words."""
     setup, said = evidence.setup, []
-    if setup.ident is not None and diagnosis.ident != setup.ident:
-        said.append(f"another device (octets 5-6: ident 0x{diagnosis.ident:04X}, not 0x{setup.ident:04X})")
+    if setup.is_other_ident(diagnosis.ident):
+        said.append(f"another device (octets 5-6: ident 0x{diagnosis.ident:04X}, not 0x{setup.ident or 0:04X})")
     owner = foreign_owner(diagnosis, evidence.ring.own)
     if owner is not None:
         said.append(f"owned by master {owner} (octet 4)")

@@ -242,6 +242,8 @@ def _faults() -> Iterator[Case]:
         "lost": [("Data_Exchange", why) for why in Failure],
         "bus_gone": [("the port is gone",)],
         "wrong_ident": [(0x1234, 0xAB), (None, 1)],
+        "not_adapted": [(0x9700, 0x4531, "Prm_Fault", b"\1\2")],
+        "adapts": [(0x9700, 0x4531)],
         "locked": [(Diagnosis(0, wd, 0, 5, 1), 5, masters) for wd in (0, 8) for masters in (None, (), (5,), (4,))],
         "refusal": [
             (one, Diagnosis(bits, 0, 0, 1, 1, ext), bytes(7) + user)

@@ -123,14 +123,33 @@ _NUMERIC: Final = re.compile(r"[+-]?(\d+|0[xX][0-9a-fA-F]+)")
 _PERCENT: Final = Key(0.001, 1_000_000)
 
 
+class IdentKeys(TypedDict, total=False):
+    """The keys of a table ``ident``, as docs/reference/configuration.md has them.
+
+    configured: the ident number in Set_Prm. Left out: the drive's, or that of its GSD file
+    adapts: the device shows another ident number until Set_Prm, and takes over the configured one. Left out: false
+    """
+
+    configured: Annotated[int, Key(*SLAVE_LIMITS["ident"], hint="an ident number has two octets")]
+    adapts: bool
+
+
 def _ident(table: Table, name: str, key: Key) -> object:
-    """Reader of ``ident``; "ask" becomes None."""
+    """Reader of ``ident``; "ask" becomes None, a table stays one."""
     value = table.raw(name)
+    if isinstance(value, Mapping):
+        return table.table(name).read(keys_of(IdentKeys))
     if isinstance(value, str):
         if value.strip().lower() != "ask":
             table.fail(name, f"{name} = {value!r}", 'give a number like 0x0696, or "ask"')
         return None
     return table.integer(name, key.low, key.high, key.hint)
+
+
+def _ident_changes(given: int | Mapping[str, Any] | None, known: SlaveParams) -> dict[str, Any]:
+    if isinstance(given, Mapping):
+        return {"ident": given.get("configured", known.ident), "ident_adapts": given.get("adapts", False)}
+    return {"ident": given, "ident_adapts": False}
 
 
 def _interval(table: Table, name: str, key: Key) -> object:
@@ -184,8 +203,8 @@ class Changes(TypedDict, total=False):
     """The keys of [[slave]] that are parameters for its master:
     :meth:`~dpstack.api.slave.slave.Slave.reparameterise` changes them while the bus runs. None means left out.
 
-    ident: the ident number, or `"ask"`: the master reads it from the diagnosis. Left out: the drive's, or that of its
-        GSD file
+    ident: the ident number, or `"ask"`: the master reads it from the diagnosis; or `{ configured = 0x9700, adapts =
+        true }`, [see below](#a-device-that-adapts-its-ident-number). Left out: the drive's, or that of its GSD file
     config: identifier octets in hex (instead of `drive`). Left out: those of the telegram or of the modules
     user_prm: user parameters of Set_Prm in hex. Left out: those of the drive or of the GSD file
     watchdog_ms: the watchdog time; 0 = off, with a warning at every start. It is rounded up to the next value of the
@@ -207,7 +226,10 @@ class Changes(TypedDict, total=False):
     fail_safe: in Clear the slave gets an empty output frame. Left out: the drive's, or as its GSD file says
     """
 
-    ident: Annotated[int | str | None, Key(*SLAVE_LIMITS["ident"], hint="an ident number has two octets", read=_ident)]
+    ident: Annotated[
+        int | str | Mapping[str, object] | None,
+        Key(*SLAVE_LIMITS["ident"], hint="an ident number has two octets", read=_ident),
+    ]
     config: Octets | None
     user_prm: Octets | None
     watchdog_ms: Annotated[
@@ -294,7 +316,7 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     inputs, outputs = read_fields(table, params.input_len, params.output_len)
     simulate = read_simulate(table, drive=slave.profile is not None)
     slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs, simulate=simulate)
-    notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, "ident" in given) if note)
+    notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, given) if note)
     return dataclasses.replace(slave, notes=tuple(notes))
 
 
@@ -333,6 +355,8 @@ def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict
             changes[to] = given[name]
         elif name in table:
             changes[to] = getattr(slave.known, to)
+    if "ident" in changes:
+        changes |= _ident_changes(changes["ident"], slave.known)
     table.check_against_gsd(keys, given, slave.device)
     safe, outputs = changes.get("safe"), io_lengths(changes.get("config", slave.params.config))[1]
     if safe and len(safe) != outputs:
@@ -375,9 +399,9 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
     return dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs)
 
 
-def _notes(slave: SlaveConfig, ident_given: bool) -> Iterator[str]:
+def _notes(slave: SlaveConfig, given: Mapping[str, Any]) -> Iterator[str]:
     profile, params = slave.profile, slave.params
-    if profile is not None and profile.ident_made_up and not ident_given:
+    if profile is not None and profile.ident_made_up and "ident" not in given:
         yield (
             f"the ident number 0x{profile.ident:04X} of {profile.name} is in no manual (made up); "
             f'for a real one give ident = 0x... or ident = "ask"'
@@ -390,7 +414,7 @@ def _notes(slave: SlaveConfig, ident_given: bool) -> Iterator[str]:
             f"{ms_text(needed)} of {known} (Min_Slave_Intervall): it may not follow; leave it out"
         )
     yield from slave.notes
-    yield from remarks(slave.device, params.dpv1)
+    yield from remarks(slave.device, params, dpv1_given="dpv1" in given)
     if profile is not None and profile.telegram(slave.telegram).made_up:
         yield (
             f"the identifier octets {params.config.hex(' ').upper()} of {profile.name} are in no manual (made up): "

@@ -47,7 +47,7 @@ def _configured(slave: SlaveConfig) -> SlaveNames:
     return SlaveNames(
         name=slave.name,
         source="the configuration",
-        ident=params.ident,
+        ident=None if params.ident_adapts else params.ident,
         inputs=slave.input_fields,
         outputs=slave.output_fields,
         modules=_module_names(modules) or _nameless(params.config),

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Final, cast
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.injected import Injected, ScenarioEvent
@@ -55,7 +55,23 @@ def device_of(slave: SlaveConfig, held: HeldInputs | None = None) -> Device:
     """The device that simulates ``slave``: its drive, the I/O station (by the ident number), or a loop-back device
     (mirror) of outputs to inputs, with the lengths, limits and services of the GSD file if it has one. ``held``: the
     inputs of a mirror from outside.
+
+    One that adapts its ident number shows that of its GSD file, or else a made-up one, until Set_Prm.
     """
+    device = _device_of(slave, held)
+    wanted = slave.params.ident
+    if slave.params.ident_adapts and wanted is not None:
+        of_file = None if slave.device is None else slave.device.ident
+        device.ident = wanted ^ _MADE_UP if of_file in (None, wanted) else of_file
+        device.other_idents = frozenset((wanted,))
+    return device
+
+
+#: what makes another ident number of the configured one
+_MADE_UP: Final = 0x8000
+
+
+def _device_of(slave: SlaveConfig, held: HeldInputs | None) -> Device:
     if slave.profile is not None:
         device = slave.profile.device(slave.telegram, {**slave.profile.shared(slave.options), **slave.simulated})
         if slave.params.ident is not None:

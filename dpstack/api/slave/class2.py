@@ -237,7 +237,7 @@ class Class2(Sealed):
         if found is None:  # the class 2 master has parsed it before
             raise PduError(f"slave {done.address}: {len(done.outcome.data)} octets are no diagnosis")
         known = self._slaves.get(done.address)
-        if known is not None and known.setup.ident not in (found.ident, None):
+        if known is not None and known.setup.is_other_ident(found.ident):
             known = None  # another device has this address
         lines = block_texts(found) if known is None else known.setup.block_texts(found)
         return ReadDiagnosis(**asdict(found), diagnosis_texts=found.texts + lines)

@@ -112,7 +112,7 @@ class Slave(Sealed, RecordAccess):
         found = self.found
         if found is None:
             return self.snapshot.state
-        if self.setup.ident not in (None, found.ident) and found.ident is not None:
+        if found.ident is not None and self.setup.is_other_ident(found.ident):
             return SlaveState.FAULT
         exchanging = found.state is SlaveView.DATA_EXCHANGE
         return SlaveState.DATA_EXCHANGE if exchanging else SlaveState.DIAGNOSIS

@@ -181,7 +181,7 @@ def station_report(
         nothing = dict.fromkeys(("ident", "vendor", "model", "state", "master", "diagnosis", "config"))
         return {**head, "healthy": False, "findings": [finding], **nothing, **_no_data(), "errors": {**reading.errors}}
     device = None if devices is None else devices.find(diagnosis.ident)
-    if slave is not None and slave.params.ident not in (diagnosis.ident, None):
+    if slave is not None and slave.params.is_other_ident(diagnosis.ident):
         expected: SlaveConfig | None = None  # another device: its names and modules are not those of the configuration
     else:
         expected = slave
@@ -306,9 +306,9 @@ def _findings(
     exchanging = state is SlaveView.DATA_EXCHANGE
     if not exchanging:
         yield _WAITS[state].format(master=diagnosis.master)
-    ident = None if slave is None else slave.params.ident
-    if ident is not None and ident != diagnosis.ident:
-        yield f"is another device: ident 0x{diagnosis.ident:04X} instead of 0x{ident:04X} of the configuration"
+    if slave is not None and slave.params.is_other_ident(diagnosis.ident):
+        wanted = slave.params.ident or 0
+        yield f"is another device: ident 0x{diagnosis.ident:04X} instead of 0x{wanted:04X} of the configuration"
     elif slave is not None and config is not None and config.octets != slave.params.config:
         yield f"its configuration is another one: {_difference(slave, config.octets)}"
     told = texts if diagnosis.ext_diag else ()

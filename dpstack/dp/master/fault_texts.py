@@ -127,7 +127,30 @@ def wrong_ident(expected: int | None, found: int) -> Fault:
     return Fault(
         FaultKind.WRONG_IDENT,
         f"is another device: ident 0x{found:04X} instead of 0x{expected or 0:04X}",
-        'put the right device there, or correct drive, gsd or ident (ident = "ask" takes what is found)',
+        'put the right device there, or correct drive, gsd or ident (ident = "ask" takes what is found); a process '
+        f"device that adapts its ident number needs ident = {{ configured = 0x{expected or 0:04X}, adapts = true }}",
+    )
+
+
+def not_adapted(expected: int, found: int, why: str, sent: bytes) -> Fault:
+    """A device with the ident number ``found`` does not adapt to the one in Set_Prm, whose octets were ``sent``.
+
+    ``why``: its answer.
+    """
+    return Fault(
+        FaultKind.WRONG_IDENT,
+        f"is another device: ident 0x{found:04X} instead of 0x{expected:04X}, and it does not adapt ({why}): Set_Prm "
+        f"was {sent.hex(' ')}",
+        f"put the right device there, set its selector of ident numbers (IDENT_NUMBER_SELECTOR) to automatic or to "
+        f"0x{expected:04X}, or correct gsd or ident; if it adapts, compare the user parameters with its GSD file",
+    )
+
+
+def adapts(expected: int, found: int) -> str:
+    """The remark before Set_Prm to a device that shows another ident number and adapts."""
+    return (
+        f"its diagnosis shows ident 0x{found:04X}; Set_Prm goes out once with the configured 0x{expected:04X}, as its "
+        f"ident number adapts"
     )
 
 

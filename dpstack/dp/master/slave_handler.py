@@ -47,6 +47,7 @@ _SRD_HIGH: Final = Req.SRD_HIGH
 _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
 #: states of a slave that is absent, in fault or out of service
 AWAY: Final = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
+_BEFORE_PRM: Final = (SlaveState.OFFLINE, SlaveState.DIAGNOSIS, SlaveState.FAULT)
 _BRINGING_UP: Final = (SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_CFG, SlaveState.WAIT_READY)
 
 
@@ -102,6 +103,7 @@ class SlaveHandler:
         self._left: str | None = None
         #: the octets of the last Set_Prm
         self._prm_sent = b""
+        self._shown = 0  # the ident number in the diagnosis before it
         self._refused_data = False  # the slave left data exchange by itself, and there was no diagnosis since
         #: the last request of Data_Exchange
         self._data = Request(setup.address, _SRD_HIGH, patient=True, tag=self, cyclic=True, still=still)
@@ -304,10 +306,11 @@ class SlaveHandler:
             if diagnosis.prm_req and self.image.input_time >= self._overdue_at:
                 self.prm_req_at = now
                 self._changed(self, now)
-        if diagnosis.prm_req or owner is not None or diagnosis.ident != self.ident:
+        other = self._other_device(diagnosis) if diagnosis.ident != self.ident else None
+        if diagnosis.prm_req or owner is not None or other is not None:
             self.owned = False
-        if diagnosis.ident != self.ident:
-            self._step(Trigger.DIAG_OTHER, now, fault_texts.wrong_ident(self.ident, diagnosis.ident))
+        if other is not None:
+            self._step(Trigger.DIAG_OTHER, now, other)
         elif owner is not None:
             self._step(Trigger.DIAG_LOCKED, now, fault_texts.locked(diagnosis, owner, self._context.ring()))
         elif self.state is SlaveState.DATA_EXCHANGE:
@@ -319,7 +322,26 @@ class SlaveHandler:
                 self.reports.set_fault(fault_texts.left(diagnosis, self._left), now)
                 self._left = None
             if not self._pacing.pauses(now):
+                self._shown = diagnosis.ident
+                if diagnosis.ident != self.ident:
+                    self.reports.remark(fault_texts.adapts(self.ident, diagnosis.ident), now)
                 self._step(Trigger.DIAG_FREE, now)
+
+    def _other_device(self, diagnosis: Diagnosis) -> Fault | None:
+        """The fault of a device with another ident number; None if it adapts, or has adapted, to the configured one.
+
+        Such a device shows its own number until Set_Prm, and may show it afterwards, too.
+        """
+        if not self.setup.ident_adapts:
+            return fault_texts.wrong_ident(self.ident, diagnosis.ident)
+        if self.state in _BEFORE_PRM:
+            return None
+        if self.state is SlaveState.WAIT_READY and (diagnosis.prm_fault or diagnosis.prm_req):
+            why = "Prm_Fault" if diagnosis.prm_fault else "Prm_Req after Set_Prm"
+            return fault_texts.not_adapted(self.ident, diagnosis.ident, why, self._prm_sent)
+        if diagnosis.prm_req or diagnosis.ident == self._shown:
+            return None
+        return fault_texts.wrong_ident(self.ident, diagnosis.ident)
 
     def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
         waited = now - self.since

@@ -15,8 +15,8 @@ from msgspec import Struct
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.pdu.prm_blocks import BlockType, PrmBlock, parse_blocks
 from dpstack.errors import ConfigError, PduError
+from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 
-DPV1_STATUS_LEN: Final = 3
 #: DPV1_Status_1
 DPV1_ENABLE: Final = 0x80
 FAIL_SAFE: Final = 0x40

@@ -25,7 +25,8 @@ class Leave(Enum):
 class DpV0Device:
     """A DP device behind a :class:`~dpstack.dp.slave.application.SlaveApp`; subclass it, override what differs.
 
-    ``ident``: ident number. ``configs``: acceptable identifier octets, the default first. ``fail_safe``: an empty
+    ``ident``: ident number. ``other_idents``: ident numbers that it takes over from Set_Prm, and shows until it is
+    released. ``configs``: acceptable identifier octets, the default first. ``fail_safe``: an empty
     output frame is taken as Clear (otherwise as one of the wrong length); ``fail_safe_required``: a master that does
     not announce such frames in DPV1_Status_1 is refused. ``set_slave_add``: Set_Slave_Add is open. ``wd_base_1ms``:
     WD_Base_1ms in DPV1_Status_1 is understood. ``max_diag_len``: octets of a whole diagnosis, 6..244. ``safe``: the
@@ -37,6 +38,7 @@ class DpV0Device:
     """
 
     ident: int = 0
+    other_idents: frozenset[int] = frozenset()
     configs: tuple[bytes, ...] = (b"",)
     name: str = "device"
     fail_safe: bool = False

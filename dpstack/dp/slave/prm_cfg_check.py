@@ -26,7 +26,7 @@ def judge_prm(device: DpV0Device, prm: SetPrm, *, ask_device: bool) -> Refusal |
     """Judge ``prm`` for ``device``; None when it is accepted. Exceptions of ``device.check_prm`` pass through."""
     if not prm.lock and not prm.unlock:
         return None  # only min T_SDR is taken, whatever the ident number (docs/reference/protocol.md#set_prm)
-    if prm.ident != device.ident:
+    if prm.ident != device.ident and prm.ident not in device.other_idents:
         return Refusal(f"octets 5-6: ident number 0x{prm.ident:04X}, this device is 0x{device.ident:04X}")
     if prm.unlock:
         return None

@@ -112,6 +112,7 @@ def _prm_bad(core: SlaveCore, sa: int, refusal: Refusal, now: int) -> None:
 def _prm_good(core: SlaveCore, sa: int, prm: SetPrm, now: int) -> None:
     core.diag.clear_faults()
     core.diag.new_owner()
+    core.diag.ident = prm.ident
     core.set_min_tsdr(prm.min_tsdr)
     core.master = sa
     core.group = prm.group_mask

@@ -38,7 +38,8 @@ class DiagState:
     """
 
     def __init__(self, device: DpV0Device, messages: DiagMessages | None = None) -> None:
-        self._ident = device.ident
+        #: the ident number that it shows
+        self.ident = device.ident
         self._room = device.max_diag_len - FIXED_LEN
         self._read_by_owner = NO_DIAG
         self._offered: UserDiag | None = None  # in an answer that the owner may not have received
@@ -116,7 +117,7 @@ class DiagState:
         status2 = ALWAYS_ONE | (state is SlaveAppState.WAIT_PRM) | (ill or user.stat) << 1 | wd << 3
         if data is not None:
             status2 |= data.frozen << 4 | data.synced << 5
-        return Diagnosis(status1, status2, user.overflow << 7, master, self._ident, blocks + user.ext)
+        return Diagnosis(status1, status2, user.overflow << 7, master, self.ident, blocks + user.ext)
 
 
 # No_Add_Chg closes the service for good; only an initial reset, done at the device itself, gives the slave the address
@@ -277,6 +278,7 @@ class SlaveCore:
         if state is SlaveAppState.WAIT_PRM:
             self.master = None
             self.group = 0
+            self.diag.ident = self.device.ident
             self.watchdog.arm(0, now)
         if state is not was:
             self.report.emit(SlaveAppStateChanged, now, state=state, why=event, master=self.master)

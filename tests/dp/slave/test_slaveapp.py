@@ -333,3 +333,19 @@ def test_impossible_devices_are_refused() -> None:
     device.ident = 0x10000
     with pytest.raises(ConfigError, match="0x10000"):
         SlaveApp(device, address=SLAVE)
+
+
+def test_a_device_that_adapts_its_ident_number() -> None:
+    """Its own 0A35 until Set_Prm; then the one in Set_Prm, if it is 9700; its own again when it is released."""
+    device = MirrorDevice(0x0A35, CFG)
+    device.other_idents = frozenset((0x9700,))
+    bench = Bench(device)
+    assert bench.diag() == bytes.fromhex("02 05 00 FF 0A 35")
+    assert bench.prm(bytes.fromhex("88 01 0A 0B 97 01 00")) == SC_REPLY  # a profile that it does not know
+    assert bench.diag() == bytes.fromhex("42 05 00 FF 0A 35")
+    assert bench.prm(bytes.fromhex("88 01 0A 0B 97 00 00")) == SC_REPLY
+    assert bench.diag() == bytes.fromhex("02 0C 00 02 97 00")
+    assert bench.cfg() == SC_REPLY
+    assert bench.diag() == bytes.fromhex("00 0C 00 02 97 00")
+    bench.pass_time(200 * MS)  # the watchdog of 100 ms runs out
+    assert bench.diag()[4:6] == b"\x0a\x35"
