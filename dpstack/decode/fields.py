@@ -17,7 +17,6 @@ from dpstack.dp.pdu.dpv1_status import (
     ALARMS,
     CHECK_CFG_MODE,
     DPV1_ENABLE,
-    DPV1_STATUS_LEN,
     FAIL_SAFE,
     PRM_CMD,
     PRM_STRUCTURE,
@@ -50,7 +49,7 @@ from dpstack.fdl.telegram import (
     SSAP_MS2,
     Telegram,
 )
-from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
+from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import parse_identifiers
 from dpstack.units import ns_to_s
 

@@ -14,7 +14,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 
 from dpstack.gsd.identifiers import MAX_USER_PRM
-from dpstack.gsd.lexer import Statement, first_number, lex, number, numbers, ranges, ranges_only, string
+from dpstack.gsd.lexer import (
+    Statement,
+    first_number,
+    lex,
+    number,
+    numbers,
+    ranges,
+    ranges_only,
+    string,
+    without_remark,
+)
 from dpstack.gsd.model import (
     Diagnosis,
     DiagText,
@@ -75,6 +85,22 @@ class Block:
         """Report ``message`` at the value of ``statement``."""
         self.findings.warning(statement.line, message, statement.column)
 
+    def number(self, statement: Statement) -> int | None:
+        """The value of ``statement`` as one number; None where it is none."""
+        found = without_remark(statement, number)
+        warn_of_remark(self.findings, statement)
+        return found
+
+
+def warn_of_remark(findings: Findings, statement: Statement) -> None:
+    """Report a comment behind the value of ``statement`` that lacks its semicolon."""
+    if statement.remark:
+        message = (
+            f"{statement.written}: {shortened(statement.remark)!r} behind the value is skipped as a comment; a comment "
+            f"begins with a semicolon"
+        )
+        findings.warning(statement.line, message, statement.column)
+
 
 _T = TypeVar("_T")
 
@@ -123,7 +149,8 @@ class NumberedBlock(Block):
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
-        ref = number(statement.value)
+        ref = without_remark(statement, number)
+        warn_of_remark(findings, statement)
         return None if ref is None else cls(statement.line, findings, ref)
 
     @property
@@ -188,12 +215,13 @@ class ParameterBlock(NumberedBlock):
             self.fields |= {"type": kind, "default": default, "allowed": allowed}
         else:
             problem = item or ""
+        warn_of_remark(self.findings, statement)
         if problem:
             self.warn(statement, f"{self.full_title}: {problem}")
 
     def setting(self, statement: Statement) -> None:
         """Prm_Text_Ref = n, Changeable = 0 or 1, Visible = 0 or 1."""
-        value = number(statement.value)
+        value = self.number(statement)
         if value is None:
             message = f"{statement.written} = {statement.value or 'nothing'} is no number; left out"
             self.warn(statement, message)
@@ -231,7 +259,7 @@ def _type_item(statement: Statement) -> _TypeItem | str:
     only = ranges_only(statement.value)
     if only is not None:
         return _without_default(kind, only)
-    allowed = ranges(rest)
+    allowed = without_remark(statement, ranges, rest)
     if allowed is None:
         return kind, default, (), f"allowed values {rest!r} cannot be read; every value of {kind.text} is allowed"
     low, high = kind.limits
@@ -279,8 +307,9 @@ class SlotBlock(Block):
         at = _index(statement)
         name, rest, _ = string(statement.value)
         name = (name or "").strip()
-        default, rest = first_number(rest)
-        allowed = ranges(rest)
+        default, _ = first_number(rest)
+        allowed = without_remark(statement, lambda text: ranges(first_number(text)[1]), rest)
+        warn_of_remark(self.findings, statement)
         if at is None or allowed is None:
             self.warn(statement, f"{statement.written}: cannot be read; the slot is left out")
             return
@@ -346,7 +375,8 @@ class AreaBlock(Block):
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
-        bits = ranges(statement.value)
+        bits = without_remark(statement, ranges)
+        warn_of_remark(findings, statement)
         if not bits or not 0 <= bits[0][0] <= bits[-1][1] < 8 * 244:
             return None
         return cls(statement.line, findings, bits[0][0], bits[-1][1])
@@ -446,6 +476,7 @@ class PrmUser(DiagBlock):
         else:
             written = f"{statement.written}({statement.index or ''}) = {statement.value}"
             self.warn(statement, f"{shortened(written)} cannot be read; it is left out")
+        warn_of_remark(self.findings, statement)
 
     handlers = {**DiagBlock.handlers, "ext_user_prm_data_ref": part, "ext_user_prm_data_const": part}
 
@@ -455,9 +486,9 @@ def _prm_part(statement: Statement) -> PrmRef | PrmConst | None:
     if offset is None or not 0 <= offset < MAX_USER_PRM:
         return None
     if statement.keyword == "ext_user_prm_data_ref":
-        target = number(statement.value)
+        target = without_remark(statement, number)
         return None if target is None else PrmRef(offset, target)
-    octets = octets_of(statement.value)
+    octets = without_remark(statement, octets_of)
     return None if octets is None else PrmConst(offset, octets[: MAX_USER_PRM - offset])
 
 
@@ -489,7 +520,8 @@ class ModuleBlock(PrmUser):
         name, rest, closed = string(statement.value)
         if name is None or not closed:
             return None
-        config = octets_of(rest)
+        config = without_remark(statement, octets_of, rest)
+        warn_of_remark(findings, statement)
         if config is None:
             message = f"module {name!r}: {rest[:40]} is no list of identifier octets; the module cannot be used"
             findings.error(statement.line, message, statement.column)
@@ -500,7 +532,7 @@ class ModuleBlock(PrmUser):
         return f"{self.title} {self.name!r}"
 
     def prm_len(self, statement: Statement) -> None:
-        length = number(statement.value)
+        length = self.number(statement)
         if length is None or not 0 <= length <= MAX_USER_PRM:
             message = f"{statement.written} = {shortened(statement.value)} is no length of 0..{MAX_USER_PRM}; left out"
             self.warn(statement, message)
@@ -513,13 +545,16 @@ class ModuleBlock(PrmUser):
         self.info = statement.value if text is None else text
 
     def is_preset(self, statement: Statement) -> None:
-        self.preset = number(statement.value) not in (0, None)
+        self.preset = self.number(statement) not in (0, None)
 
     def other(self, statement: Statement) -> bool:
         """A number on a line of its own: the module reference."""
-        reference = number(statement.keyword)
-        if reference is None or statement.equals or statement.value:
+        if statement.equals or statement.index is not None or number(statement.keyword) is None:
             return False
+        reference = without_remark(statement, number, f"{statement.written} {statement.value}".rstrip())
+        if reference is None:
+            return False
+        warn_of_remark(self.findings, statement)
         if self.reference not in (None, reference):
             message = f"module {self.name!r} has two references, {self.reference} and {reference}; the last one counts"
             self.findings.warning(statement.line, message)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dpstack.errors import GsdError
 from dpstack.gsd.configuration import f_notes
 from dpstack.gsd.model import Device, Diagnostic, GsdFile
-from dpstack.gsd.prm import Reading, UserPrm
+from dpstack.gsd.prm import Reading, UserPrm, dpv1_note
 from dpstack.trace import Severity
 
 
@@ -32,6 +32,11 @@ def _prm_warnings(device: Device) -> Iterator[tuple[int, str]]:
     except GsdError as error:
         yield device.prm.line, str(error)
         return
+    # the parser has reported the length of a User_Prm_Data that counts
+    if (device.user_prm_data is None or device.user_prm_data_ignored) and (note := own.length_note):
+        yield device.prm.line, note
+    if not any(module.prm.present for module in device.modules) and (note := dpv1_note(device, len(own.octets()))):
+        yield 0, note
     found = [(device.prm.line, "the device", contradiction) for contradiction in own.contradictions()]
     bare = Device(parameters=device.parameters)
     for module in device.modules:

@@ -56,7 +56,9 @@ def is_fixed(device: Device, module: Module) -> bool:
 
 
 def default_modules(device: Device) -> tuple[Module, ...] | None:
-    """The modules of a configuration without a choice: the only module, the presets, the slots' defaults; else None."""
+    """The modules of a configuration without a choice: the only module, the presets, the slots' defaults, all modules
+    of a compact station if they fit it together; else None.
+    """
     usable = [module for module in device.modules if module.complete]
     if len(usable) == 1:
         return (usable[0],)
@@ -69,7 +71,39 @@ def default_modules(device: Device) -> tuple[Module, ...] | None:
     numbers = range(device.first_slot, device.first_slot + len(defaults))
     found = [None if (at := defaults.get(n)) is None else numbered.get(at) for n in numbers]
     row = tuple(module for module in found if module is not None)
-    return row if row and len(row) == len(found) else None
+    if row and len(row) == len(found):
+        return row
+    return device.modules if is_compact_row(device, device.modules) else None
+
+
+def is_compact_row(device: Device, modules: Sequence[Module | None]) -> bool:
+    """Whether ``modules`` are all modules of the compact station ``device``, and fit it together.
+
+    A compact station has all of its modules (GSD specification, Modular_Station = 0). Where they cannot all be there,
+    the file lists them to choose from.
+    """
+    if device.modular or tuple(modules) != device.modules or not all(module.complete for module in device.modules):
+        return False
+    if device.max_module and len(modules) > device.max_module:
+        return False
+    config = b"".join(module.config for module in device.modules)
+    try:
+        return bool(config) and len(config) <= MAX_IO and not _excess(device, *io_lengths(config))
+    except ConfigError:
+        return False
+
+
+def _excess(device: Device, inputs: int, outputs: int) -> str:
+    """The limit of ``device`` that is exceeded by process data of these lengths; empty where they fit."""
+    for what, length, limit in (
+        ("inputs", inputs, device.max_input_len),
+        ("outputs", outputs, device.max_output_len),
+        ("inputs and outputs", inputs + outputs, device.max_data_len),
+    ):
+        # a compact device does not need these keywords: 0 is no limit there
+        if limit is not None and (device.modular or limit) and length > limit:
+            return f"{length} octets of {what}, the device has at most {limit}"
+    return ""
 
 
 def find_module(device: Device, wanted: int | str) -> Module:
@@ -122,7 +156,7 @@ def _usable(module: Module) -> Module:
     return module
 
 
-def configure(device: Device, wanted: Sequence[int | str] | None = None) -> Configuration:
+def configure(device: Device, wanted: Sequence[int | str] | None = None, *, own_prm: bool = False) -> Configuration:
     """Plug ``wanted`` (names or reference numbers in slot order, "" for an empty slot; None: what the file presets).
 
     Fixed presets stand first; ``wanted`` begins with all of them, or leaves them out. Raises GsdError (``what; what to
@@ -131,7 +165,7 @@ def configure(device: Device, wanted: Sequence[int | str] | None = None) -> Conf
     modules = default_modules(device) if wanted is None else _named(device, wanted)
     if modules is None:
         raise GsdError(_no_choice(device))
-    return plug(device, modules)
+    return plug(device, modules, own_prm=own_prm)
 
 
 def _named(device: Device, wanted: Sequence[int | str]) -> tuple[Module | None, ...]:
@@ -169,10 +203,13 @@ def _no_choice(device: Device) -> str:
     return f"the device has {len(device.modules)} modules to choose from; name those that are plugged: {names} ..."
 
 
-def configuration_like(device: Device, config: bytes, lengths: tuple[int, int]) -> Configuration:
+def configuration_like(
+    device: Device, config: bytes, lengths: tuple[int, int], *, own_prm: bool = False
+) -> Configuration:
     """The configuration with the identifier octets ``config``, or else with ``lengths`` (input octets, output octets).
 
-    It is the preset or one module behind the fixed presets. Raises GsdError where there is none, or more than one.
+    It is the preset or one module behind the fixed presets. ``own_prm`` as for :func:`plug`. Raises GsdError where
+    there is none, or more than one.
     """
     preset, fixed = default_modules(device), fixed_modules(device)
     rows = [preset] if preset else []
@@ -183,7 +220,7 @@ def configuration_like(device: Device, config: bytes, lengths: tuple[int, int]) 
         with contextlib.suppress(ConfigError):
             octets = b"".join(module.config for module in row)
             if octets == config or io_lengths(octets) == lengths:
-                possible.append(plug(device, row))
+                possible.append(plug(device, row, own_prm=own_prm))
     fitting = [c for c in possible if c.config == config] or [c for c in possible if (c.inputs, c.outputs) == lengths]
     if len(fitting) == 1:
         return fitting[0]
@@ -204,8 +241,11 @@ def modules_of_config(device: Device, config: bytes) -> tuple[Module | None, ...
     return tuple(place.modules[0] if place.modules else None for place in best.places)
 
 
-def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
-    """A configuration of ``modules``; fixed presets are put in front where they are missing. Raises GsdError."""
+def plug(device: Device, modules: Sequence[Module | None], *, own_prm: bool = False) -> Configuration:
+    """A configuration of ``modules``; fixed presets are put in front where they are missing. Raises GsdError.
+
+    ``own_prm``: user parameters come from elsewhere, so those of the file need not fit.
+    """
     row = _behind_fixed(device, modules)
     _check_count(device, row)
     _check_slots(device, row)
@@ -218,20 +258,16 @@ def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
         inputs, outputs = io_lengths(config)
     except ConfigError as error:
         raise GsdError(f"{error}; the module that holds it is wrong in the GSD file") from None
-    for what, length, limit in (
-        ("inputs", inputs, device.max_input_len),
-        ("outputs", outputs, device.max_output_len),
-        ("inputs and outputs", inputs + outputs, device.max_data_len),
-    ):
-        # a compact device does not need these keywords: 0 is no limit there
-        if limit is not None and (device.modular or limit) and length > limit:
-            raise GsdError(f"{length} octets of {what}, the device has at most {limit}; take out modules")
+    excess = _excess(device, inputs, outputs)
+    if excess:
+        raise GsdError(f"{excess}; take out modules")
     notes = f_notes(device, row)
-    if not device.modular and len(row) > 1:
+    if not device.modular and len(row) > 1 and not is_compact_row(device, row):
         several = "the device is no modular station (Modular_Station = 0), but several modules are plugged"
         notes = (several, *notes)
     found = Configuration(device, row, config, inputs, outputs, notes)
-    found.user_prm()  # raises GsdError for parameters that do not fit
+    if not own_prm:
+        found.user_prm()  # raises GsdError for parameters that do not fit
     return found
 
 

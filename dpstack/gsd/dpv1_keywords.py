@@ -8,6 +8,8 @@ from typing import Final
 
 from dpstack.units import NS_PER_MS
 
+#: octets of DPV1_Status at the beginning of the user parameters
+DPV1_STATUS_LEN: Final = 3
 #: kinds of alarms of DP-V1: the name in configurations, and the keyword without _supp and _required
 ALARM_KEYWORDS: Final = {
     "pull_plug": "Pull_Plug_Alarm",
@@ -54,6 +56,11 @@ class DpV1:
     fail_safe_required: bool = False
     prm_block_structure: bool = False
     prm_block_structure_required: bool = False
+
+    @property
+    def reads(self) -> bool:
+        """Whether the device serves Read and Write of class 1, which the master enables by DPV1_Status."""
+        return self.slave and self.c1_read_write
 
     @property
     def c1_response_ns(self) -> int:

@@ -111,10 +111,7 @@ def _check_device(device: Device, settings: Settings, findings: Findings) -> Non
     if device.station_type not in (None, 0):
         findings.warning(settings.line("station_type"), "Station_Type is not 0: the file is of a master")
     data, length = device.user_prm_data, device.user_prm_data_len
-    if data is not None and (device.prm.present or device.max_user_prm_data_len is not None):
-        line = settings.line("user_prm_data")
-        findings.info(line, "User_Prm_Data is not used: Ext_User_Prm_Data or Max_User_Prm_Data_Len is there")
-    elif data is not None and length is not None and len(data) != length:
+    if data is not None and length is not None and len(data) != length and not device.user_prm_data_ignored:
         message = f"User_Prm_Data has {len(data)} octets, User_Prm_Data_Len is {length}; all {len(data)} are used"
         findings.warning(settings.line("user_prm_data"), message)
     known = {module.reference for module in device.modules}

@@ -8,8 +8,9 @@ keeps its parsed value.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 from dpstack.gsd.model import Ranges
 
@@ -27,6 +28,8 @@ _RANGE: Final = re.compile(rf"({_NUMBER})[ \t]*+-[ \t]*+({_NUMBER})\Z")
 _RANGE_IN_FRONT: Final = re.compile(rf"{_NUMBER}(?:-[ \t]*+|[ \t]++-[ \t]++){_NUMBER}[ \t]*+(?:,|\Z)")
 _FIRST: Final = re.compile(rf"({_NUMBER})(?![\w.])[ \t,]*+")
 _STRING: Final = re.compile(r'"([^"]*+)("?)[ \t]*+')
+#: blanks between a value and a comment that lacks its semicolon; behind a comma a list goes on
+_BEFORE_REMARK: Final = re.compile(r"""(?<=[^\s,])[ \t]++(?=[^\W\d_]|["'(/*#!])""")
 #: most numbers in GSD files are written like this
 _COMMON: Final[dict[str, int]] = {
     **{str(n): n for n in range(1000)},
@@ -40,7 +43,8 @@ class Statement:
     """One statement. ``keyword`` in lower case, ``written`` as in the file; ``index`` and ``value`` are stripped.
 
     ``line``: the number of the physical line; the parser sets it anew for each occurrence of the same text. ``item``:
-    the parsed value, kept for the next occurrence; False where a block cannot parse it.
+    the parsed value, kept for the next occurrence; False where a block cannot parse it. ``remark``: a comment behind
+    the value that lacks its semicolon, see :func:`without_remark`.
     """
 
     written: str
@@ -51,6 +55,7 @@ class Statement:
     text: str
     line: int = 0
     item: object = None
+    remark: str = ""
 
     @property
     def column(self) -> int:
@@ -133,6 +138,24 @@ def ranges_only(text: str) -> Ranges | None:
     """
     match = _RANGE_IN_FRONT.match(text)
     return None if match is None else ranges(text)
+
+
+_T = TypeVar("_T")
+
+
+def without_remark(statement: Statement, parse: Callable[[str], _T | None], text: str | None = None) -> _T | None:
+    """``parse`` of the statement's value (or of ``text``, a part of it); None where it cannot be parsed.
+
+    Numbers with a text behind them are read without it: it is a comment whose semicolon is missing. The statement keeps
+    it as ``remark``, for a warning.
+    """
+    text = statement.value if text is None else text
+    found = parse(text)
+    seam = _BEFORE_REMARK.search(text) if found is None else None
+    if seam is not None:
+        found = parse(text[: seam.start()])
+        statement.remark = text[seam.end() :] if found is not None else ""
+    return found
 
 
 def string(text: str) -> tuple[str | None, str, bool]:

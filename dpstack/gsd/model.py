@@ -1,7 +1,8 @@
 """Data model of a GSD file: device, modules, slots, user parameters, diagnosis texts, diagnostics of the file.
 
 Names are the keywords' (PNO order 2.122, GSD specification) in lower case. Lines count from 1. Times are in the file's
-units: min_slave_interval in 100 us, response time-outs in 10 ms, MaxTsdr in bit times.
+units: min_slave_interval in 100 us, response time-outs in 10 ms, MaxTsdr in bit times. Two models that differ in the
+lines of their statements only are equal.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ class Raw:
     ``block`` is the keyword of the block around it, empty outside of all.
     """
 
-    line: int
+    line: int = field(compare=False)
     keyword: str
     index: str | None
     value: str
@@ -164,6 +165,15 @@ class Parameter:
     changeable: bool = True
     visible: bool = True
 
+    def allows(self, value: int) -> bool:
+        """Whether ``value`` is one of the allowed ones, and fits the type."""
+        return in_ranges(value, (self.type.limits,)) and in_ranges(value, self.allowed)
+
+    @property
+    def choices(self) -> dict[int, str]:
+        """The texts of allowed values. A PrmText that several parameters share often has more texts."""
+        return {value: text for value, text in self.texts.items() if self.allows(value)}
+
 
 @dataclass(frozen=True, slots=True)
 class PrmRef:
@@ -191,7 +201,7 @@ class PrmBlock:
     length: int | None = None
     consts: tuple[PrmConst, ...] = ()
     refs: tuple[PrmRef, ...] = ()
-    line: int = 0
+    line: int = field(default=0, compare=False)
 
     @property
     def present(self) -> bool:
@@ -241,7 +251,7 @@ class Module:
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
     raw: tuple[Raw, ...] = ()
     complete: bool = True
-    line: int = 0
+    line: int = field(default=0, compare=False)
 
     @property
     def f_parameters(self) -> bool:
@@ -262,7 +272,7 @@ class Slot:
     name: str
     default: int | None
     allowed: Ranges
-    line: int = 0
+    line: int = field(default=0, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,6 +335,11 @@ class Device:
     def first_slot(self) -> int:
         """The number of the first slot: Modul_Offset, else 1."""
         return 1 if self.modul_offset is None else self.modul_offset
+
+    @property
+    def user_prm_data_ignored(self) -> bool:
+        """Whether User_Prm_Data does not count: Ext_User_Prm_Data or Max_User_Prm_Data_Len takes its place."""
+        return self.prm.present or self.max_user_prm_data_len is not None
 
     @property
     def f_parameters(self) -> bool:

@@ -16,10 +16,11 @@ from enum import Enum
 from typing import Final
 
 from dpstack.errors import GsdError
+from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import MAX_USER_PRM
 from dpstack.gsd.joining import reach_of
-from dpstack.gsd.model import Device, Module, Parameter, PrmBlock, PrmKind, PrmType, folded, in_ranges, ranges_text
-from dpstack.text import shortened
+from dpstack.gsd.model import Device, Module, Parameter, PrmBlock, PrmKind, PrmType, folded, ranges_text
+from dpstack.text import octets_text, shortened
 
 
 class Reading(Enum):
@@ -103,12 +104,60 @@ def write_bits(octets: bytearray, at: int, kind: PrmType, value: int) -> None:
     octets[at : at + kind.size] = whole.to_bytes(kind.size, "big")
 
 
+#: the remedy where modules make the user parameters too long
+_SHORTER: Final = "take out modules, or give user_prm"
+
+
+def length_note(device: Device, octets: int, own: int) -> str:
+    """How the length of the user parameters contradicts the lengths of the file; empty where it does not.
+
+    ``octets``: all of them, ``own``: those of the device itself. User_Prm_Data_Len counts only without
+    Max_User_Prm_Data_Len; the modules of a modular station may make more.
+    """
+    usual, most, data = device.user_prm_data_len, device.max_user_prm_data_len, device.user_prm_data
+    if most is not None:
+        said = f"Max_User_Prm_Data_Len is {most}" if own > most else ""
+        if data and not device.prm.present and octets in (0, DPV1_STATUS_LEN):
+            said = f"User_Prm_Data has {len(data)}, but is not used beside Max_User_Prm_Data_Len"
+    else:
+        differs = usual is not None and (own > usual or octets < usual)
+        said = f"User_Prm_Data_Len is {usual}" if differs else ""
+    return f"{octets_text(octets)} of user parameters, {said}; {MAY_REFUSE}" if said else ""
+
+
+#: consequence and remedy of user parameters whose length contradicts the file
+MAY_REFUSE: Final = "the device may refuse them (Prm_Fault): then give the octets that its manual wants as user_prm"
+
+
+def dpv1_note(device: Device, octets: int) -> str:
+    """Why a device with Read and Write (DP-V1) stays without them with ``octets`` user parameters; empty if not."""
+    if not device.dpv1.reads or octets >= DPV1_STATUS_LEN:
+        return ""
+    keyword = "User_Prm_Data_Len" if device.max_user_prm_data_len is None else "Max_User_Prm_Data_Len"
+    limit = f" ({keyword} is {_most(device)})" if _most(device) < DPV1_STATUS_LEN else ""
+    return (
+        f"the GSD file says DPV1_Slave = 1 and C1_Read_Write_supp = 1, but has {octets_text(octets)} of user "
+        f"parameters{limit}: Read, Write and alarms stay off without the three octets DPV1_Status; {ADD_STATUS}"
+    )
+
+
+def _most(device: Device) -> int:
+    """The most octets of user parameters that the file allows."""
+    said = device.user_prm_data_len if device.max_user_prm_data_len is None else device.max_user_prm_data_len
+    return MAX_USER_PRM if said is None else said
+
+
+#: the remedy for a device with DP-V1 whose user parameters do not begin with DPV1_Status
+ADD_STATUS: Final = f'if the device has them, give user_prm = "{bytes(DPV1_STATUS_LEN).hex(" ")}" and dpv1 = true'
+
+
 class UserPrm:
     """The user parameters of ``device`` with ``modules`` in slot order (None: an empty slot).
 
-    Without ``in_slots`` the modules are in no slot, and ``[SlotNumber]`` keeps its default.
-    Raises GsdError where they do not fit a Set_Prm or the device, or where a module may not have the number of its
-    slot.
+    Without ``in_slots`` the modules are in no slot, and ``[SlotNumber]`` keeps its default. A device with Read and
+    Write (DP-V1) whose file has no octets, and no limit below three, gets three zeros: DPV1_Status.
+    Raises GsdError where they do not fit a Set_Prm, where the modules make them longer than the device takes, or where
+    a module may not have the number of its slot.
     """
 
     def __init__(
@@ -121,25 +170,27 @@ class UserPrm:
     ) -> None:
         self.device = device
         self.reading = reading
-        # User_Prm_Data counts only where the file has neither Ext_User_Prm_Data nor Max_User_Prm_Data_Len
-        own = device.user_prm_data
-        if own is None or device.prm.present or device.max_user_prm_data_len is not None:
-            own = b""
+        own = b"" if device.user_prm_data_ignored else device.user_prm_data or b""
         #: the constants of the device and of all modules, and the fields with their defaults
         self._const = bytearray(own)
         self._fields: list[Field] = []
         self._set: dict[str, int] = {}
         self._add(device.prm, 0, "device" if device.first_slot == 0 and any(modules[:1]) else "0", None)
+        #: octets of the device itself
+        self._own = len(self._const)
         for slot, module in enumerate(modules, device.first_slot):
             if module is not None and module.prm.present:
                 self._add(module.prm, slot, str(slot), module if in_slots else None)
         size, limit = len(self._const), device.max_user_prm_data_len
         if size > MAX_USER_PRM:
-            raise GsdError(f"{size} octets of user parameters; a Set_Prm carries {MAX_USER_PRM}: take out modules")
-        if limit is not None and size > limit:
+            raise GsdError(f"{size} octets of user parameters; a Set_Prm carries {MAX_USER_PRM}: {_SHORTER}")
+        if limit is not None and size > limit >= self._own:
             raise GsdError(
-                f"{size} octets of user parameters, Max_User_Prm_Data_Len of the device is {limit}; take out modules"
+                f"{size} octets of user parameters, Max_User_Prm_Data_Len of the device is {limit}; {_SHORTER}"
             )
+        if size == 0 and device.dpv1.reads and _most(device) >= DPV1_STATUS_LEN:
+            self._const += bytes(DPV1_STATUS_LEN)
+            self._own = DPV1_STATUS_LEN
 
     def __repr__(self) -> str:
         return f"<UserPrm {self.octets().hex(' ')}>"
@@ -157,13 +208,18 @@ class UserPrm:
             if parameter is None or ref.offset + parameter.type.size > size:
                 continue
             slot_number = plugged is not None and is_slot_number(parameter)
-            if plugged is not None and slot_number and not _is_allowed(parameter, slot):
+            if plugged is not None and slot_number and not parameter.allows(slot):
                 raise GsdError(
                     f"module {plugged.title} cannot be in slot {slot}: its parameter {parameter.name} allows "
                     f"{_allowed(parameter)}; plug it there, or leave it out"
                 )
             value = slot if slot_number else parameter.default
             self._fields.append(Field(place, ref.offset, at + ref.offset, parameter, value, slot_number))
+
+    @property
+    def length_note(self) -> str:
+        """How the number of octets contradicts the file; empty where it does not."""
+        return length_note(self.device, len(self._const), self._own)
 
     @property
     def fields(self) -> tuple[Field, ...]:
@@ -217,12 +273,17 @@ class UserPrm:
         return tuple(replace(field, value=read_bits(octets, field.at, field.parameter.type)) for field in self._fields)
 
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """Defaults that differ from the constants at their place, of parameters that the user has not set."""
+        """Defaults that differ from the constants at their place, of parameters that the user has not set.
+
+        ``[SlotNumber]`` is none of them: neither its default nor the constant is ever sent.
+        """
         consts = self.read(bytes(self._const))
         return tuple(
             Contradiction(field, const.value)
             for field, const in zip(self._fields, consts, strict=True)
-            if not field.slot_number and field.key not in self._set and const.value != _default_in_bits(field.parameter)
+            if not is_slot_number(field.parameter)
+            and field.key not in self._set
+            and const.value != _default_in_bits(field.parameter)
         )
 
 
@@ -237,13 +298,9 @@ _SLOT_NUMBER: Final = folded("[SlotNumber]")
 def value_of(parameter: Parameter, value: int | str | bool) -> int:
     """The number for ``value``; texts without regard to case. Raises GsdError with the allowed values."""
     number = _number(parameter, value)
-    if not _is_allowed(parameter, number):
+    if not parameter.allows(number):
         raise GsdError(f"{parameter.name!r} = {number} is not allowed; allowed are {_allowed(parameter)}")
     return number
-
-
-def _is_allowed(parameter: Parameter, value: int) -> bool:
-    return in_ranges(value, (parameter.type.limits,)) and in_ranges(value, parameter.allowed)
 
 
 def _allowed(parameter: Parameter) -> str:
@@ -257,15 +314,16 @@ _LONGEST_NUMBER: Final = 40
 def _number(parameter: Parameter, value: int | str | bool) -> int:
     if isinstance(value, int):
         return int(value)
-    for number, text in parameter.texts.items():
+    choices = parameter.choices
+    for number, text in choices.items():
         if folded(text) == folded(value):
             return number
     if len(value) <= _LONGEST_NUMBER:
         with contextlib.suppress(ValueError):
             return int(value, 0)
-    if not parameter.texts:
+    if not choices:
         raise GsdError(f"{parameter.name!r} = {shortened(value)!r} is no number; allowed are {_allowed(parameter)}")
-    texts = list(parameter.texts.values())
+    texts = list(choices.values())
     near = near_names(value, texts, _CLOSE)
     hint = f"did you mean {near[0]!r}? known: " if near else "known: "
     raise GsdError(f"{parameter.name!r} has no value {shortened(value)!r}; {hint}{', '.join(map(repr, texts[:20]))}")

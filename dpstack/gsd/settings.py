@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from typing import Any, Final
 
-from dpstack.gsd.blocks import octets_of
+from dpstack.gsd.blocks import octets_of, warn_of_remark
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, DpV1
-from dpstack.gsd.lexer import Statement, first_number, number, string
+from dpstack.gsd.lexer import Statement, first_number, number, string, without_remark
 from dpstack.gsd.model import Device, Findings, Speed
 from dpstack.units import BAUD_RATES
 
@@ -59,6 +59,11 @@ _32_BITS: Final = (0, 0xFFFF_FFFF)
 _PINS: Final = {"not used": 0, "not connected": 0, "rs485": 1, "input": 1, "m24v": 1, "ttl": 2, "output": 2, "p24v": 2}
 #: octets of the PDU of an Initiate without addresses in other networks
 _LEAST_INITIATE: Final = 20
+
+
+def _only_number(text: str) -> int | None:
+    value, rest = first_number(text)
+    return None if rest else value
 
 
 class Settings:
@@ -117,8 +122,9 @@ class Settings:
         if keyword not in self._settings:
             return None
         statement = self._settings[keyword]
-        value, rest = first_number(statement.value)
-        if value is None or rest:
+        value = without_remark(statement, _only_number)
+        warn_of_remark(self._findings, statement)
+        if value is None:
             text = string(statement.value)[0] or ""
             value = number(text)
             if value is None and keyword in ("repeater_ctrl_sig", "24v_pins", "24v pins"):
@@ -147,7 +153,9 @@ class Settings:
         return text.strip()
 
     def _octets(self, keyword: str) -> bytes | None:
-        octets = octets_of(self._settings[keyword].value)
+        statement = self._settings[keyword]
+        octets = without_remark(statement, octets_of)
+        warn_of_remark(self._findings, statement)
         if octets is None:
             self._unreadable(keyword, "is no list of octets; left out")
         return octets

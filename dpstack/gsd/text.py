@@ -2,6 +2,9 @@
 
 ``\\`` at the end of a line (blanks or a comment may follow) joins the next one to it, also inside a string. At such a
 seam inside a string several blanks become one: they belong to the layout of the file, not to the text.
+
+CR CR LF ends one line. In a file with other line ends it counts as two, as editors have it: a program that rewrites
+line ends makes two of it, and the lines of such a copy have the same numbers.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ _CP1252: Final = "".join(
 #: the part of a line before its comment or its closing backslash: strings whole, an open one to its end
 _PLAIN: Final = re.compile(r'(?:[^"\\;]++|"[^"]*+"|\\(?![ \t]*(?:;|$)))*+')
 _SEAM: Final = re.compile(r"\\[ \t]*(?:;.*)?$")
+#: stands for the empty line between CR and CR LF
+_HALF: Final = "\f"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +59,26 @@ def read_text(octets: bytes) -> Text:
     """Logical lines of ``octets`` (at most :data:`MAX_OCTETS`)."""
     text, encoding = decode(octets)
     text = text.rstrip("\0\x1a")  # DOS ended files with these
-    for end in ("\r\r\n", "\r\n", "\r", "\x0b", "\x0c"):
-        text = text.replace(end, "\n")
+    strays = text.count("\r\r\n") < text.count("\n")
+    for end, by in (
+        ("\v", "\n"),
+        ("\f", "\n"),
+        ("\r\r\n", f"\n{_HALF}\n" if strays else "\n"),
+        ("\r\n", "\n"),
+        ("\r", "\n"),
+    ):
+        text = text.replace(end, by)
     physical = text.split("\n")
+    numbers: Sequence[int] = range(1, len(physical) + 1)
+    if _HALF in text:
+        numbers = [number for number, line in enumerate(physical, 1) if line != _HALF]
+        physical = [line for line in physical if line != _HALF]
     if "\\" not in text:
-        return Text(physical, range(1, len(physical) + 1), encoding)
-    return _joined(physical, encoding)
+        return Text(physical, numbers, encoding)
+    return _joined(physical, numbers, encoding)
 
 
-def _joined(physical: list[str], encoding: str) -> Text:
+def _joined(physical: list[str], physical_numbers: Sequence[int], encoding: str) -> Text:
     lines: list[str] = []
     numbers: list[int] = []
     cut = 0
@@ -70,7 +86,7 @@ def _joined(physical: list[str], encoding: str) -> Text:
     length = 0
     inside = False  # a string is open at the end of parts
     listing = False  # parts end in the middle of a list
-    for number, line in enumerate(physical, 1):
+    for number, line in zip(physical_numbers, physical, strict=True):
         if not parts:
             numbers.append(number)
             if "\\" not in line:

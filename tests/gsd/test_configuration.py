@@ -81,7 +81,7 @@ def test_the_modules_without_a_choice() -> None:
 
 def test_several_modules_in_a_compact_device_get_a_note() -> None:
     d = made('Module = "a" 0x10\nEndModule\nModule = "b" 0x20\nEndModule\n').device
-    assert configure(d, ["a", "b"]).notes == (
+    assert configure(d, ["b", "a"]).notes == (
         "the device is no modular station (Modular_Station = 0), but several modules are plugged",
     )
 

@@ -24,7 +24,9 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         from dpstack.api.config.gsd_source import read_gsd_slave  # here, as most drives need no GSD file
 
         like = telegram.config, _lengths(telegram)
-        configuration, by_gsd = read_gsd_slave(table, given, who, lambda device: configuration_like(device, *like))
+        configuration, by_gsd = read_gsd_slave(
+            table, given, who, lambda device, own_prm: configuration_like(device, *like, own_prm=own_prm)
+        )
         telegram = _telegram_for(table, profile, telegram, configuration)
         # the GSD file has priority over the plugin
         profile = profile.described(telegram, by_gsd[0], tuple(sorted(by_gsd[1]["baud_rates"])))

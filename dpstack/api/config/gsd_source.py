@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -9,13 +10,15 @@ from dpstack.api.config.slave_source import Basis, Who
 from dpstack.api.config.table import Table
 from dpstack.api.gsd_info import read_gsd
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN
 from dpstack.dp.pdu.requests import SET_PRM_LEN
 from dpstack.dp.slave_params import INTERVAL_UNIT, SlaveParams
 from dpstack.dpv1.slave.description_from_gsd import slave_description
+from dpstack.errors import GsdError
 from dpstack.gsd.configuration import Configuration, configure
+from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.model import Device
-from dpstack.gsd.prm import Reading, UserPrm
+from dpstack.gsd.prm import MAY_REFUSE, Reading, UserPrm
+from dpstack.text import octets_text
 
 _OTHER: Final = {Reading.REFS: Reading.CONST, Reading.CONST: Reading.REFS}
 #: most octet numbers in a message about two readings of a file
@@ -23,41 +26,38 @@ _SHOWN_OCTETS: Final = 8
 
 
 def basis_of_gsd(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
-    configuration, (params, rest) = read_gsd_slave(table, given, who)
+    configuration, (params, rest) = read_gsd_slave(
+        table, given, who, lambda device, own_prm: configure(device, own_prm=own_prm)
+    )
     device = configuration.device
-    return params, rest | {"description": slave_description(device, configuration, ident=device.ident or 0)}
+    description = slave_description(device, configuration, ident=device.ident or 0, user_prm=len(params.user_prm))
+    return params, rest | {"description": description}
 
 
 def read_gsd_slave(
-    table: Table, given: Mapping[str, Any], who: Who, preset: Callable[[Device], Configuration] = configure
+    table: Table, given: Mapping[str, Any], who: Who, preset: Callable[[Device, bool], Configuration]
 ) -> tuple[Configuration, Basis]:
     """Read the GSD file (relative to the configuration), plug its modules and set its parameters.
 
-    ``preset`` returns the configuration for a table without ``modules``; it may raise GsdError. Raises ConfigError, one
-    line.
+    ``preset(device, own_prm)`` returns the configuration for a table without ``modules``; it may raise GsdError.
+    ``own_prm`` as for :func:`~dpstack.gsd.configuration.plug`. Raises ConfigError, one line.
     """
     with table.blaming("gsd"):
         device = read_gsd(given["gsd"], table.folder).device
-    reading = Reading(given.get("defaults", Reading.REFS))
+    own_prm = "user_prm" in given
     with table.blaming("modules" if "modules" in given else "gsd"):
-        configuration = configure(device, given["modules"]) if "modules" in given else preset(device)
-        prm = configuration.user_prm(reading)
-    parameters = given.get("parameters", {})
-    _set_parameters(table, parameters, prm)
-    octets = _own_user_prm(table, given, prm)
-    notes = list(configuration.notes)
-    differing = [contradiction for contradiction in prm.contradictions() if contradiction.matters]
-    if differing and octets is None and "defaults" not in given:
-        count = f"{len(differing)} parameters" if len(differing) > 1 else "one parameter"
-        notes.append(
-            f"in its GSD file the defaults of {count} contradict the constant octets (the first: "
-            f'{differing[0].text}); the defaults are used, defaults = "const" takes the constants'
-        )
-    note = ""
-    if octets is None:
-        octets, others = prm.octets(), configuration.user_prm(_OTHER[reading])
-        _set_parameters(table, parameters, others)
-        note = _contradictions_note(reading, octets, others.octets())
+        if "modules" in given:
+            configuration = configure(device, given["modules"], own_prm=own_prm)
+        else:
+            configuration = preset(device, own_prm)
+    if own_prm:
+        if "parameters" in given:
+            table.fail("user_prm", "user_prm beside parameters", "give one of them")
+        octets: bytes = given["user_prm"]
+        notes, prm_note = _own_notes(configuration, octets), ""
+    else:
+        with table.blaming("modules" if "modules" in given else "gsd"):
+            octets, notes, prm_note = _prm_of_file(table, given, configuration)
     has_status = device.dpv1.slave and len(octets) >= DPV1_STATUS_LEN
     # a device that requires empty frames in Clear can receive them, too
     fail_safe = device.fail_safe or device.dpv1.fail_safe_required
@@ -75,13 +75,50 @@ def read_gsd_slave(
             max_tsdr={speed.baud: speed.max_tsdr for speed in device.speeds if speed.max_tsdr is not None},
             max_diag_len=None if longest is None else min(max(FIXED_LEN, longest), MAX_LEN),
             texts=configuration.texts(),
-            prm_note=note,
+            prm_note=prm_note,
         )
     if device.ident is None and "ident" not in given:
         table.fail("gsd", f"{given['gsd']} has no Ident_Number", 'add ident = 0x1234, or ident = "ask"')
     rates = frozenset(speed.baud for speed in device.speeds)
     rest = {"device": device, "gsd": given["gsd"], "modules": configuration.modules}
-    return configuration, (params, rest | {"notes": tuple(notes), "baud_rates": rates})
+    all_notes = (*configuration.notes, *(note for note in notes if note))
+    return configuration, (params, rest | {"notes": all_notes, "baud_rates": rates})
+
+
+def _prm_of_file(
+    table: Table, given: Mapping[str, Any], configuration: Configuration
+) -> tuple[bytes, tuple[str, ...], str]:
+    """User parameters by the file and the key ``parameters``; remarks, and the note for a slave that refuses them."""
+    reading = Reading(given.get("defaults", Reading.REFS))
+    parameters = given.get("parameters", {})
+    prm, others = configuration.user_prm(reading), configuration.user_prm(_OTHER[reading])
+    _set_parameters(table, parameters, prm)
+    _set_parameters(table, parameters, others)
+    octets, contradiction = prm.octets(), ""
+    differing = [contradiction for contradiction in prm.contradictions() if contradiction.matters]
+    if differing and "defaults" not in given:
+        count = f"{len(differing)} parameters" if len(differing) > 1 else "one parameter"
+        contradiction = (
+            f"in its GSD file the defaults of {count} contradict the constant octets (the first: "
+            f'{differing[0].text}); the defaults are used, defaults = "const" takes the constants'
+        )
+    notes = (prm.length_note, contradiction)
+    return octets, notes, _contradictions_note(reading, octets, others.octets())
+
+
+def _own_notes(configuration: Configuration, octets: bytes) -> tuple[str, ...]:
+    """Remarks about the key ``user_prm``, which replaces what the file makes: lengths of the file that differ."""
+    device, said = configuration.device, []
+    usual, most = device.user_prm_data_len, device.max_user_prm_data_len
+    with contextlib.suppress(GsdError):
+        made = len(configuration.user_prm().octets())
+        if made and len(octets) not in (made, usual):
+            said.append(f"with these modules its GSD file makes {made}")
+    if most is not None and len(octets) > most:
+        said.append(f"Max_User_Prm_Data_Len is {most}")
+    elif most is None and usual is not None and not device.modular and len(octets) != usual:
+        said.append(f"User_Prm_Data_Len is {usual}")
+    return (f"user_prm has {octets_text(len(octets))}, {', '.join(said)}; {MAY_REFUSE}",) if said else ()
 
 
 def _contradictions_note(reading: Reading, octets: bytes, others: bytes) -> str:
@@ -105,20 +142,3 @@ def _set_parameters(table: Table, parameters: Mapping[str, object], prm: UserPrm
             table.fail("parameters", f"parameter {name!r} = {wanted!r}", "give a number or a text of its list")
         with table.blaming("parameters"):
             prm.set(name, wanted)
-
-
-def _own_user_prm(table: Table, given: Mapping[str, Any], prm: UserPrm) -> bytes | None:
-    """``user_prm`` of the table, which replaces the parameters of the file; None: it has none."""
-    octets: bytes | None = given.get("user_prm")
-    if octets is None:
-        return None
-    if "parameters" in given:
-        table.fail("user_prm", "user_prm beside parameters", "give one of them")
-    expected, limit = len(prm.octets()), prm.device.max_user_prm_data_len
-    if expected and len(octets) != expected:
-        table.fail(
-            "user_prm", f"user_prm has {len(octets)} octets", f"with these modules {expected} are wanted; correct it"
-        )
-    if limit is not None and len(octets) > limit:
-        table.fail("user_prm", f"user_prm has {len(octets)} octets", f"Max_User_Prm_Data_Len is {limit}; shorten it")
-    return octets

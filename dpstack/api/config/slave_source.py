@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypedDict
 
 from dpstack.api.config.table import Key, Table, is_integer
-from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
@@ -25,7 +24,7 @@ Basis: TypeAlias = tuple[SlaveParams, dict[str, Any]]
 GSD_KEYS: Final = ("modules", "parameters", "defaults")
 REFERENCES: Final = ("reference_hz", "reference_rpm")
 DRIVE_KEYS: Final = ("telegram", *REFERENCES, "options", "simulated")
-_ON: Final = "leave dpv1 out, or say dpv1 = true"
+_ON: Final = "leave dpv1 out, or give dpv1 = true"
 
 
 class Who(TypedDict):
@@ -66,12 +65,17 @@ def modules_of(table: Table, name: str, _: Key) -> list[int | str]:
     return list(value)
 
 
-def remarks(device: Device | None, dpv1: Dpv1 | None) -> Iterator[str]:
-    """Remarks for people, without the name of the slave. ``dpv1``: the DP-V1 settings in use, None: no DP-V1."""
+def remarks(device: Device | None, params: SlaveParams, *, dpv1_given: bool) -> Iterator[str]:
+    """Remarks for people, without the name of the slave. ``dpv1_given``: its table has the key ``dpv1``."""
     if device is None:
         return
-    said = device.dpv1
-    if said.slave and dpv1 is None:
+    from dpstack.gsd.prm import dpv1_note  # here, as a bus without GSD files needs no reader of them
+
+    said, dpv1 = device.dpv1, params.dpv1
+    without_status = "" if dpv1_given else dpv1_note(device, len(params.user_prm))
+    if without_status:
+        yield without_status
+    elif said.slave and dpv1 is None:
         if said.c1_read_write_required:
             yield f"dpv1 is off, but its GSD file says C1_Read_Write_required = 1: it counts on Read and Write; {_ON}"
         required = [f"{keyword}_required" for keyword in ALARM_KEYWORDS.values() if keyword in said.required]

@@ -38,7 +38,7 @@ from dpstack.errors import AlarmError, BusError, ConfigError, GsdError, SlaveTim
 from dpstack.fdl.commands import AtStation
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.passive.station import PassiveStation
-from dpstack.gsd.configuration import configure, default_modules
+from dpstack.gsd.configuration import configure, default_modules, is_compact_row
 from dpstack.machine import LineDown
 from dpstack.params import UNADDRESSED, BusParams
 from dpstack.phy.patience import EXACT, Patience
@@ -118,14 +118,17 @@ def slave_from_gsd(
     """A slave with the properties of the GSD file at ``path`` and the function ``on_cycle(outputs, elapsed)``.
 
     ``modules``: names or reference numbers of the plugged modules, in slot order, "" for an empty slot; the slave then
-    accepts only this configuration. None: it accepts any that the file allows, and Get_Cfg returns ``config``, the
-    file's preset, or its first module. ``on_cycle`` has to return inputs for each of them. ``options``: those of
-    :class:`DpSlave`. ``path`` may be the name of a drive with a bundled GSD file. Raises ConfigError.
+    accepts only this configuration. None: it accepts any that the file allows (a compact station all of its modules, if
+    they fit together), and Get_Cfg returns ``config``, the file's preset, or its first module. ``on_cycle`` has to
+    return inputs for each of them. ``options``: those of :class:`DpSlave`. ``path`` may be the name of a drive with a
+    bundled GSD file. Raises ConfigError.
     """
     device = read_gsd(path).device
     try:
         chosen = None if modules is None else configure(device, modules)
         preset = configure(device) if chosen is None and default_modules(device) is not None else None
+        if preset is not None and len(preset.modules) > 1 and is_compact_row(device, preset.modules):
+            chosen = preset
         description = slave_description(device, chosen, name=name)
     except GsdError as error:
         raise ConfigError(f"{path}: {error}") from None

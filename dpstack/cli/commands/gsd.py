@@ -296,4 +296,4 @@ def _users(device: Device) -> dict[int, str]:
 
 
 def _allowed(parameter: Parameter) -> str:
-    return ", ".join(parameter.texts.values()) or ranges_text(parameter.allowed)
+    return ", ".join(parameter.choices.values()) or ranges_text(parameter.allowed)

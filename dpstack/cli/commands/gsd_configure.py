@@ -248,7 +248,7 @@ def _value(field: Field, answer: str) -> int | None:
     """The number for ``answer``: an empty one keeps the value, ``done`` is None unless it is a text of the list."""
     if not answer:
         return field.value
-    if answer == _DONE and _DONE not in map(folded, field.parameter.texts.values()):
+    if answer == _DONE and _DONE not in map(folded, field.parameter.choices.values()):
         return None
     return value_of(field.parameter, answer)
 
@@ -256,11 +256,11 @@ def _value(field: Field, answer: str) -> int | None:
 def _written(field: Field, value: int) -> int | str:
     """``value`` as the table has it: its text where no other value has that text too."""
     text = field.parameter.texts.get(value)
-    if text is None or sum(folded(text) == folded(other) for other in field.parameter.texts.values()) > 1:
+    if text is None or sum(folded(text) == folded(other) for other in field.parameter.choices.values()) > 1:
         return value
     return text
 
 
 def _allowed(field: Field) -> str:
     parameter = field.parameter
-    return ", ".join(parameter.texts.values()) or ranges_text(parameter.allowed or (parameter.type.limits,))
+    return ", ".join(parameter.choices.values()) or ranges_text(parameter.allowed or (parameter.type.limits,))

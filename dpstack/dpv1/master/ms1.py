@@ -41,6 +41,7 @@ from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT, service_timeout
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SAP_MS1, Req, Telegram
+from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_S, ns_to_s
 
@@ -58,9 +59,11 @@ def need_dpv1(setup: SlaveParams, lacks: str = "no Read, Write, alarms", *, read
     if read_only:
         raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
     if setup.dpv1 is None:
+        keys = "dpv1 = true"
+        if len(setup.user_prm) < DPV1_STATUS_LEN:
+            keys = f'user_prm = "{bytes(DPV1_STATUS_LEN).hex(" ")}" and {keys}'
         raise UsageError(
-            f"{setup.who} is not parameterised for DP-V1: {lacks}; "
-            f"if it has them put dpv1 = true into its [[slave]] table"
+            f"{setup.who} is not parameterised for DP-V1: {lacks}; if it has them put {keys} into its [[slave]] table"
         )
 
 

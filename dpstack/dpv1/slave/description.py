@@ -13,7 +13,7 @@ import msgspec
 
 from dpstack.dp.pdu.alarm_blocks import HEAD as ALARM_HEAD
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE, set_bit
+from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, PRM_STRUCTURE, set_bit
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.slave_params import INTERVAL_UNIT
@@ -21,6 +21,7 @@ from dpstack.dpv1.slave.alarms import AlarmSupport
 from dpstack.dpv1.slave.resource_manager import check_ms2
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import MAX_USER_PRM, config_for, io_lengths
 
 if TYPE_CHECKING:

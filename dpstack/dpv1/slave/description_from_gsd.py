@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from dpstack.dp.pdu.alarm_blocks import HEAD, SEQUENCES
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, DPV1_STATUS_LEN
+from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.slave_params import INTERVAL_UNIT
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
@@ -15,7 +15,7 @@ from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.configuration import Configuration, fixed_modules, is_fixed, plug
-from dpstack.gsd.dpv1_keywords import alarm_kinds
+from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN, alarm_kinds
 from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
 from dpstack.gsd.model import Device, Module, PrmBlock
 
@@ -24,15 +24,21 @@ EMPTY_SLOT: Final = SlaveModule("empty slot", b"\0")
 
 
 def slave_description(
-    device: Device, chosen: Configuration | None = None, *, name: str = "", ident: int | None = None
+    device: Device,
+    chosen: Configuration | None = None,
+    *,
+    name: str = "",
+    ident: int | None = None,
+    user_prm: int | None = None,
 ) -> SlaveDescription:
     """The slave of the type ``device``.
 
     ``chosen``: what is plugged into it, and nothing else is accepted then, nor user parameters of another length than
     these modules have (blocks may follow where the file has them). None: a compact station accepts any one of its
-    modules, a modular one any row of them and of empty slots within its limits, behind its fixed presets, both up to
-    Max_User_Prm_Data_Len octets of user parameters; modules that the file breaks off in, or whose identifier octets
-    contradict themselves, are left out. ``ident`` where the file has none. Raises ConfigError.
+    modules, a modular one any row of them and of empty slots within its
+    limits, behind its fixed presets, both up to Max_User_Prm_Data_Len octets of user parameters; modules that the file
+    breaks off in, or whose identifier octets contradict themselves, are left out. ``ident`` where the file has none;
+    ``user_prm``: octets of user parameters, if they are not those of the ``chosen`` modules. Raises ConfigError.
     """
     gsd = device.dpv1
     number = device.ident if ident is None else ident
@@ -40,7 +46,7 @@ def slave_description(
         raise ConfigError(f"{device.model or 'the GSD file'} has no Ident_Number; give ident")
     compact = not device.modular
     most = device.user_prm_data_len if device.max_user_prm_data_len is None else device.max_user_prm_data_len
-    prm = 0 if chosen is None else len(chosen.user_prm().octets())
+    prm = (0 if chosen is None else len(chosen.user_prm().octets())) if user_prm is None else user_prm
     longest = _within(most, MAX_USER_PRM)
     dpv1 = gsd.slave and (prm or longest) >= DPV1_STATUS_LEN
     presets = fixed_modules(device) if chosen is None else ()

@@ -12,7 +12,7 @@ from typing import Final
 
 from dpstack.dp.pdu.alarm_blocks import HEAD
 from dpstack.dp.pdu.diagnosis import FIXED_LEN
-from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, DPV1_STATUS_LEN, FAIL_SAFE, PRM_STRUCTURE
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, FAIL_SAFE, PRM_STRUCTURE
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.slave_params import INTERVAL_UNIT
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
@@ -20,7 +20,7 @@ from dpstack.dpv1.slave.description_from_gsd import EMPTY_SLOT
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.blocks import prm_type_of
-from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
+from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
 from dpstack.gsd.model import DiagText, in_ranges, ranges_text
 from dpstack.gsd.settings import RATES
@@ -252,6 +252,8 @@ def _lines(slave: SlaveDescription, prm: int) -> Iterator[str]:
         yield f"Max_Output_Len = {slave.max_output_len}"
         yield f"Max_Data_Len = {slave.max_data_len}"
         yield "Modul_Offset = 1"
+    elif len(slave.configs) > 1:
+        yield "Max_Module = 1"  # one of them: without a limit a compact station has all of its modules
     if slave.presets or len(slave.configs) == 1:
         yield "FixPresetModules = 1"
     yield from _dpv1_lines(slave)

@@ -8,7 +8,7 @@ Decisions where the sources leave something open: docs/reference/decisions/servi
 from __future__ import annotations
 
 from dpstack.dp.pdu.alarm_blocks import Alarm
-from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, DPV1_STATUS_LEN
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave.events import Report, SlaveAppEvent
 from dpstack.dp.slave.extension import Handler, SlaveService
@@ -19,6 +19,7 @@ from dpstack.dpv1.slave.record_requests import AcyclicDevice, Asker, RecordReque
 from dpstack.dpv1.slave.resource_manager import Ms2Server, check_ms2
 from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, Resp, Telegram
+from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 
 
 class AlarmAcknowledged(SlaveAppEvent):

@@ -37,7 +37,6 @@ from typing import Final
 from dpstack.argcheck import octets, whole_number
 from dpstack.dp.pdu.alarm_blocks import Alarm, AlarmType, ModuleState, Specifier, module_status
 from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, identifier_block
-from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.im import IM_INDEX, Im0, Im1, Im2, Im3, Im4
 from dpstack.dpv1.pdu.read_write import WriteReq
@@ -46,6 +45,7 @@ from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import AlarmError, ConfigError
+from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named
 

@@ -97,7 +97,6 @@ def test_known_identifier_octets_name_the_telegram() -> None:
         ('telegram = "PPO2"\n', "8: [[slave]] fan: no single module has 20 octets of inputs and 20 of outputs; name "),
         ('telegram = "PPO3"\nfreeze = true\n', "10: [[slave]] fan: freeze = true, but its GSD file says Freeze_Mode_"),
         ('telegram = "PPO3"\nconfig = "F1"\n', "10: [[slave]] fan: config beside gsd; leave config out, or gsd"),
-        ('telegram = "PPO3"\nuser_prm = "01"\n', "10: [[slave]] fan: user_prm has 1 octets; with these modules 3 are"),
     ],
 )
 def test_refused(folder: Path, keys: str, message: str) -> None:

@@ -95,10 +95,6 @@ def test_an_absolute_path(tmp_path: Path) -> None:
             "9: [[slave]] io: parameter 'Offset' = 1.5; give a number or a text of its list",
         ),
         (
-            'gsd = "prm.gsd"\nmodules = [1]\nuser_prm = "01 02"\n',
-            "9: [[slave]] io: user_prm has 2 octets; with these modules 11 are wanted; correct it",
-        ),
-        (
             'gsd = "prm.gsd"\nmodules = [1]\ndefaults = "both"\n',
             '9: [[slave]] io: unknown defaults \'both\'; it must be "refs" or "const"',
         ),
@@ -183,3 +179,98 @@ def test_plan_and_run_print_the_note_about_profisafe(tmp_path: Path, capsys: pyt
     out = capsys.readouterr().out
     assert note in out
     assert '"state":"data_exchange"' in out
+
+
+# --- user parameters whose length contradicts the file ----------------------------------------------------------------
+#: a compact station whose constants are longer than its own maximum
+NARROW = (
+    "#Profibus_DP\nGSD_Revision = 3\nIdent_Number = 0x0FFE\n500_supp = 1\nMax_User_Prm_Data_Len = 3\n"
+    'Ext_User_Prm_Data_Const(0) = 1,2,3,4,5\nModule = "in" 0x10\nEndModule\n'
+)
+REFUSE = "; the device may refuse them (Prm_Fault): then give the octets that its manual wants as user_prm"
+
+
+def compact(folder: Path, gsd: str, keys: str = "") -> Config:
+    (folder / "own.gsd").write_text(gsd, encoding="utf-8")
+    return parse_config(HEAD + 'gsd = "own.gsd"\n' + keys, str(folder / "plant.toml"))
+
+
+@pytest.mark.parametrize(
+    ("keys", "octets", "notes"),
+    [
+        ("", "0102030405", ("slave 8 (io): 5 octets of user parameters, Max_User_Prm_Data_Len is 3" + REFUSE,)),
+        (
+            'user_prm = "09 08 07 06"\n',
+            "09080706",
+            (
+                "slave 8 (io): user_prm has 4 octets, with these modules its GSD file makes 5, Max_User_Prm_Data_Len "
+                "is 3" + REFUSE,
+            ),
+        ),
+        (
+            'user_prm = "09 08 07"\n',
+            "090807",
+            ("slave 8 (io): user_prm has 3 octets, with these modules its GSD file makes 5" + REFUSE,),
+        ),
+    ],
+)
+def test_user_prm_overrides_what_the_file_makes(tmp_path: Path, keys: str, octets: str, notes: tuple[str, ...]) -> None:
+    found = compact(tmp_path, NARROW, keys).slaves[0]
+    assert (found.params.user_prm.hex(), found.notes) == (octets, notes)
+
+
+def test_user_prm_overrides_what_no_set_prm_can_carry(tmp_path: Path) -> None:
+    long = NARROW.replace("Max_User_Prm_Data_Len = 3\n", "")
+    long = long.replace("EndModule", "Ext_Module_Prm_Data_Len = 237\nEndModule")
+    with pytest.raises(ConfigError, match="242 octets of user parameters; a Set_Prm carries 237: take out modules, "):
+        compact(tmp_path, long)
+    assert compact(tmp_path, long, 'user_prm = "01"\n').slaves[0].params.user_prm == b"\x01"
+
+
+def test_plan_prints_both_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gsd = NARROW.replace("Max_User_Prm_Data_Len = 3", "User_Prm_Data_Len = 4\nUser_Prm_Data = 1,2,3,4")
+    compact(tmp_path, gsd)
+    (tmp_path / "plant.toml").write_text(HEAD + 'gsd = "own.gsd"\n', encoding="utf-8")
+    main(["plan", str(tmp_path / "plant.toml")])
+    assert "5 octets of user parameters, User_Prm_Data_Len is 4" in " ".join(capsys.readouterr().out.split())
+
+
+@in_virtual_time
+async def test_the_simulated_slave_accepts_a_user_prm_of_its_own() -> None:
+    table = {"address": 8, "gsd": str(FILES / "prm.gsd"), "modules": ["PLAIN"], "user_prm": "01 02"}
+    async with bus_of(table) as bus:
+        await bus.operate()
+        await bus.slave(8).ready()
+        assert bus.slave(8).state.value == "data_exchange"
+
+
+# --- DP-V1 of a file without octets -----------------------------------------------------------------------------------
+SILENT = (
+    "#Profibus_DP\nGSD_Revision = 3\nIdent_Number = 0x0FFE\n500_supp = 1\nDPV1_Slave = 1\nC1_Read_Write_supp = 1\n"
+    'C1_Max_Data_Len = 64\nC1_Response_Timeout = 10\nModule = "in" 0x10\nEndModule\n'
+)
+
+
+def test_dpv1_is_on_where_the_file_has_room_for_its_octets(tmp_path: Path) -> None:
+    found = compact(tmp_path, SILENT).slaves[0]
+    assert (found.params.user_octets(None).hex(" "), found.notes) == ("80 00 00", ())
+    assert found.description is not None
+    assert found.description.user_prm_len == (3, 3)
+
+
+def test_where_it_has_none_the_advice_names_all_keys_and_is_accepted(tmp_path: Path) -> None:
+    narrow = SILENT + "Max_User_Prm_Data_Len = 0\n"
+    found = compact(tmp_path, narrow).slaves[0]
+    (note,) = found.notes
+    assert (found.params.dpv1, found.params.user_prm) == (None, b"")
+    assert note.endswith('if the device has them, give user_prm = "00 00 00" and dpv1 = true')
+    assert compact(tmp_path, narrow, "dpv1 = false\n").slaves[0].notes == ()
+    followed = compact(tmp_path, narrow, 'user_prm = "00 00 00"\ndpv1 = true\n').slaves[0]
+    assert followed.params.user_octets(None).hex(" ") == "80 00 00"
+    (note,) = followed.notes
+    assert "user_prm has 3 octets, Max_User_Prm_Data_Len is 0" in note
+
+
+def test_a_compact_station_without_modules_has_all_of_them(tmp_path: Path) -> None:
+    several = SILENT + 'Module = "more" 0x20\nEndModule\n'
+    assert compact(tmp_path, several).slaves[0].params.config == b"\x10\x20"

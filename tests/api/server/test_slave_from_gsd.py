@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gsd_kit import FILES, device, made
+from gsd_kit import FILES, HEAD, device, made
 from octet_wire import PARAMS, Wire, framed
 from slave_kit import make_slave
 
@@ -137,6 +137,13 @@ def test_a_compact_station_takes_one_of_its_modules() -> None:
     assert (found.check_cfg(b"\x10"), found.check_cfg(b"\x21")) == (None, None)
     assert found.check_cfg(b"\x10\x21") == "configuration 10 21 is not 10 or 21"
     assert found.check_cfg(b"\x00") is not None  # no slots, so none is empty
+
+
+def test_a_compact_station_has_all_of_its_modules(tmp_path: Path) -> None:
+    path = tmp_path / "compact.gsd"
+    path.write_text(HEAD + 'Module = "a" 0x10\nEndModule\nModule = "b" 0x21\nEndModule\n')
+    slave = dpstack.slave.slave_from_gsd(path, echo)
+    assert (slave.configs, slave.check_cfg(b"\x10")) == ((b"\x10\x21",), "configuration 10 is not 10 21")
 
 
 def test_exactly_what_the_parameters_of_the_modules_need() -> None:

@@ -137,7 +137,7 @@ def test_a_text_that_is_no_text(capsys: Out) -> None:
         (["8", "read", "1", "9"], 1, "slave 8 refuses Read of slot 1, index 9: invalid index (80 B0 00"),
         (["8", "write", "1", "3", "12"], 1, "write length error"),
         (["8", "transport", "1", "2"], 2, "Data_Transport is a service of class 2 connections: add --class 2"),
-        (["9", "read", "1", "2"], 2, "put dpv1 = true into its [[slave]] table"),
+        (["9", "read", "1", "2"], 2, 'put user_prm = "00 00 00" and dpv1 = true into its [[slave]] table'),
         (["7", "read", "1", "2"], 2, "no slave '7' in this configuration; there are: 8 (rig), 9 (old)"),
         (["8", "red", "1", "2"], 2, "dpstack acyclic does not know 'red'; did you mean read?"),
         (["8", "read", "1"], 2, "read takes SLOT INDEX [LENGTH], for instance: read 1 47"),

@@ -77,8 +77,11 @@ def test_a_file_with_more_constants_than_its_limit_is_shown_with_the_remark(
         f"#Profibus_DP\nIdent_Number=1\nMax_User_Prm_Data_Len={limit}\nExt_User_Prm_Data_Const(0)=1,2,3,4,5\n"
     )
     shown = cli.json("gsd", "show", str(path))
-    assert (shown["ident"], shown["user_prm"], shown["user_prm_const"]) == ("0x0001", None, None)
-    remark = f"5 octets of user parameters, Max_User_Prm_Data_Len of the device is {limit}; take out modules"
+    assert (shown["ident"], shown["user_prm"], shown["user_prm_const"]) == ("0x0001", "0102030405", "0102030405")
+    remark = (
+        f"5 octets of user parameters, Max_User_Prm_Data_Len is {limit}; the device may refuse them (Prm_Fault): then "
+        f"give the octets that its manual wants as user_prm"
+    )
     assert remark in [diagnostic["message"] for diagnostic in shown["diagnostics"]]
     assert remark in cli.out("gsd", "show", str(path))
 
@@ -193,6 +196,22 @@ def test_its_tables_are_accepted(name: str, answers: str, config: str, modules: 
     out, _ = configure(str(FILES / f"{name}.gsd"), answers)
     assert parse_config(BUS + out, "plant.toml").slaves[0].params.config.hex() == config
     assert f"modules = {modules}\n" in out
+
+
+def test_texts_outside_of_the_range_are_not_offered(configure: Configure, cli: Cli, tmp_path: Path) -> None:
+    path = tmp_path / "texts.gsd"
+    path.write_text(
+        "#Profibus_DP\nIdent_Number = 0x0FFE\n500_supp = 1\n"
+        'Module = "in" 0x10\nEndModule\n'
+        'PrmText = 1\nText(0) = "one"\nText(1) = "two"\nText(3) = "three"\nEndPrmText\n'
+        'ExtUserPrmData = 1 "Mode"\nUnsigned8 1 0-2\nPrm_Text_Ref = 1\nEndExtUserPrmData\n'
+        "Ext_User_Prm_Data_Ref(0) = 1\n"
+    )
+    out, err = configure(str(path), "\n8\ny\ny\nthree\none\n")
+    assert 'parameters = { "Mode" = "one" }\n' in out
+    assert "0/Mode@0 (one, two) [two]: " in err
+    assert "'Mode' has no value 'three'; known: 'one', 'two'" in err
+    assert "three" not in cli.out("gsd", "show", str(path))
 
 
 def test_slots_refuse_at_once(configure: Configure) -> None:
