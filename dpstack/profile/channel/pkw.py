@@ -143,7 +143,7 @@ class PkwChannel:
 
     def __init__(self, dialect: PkwDialect, times: CycleTimes) -> None:
         self._dialect = dialect
-        self._times = times
+        self.times = times
         self._queue: deque[Exchange] = deque()
         self.reset()
 
@@ -152,7 +152,7 @@ class PkwChannel:
         exchange = self.submit(order)
         try:
             while exchange.reply is None:
-                if self._times.now >= deadline:
+                if self.times.now >= deadline:
                     stray = exchange.stray
                     text = (
                         "the drive did not answer in its parameter channel in time"
@@ -219,7 +219,7 @@ class PkwChannel:
         """Cancel an order; harmless when it is done."""
         if exchange is self._active:
             self._withdraw()
-            self._quiet_until = self._times.now + self._times.settle_ns
+            self._quiet_until = self.times.now + self.times.settle_ns
         elif exchange in self._queue:
             self._queue.remove(exchange)
             self._note_busy()
@@ -371,11 +371,11 @@ class PkwAccess(PkwChannel, ParameterChannel):
             number = self.error_number(reply)
             text = self._dialect.error_text(number)
             refusal = CommandError("parameter", f"{ref.label}: error {number}, {text}", number)
-            again = self._times.now + RETRY_NS
+            again = self.times.now + RETRY_NS
             if number not in self._dialect.busy or again >= deadline:
                 raise refusal
             busy = refusal
-            while self._times.now < again:
+            while self.times.now < again:
                 yield
         if reply.id == ReplyId.NO_CONTROL:
             raise CommandError("parameter", f"{ref.label}: the bus has no control over the parameters (reply 8)")

@@ -152,11 +152,11 @@ class DriveCore:
         self.title = f"drive {name} ({profile.name})"
         self.telegram = telegram
         self.reference_hz = float(options.get("reference_hz", profile.reference_hz))
-        self._offset = CHANNEL_LEN if telegram.channel else 0
+        #: octets of the parameter channel before the process data
+        self.offset = CHANNEL_LEN if telegram.channel else 0
         #: the octets for every way out
         self.safe_outputs = (
-            bytes(self._offset)
-            + self.safe_control.to_bytes(2, "big").ljust(telegram.outputs, b"\0")[: telegram.outputs]
+            bytes(self.offset) + self.safe_control.to_bytes(2, "big").ljust(telegram.outputs, b"\0")[: telegram.outputs]
         )
         self._rotation_ns = 0  # from one call of cyclic() to the next
         self._called_at: int | None = None
@@ -180,11 +180,15 @@ class DriveCore:
         self._setpoint_word = 0
         self._control = self.table.word(Goal.IDLE, State.OFFLINE)
         self._achieved = False
-        self._dirty = True
-        self._inputs = self._outputs = b""
-        self._unpack = struct.Struct(f">{telegram.inputs // 2}H").unpack_from
-        self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
-        self._rest = (0,) * (telegram.outputs // 2 - 2)
+        #: the outputs are built again in this rotation
+        self.dirty = True
+        #: the octets of the last rotation, with the parameter channel; inputs are empty after :meth:`lost`
+        self.last_inputs = self.last_outputs = b""
+        #: words of the process data: ``unpack(octets, offset)``, ``pack(*words)``
+        self.unpack = struct.Struct(f">{telegram.inputs // 2}H").unpack_from
+        self.pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
+        #: the words behind control word and set point
+        self.rest = (0,) * (telegram.outputs // 2 - 2)
         self._orders = DriveJobs()
         #: plain JSON data for the application, oldest first; the master calls it in every cycle
         self.take_events: Callable[[], list[dict[str, object]]] = self._orders.take_events
@@ -208,10 +212,10 @@ class DriveCore:
         if self._called_at is not None:
             self._rotation_ns = now - self._called_at
         self._called_at = now
-        if inputs != self._inputs and len(inputs) == self.telegram.input_octets:
-            self._inputs = inputs
-            self.words = self._unpack(inputs, self._offset)
-            self.status_word = self.status_of(inputs[self._offset :])
+        if inputs != self.last_inputs and len(inputs) == self.telegram.input_octets:
+            self.last_inputs = inputs
+            self.words = self.unpack(inputs, self.offset)
+            self.status_word = self.status_of(inputs[self.offset :])
             begins = not self.online
             self.online = True
             self.received()
@@ -223,14 +227,14 @@ class DriveCore:
             self.update()
         access = self.access
         if access is not None and access.busy and self.online:
-            access.step(self._inputs, now)
-            self._dirty = True
+            access.step(self.last_inputs, now)
+            self.dirty = True
         orders = self._orders
         if orders.jobs and (now >= orders.due_ns or self.status_word != orders.status):
             orders.step(now, self.status_word)
-        if self._dirty:
+        if self.dirty:
             self._build()
-        return self._outputs
+        return self.last_outputs
 
     def lost(self, now: int) -> None:
         """The slave left data exchange, or outputs went to their safe values: pending orders end with a reason.
@@ -246,7 +250,7 @@ class DriveCore:
         for lookup in self.lookups:
             lookup.reset()
         self.settings_check.reset()
-        self._inputs = b""
+        self.last_inputs = b""
         if self.goal in _STOPPING and self.state in _MAY_TURN:
             self.update()
         else:
@@ -305,8 +309,8 @@ class DriveCore:
         ``control``: the control word that another master sent last, None where it is not known.
         """
         self.online = True
-        self.words = self._unpack(inputs, self._offset)
-        self.status_word = word = self.status_of(inputs[self._offset :])
+        self.words = self.unpack(inputs, self.offset)
+        self.status_word = word = self.status_of(inputs[self.offset :])
         self.received()
         self.state = self.table.states.decode(word) if control is None else self.table.state(word, control)
         self.take_events()
@@ -369,7 +373,7 @@ class DriveCore:
         control |= self.control_bits()
         if control != self._control:
             self._control = control
-            self._dirty = True
+            self.dirty = True
         if self.online:
             self._tell_status()
 
@@ -395,7 +399,7 @@ class DriveCore:
             self.setpoint = fraction
             self.setpoint_at = self.now
         self._setpoint_word = word
-        self._dirty = True
+        self.dirty = True
         self.update()
 
     # -- hooks for a plugin -------------------------------------------------------------------------------------
@@ -418,7 +422,7 @@ class DriveCore:
 
     def encode(self, control: int, setpoint: int) -> bytes:
         """The process data to send, as many octets as the telegram has."""
-        return self._pack(control, setpoint, *self._rest)
+        return self.pack(control, setpoint, *self.rest)
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
         """The reverse of :meth:`encode`, for a program that only listens: the control word, and the set point of the
@@ -527,14 +531,14 @@ class DriveCore:
     # -- inside ---------------------------------------------------------------------------------------------------
 
     def _build(self) -> None:
-        self._dirty = False
+        self.dirty = False
         data = self.encode(self._control, self._setpoint_word)
         access = self.access
         if access is not None:
             data = access.octets + data
-        elif self._offset:
-            data = bytes(self._offset) + data
-        self._outputs = data
+        elif self.offset:
+            data = bytes(self.offset) + data
+        self.last_outputs = data
 
     def _tell_status(self) -> None:
         """A status event when state, remote, reached, warnings or faults changed."""

@@ -91,8 +91,8 @@ class MappedCore(DriveCore, Generic[M]):
     def encode(self, control: int, setpoint: int) -> bytes:
         """Control word, set point, and the values of the map in the words behind them."""
         assert self.outputs_map is not None
-        mapped = process_data_map.pack(self.outputs_map.fields, self.values, len(self._rest))
-        return self._pack(control, setpoint, *mapped)
+        mapped = process_data_map.pack(self.outputs_map.fields, self.values, len(self.rest))
+        return self.pack(control, setpoint, *mapped)
 
     def missing(self) -> list[str]:
         """Names of the parameters among the outputs that have no value."""
@@ -266,5 +266,5 @@ class MappedCore(DriveCore, Generic[M]):
         except ValueError as error:
             raise CommandError("usage", f"output: {error}") from None
         self.values[field.key] = raw
-        self._dirty = True
+        self.dirty = True
         return {"value": value}

@@ -80,14 +80,16 @@ class DriveDevice(Device):
         self.record47: ParameterServer | None = None
         self.warning_mask = 0
         self.released = True
-        self._outputs: bytes | None = None
+        #: None: there are no valid ones
+        self.last_outputs: bytes | None = None
         self._inputs = b""
         self._next: int | None = None
         self._powered = True
-        self._trip: int | None = None
+        #: see :meth:`take_trip`
+        self.pending_trip: int | None = None
         self._tripped: str | None = None  # by trip(), while the fault stands
         self._own_load: float | None = None  # before set_load()
-        self._jog = 0
+        self.jog_direction = 0  # as in jog()
         #: the inverter has no power under its bus option: no answers in the parameter channel
         self.unpowered = False
         self._refusal: tuple[int, int, str] | None = None  # by refuse(): number, how many times left, the user's word
@@ -101,7 +103,7 @@ class DriveDevice(Device):
 
     def trip(self, code: str) -> None:
         """Trip with a fault, by its code or name. Raises ValueError with the known ones."""
-        self._trip = self.fault_code(code)
+        self.pending_trip = self.fault_code(code)
         self._tripped = code
 
     def warn(self, mask: int) -> None:
@@ -189,8 +191,8 @@ class DriveDevice(Device):
             found.append(f"load {self.motor.load:g}")
         if not self.released:
             found.append("release off")
-        if self._jog:
-            found.append("jog forward" if self._jog > 0 else "jog reverse")
+        if self.jog_direction:
+            found.append("jog forward" if self.jog_direction > 0 else "jog reverse")
         if self._refusal is not None:
             _, times, given = self._refusal
             found.append(f"parameter-error {given} {times}")
@@ -253,7 +255,7 @@ class DriveDevice(Device):
         """Data exchange begins; the telegram follows from the identifier octets."""
         self.advance(now)
         self.telegram = self.profile.telegrams_of(config)[0]
-        self._outputs = None
+        self.last_outputs = None
         self.channel.reset()
         if self.record47 is not None:
             self.record47.reset()
@@ -265,18 +267,18 @@ class DriveDevice(Device):
         """Set the outputs for the next scan, return the inputs of the last one."""
         if self._next is None or now >= self._next:
             self.advance(now)
-        if outputs != self._outputs:
-            self._outputs = outputs if len(outputs) == self.telegram.output_octets else None
+        if outputs != self.last_outputs:
+            self.last_outputs = outputs if len(outputs) == self.telegram.output_octets else None
         return self._inputs
 
     def clear(self, now: int) -> None:
         """Outputs are invalid until the next ones."""
         self.advance(now)
-        self._outputs = None
+        self.last_outputs = None
 
     def leave(self, reason: Leave, now: int) -> None:
         self.advance(now)
-        self._outputs = None
+        self.last_outputs = None
         self.master_lost(reason, now)
 
     @property
@@ -366,13 +368,13 @@ class DriveDevice(Device):
 
     def take_trip(self) -> int | None:
         """The trip since the last scan; resets it."""
-        trip, self._trip = self._trip, None
+        trip, self.pending_trip = self.pending_trip, None
         return trip
 
     # -- inside ---------------------------------------------------------------------------------------------------
 
     def _refresh(self, now: int) -> None:
-        outputs = self._outputs
+        outputs = self.last_outputs
         lead = CHANNEL_LEN if self.telegram.channel else 0
         reply = b""
         if lead:
@@ -381,7 +383,7 @@ class DriveDevice(Device):
         inputs = reply + self.refresh(None if outputs is None else outputs[lead:], now)
         if inputs != self._inputs:  # the slave takes the same object as unchanged
             self._inputs = inputs
-        if self._tripped is not None and self._trip is None and not self.faulted:
+        if self._tripped is not None and self.pending_trip is None and not self.faulted:
             self._tripped = None
 
 

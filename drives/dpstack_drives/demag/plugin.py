@@ -452,7 +452,7 @@ class DemagCore(MappedCore[OutMap]):
         yield from ()
         if not self.online:
             raise CommandError("lost", "the drive is not in data exchange")
-        return {"value": self._trace.lines(self._outputs, self._inputs)}
+        return {"value": self._trace.lines(self.last_outputs, self.last_inputs)}
 
     def parse_map(self, text: str, *, outputs: bool) -> OutMap:
         """The meaning of PZD3 to PZD6 is set in the drive; the option tells it to the plugin."""

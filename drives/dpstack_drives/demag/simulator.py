@@ -157,7 +157,7 @@ class DemagDevice(DriveDevice):
         if isinstance(before, DemagDevice):
             self.unpowered = before.unpowered
             if self._own_supply and not self.unpowered:
-                self._trip = t.FAULT_MODULE
+                self.pending_trip = t.FAULT_MODULE
 
     def mains(self, on: bool) -> None:
         """The mains of the inverter (4.1). Raises ValueError where the inverter feeds the module, too."""
@@ -181,7 +181,7 @@ class DemagDevice(DriveDevice):
         """A wrong configuration is F2065 (13.2)."""
         reason = super().check_cfg(config)
         if reason is not None and not self.unpowered:
-            self._trip = t.FAULT_CONFIGURATION
+            self.pending_trip = t.FAULT_CONFIGURATION
         return reason
 
     def master_lost(self, reason: Leave, now: int) -> None:
@@ -201,7 +201,7 @@ class DemagDevice(DriveDevice):
         control, line = (words[0], words[1]) if words is not None else (0, 0)
         self._control = control
         if self.unpowered:
-            self._trip = None
+            self.pending_trip = None
             self.motor.switch(False)
             return (0,) * (self.telegram.inputs // 2)
         if self._settings_of != self.store.changes:

@@ -131,7 +131,7 @@ class FujiCore(MappedCore[PcdMap]):
             equal("F03", hz, f"set F03 = {hz:g} or the option reference_hz = {{}}", unit="Hz"),
             equal("y98", 3, "set y98 = 3 (run and frequency command from PROFIBUS)"),
         ]
-        if self._rest and not self.writes_later:
+        if self.rest and not self.writes_later:
             found += [
                 _assigned("map_outputs", self.outputs_map, t.PNU_PCD_WRITE, "o40 to o43"),
                 _assigned("map_inputs", self.inputs_map, t.PNU_PCD_READ, "o48 to o51"),
@@ -141,12 +141,12 @@ class FujiCore(MappedCore[PcdMap]):
     # -- PCD1 to PCD4 ---------------------------------------------------------------------------------------------
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
-        if op in MAP_OPS and not self._rest:
+        if op in MAP_OPS and not self.rest:
             raise CommandError("usage", f"{op}: {self.telegram.name} has no PCD1 to PCD4: take PPO2 or PPO4")
         return super().order(op, args)
 
     def parse_map(self, text: str, *, outputs: bool) -> PcdMap:
-        if text.strip() and not self._rest:
+        if text.strip() and not self.rest:
             raise ValueError(f"{self.telegram.name} has no PCD1 to PCD4; take PPO2 or PPO4")
         return pcd.parse(text, outputs=outputs)
 

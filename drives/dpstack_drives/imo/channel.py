@@ -129,7 +129,7 @@ class ImoAccess(PkwChannel, ParameterChannel):
 
     def put(self, number: int, raw: int, deadline: int) -> Steps[Pkw]:
         """Write a word at an address."""
-        self._stored_writes.admit(number, f"parameter {_label(number)}", self._times.now, t.known(number))
+        self._stored_writes.admit(number, f"parameter {_label(number)}", self.times.now, t.known(number))
         if not self._warned:
             self._warned = True
             self._notice(_EEPROM)

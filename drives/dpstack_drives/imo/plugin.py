@@ -118,7 +118,7 @@ class ImoCore(MappedCore[PzdMap]):
         self._chosen = 0
         super().lost(now)
         self.inputs_map = self.outputs_map = None
-        self._dirty = True
+        self.dirty = True
         self._learning = False
         self._online_at = 0
 
@@ -135,11 +135,11 @@ class ImoCore(MappedCore[PzdMap]):
             control |= t.ENABLE_WRITING
         outputs = self.outputs_map
         words = (
-            (*self._rest, 0)
+            (*self.rest, 0)
             if outputs is None
             else process_data_map.pack(outputs.fields, {**self.values, pzd.SET_FREQUENCY: setpoint}, t.PZDS)
         )
-        return self._pack(control, *words)
+        return self.pack(control, *words)
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
         """CW, and the set frequency where the map of the options has it; the direction is in CW."""
@@ -321,7 +321,7 @@ class ImoCore(MappedCore[PzdMap]):
 
     def _use_maps(self, inputs: PzdMap, outputs: PzdMap) -> None:
         self.inputs_map, self.outputs_map = inputs, outputs
-        self._dirty = True
+        self.dirty = True
         self.update()
 
     def write_map(self, inputs: PzdMap, outputs: PzdMap, deadline: int) -> Steps[dict[str, object]]:

@@ -297,7 +297,7 @@ class ImoDevice(DriveDevice):
             return (Response.WORD, self.store.raw(spec)) if spec is not None else _error(2)
         if request.id != Request.WORD:
             return _error(1)
-        control = self._outputs[8:10] if self._outputs else b"\0\0"
+        control = self.last_outputs[8:10] if self.last_outputs else b"\0\0"
         if not int.from_bytes(control, "big") & t.ENABLE_WRITING:
             return Response.NO_RIGHTS, 0
         if spec is None:

@@ -95,7 +95,7 @@ class LsCore(MappedCore[ParaMap]):
         self.inputs_at = self.outputs_at = 0 if self._io else t.PARA_AT
         order = "<" if options["swap"] else ">"
         self.octet_order = "little" if options["swap"] else "big"
-        self._unpack = struct.Struct(f"{order}{telegram.inputs // 2}H").unpack_from
+        self.unpack = struct.Struct(f"{order}{telegram.inputs // 2}H").unpack_from
         self._words_out = struct.Struct(f"{order}{telegram.outputs // 2}H")
         self.inputs_map, self.outputs_map = self.maps_of_options(options)
         self.refuse_zeros()
@@ -106,7 +106,7 @@ class LsCore(MappedCore[ParaMap]):
         elif self._rpm:
             self.scale = Scale("speed", full=1, span=1 / float(options["reference_rpm"]))
         safe = _SAFE if self._profile == t.PROFIDRIVE else self.table.word(Goal.IDLE, State.OFFLINE)
-        self.safe_outputs = bytes(self._offset) + self.encode(safe, 0)
+        self.safe_outputs = bytes(self.offset) + self.encode(safe, 0)
         if telegram.channel:
             self.lookups = (self._trips, self._warning)
         self._advise_maps()
@@ -393,10 +393,10 @@ class LsCore(MappedCore[ParaMap]):
         if outputs != self.outputs_map and any(outputs.entries):
             yield from paramap.clear_control(access, deadline)
         self.outputs_map = outputs
-        self._dirty = True
+        self.dirty = True
         yield from paramap.write(access, inputs, outputs, deadline)
         self.inputs_map = inputs
-        self._dirty = True
+        self.dirty = True
         self._advise_maps()
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
 

@@ -115,7 +115,7 @@ class LsDevice(DriveDevice):
 
     def jog(self, direction: int) -> None:
         """Jog by the terminals of the drive: 1 forward, -1 reverse, 0 off."""
-        self._jog = direction
+        self.jog_direction = direction
 
     def inherit(self, before: DriveDevice) -> None:
         """Take over the parameters; those that waited for COM-94 act from power-on."""
@@ -241,7 +241,7 @@ class LsDevice(DriveDevice):
             reference = 0.0
         elif not control & 0x20:
             reference = motor.frequency
-        jog = self._jog if not machine.powered and state is not State.FAULT else 0
+        jog = self.jog_direction if not machine.powered and state is not State.FAULT else 0
         self._power(machine.powered or bool(jog), now, stops=state is State.READY)
         self._ramp(reference if state is State.RUNNING else self._jogged(jog), quick=state is State.QUICK_STOP)
         self._word = words[0]
@@ -273,7 +273,7 @@ class LsDevice(DriveDevice):
         granted = bool(control & t.LS_CONTROL.mask("ramp_authority")) and self._bus_commands("dr-07")
         reference = min(hundredths / 100 / self.store.value("dr-20"), 1.0) if granted else 0.0
         direction = runner.direction
-        jog = 0 if direction or runner.coast else self._jog
+        jog = 0 if direction or runner.coast else self.jog_direction
         self._power(bool(direction or jog), now, stops=not runner.coast)
         self._ramp(direction * reference if direction else self._jogged(jog))
         self._word = control
@@ -288,7 +288,7 @@ class LsDevice(DriveDevice):
             "ramp_granted": not keypad and control & t.LS_CONTROL.mask("ramp_authority"),
         }
         status = t.LS_STATUS.mask(*(name for name, on in bits.items() if on))
-        jog = bool(self._jog) and not direction
+        jog = bool(self.jog_direction) and not direction
         return status | motor_status(self.motor, self.store, direction=direction, jog=jog)
 
     def _run_status(self) -> int:
