@@ -12,6 +12,7 @@ from __future__ import annotations
 from enum import Enum
 from functools import lru_cache
 from typing import Final
+from zlib import adler32
 
 from dpstack.fdl.telegram import ED, MAX_LE, MIN_LE, SHORT_ACK, Kind, Telegram
 from dpstack.params import BROADCAST, UNADDRESSED
@@ -37,12 +38,11 @@ _KIND_SD2: Final = Kind.SD2
 _KIND_SD3: Final = Kind.SD3
 _KIND_SD4: Final = Kind.SD4
 
-#: FCS and ED by FCS; :func:`_head` caches the octets before the data
-_TAILS: Final = tuple(bytes((check, ED)) for check in range(256))
+#: FCS and ED, by the low octet of adler32(data) + the FCS of the octets before the data, which :func:`_head` caches.
+#: The low 16 bits of Adler-32 are 1 + a sum modulo 65521, which 246 octets do not reach. It is faster than sum().
+_TAILS: Final = tuple(bytes(((index - 1) & 0xFF, ED)) for index in range(256))
 #: octets of the longest telegram
 _LONGEST: Final = MAX_LE + 6
-#: octets of an SD2 telegram without extension octets beside its data
-_AROUND_DATA: Final = 9
 #: number of cached heads: 126 stations with both FCB and both directions have 504
 _KEPT_HEADS: Final = 1_024
 
@@ -81,7 +81,7 @@ def encode_sd2(da: int, sa: int, fc: int, data: bytes = b"", dsap: int | None = 
     Raises ValueError; also without data and SAPs, because that telegram is an SD1.
     """
     head, check = _head(da, sa, fc, len(data), dsap, ssap)
-    return head + data + _TAILS[(check + sum(data)) & 0xFF]
+    return head + data + _TAILS[(check + adler32(data)) & 0xFF]
 
 
 @lru_cache(_KEPT_HEADS)
@@ -129,7 +129,7 @@ def request_octets(da: int, sa: int, fc: int, data: bytes, dsap: int | None, ssa
     """The shortest telegram for a request or a response: SD1 without data and SAPs, else SD2."""
     if data or dsap is not None or ssap is not None:
         head, check = _head(da, sa, fc, len(data), dsap, ssap)
-        return head + data + _TAILS[(check + sum(data)) & 0xFF]
+        return head + data + _TAILS[(check + adler32(data)) & 0xFF]
     return encode_sd1(da, sa, fc)
 
 
@@ -143,7 +143,7 @@ def encode(telegram: Telegram) -> bytes:
             return encode_sd1(da, sa, fc)
         case Kind.SD2:
             head, check = _head(da, sa, fc, len(data), telegram.dsap, telegram.ssap, telegram.dseg, telegram.sseg)
-            return head + data + _TAILS[(check + sum(data)) & 0xFF]
+            return head + data + _TAILS[(check + adler32(data)) & 0xFF]
         case Kind.SD4:
             return encode_token(da, sa)
         case Kind.SC:
@@ -158,21 +158,30 @@ def _misuse(da: int, sa: int, fc: int) -> ValueError:
 
 # --- decoding --------------------------------------------------------------------------------------------------------
 def decode(octets: bytes | bytearray, likely: PlainFrame | None = None) -> Telegram | None:
-    """The one telegram that ``octets`` are from the first to the last, or None. ``likely``: probably its frame."""
+    """The one telegram that ``octets`` are from the first to the last, or None.
+
+    ``likely``: probably its frame; the caller has compared the octets of its last telegram.
+    """
     if type(octets) is not bytes:
         octets = bytes(octets)
     head = octets[:7]
-    frame = likely if likely is not None and head == likely.head else _plain_frame(head)
-    if frame is None:
-        return _decode_other(octets)
-    if octets == frame.octets:  # inputs are often those of the last exchange
-        return frame.telegram
-    data = octets[7:-2]
-    # as in _parse_sd2, but one comparison finds FCS and ED right, because the reason of a flaw is not wanted
-    if len(octets) != frame.size or octets[-2:] != _TAILS[(frame.check + sum(data)) & 0xFF]:
+    if likely is not None and head == likely.head:
+        frame = likely
+    else:
+        known = _plain_frame(head)
+        if known is None:
+            return _decode_other(octets)
+        last = known.last
+        if octets == last[0]:  # inputs are often those of the last exchange
+            return last[1]
+        frame = known
+    # as in _parse_sd2, but one comparison finds length, FCS and ED right, because the reason of a flaw is not wanted
+    stop = frame.stop
+    data = octets[7:stop]
+    if octets[stop:] != _TAILS[(frame.check + adler32(data)) & 0xFF]:
         return None
-    frame.octets = octets
-    frame.telegram = telegram = Telegram(_KIND_SD2, frame.da, frame.sa, frame.fc, None, None, data)
+    telegram = Telegram(_KIND_SD2, frame.da, frame.sa, frame.fc, None, None, data)
+    frame.last = octets, telegram
     return telegram
 
 
@@ -265,24 +274,25 @@ _NO_TELEGRAM: Final = Telegram(Kind.SC, -1, -1)
 
 
 class PlainFrame:
-    """An SD2 frame without extension octets: ``size`` in octets, ``check`` the sum of ``da``, ``sa`` and ``fc``, which
-    are the last of the seven octets of ``head``.
+    """An SD2 frame without extension octets and with the LE ``le``: ``check`` is the sum of ``da``, ``sa`` and ``fc``,
+    which are the last of the seven octets of ``head``.
 
-    ``data_size``: the octets of its data. ``octets`` and ``telegram``: the last telegram with this head.
+    ``data_size``: the octets of its data, which end before octet ``stop``. ``last``: octets and telegram of the last
+    frame with this head. All threads share this object, so the pair is one tuple: a reader takes it once, a writer
+    replaces it.
     """
 
-    __slots__ = ("check", "da", "data_size", "fc", "head", "octets", "sa", "size", "telegram")
+    __slots__ = ("check", "da", "data_size", "fc", "head", "last", "sa", "stop")
 
-    def __init__(self, head: bytes, size: int, check: int, da: int, sa: int, fc: int) -> None:
+    def __init__(self, head: bytes, le: int, check: int, da: int, sa: int, fc: int) -> None:
         self.head = head
-        self.size = size
-        self.data_size = size - _AROUND_DATA
+        self.stop = le + 4
+        self.data_size = le - EMPTY_LE
         self.check = check
         self.da = da
         self.sa = sa
         self.fc = fc
-        self.octets: bytes | None = None
-        self.telegram = _NO_TELEGRAM
+        self.last: tuple[bytes | None, Telegram] = None, _NO_TELEGRAM
 
 
 @lru_cache(_KEPT_HEADS)
@@ -295,7 +305,7 @@ def _plain_frame(head: bytes) -> PlainFrame | None:
     if isinstance(found, Flaw):
         return None
     le, check, da, sa, fc, plain = found
-    return PlainFrame(head, le + 6, check, da, sa, fc) if plain else None
+    return PlainFrame(head, le, check, da, sa, fc) if plain else None
 
 
 #: stands for "no frame": the first seven octets of a telegram are never these eight

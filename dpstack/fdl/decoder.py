@@ -98,7 +98,8 @@ class Decoder:
         """The telegram that ``chunk`` is, as most reads are; None: :meth:`feed` it. ``likely``: as :func:`decode`."""
         if not self._between:
             return None
-        telegram = likely.telegram if chunk == likely.octets else decode(chunk, likely)
+        last = likely.last
+        telegram = last[1] if chunk == last[0] else decode(chunk, likely)
         if telegram is None:
             return None
         size = len(chunk)

@@ -55,7 +55,7 @@ VECTORS: list[tuple[str, Telegram]] = [
 ]
 IDS = [f"{t.kind.name}-{n}" for n, (_, t) in enumerate(VECTORS)]
 SD3_OCTETS = bytes.fromhex("A2 03 02 7D 01 02 03 04 05 06 07 08 A6 16")
-SD3_SAPS = bytes.fromhex("A2 83 82 5D 3D 3E 88 01 01 0B 06 96 2F 16".replace("2F", "0E"))
+SD3_SAPS = bytes.fromhex("A2 83 82 5D 3D 3E 88 01 01 0B 06 96 0E 16")
 
 
 @pytest.mark.parametrize(("octets", "telegram"), VECTORS, ids=IDS)
@@ -87,6 +87,16 @@ def test_fcs_is_the_sum_without_carry() -> None:
     assert fcs(bytes.fromhex("82 E3 6D 3C 3E")) == 0x4C
     assert fcs(b"") == 0
     assert fcs(b"\xff\x02") == 1
+
+
+@pytest.mark.parametrize("octet", [0x00, 0x01, 0x7F, 0xFF])
+@pytest.mark.parametrize("size", [1, 2, 127, 128, 245, 246])
+def test_fcs_of_every_length(octet: int, size: int) -> None:
+    data = bytes([octet]) * size
+    raw = bytes([0x68, 3 + size, 3 + size, 0x68, 2, 5, 8, *data, (15 + size * octet) % 256, 0x16])
+    assert encode_sd2(2, 5, 8, data) == raw
+    assert decode(raw) == Telegram(Kind.SD2, 2, 5, 8, data=data)
+    assert decode(raw[:-2] + bytes([(raw[-2] + 1) % 256, 0x16])) is None
 
 
 @pytest.mark.parametrize(("function", "fc"), REQUEST_FCS.items())

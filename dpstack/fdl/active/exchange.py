@@ -130,7 +130,7 @@ class Exchange(Awaiting):
         request, peers = self.request, self.peers
         expected = self.machine.expected
         if self.line.edge_at < self.early_until or not (
-            telegram is expected.telegram
+            telegram is expected.last[1]
             # a telegram that came without octets is another object; with the expected head it is the answer, too
             or (
                 len(telegram.data) == expected.data_size

@@ -264,7 +264,7 @@ class StateMachine:
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """Classify ``telegram`` for this station and run the handler of that input."""
-        if telegram is self.expected.telegram:
+        if telegram is self.expected.last[1]:
             self.row[RESPONSE](telegram, now)
             return
         ts, fc = self.ts, telegram.fc

@@ -165,7 +165,7 @@ class ActiveStation:
             self.stats.heard += 1  # as _process()
             if self.wire is not None:
                 self._log_heard(self.wire, telegram, now)
-            if telegram is expected.telegram:
+            if telegram is expected.last[1]:
                 machine.row[RESPONSE](telegram, now)  # as StateMachine.telegram()
             else:
                 machine.telegram(telegram, now)
