@@ -6,7 +6,8 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Final
 
-from dpstack.dp.master.events import Fault, FaultKind
+from dpstack.dp.master.events import Fault, FaultKind, SlaveState
+from dpstack.dp.master.slave_states import Trigger
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import SET_PRM_LEN
 from dpstack.dp.slave_params import SlaveParams
@@ -79,6 +80,14 @@ NOT_WATCHING = (
     "does not watch its master although Set_Prm switched its watchdog on (WD_On is 0): when this master dies it keeps "
     "its outputs; see its manual"
 )
+
+
+def unlisted(state: SlaveState, trigger: Trigger) -> str:
+    """A remark: the table of states has no row for ``trigger`` in ``state``."""
+    return (
+        f"ignored in {state.value}: {trigger.value!r}; the table of states has no row for it, please report this to "
+        "the makers of dpstack"
+    )
 
 
 _UNREADABLE: Final = (

@@ -411,6 +411,7 @@ class SlaveHandler:
         """
         row = TABLE.get((self.state, trigger))
         if row is None:
+            self.reports.remark(fault_texts.unlisted(self.state, trigger), now)
             return
         if isinstance(fault, CfgFault):
             self._inquiry = (trigger, fault)
@@ -468,7 +469,8 @@ class SlaveHandler:
 
     def deactivate(self, now: int) -> None:
         """Take it out of service; nothing is asked of it until :meth:`activate`."""
-        self._step(Trigger.DEACTIVATE, now)
+        if self.state is not SlaveState.DEACTIVATED:
+            self._step(Trigger.DEACTIVATE, now)
 
     def activate(self, now: int) -> None:
         """Bring it up (again), from the beginning."""

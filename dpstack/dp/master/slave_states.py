@@ -6,6 +6,7 @@ docs/reference/protocol.md#how-real-devices-deviate.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import Enum
 from typing import Final, NamedTuple
 
@@ -91,6 +92,20 @@ _RULES: Final[tuple[tuple[tuple[S, ...], Trigger, S, str], ...]] = (
     ((S.DEACTIVATED,), Trigger.ACTIVATE, S.OFFLINE, f"{_DIAG}: Deactivated, by order"),
     (_ANY_BUT_DEACTIVATED, Trigger.DEACTIVATE, S.DEACTIVATED, f"{_DIAG}: Deactivated, by order"),
 )
-TABLE: Final = {
-    (state, trigger): Row(to, clause) for state in S for states, trigger, to, clause in _RULES if state in states
-}
+
+
+def table(rules: Iterable[tuple[tuple[S, ...], Trigger, S, str]]) -> dict[tuple[S, Trigger], Row]:
+    """A row for each of the states of a rule. Raises ValueError where a pair has two rows."""
+    rows: dict[tuple[S, Trigger], Row] = {}
+    for states, trigger, to, clause in rules:
+        for state in states:
+            if (state, trigger) in rows:
+                raise ValueError(
+                    f"two rows for {trigger.name} in {state.name}: {rows[state, trigger]}, {to} ({clause})"
+                )
+            rows[state, trigger] = Row(to, clause)
+    return rows
+
+
+#: A pair without a row is ignored, and the first ones of a slave are reported as remarks.
+TABLE: Final = table(_RULES)

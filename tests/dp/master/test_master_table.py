@@ -25,13 +25,46 @@ from scripted_link import (
 )
 
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave
-from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.slave_states import TABLE
+from dpstack.dp.master.events import SlaveRemark, SlaveState
+from dpstack.dp.master.slave_states import TABLE, Trigger, table
 
 
 def test_states_of_the_table_are_reachable_and_named() -> None:
     assert {state for state, _ in TABLE} == set(SlaveState)
     assert all(row.clause for row in TABLE.values())
+
+
+def test_a_pair_has_one_row() -> None:
+    silent_row = ((SlaveState.FAULT, SlaveState.OFFLINE), Trigger.SILENT, SlaveState.OFFLINE, "clause")
+    other = ((SlaveState.OFFLINE,), Trigger.SILENT, SlaveState.FAULT, "another clause")
+    assert table((silent_row,))[SlaveState.FAULT, Trigger.SILENT] == (SlaveState.OFFLINE, "clause")
+    for second in (silent_row, other):
+        with pytest.raises(ValueError, match="two rows for SILENT in "):
+            table((silent_row, second))
+
+
+def test_a_pair_without_a_row_is_a_remark(monkeypatch: pytest.MonkeyPatch) -> None:
+    from dpstack.dp.master import slave_handler
+
+    rows = {pair: row for pair, row in TABLE.items() if pair != (SlaveState.DATA_EXCHANGE, Trigger.DIAG_PRM_REQ)}
+    monkeypatch.setattr(slave_handler, "TABLE", rows)
+    bus = exchanging(setup())
+    bus.slave.answers = {None: high, 60: says(DIAG_FREE)}
+    bus.run_long(1_500 * MS)
+    assert [event.message for event in bus.events_of(SlaveRemark)] == [
+        "ignored in data_exchange: 'diagnosis: wants parameters'; the table of states has no row for it, please report "
+        "this to the makers of dpstack"
+    ]
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
+
+
+def test_a_second_order_to_leave_service_is_no_remark() -> None:
+    bus = exchanging(setup())
+    for _ in range(2):
+        bus.send(DeactivateSlave(3))
+        bus.run(50 * MS)
+    assert bus.state(3) is SlaveState.DEACTIVATED
+    assert bus.events_of(SlaveRemark) == []
 
 
 class _Recorder(dict[Any, Any]):
@@ -53,8 +86,8 @@ _OTHER = bytes.fromhex("02 05 00 FF 12 34")
 def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) -> None:
     from dpstack.dp.master import slave_handler
 
-    table = _Recorder()
-    monkeypatch.setattr(slave_handler, "TABLE", table)
+    rows = _Recorder()
+    monkeypatch.setattr(slave_handler, "TABLE", rows)
     # one service of the bring-up has another answer
     link_to().run_long(3_000 * MS)
     for sap, answer in (
@@ -111,4 +144,4 @@ def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) ->
             bus.hold()
             bus.send(ActivateSlave(3))
             slave.configured = False
-    assert set(TABLE) - table.used == set()
+    assert set(TABLE) - rows.used == set()
