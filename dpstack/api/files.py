@@ -1,9 +1,14 @@
-"""Files: read up to a size limit, written atomically, never over somebody else's file."""
+"""Files: read up to a size limit, written by one program at a time or atomically, never over somebody else's file.
+
+No link is followed to a file that is written: whoever may write into the folder could lay one to any file of the user.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import functools
+import operator
 import os
 import stat
 from collections.abc import Callable
@@ -11,9 +16,16 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from dpstack.errors import UsageError
+from dpstack.ports import posix
 
-#: flags of os.open for a file that is written
-NEW_FILE: Final = os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+#: flags of :func:`open_alone` for a new file
+NEW_FILE: Final = os.O_WRONLY | os.O_CREAT
+#: O_NONBLOCK: the name may lead to a pipe by now
+_ALWAYS: Final = functools.reduce(
+    operator.or_, (getattr(os, name, 0) for name in ("O_CLOEXEC", "O_BINARY", "O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY"))
+)
+#: a link in place of the file
+_LINK: Final = "is a link; name the file itself"
 _KINDS: Final = (
     (stat.S_ISFIFO, "a pipe"),
     (stat.S_ISSOCK, "a socket"),
@@ -37,6 +49,8 @@ def read_file(path: str | Path, most: int) -> bytes:
 
 
 def _check_ordinary(found: os.stat_result, path: str | Path) -> None:
+    if stat.S_ISLNK(found.st_mode):
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
     if stat.S_ISDIR(found.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(found.st_mode):
@@ -47,6 +61,38 @@ def _kind(found: os.stat_result) -> str:
     return next((name for check, name in _KINDS if check(found.st_mode)), "something else")
 
 
+def open_alone(path: Path, flags: int, mode: int = 0o666) -> int:
+    """``os.open`` for an ordinary file that nobody else writes, in this program or another, while it is open.
+
+    Raises OSError: ELOOP for a link, EBUSY while somebody else writes it; ValueError for an impossible path.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        _check_ordinary(os.lstat(path), path)  # first: a serial port must not even be opened
+    fd = os.open(path, flags | _ALWAYS, mode)
+    try:
+        found = os.fstat(fd)
+        _check_ordinary(found, path)  # again: it may be another one by now
+        _lock(fd, path, found)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def _lock(fd: int, path: Path, found: os.stat_result) -> None:
+    if not posix.is_available():
+        return
+    try:
+        posix.fcntl.flock(fd, posix.fcntl.LOCK_EX | posix.fcntl.LOCK_NB)
+        named = os.lstat(path)
+    except (BlockingIOError, FileNotFoundError):  # its writer removes it at its end if it is empty
+        named = None
+    except OSError:  # a file system without locks
+        return
+    if named is None or (named.st_dev, named.st_ino) != (found.st_dev, found.st_ino):
+        raise OSError(errno.EBUSY, "it is being written already", str(path))
+
+
 def open_new(path: Path, otherwise: str = "") -> int:
     """Make a file, or take an empty one; its descriptor. ``otherwise``: further advice in place of a device.
 
@@ -54,13 +100,13 @@ def open_new(path: Path, otherwise: str = "") -> int:
     """
     try:
         with contextlib.suppress(FileNotFoundError):
-            _check_new(path, os.stat(path), otherwise)  # first: a serial port must not even be opened
-        fd = os.open(path, NEW_FILE | getattr(os, "O_NONBLOCK", 0), 0o666)
-    except ValueError as error:  # a path with a zero octet
-        raise UsageError(f"{path}: {error}; name a file") from None
-    except OSError as error:
-        why = error.strerror or error
-        raise UsageError(f"{path}: cannot be written ({why}); name a file in a directory of yours") from None
+            _check_new(path, os.lstat(path), otherwise)  # first: a serial port must not even be opened
+        try:
+            fd = open_alone(path, NEW_FILE | os.O_EXCL)
+        except FileExistsError:  # an empty one
+            fd = open_alone(path, os.O_WRONLY)
+    except (ValueError, OSError) as error:
+        raise write_error(path, error) from None
     try:
         _check_new(path, os.fstat(fd), otherwise)  # again: it may be another one by now
     except UsageError:
@@ -69,8 +115,21 @@ def open_new(path: Path, otherwise: str = "") -> int:
     return fd
 
 
+def close_written(fd: int, path: Path) -> bool:
+    """Close a file of :func:`open_alone`. True: it had no octet and is removed, while nobody else may write it."""
+    is_empty = False
+    with contextlib.suppress(OSError):
+        if is_empty := not os.fstat(fd).st_size:
+            path.unlink()
+    with contextlib.suppress(OSError):
+        os.close(fd)
+    return is_empty
+
+
 def _check_new(path: Path, found: os.stat_result, otherwise: str) -> None:
     """Raises UsageError where ``path`` is anything but an empty file."""
+    if stat.S_ISLNK(found.st_mode):
+        raise UsageError(f"{path}: {_LINK}")
     if stat.S_ISDIR(found.st_mode):
         raise UsageError(f"{path}: is a directory; name a file")
     if not stat.S_ISREG(found.st_mode):
@@ -82,7 +141,7 @@ def _check_new(path: Path, found: os.stat_result, otherwise: str) -> None:
 class AtomicFile:
     """Writes a temporary file and renames it at the end, so that the name never leads to half a file.
 
-    Of a symbolic link the target is written. Devices and pipes are refused. An existing file is replaced only if it is
+    Links, devices and pipes are refused. An existing file is replaced only if it is
     empty or ``is_earlier`` accepts it as an earlier file of the same kind; ``what`` names that kind in messages.
 
     Entering raises UsageError where the file cannot be written, before the caller does any work. Leaving without
@@ -95,18 +154,17 @@ class AtomicFile:
         self.path = Path(path)
         self._is_earlier = is_earlier
         self._what = what
-        self._real = Path(os.path.realpath(self.path)) if os.path.islink(self.path) else self.path
         #: path of an incomplete list
-        self.part = self._real.parent / f"{self._real.name}.part"
+        self.part = self.path.parent / f"{self.path.name}.part"
         import secrets  # here, as most programs only read
 
-        self._new = self._real.parent / f".{secrets.token_hex(8)}.tmp"
+        self._new = self.path.parent / f".{secrets.token_hex(8)}.tmp"
         self._file: BinaryIO | None = None
 
     def __enter__(self) -> AtomicFile:
-        self._check(self._real, self.path)
+        self._check(self.path)
         if self._is_earlier is not None:
-            self._check(self.part, self.part)
+            self._check(self.part)
         self._write(b"")
         return self
 
@@ -115,34 +173,46 @@ class AtomicFile:
 
     def keep(self, octets: bytes, *, complete: bool = True) -> Path:
         """Write the file; if not ``complete``, to :attr:`part` instead. Returns the path. Raises UsageError."""
-        target, path = (self._real, self.path) if complete else (self.part, self.part)
-        self._check(target, path)  # again: the file may be another one by now
+        path = self.path if complete else self.part
+        self._check(path)  # again: the file may be another one by now
         self._write(octets)
         try:
-            with contextlib.suppress(OSError):
-                os.chmod(self._new, stat.S_IMODE(os.stat(target).st_mode))
-            os.replace(self._new, target)
+            if self._is_earlier is not None or not self._link(path):
+                with contextlib.suppress(OSError):
+                    os.chmod(self._new, stat.S_IMODE(os.lstat(path).st_mode))
+                os.replace(self._new, path)
         except OSError as error:
-            raise _write_error(path, error) from None
+            raise write_error(path, error) from None
         return path
 
-    def _check(self, target: Path, path: Path) -> None:
-        """Raises UsageError where ``target``, called ``path``, may not be written."""
+    def _link(self, path: Path) -> bool:
+        """Give the file its name, unless there is a file of that name by now; False where the disk has no links."""
         try:
-            found = os.stat(target)
+            os.link(self._new, path)
+        except FileExistsError:
+            self._check(path)
+            raise
+        except OSError:
+            return False
+        return True
+
+    def _check(self, path: Path) -> None:
+        """Raises UsageError where ``path`` may not be written."""
+        try:
+            found = os.lstat(path)
         except FileNotFoundError:
             return
-        except ValueError as error:  # a path with a zero octet
-            raise UsageError(f"{path}: {error}; name a file") from None
-        except OSError as error:  # links in a circle, for instance: a rename would replace one of them
-            raise _write_error(path, error) from None
+        except (ValueError, OSError) as error:
+            raise write_error(path, error) from None
+        if stat.S_ISLNK(found.st_mode):
+            raise UsageError(f"{path}: {_LINK}")
         if stat.S_ISDIR(found.st_mode):
             raise UsageError(f"{path}: is a directory; name a file")
         if not stat.S_ISREG(found.st_mode):
             raise UsageError(f"{path}: is a device or a pipe; name an ordinary file")
         if self._is_earlier is None:
             raise UsageError(f"{path}: there is a file of that name; give the name of a new file")
-        if found.st_size and not self._is_earlier(target):
+        if found.st_size and not self._is_earlier(path):
             raise UsageError(
                 f"{path}: there is a file of that name, and it is no {self._what}; move it away, or name another file"
             )
@@ -158,7 +228,7 @@ class AtomicFile:
                 self._file.close()
         except OSError as error:
             self._remove()
-            raise _write_error(self.path, error) from None
+            raise write_error(self.path, error) from None
 
     def _remove(self) -> None:
         if self._file is not None:
@@ -169,7 +239,16 @@ class AtomicFile:
             self._file = None
 
 
-def _write_error(path: Path, error: OSError) -> UsageError:
+def write_error(path: Path, error: OSError | ValueError) -> UsageError:
+    """The error of a file that a user named and that cannot be written, with what to do."""
+    if isinstance(error, ValueError):  # a path with a zero octet
+        return UsageError(f"{path}: {error}; name a file")
+    if error.errno == errno.EBUSY:
+        return UsageError(f"{path}: it is being written already; name another file")
+    if error.errno == errno.ELOOP and path.is_symlink():
+        return UsageError(f"{path}: {_LINK}")
+    if error.errno == errno.EEXIST:
+        return UsageError(f"{path}: {error.strerror}; move it away, or name another file")
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     todo = "make room there, or name a file elsewhere" if full else "name a file in a directory of yours"
     return UsageError(f"{path}: cannot be written ({error.strerror or error}); {todo}")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
+import importlib.util
 import os
 import socket
 import stat
@@ -16,10 +18,16 @@ from cli_kit import Cli
 from dpstack.api.config.config import load_config
 from dpstack.api.files import AtomicFile, read_file
 from dpstack.api.gsd_info import copy_gsd, read_gsd
+from dpstack.api.listen.capture_file import CaptureFile
+from dpstack.api.listen.report_file import ReportFile
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.api.lists.record_list import RecordList
+from dpstack.api.recording.event_log import EventLog
+from dpstack.api.recording.record_file import NO_ROTATION, RecordFile
+from dpstack.capture.timing import LineTiming
 from dpstack.cli.main import main
 from dpstack.errors import ConfigError, UsageError
+from dpstack.monitor.monitor import Monitor
 
 PLANT = """
 [bus]
@@ -222,3 +230,102 @@ def test_a_part_file_of_another_program_is_found_before_anything_is_read(plant: 
         "drive", str(plant), "hoist", "dump", str(plant.with_name("hoist.toml"))
     )
     assert part.read_text("utf-8") == "mine"
+
+
+# --- written line by line -------------------------------------------------------------------------------------------
+def _record(path: Path) -> contextlib.AbstractContextManager[object]:
+    file = RecordFile(path, NO_ROTATION, 0.0, lambda _: None)
+    return contextlib.closing(_Closing(lambda: file.close(0)))
+
+
+def _log(path: Path) -> contextlib.AbstractContextManager[object]:
+    return contextlib.closing(EventLog(path))
+
+
+def _report(path: Path) -> contextlib.AbstractContextManager[object]:
+    return ReportFile(str(path), Monitor(LineTiming("file", None)))
+
+
+def _capture(path: Path) -> contextlib.AbstractContextManager[object]:
+    return CaptureFile(str(path))
+
+
+class _Closing:
+    def __init__(self, close: Callable[[], None]) -> None:
+        self.close = close
+
+
+#: what writes a file that stays open, and the name of its file
+WRITERS: dict[str, tuple[Callable[[Path], contextlib.AbstractContextManager[object]], str]] = {
+    "record": (_record, "x.jsonl"),
+    "parquet": (_record, "x.parquet"),
+    "log": (_log, "x.jsonl"),
+    "report": (_report, "x.html"),
+    "capture": (_capture, "x.pcapng"),
+}
+WRITER = pytest.mark.parametrize("kind", WRITERS)
+
+
+@WRITER
+def test_a_link_to_a_file_that_stays_open_is_not_followed(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: True)  # of pyarrow
+    write, name = WRITERS[kind]
+    target, link = tmp_path / "mine", tmp_path / name
+    for text in (None, ""):  # it leads nowhere, to an empty file
+        if text is not None:
+            target.write_text(text)
+        link.unlink(missing_ok=True)
+        link.symlink_to(target)
+        with pytest.raises(UsageError, match=rf"{name}: is a link; name the file itself"), write(link):
+            pass
+        assert link.is_symlink()
+        assert target.exists() is (text is not None)
+
+
+@WRITER
+@pytest.mark.parametrize("other", WRITERS)
+def test_a_file_has_one_writer(kind: str, other: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also while it is empty, as a recording is until the first row: two runs, or two options of one run."""
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: True)  # of pyarrow
+    write, name = WRITERS[kind]
+    again = WRITERS[other][0] if WRITERS[other][1] == name else write
+    path = tmp_path / name
+    first = write(path)
+    with first, pytest.raises(UsageError, match="it is being written already; name another file"), again(path):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    with again(path):  # its writer has ended
+        pass
+
+
+def test_a_file_that_its_writer_removes_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the look at an empty file and its lock: nothing is written into a file without a name."""
+    path = tmp_path / "x.jsonl"
+    path.touch()
+    flock = fcntl.flock
+
+    def late(fd: int, how: int) -> None:
+        path.unlink()
+        flock(fd, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with pytest.raises(UsageError, match="it is being written already"), _log(path):
+        pass
+
+
+def test_a_new_file_that_comes_at_the_last_moment_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.gsd"
+    fsync = os.fsync
+
+    def late(fd: int) -> None:
+        fsync(fd)
+        if os.fstat(fd).st_size:
+            path.write_text("mine")
+
+    monkeypatch.setattr(os, "fsync", late)
+    with pytest.raises(UsageError, match="there is a file of that name"):
+        copy_gsd("demag-dedrive", path)
+    assert path.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [path]

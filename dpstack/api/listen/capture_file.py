@@ -21,7 +21,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Final
 
-from dpstack.api.files import NEW_FILE, open_new
+from dpstack.api.files import NEW_FILE, close_written, open_alone, open_new
 from dpstack.errors import CaptureFileError, UsageError
 from dpstack.units import NS_PER_S
 
@@ -143,7 +143,7 @@ class CaptureFile:
                 with contextlib.suppress(FileNotFoundError):
                     self.paths[0].unlink()
                 del self.paths[0]
-            self._fd = os.open(path, NEW_FILE | os.O_EXCL, 0o666)
+            self._fd = open_alone(path, NEW_FILE | os.O_EXCL)
         except OSError as error:
             raise _write_error(str(path), error) from None
         self.paths.append(path)
@@ -172,11 +172,10 @@ class CaptureFile:
         fd, self._fd = self._fd, -1
         if fd < 0:
             return
-        empty = not self._to_stdout and not os.fstat(fd).st_size
-        os.close(fd)
-        if empty:
-            with contextlib.suppress(OSError):
-                self.paths.pop().unlink()
+        if self._to_stdout:
+            os.close(fd)
+        elif close_written(fd, self.paths[-1]):
+            self.paths.pop()
 
     def _check_directory(self) -> None:
         folder = self._path.parent

@@ -14,7 +14,7 @@ from dpstack import __version__
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.config.config import Config
 from dpstack.api.control.tap_feed import TapFeed
-from dpstack.api.files import open_new
+from dpstack.api.files import close_written, open_new
 from dpstack.api.listen.own_tap import OwnTap
 from dpstack.api.listen.plant_files import load_devices
 from dpstack.capture.timing import TAP, LineTiming
@@ -50,11 +50,7 @@ class ReportFile:
 
     def __exit__(self, *_: object) -> None:
         fd, self._fd = self._fd, -1
-        empty = not os.fstat(fd).st_size
-        os.close(fd)
-        if empty:
-            with contextlib.suppress(OSError):
-                self._path.unlink()
+        close_written(fd, self._path)
 
     def add(self, one: Transmission) -> None:
         """Count ``one``, and record it where it belongs to a rotation that the report may show."""

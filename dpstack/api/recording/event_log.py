@@ -6,16 +6,17 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
-import stat
+import re
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
+from dpstack.api.files import open_alone, write_error
 from dpstack.api.recording.line_file import LineFile, trouble_text
 from dpstack.api.recording.writer_thread import WriterThread
-from dpstack.errors import UsageError
 from dpstack.record.rows import iso_time
 from dpstack.text import json_text, printable
 
@@ -26,7 +27,12 @@ KEPT: Final = 5
 _MOST_WAITING: Final = 10_000
 #: only the owner writes, others of the group may read
 _MODE: Final = 0o640
-_FLAGS: Final = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND
+#: the beginning of a log, as :meth:`_LogFiles._encoded` writes it
+_TIME: Final = rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z"
+_TEXT: Final = re.compile(_TIME + rb"[ \d.-]{13,} (?:info   |warning|error  ) ")
+_JSON: Final = re.compile(rb'\{"time": ?"' + _TIME + rb'", ?"event": ?"')
+_BEGIN_LEN: Final = 100
 _RETRY_S: Final = 1.0
 #: seconds to wait at the end for a disk that does not answer
 _PATIENCE_S: Final = 2.0
@@ -37,7 +43,8 @@ Line = Mapping[str, object]
 class EventLog:
     """Appends events to the file ``path``; JSON lines where it ends in .jsonl or .json, else lines of text.
 
-    Opening raises UsageError for a directory, a device, a pipe, or a file that cannot be made. ``tell`` gets one line
+    Opening raises UsageError for a file that is no log of this kind (an empty one is), that is being written already,
+    or that cannot be made; for a link, a directory, a device, a pipe. ``tell`` gets one line
     about each trouble, in the writer thread. :meth:`put` never waits; :meth:`close` writes the rest.
     """
 
@@ -70,12 +77,22 @@ class _LogFiles:
         self._failing = 0  # lines that could not be written since the first
         self._retry_s = 0.0
         try:
-            self._file: LineFile | None = LineFile(path, _open(path))
-        except ValueError as error:  # a path with a zero octet
-            raise UsageError(f"{path}: {error}; name a file") from None
-        except OSError as error:
-            why = error.strerror or error
-            raise UsageError(f"{path}: cannot be written ({why}); name a file in a directory of yours") from None
+            self._file: LineFile | None = self._open()
+        except (ValueError, OSError) as error:
+            raise write_error(path, error) from None
+
+    def _open(self) -> LineFile:
+        """Open the log, or make it. Raises OSError, also for a file that is no log of this kind; ValueError."""
+        fd = open_alone(self._path, _FLAGS, _MODE)
+        try:
+            begin = os.read(fd, _BEGIN_LEN)
+            if begin and not (_JSON if self._json else _TEXT).match(begin):
+                what = "a log of JSON lines" if self._json else "a log of text lines"
+                raise FileExistsError(errno.EEXIST, f"there is a file of that name, but it is not {what}")
+        except OSError:
+            os.close(fd)
+            raise
+        return LineFile(self._path, fd)
 
     def take(self, item: Line) -> None:
         self._lines.append(self._encoded(item))
@@ -92,7 +109,7 @@ class _LogFiles:
             if self._file is not None and self._file.size >= self._most:
                 self._rotate()
             if self._file is None:
-                self._file = LineFile(self._path, _open(self._path))
+                self._file = self._open()
             written = self._file.lines
             self._file.write(b"".join(lines))
         except OSError as error:
@@ -147,21 +164,3 @@ class _LogFiles:
             printable(f"{line['time']}{since} {line.get('severity', 'info'):<7} {line.get('text', '')}").encode()
             + b"\n"
         )
-
-
-def _open(path: Path) -> int:
-    """Open or make the file. Raises OSError, also for anything but an ordinary file."""
-    with contextlib.suppress(FileNotFoundError):
-        _check(os.stat(path))  # first: a serial port must not even be opened
-    fd = os.open(path, _FLAGS | getattr(os, "O_NONBLOCK", 0), _MODE)
-    try:
-        _check(os.fstat(fd))
-    except OSError:
-        os.close(fd)
-        raise
-    return fd
-
-
-def _check(found: os.stat_result) -> None:
-    if not stat.S_ISREG(found.st_mode):
-        raise OSError(0, "is no ordinary file")

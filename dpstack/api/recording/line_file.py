@@ -7,6 +7,8 @@ import errno
 import os
 from pathlib import Path
 
+from dpstack.api.files import close_written
+
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -44,11 +46,7 @@ class LineFile:
         """Close the file; one without a line is removed."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
-            with contextlib.suppress(OSError):
-                os.close(fd)
-            if not self.size:
-                with contextlib.suppress(OSError):
-                    self.path.unlink()
+            close_written(fd, self.path)
 
 
 def trouble_text(path: Path, error: OSError) -> str:

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from dpstack.api.files import NEW_FILE, open_new
+from dpstack.api.files import NEW_FILE, open_alone, open_new
 from dpstack.api.recording.line_file import LineFile, trouble_text
 from dpstack.api.recording.parquet import convert
 from dpstack.api.recording.rotation import Rotation
@@ -178,7 +178,7 @@ class RecordFile:
     def _open(self, path: Path, *, exclusive: bool = False) -> None:
         """Raises UsageError for the first file of a user's own name, OSError for a part (``exclusive``)."""
         written = path.with_name(path.name + JOURNAL) if self._suffix == PARQUET else path
-        fd = os.open(written, NEW_FILE | os.O_EXCL, 0o666) if exclusive else open_new(written)
+        fd = open_alone(written, NEW_FILE | os.O_EXCL) if exclusive else open_new(written)
         self._file = LineFile(written, fd)
         self.paths.append(path)
 

@@ -150,19 +150,29 @@ def test_a_device_or_a_pipe_keeps_its_name(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     (tmp_path / "lead").symlink_to(pipe)
-    for name in ("pipe", "lead"):
-        with pytest.raises(UsageError, match="is a device or a pipe; name an ordinary file"):
-            LIST.save(tmp_path / name)
+    with pytest.raises(UsageError, match="is a device or a pipe; name an ordinary file"):
+        LIST.save(pipe)
+    with pytest.raises(UsageError, match="is a link; name the file itself"):
+        LIST.save(tmp_path / "lead")
     assert pipe.is_fifo()
-    kept = tmp_path / "kept" / "hoist.toml"
-    kept.parent.mkdir()
-    (tmp_path / "link.toml").symlink_to(kept)
-    for _ in range(2):
-        LIST.save(tmp_path / "link.toml")
-        assert (tmp_path / "link.toml").is_symlink()
-        assert kept.read_text(encoding="utf-8") == TEXT
-    replace(LIST, complete=False).save(tmp_path / "link.toml")
-    assert [path.name for path in kept.parent.iterdir() if path != kept] == ["hoist.toml.part"]
+
+
+def test_a_link_is_not_followed(tmp_path: Path) -> None:
+    """Neither for the list nor for the part of one, also where an earlier list stands at its end."""
+    kept = tmp_path / "kept.toml"
+    LIST.save(kept)
+    link, part = tmp_path / "link.toml", tmp_path / "new.toml.part"
+    for one in (link, part):
+        one.symlink_to(kept)
+    for complete in (True, False):
+        with pytest.raises(UsageError, match=r"link\.toml: is a link; name the file itself"):
+            replace(LIST, complete=complete).save(link)
+    with pytest.raises(UsageError, match=r"new\.toml\.part: is a link; name the file itself"):
+        replace(LIST, complete=False).save(tmp_path / "new.toml")
+    assert {path.name for path in tmp_path.iterdir()} == {"kept.toml", "link.toml", "new.toml.part"}
+    assert link.is_symlink()
+    assert part.is_symlink()
+    assert kept.read_text(encoding="utf-8") == TEXT
 
 
 def test_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

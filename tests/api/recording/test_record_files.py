@@ -218,15 +218,16 @@ def event(number: int, text: str = "station 3 found") -> dict[str, object]:
 def test_the_lines_of_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "time", lambda: 1_769_860_800.25)
     for name in ("bus.log", "bus.jsonl"):
-        (tmp_path / name).write_text("earlier\n")
-        log = EventLog(tmp_path / name)
-        log.put(event(5, "a\x1b[31m\nb"))
-        assert log.close()
+        for number, text in ((4, "earlier"), (5, "a\x1b[31m\nb")):  # the second run goes on in the file of the first
+            log = EventLog(tmp_path / name)
+            log.put(event(number, text))
+            assert log.close()
     assert (tmp_path / "bus.log").read_text() == (
-        "earlier\n2026-01-31T12:00:00.250Z     0.005000 info    a\\x1b[31m\\nb\n"
+        "2026-01-31T12:00:00.250Z     0.004000 info    earlier\n"
+        "2026-01-31T12:00:00.250Z     0.005000 info    a\\x1b[31m\\nb\n"
     )
     earlier, line = (tmp_path / "bus.jsonl").read_text().splitlines()
-    assert earlier == "earlier"
+    assert json.loads(earlier) == {"time": "2026-01-31T12:00:00.250Z", **event(4, "earlier")}
     assert json.loads(line) == {"time": "2026-01-31T12:00:00.250Z", **event(5, "a\x1b[31m\nb")}
 
 
@@ -271,6 +272,50 @@ def test_a_file_that_is_no_log_is_refused(name: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UsageError, match="; name a file"):
         EventLog(tmp_path / name)
+
+
+OTHER_FILES = {
+    "plant.toml": '[bus]\nport = "virtual"\n',
+    "plant.json": '{"time": "2026-01-31T12:00:00.250Z", "level": "info"}\n',
+    "text.json": "2026-01-31T12:00:00.250Z     0.004000 info    a log of text lines\n",
+    "json.log": '{"time": "2026-01-31T12:00:00.250Z", "event": "station", "text": "a log of JSON lines"}\n',
+    "rows.csv": "time,t,boiler.level,note\n2026-01-31T12:00:00.250Z,0.1,1,\n",
+    "octets.log": "\0\0\0\0",
+}
+
+
+@pytest.mark.parametrize("name", OTHER_FILES)
+def test_a_log_goes_on_only_in_a_log(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text(OTHER_FILES[name])
+    with pytest.raises(UsageError, match=r"there is a file of that name, but it is not a log of .* name another file"):
+        EventLog(path)
+    assert path.read_text() == OTHER_FILES[name]
+
+
+def test_a_log_goes_on_in_an_empty_file_and_after_a_remark_without_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "bus.log"
+    path.touch()
+    for line in ({"event": "notice", "severity": "warning", "text": "first"}, {**event(1), "t": 12_345_678.5}):
+        path.write_text("")
+        for _ in range(2):
+            log = EventLog(path)
+            log.put(line)
+            assert log.close()
+        assert len(path.read_text().splitlines()) == 2
+
+
+def test_a_log_has_one_writer(tmp_path: Path) -> None:
+    path = tmp_path / "bus.log"
+    files = event_log._LogFiles(path, lambda _: None, 1)
+    for number in range(3):  # also after it has begun a new file
+        with pytest.raises(UsageError, match="it is being written already; name another file"):
+            EventLog(path)
+        files.take({"time": "2026-01-31T12:00:00.250Z", **event(number)})
+        files.flush()
+    files.close(0)
+    assert EventLog(path).close()
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 # --- a program that is killed ---
