@@ -2,7 +2,8 @@
 
 A machine has protocol rules and nothing else: no clock, no socket, no thread. The driver passes received octets and the
 time; the machine returns the octets to send and the time of its next call. The drivers (an asyncio loop, a child
-process, the virtual world) differ only in how they wait; all of them call :func:`pump` and nothing else.
+process, the virtual world) differ only in how they wait. All of them step the machine with :func:`pump`; between two
+steps they pass commands to it, report delays (:class:`HeldUp`), follow its baud rate and take its events.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class RateRefused(Struct, frozen=True):
 
 
 class HeldUp(Struct, frozen=True):
-    """Command from a driver: it ran the machine ``for_ns`` too late for one of its deadlines.
+    """Report of a driver for :attr:`Machine.held_up`: it ran the machine ``for_ns`` too late for one of its deadlines.
 
     ``suspended``: the computer slept, and ``now`` does not contain this time. ``unsent``: it did run the machine, but
     the port took none of its telegrams. ``what``: the cause, for people.
@@ -103,7 +104,16 @@ class Machine(Pumped, Protocol):
         """The events since the last call, oldest first."""
 
     def command(self, command: object, now: int) -> None:
-        """Carry out a command of the application. Misuse raises at once; results are events."""
+        """Carry out a command of the application, or of the driver (:class:`LineDown`, :class:`LineUp`,
+        :class:`RateRefused`). Misuse raises at once; results are events."""
+
+    @property
+    def held_up(self) -> Callable[[HeldUp, int], bool] | None:
+        """Called with the report and the time, before the next step. It returns True if a telegram that the machine has
+        handed out, but that is not yet sent, is too old now: the driver then drops it.
+
+        None: the machine sends nothing that can become too old, and the driver measures no delays for it.
+        """
 
 
 def pump(machine: Pumped, chunk: bytes, now: int, transmit: Transmit) -> int:

@@ -16,7 +16,7 @@ from dpstack.errors import UsageError
 from dpstack.fdl.baud_search import AutoBaud, BaudFound
 from dpstack.fdl.codec import EMPTY_LE, encode, fcs
 from dpstack.fdl.telegram import ED, Kind, Telegram
-from dpstack.machine import HeldUp, LineDown, LineUp, RateRefused
+from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.params import T_SYN
 from dpstack.trace import Event
 from dpstack.units import NEVER, bits_to_ns
@@ -39,6 +39,7 @@ class Listener:
     #: a listening station has no address
     address: Final = -1
     hears_all: Final = True
+    held_up: Final = None
 
     def __init__(
         self,
@@ -132,8 +133,6 @@ class Listener:
                 self._search.command(command, now)
             case RateRefused(reason=reason):
                 raise UsageError(reason)
-            case HeldUp():
-                pass
             case _:
                 raise UsageError(f"a station that only listens knows no {type(command).__name__}")
 

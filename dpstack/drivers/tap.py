@@ -133,6 +133,7 @@ class TapStation:
     #: a listening station has no address
     address: Final = -1
     hears_all: Final = True
+    held_up: Final = None
 
     def __init__(self, station: Machine, tap: Tap) -> None:
         self._station = station

@@ -193,6 +193,7 @@ class AutoBaud:
     address: Final = -1
     #: every telegram is evidence of the rate
     hears_all: Final = True
+    held_up: Final = None
 
     def __init__(
         self,

@@ -94,7 +94,11 @@ class LinkUser(Protocol):
         """
 
     def command(self, command: object, now: int) -> bool:
-        """Process an order of the application; False when it is not for this user."""
+        """Process an order of the application; False when it is not for this user.
+
+        The reports of the driver come here, too, to all users: LineDown, LineUp, and HeldUp. True for HeldUp: data in
+        a request of this user, already made, are too old now (:attr:`dpstack.machine.Machine.held_up`).
+        """
         return False
 
     def wake_at(self) -> int:

@@ -8,13 +8,14 @@ a USB frame too, while the host assumes that they went on the wire at once.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
 from dpstack.errors import ConfigError
 from dpstack.fdl.interface import BusStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.machine import pump
+from dpstack.machine import HeldUp, pump
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.trace import Event
@@ -111,6 +112,10 @@ class Adapter:
     def command(self, command: object, now: int) -> None:
         self.station.command(command, now)
         self._pump(b"", now)
+
+    @property
+    def held_up(self) -> Callable[[HeldUp, int], bool] | None:
+        return self.station.held_up
 
     # --- the wire's side ---
     def receive(self, chunk: bytes, now: int) -> None:

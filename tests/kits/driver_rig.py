@@ -75,6 +75,8 @@ def driver_on(port: Port, machine: Machine, on_events: OnEvents, **options: Any)
 class Script:
     """A machine with one deadline and one transmission to be made, set by the test; it writes down what happens."""
 
+    held_up: Any = None
+
     def __init__(self) -> None:
         self.baud = 500_000
         self.deadline = NEVER

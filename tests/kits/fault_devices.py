@@ -81,6 +81,8 @@ class Hasty(PassiveStation):
 class Deaf:
     """A station that only sends leaves out all that it receives."""
 
+    held_up: None = None
+
     def receive(self, chunk: bytes, now: int) -> None:
         pass
 

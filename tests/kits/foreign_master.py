@@ -34,6 +34,7 @@ class ForeignMaster:
     baud: int = 500_000
     tokens: int = 0
     in_ring: bool = False
+    held_up: None = None
     plan: list[tuple[int, bytes]] = field(default_factory=list)
 
     @property

@@ -22,7 +22,7 @@ from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import Tune
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.line.select_runtime import SelectRuntime
-from dpstack.machine import HeldUp, Machine
+from dpstack.machine import Machine
 from dpstack.ports.fdport import FdPort
 from dpstack.units import NEVER, NS_PER_MS
 
@@ -283,7 +283,6 @@ class Driven:
         *,
         paced: bool = False,
         early_ns: int = 0,
-        held_up: Callable[[HeldUp, int], bool] | None = None,
         echo: Echo = Echo.OFF,
         tune: Tune | None = None,
     ) -> None:
@@ -296,7 +295,7 @@ class Driven:
         for clock, shown in (("boottime_ns", kernel.sleep_clock), ("suspended_ns", lambda: kernel.asleep)):
             patch.setattr(line_runtime, clock, shown)
         port.open_now()
-        options: dict[str, Any] = {"echo": echo, "tune": tune, "held_up": held_up}
+        options: dict[str, Any] = {"echo": echo, "tune": tune}
         if kind == "asyncio":
             asyncio_loop = _Asyncio(kernel)
             asyncio_loop.early_ns = early_ns

@@ -90,7 +90,6 @@ class LinePlant:
             kernel,
             self._patch,
             paced=True,
-            held_up=self.station.held_up,
             echo=Echo.AUTO,
             tune=self.station.set_patience,
         )

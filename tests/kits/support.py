@@ -92,6 +92,7 @@ class Dummy:
     edges: list[int] = field(default_factory=list)
     ends: list[int] = field(default_factory=list)
     commands: list[object] = field(default_factory=list)
+    held_up: None = None
     events: list[Event] = field(default_factory=list)
     wakes: int = 0
 

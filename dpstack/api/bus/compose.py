@@ -182,7 +182,6 @@ def compose(
                 echo=ECHO[config.bus.echo],
                 on_failure=on_failure,
                 tune=station.set_patience if tune else None,
-                held_up=station.held_up,
                 last_clear=LastClear(station),
             )
         else:

@@ -51,6 +51,8 @@ class Searching(abc.ABC):
     ``settle_ns`` see :class:`AutoBaud`.
     """
 
+    held_up: Final = None
+
     def __init__(
         self,
         listener: PassiveStation | Multidrop,

@@ -53,8 +53,7 @@ _LOOKS: Final = 4
 #: Steps before the loop has a turn; a lone master's token at 12 Mbit/s is due every few microseconds.
 _BURST: Final = 8
 
-#: Called with the report for a machine that did not run in time, and the time. True: a telegram that the machine has
-#: handed out but that is not sent yet is too old now.
+#: see :attr:`Machine.held_up`
 OnHeldUp = Callable[[HeldUp, int], bool]
 
 
@@ -69,8 +68,7 @@ class LineRuntime(ABC):
     of the port is an event; the driver opens it again with back-off (``backoff_ns``: first and longest pause). An
     exception of the machine is a defect, or there is no memory: the driver sends ``last_clear``, stops, calls
     ``on_failure`` (without one: the loop's exception handler) and keeps the exception in ``failed``. ``echo``: whether
-    the line returns transmitted octets. ``held_up`` is called when the machine ran late, or the computer slept, before
-    the machine acts.
+    the line returns transmitted octets.
     """
 
     #: reason for a late run, for messages
@@ -87,7 +85,6 @@ class LineRuntime(ABC):
         echo: Echo = Echo.AUTO,
         on_failure: OnFailure | None = None,
         tune: Tune | None = None,
-        held_up: OnHeldUp | None = None,
         last_clear: LastClear | None = None,
         backoff_ns: tuple[int, int] = BACKOFF_NS,
     ) -> None:
@@ -98,7 +95,7 @@ class LineRuntime(ABC):
         self._machine = machine
         self._on_events = on_events
         self._on_failure = on_failure
-        self._held_up = held_up
+        self._held_up = machine.held_up
         self._last_clear = last_clear
         self._reserve: bytearray | None = None
         self._stepped_at = 0  # end of the last step

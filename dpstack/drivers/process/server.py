@@ -86,7 +86,6 @@ class Host:
             echo=setup.echo,
             on_failure=self._on_failure,
             tune=self._station.set_patience if setup.tune else None,
-            held_up=self._station.held_up,
             last_clear=LastClear(self._station),
         )
         stack.line = self.runtime

@@ -60,6 +60,9 @@ class Stub(Protocol):
 class PassiveReceiver:
     """The receiver of one or more passive stations: bus parameters, times of the line, decoder."""
 
+    #: a passive station answers at once or not at all
+    held_up: Final = None
+
     def __init__(self, params: BusParams, patience: Patience) -> None:
         self._patience = patience
         self.line = Line(params)

@@ -47,7 +47,7 @@ class Plant:
         self.master = Master(params, [setup], MasterSettings(safe_after_stall=after_stall == "safe"))
         self.station = ActiveStation(params, [self.master], patience=HOST, now=self.kernel.now)
         self.patch = pytest.MonkeyPatch()
-        self.driven = Driven(kind, self.station, self.kernel, self.patch, held_up=self.station.held_up)
+        self.driven = Driven(kind, self.station, self.kernel, self.patch)
         self.driven.runtime.command(GoOnline())
         self.driven.runtime.command(SetMode(Mode.OPERATE))
         self.run(300)
