@@ -103,6 +103,9 @@ class Scripts:
     def os_exit(self) -> None:
         self.run(lambda _: os._exit(3))
 
+    def os_execv(self) -> None:
+        self.run(lambda _: os.execv(sys.executable, [sys.executable, "-c", "raise SystemExit(3)"]))
+
     def ctrl_c_three_times(self) -> None:
         def interrupted(bus: dpstack.blocking.Bus) -> None:
             self.interrupt(3)

@@ -203,6 +203,12 @@ class Ways:
 
         self.run(exits)
 
+    def os_execv(self) -> None:
+        async def makes_room(_: dpstack.Bus) -> None:
+            os.execv(sys.executable, [sys.executable, "-c", "raise SystemExit(3)"])
+
+        self.run(makes_room)
+
     # --- not an end ---
     def a_forked_child_ends(self) -> None:
         async def forks(bus: dpstack.Bus) -> None:

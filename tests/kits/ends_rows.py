@@ -480,6 +480,7 @@ WAYS: Final = {
         "the_interpreter_ends": "the interpreter ends, and the loop stands still",
         "in_a_daemon_thread": "the interpreter ends, and the loop runs in a daemon thread",
         "os_exit": "`os._exit()`",
+        "os_execv": "`os.execv()`: another program takes its place",
         "a_forked_child_ends": "a forked child ends",
     },
     "exception": {
@@ -531,6 +532,7 @@ BLOCKING_WAYS: Final = {
         "the_interpreter_ends": "the interpreter ends, and nobody closed the bus (a REPL)",
         "the_main_thread_ends": "an exception ends the main thread, and another thread still waits",
         "os_exit": "`os._exit()`",
+        "os_execv": "`os.execv()`: another program takes its place",
         "a_forked_child_ends": "a forked child ends",
     },
     "exception": {
