@@ -6,7 +6,7 @@ docs/reference/protocol.md#how-real-devices-deviate.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from enum import Enum
 from typing import Final, NamedTuple
 
@@ -94,14 +94,16 @@ _RULES: Final[tuple[tuple[tuple[S, ...], Trigger, S, str], ...]] = (
 )
 
 
-def table(rules: Iterable[tuple[tuple[S, ...], Trigger, S, str]]) -> dict[tuple[S, Trigger], Row]:
-    """A row for each of the states of a rule. Raises ValueError where a pair has two rows."""
+def table(rules: Sequence[tuple[tuple[S, ...], Trigger, S, str]]) -> dict[tuple[S, Trigger], Row]:
+    """A row for each of the states of a rule, in the order of the states. Raises ValueError where a pair has two."""
     rows: dict[tuple[S, Trigger], Row] = {}
-    for states, trigger, to, clause in rules:
-        for state in states:
+    for state in S:
+        for states, trigger, to, clause in rules:
+            if state not in states:
+                continue
             if (state, trigger) in rows:
                 raise ValueError(
-                    f"two rows for {trigger.name} in {state.name}: {rows[state, trigger]}, {to} ({clause})"
+                    f"two rows for {trigger.name} in {state.name}: {rows[state, trigger].clause}; {clause}"
                 )
             rows[state, trigger] = Row(to, clause)
     return rows
