@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -46,7 +46,7 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     rate = config.baud if baud is None else baud
     setups = config.slave_params
     params = with_t_tr(config, config.params(rate), setups)
-    notes = [note for slave in config.slaves for note in slave.notes]
+    notes = [*(note for slave in config.slaves for note in slave.notes), *_groups_without_slaves(config)]
     others = other_masters(config, rate)
     pty, slack_ns, beside = False, 0, ""
     if config.bus.port is not None and not config.virtual:
@@ -69,6 +69,17 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         notes=notes,
         beside=beside,
     )
+
+
+def _groups_without_slaves(config: Config) -> Iterator[str]:
+    known = {group for slave in config.slaves for group in slave.params.groups}
+    named = ", ".join(map(str, sorted(known))) or "none"
+    for key, groups in (("cycle_freeze", config.bus.cycle_freeze), ("cycle_sync", config.bus.cycle_sync)):
+        if empty := ", ".join(str(group) for group in sorted(set(groups) - known)):
+            yield (
+                f"{key} = {list(groups)}: no slave is in group {empty}, so its telegrams have no effect there; give "
+                f"groups = [...] to the slaves that are meant, or leave the group out (groups of this bus: {named})"
+            )
 
 
 def patience_for(config: Config, port: Port) -> Patience:

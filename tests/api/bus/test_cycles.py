@@ -246,3 +246,18 @@ async def test_a_diagnosis_is_fetched_in_the_gap_after_it_was_announced(world: W
         assert diagnosis is not None
         assert diagnosis.ext == b"\x04\x11\x22\x33"
         assert (await anext(stream)).t_ns - before.t_ns == 8 * MS
+
+
+@in_virtual_time
+async def test_a_group_of_a_cycle_without_a_slave_is_remarked() -> None:
+    grouped = {**A, "groups": [1], "sync": True, "freeze": True}
+    events: list[dpstack.Event] = []
+    bus = bus_of(grouped, cycle_ms=5, cycle_freeze=[1], cycle_sync=[3, 1], on_event=events.append)
+    texts = [
+        "cycle_sync = [1, 3]: no slave is in group 3, so its telegrams have no effect there; give groups = [...] to "
+        "the slaves that are meant, or leave the group out (groups of this bus: 1)"
+    ]
+    assert [note for note in bus.plan.notes if "no slave is in group" in note] == texts
+    async with bus:
+        pass
+    assert [event.text for event in events if "no slave is in group" in event.text] == [f"plan: {texts[0]}"]
