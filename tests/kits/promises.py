@@ -254,6 +254,10 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "cli/test_files.py::test_dump_replaces_its_own_file_only",
         "api/listen/test_capture_file.py::test_only_an_empty_file_is_taken",
         "api/recording/test_record_files.py::test_an_existing_file_stays",
+        "cli/test_files.py::test_a_link_to_a_file_that_stays_open_is_not_followed",
+        "cli/test_files.py::test_a_file_has_one_writer",
+        "api/recording/test_record_files.py::test_a_log_goes_on_only_in_a_log",
+        "api/lists/test_parameter_list.py::test_a_link_is_not_followed",
     ),
     "F10": (
         "test_text.py::test_any_text",
