@@ -35,7 +35,7 @@ from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_MS, ns_to_s
 
 #: the :class:`OrderedEnd` of every open bus of this process
-_open: weakref.WeakSet[OrderedEnd] = weakref.WeakSet()
+_open: Final[set[weakref.ref[OrderedEnd]]] = set()
 #: delay of a timer (ns) above which the event loop counts as blocked
 _HELD_UP_NS: Final = 10 * NS_PER_MS
 #: signals that end a program without a handler
@@ -44,9 +44,15 @@ ENDING_SIGNALS: Final = tuple(ending_signals())
 SAME_SIGNAL_S: Final = 1.0
 
 
+def open_ends() -> list[OrderedEnd]:
+    """The end of every open bus of this process, also while other threads open and close theirs."""
+    # tuple() copies at once: another thread that came into the iteration of a WeakSet would end it with an error
+    return [end for kept in tuple(_open) if (end := kept()) is not None]
+
+
 def hurry_all() -> None:
     """Hurry the end of every open bus of this process (see ``Bus.hurry``). Call it in their event loop."""
-    for end in list(_open):
+    for end in open_ends():
         end.hurry_bus()
 
 
@@ -86,7 +92,7 @@ class OrderedEnd:
         self._loop = loop = asyncio.get_running_loop()
         self._pid = os.getpid()
         self._reserve = bytearray(RESERVE)
-        _open.add(self)
+        _open.add(weakref.ref(self, _open.discard))
         self._keeper = self._keep()
         await anext(self._keeper)
         held = _HeldByLoop()
@@ -123,7 +129,7 @@ class OrderedEnd:
                 await keeper.aclose()
 
     def _forget(self) -> None:
-        _open.discard(self)
+        _open.discard(weakref.ref(self))
         self._reserve = None
         if self._finalizer is not None:
             self._finalizer.detach()
@@ -421,14 +427,14 @@ def _replace_epoll(watched_fd: int) -> None:
 
 
 def _in_child() -> None:
-    for end in list(_open):
+    for end in open_ends():
         end.release_after_fork()
 
 
 def _at_exit() -> None:
     """End all open buses. A signal during that takes effect afterwards."""
     with _DeferredSignals(ENDING_SIGNALS):
-        for end in list(_open):
+        for end in open_ends():
             end.at_exit()
 
 
