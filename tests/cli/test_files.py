@@ -329,3 +329,11 @@ def test_a_new_file_that_comes_at_the_last_moment_stays(tmp_path: Path, monkeypa
         copy_gsd("demag-dedrive", path)
     assert path.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_recording_and_log_in_one_file_leave_none(tmp_path: Path, cli: Cli) -> None:
+    (tmp_path / "plant.toml").write_text(PLANT)
+    path = tmp_path / "y.jsonl"
+    argv = ("run", str(tmp_path / "plant.toml"), "--record", str(path), "--log", str(path), "--seconds", "0.1")
+    assert "it is being written already; name another file" in cli.err(*argv)
+    assert not path.exists()

@@ -300,7 +300,12 @@ class RunFiles:
         if log is not None:
             from dpstack.api.recording.event_log import EventLog
 
-            self._log = EventLog(log, self._tell)
+            try:
+                self._log = EventLog(log, self._tell)
+            except UsageError:
+                if self.recording is not None:
+                    self.recording.discard()
+                raise
         self._log_troubles: list[str] = []
 
     def __enter__(self) -> RunFiles:
