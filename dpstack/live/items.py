@@ -109,6 +109,11 @@ class BusValues(TypedDict, total=False):
     histograms: dict[str, Classes | None] | None
 
 
+class Remark(TypedDict):
+    text: str
+    severity: str
+
+
 class FaultValues(TypedDict, total=False):
     text: str
 
@@ -164,6 +169,10 @@ class SlaveValues(TypedDict, total=False):
     watchdog_ms: Number | None
     master: int | None
     injected: Texts
+    alive: bool
+    level: str
+    state_text: str
+    remark: Remark | None
 
 
 class SnapshotBody(TypedDict):

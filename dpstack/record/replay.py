@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dpstack.errors import UsageError
+from dpstack.live.judge import exchanging, judge
 from dpstack.record.columns import Cell, Column, Kind
 from dpstack.record.reader import Recording, Row
 from dpstack.record.rows import END, iso_time
@@ -150,13 +151,14 @@ class Replay:
         inputs = [value for column, value in values.items() if column.kind in (Kind.INPUT, None)]
         state = next((value for column, value in values.items() if column.kind is Kind.STATE), None)
         drive = {c.field: value for c, value in values.items() if c.kind is Kind.DRIVE}
-        valid = state == "data_exchange" if state is not None else any(value is not None for value in inputs)
-        return {
+        valid = exchanging({"state": state}) if state is not None else any(value is not None for value in inputs)
+        found = {
             "state": state,
             "fields": fields,
             "inputs_valid": valid,
             "drive": _drive(drive) if drive else None,
         }
+        return found | judge(found)
 
     def _note_states(self, row: Row) -> Iterator[tuple[Column, Cell]]:
         """The states that ``row`` changes."""

@@ -16,7 +16,8 @@ SILENT_S: Final = 2.0
 CHANGED_S: Final = 1.0
 #: marks of changed values that are kept, also where they are older
 _MOST_CHANGED: Final = 10_000
-_EXCHANGE: Final = "data_exchange"
+#: styles of severities and of levels
+_STYLES: Final = {"error": "bad", "warning": "warn", "good": "good"}
 #: kinds of items that bring values
 _VALUES: Final = ("plant", "snapshot")
 
@@ -75,12 +76,11 @@ class View:
 
     def alive(self, address: str) -> bool:
         """Whether the values of this slave are those of now."""
-        values = self.state.slaves.get(address, {})
-        return self.fresh and values.get("state") == _EXCHANGE and bool(values.get("inputs_valid"))
+        return self.fresh and self._values(address).get("alive") is True
 
     def age_s(self, address: str) -> float | None:
         """Age of the inputs; None where there were none."""
-        age = self.state.slaves.get(address, {}).get("inputs_age_ms")
+        age = self._values(address).get("inputs_age_ms")
         return None if age is None else age / 1000 + self.silent_s
 
     def just_changed(self, address: str, name: str) -> bool:
@@ -96,28 +96,20 @@ class View:
     def name(self, address: str) -> str:
         return str(self.slave_plant(address).get("name", ""))
 
+    def _values(self, address: str) -> dict[str, Any]:
+        return self.state.slaves.get(address, {})
+
     def remark(self, address: str) -> tuple[str, str]:
         """The most important thing to say about a slave, and its style; empty where all is well."""
-        values = self.state.slaves.get(address, {})
-        drive = values.get("drive") or {}
-        if values.get("fault"):
-            return str(values["fault"].get("text")), "bad"
-        if values.get("conspicuous"):
-            return str(values["conspicuous"]), "warn"
-        if drive.get("faults"):
-            return "drive fault: " + ", ".join(map(str, drive["faults"])), "bad"
-        if drive.get("warnings"):
-            return "drive warning: " + ", ".join(map(str, drive["warnings"])), "warn"
-        if values.get("injected"):
-            return "simulated fault: " + ", ".join(map(str, values["injected"])), "warn"
-        return "", ""
+        remark = self._values(address).get("remark")
+        return (remark["text"], _STYLES.get(remark["severity"], "warn")) if remark else ("", "")
 
     def mark(self, address: str) -> tuple[str, str]:
         """One sign for the state of a slave, and its style: ``*`` alive, ``!`` something is wrong, ``-`` not alive."""
+        level = self._values(address).get("level")
         if self.alive(address):
-            _, style = self.remark(address)
-            return ("!", style) if style else ("*", "good")
-        return ("!", "bad") if self.state.slaves.get(address, {}).get("fault") else ("-", "bad")
+            return ("*", "good") if level == "good" else ("!", _STYLES.get(str(level), "warn"))
+        return ("!", "bad") if level == "error" else ("-", "bad")
 
     def addresses(self, words: str = "", *, conspicuous: bool = False) -> list[str]:
         """Addresses of the slaves, in order, that have each of ``words`` in address, name, state or remark;
@@ -137,13 +129,10 @@ class View:
         return found
 
     def state_text(self, address: str) -> str:
-        """The slave's state for people."""
-        values = self.state.slaves.get(address, {})
-        state = str(values.get("state", "unknown")).replace("_", " ")
-        if state == "data exchange" and not self.alive(address):
-            state = "not valid"
-        master = values.get("master")
-        return state if master is None else f"{state} (master {master})"
+        """The slave's state for people; ``not valid`` also where no snapshots come any more."""
+        values = self._values(address)
+        text = str(values.get("state_text", "unknown"))
+        return "not valid" if values.get("alive") and not self.fresh else text
 
     def events_of(self, address: str | None = None) -> list[dict[str, Any]]:
         """Events, oldest first, without repetitions of the same text about the same slave; of one slave."""

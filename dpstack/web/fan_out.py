@@ -15,8 +15,9 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
+from dpstack.live.judge import JUDGED, judge
 from dpstack.live.pending import Pending, portions
-from dpstack.live.state import LiveState
+from dpstack.live.state import LiveState, difference
 from dpstack.web.messages import encode
 
 Item = Mapping[str, Any]
@@ -104,11 +105,29 @@ class FanOut:
         self.state = LiveState()
         self._new = Pending()
         self._readers: set[Reader] = set()
+        #: slaves whose program, an older version, makes no verdicts
+        self._judged_here: set[str] = set()
 
     def put(self, item: Item) -> None:
         """The next item of the source, or an event of the server. Raises ValueError where it is none."""
         self.state.apply(item)
-        self._new.put(dict(item))
+        if "plant" in item:
+            self._judged_here.clear()
+        self._new.put(self._judged(item) if "snapshot" in item else dict(item))
+
+    def _judged(self, item: Item) -> dict[str, Any]:
+        """The snapshot ``item``, which was applied, with the verdicts on slaves whose program makes none."""
+        snapshot = item["snapshot"]
+        slaves = dict(snapshot["slaves"])
+        for address, values in slaves.items():
+            known = self.state.slaves[address]
+            if "level" not in known:
+                self._judged_here.add(address)
+            if address in self._judged_here and not JUDGED.isdisjoint(values):
+                verdicts = difference(known, judge(known))
+                known.update(verdicts)
+                slaves[address] = {**values, **verdicts}
+        return {"snapshot": {**snapshot, "slaves": slaves}}
 
     def forget(self) -> None:
         """There is no plant any more: a page that comes gets the events only."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from dpstack.live.judge import judge
+
 LONG = "[bold red]x[/] <b>\u202e\x1b[31m 🚀日本" + "long" * 50
 
 Item = dict[str, Any]
@@ -31,7 +33,13 @@ def values(**more: Any) -> dict[str, Any]:
         "exchanges": 100, "retries": 0, "timeouts": 0, "telegrams": 210, "late": 0, "wrong": 0, "bad": {},
         "watchdog_ms": 200, "master": None, "injected": [],
     }  # fmt: skip
-    return found | more
+    found |= more
+    return found | judge(found)
+
+
+def judged(**changes: Any) -> dict[str, Any]:
+    """Changes of a slave with the verdicts on them."""
+    return changes | judge(changes)
 
 
 DRIVE = {

@@ -10,6 +10,7 @@ from typing import Any
 import aiohttp
 from far_ends import HANG_S
 
+from dpstack.live.judge import judge
 from dpstack.web.server import WebServer
 
 #: the items of a plant with one slave, as the control socket of a run sends them
@@ -28,13 +29,14 @@ WHOLE: dict[str, Any] = {
         "t": 0.1,
         "whole": True,
         "bus": {"mode": "clear", "rotations": 10},
-        "slaves": {"3": {"state": "offline", "exchanges": 0}},
+        "slaves": {"3": {"state": "offline", "exchanges": 0} | judge({"state": "offline"})},
     }
 }
 
 
 def delta(t: float, state: str) -> dict[str, Any]:
-    return {"snapshot": {"t": t, "whole": False, "bus": {}, "slaves": {"3": {"state": state}}}}
+    values = {"state": state} | judge({"state": state})
+    return {"snapshot": {"t": t, "whole": False, "bus": {}, "slaves": {"3": values}}}
 
 
 def event(text: str) -> dict[str, Any]:

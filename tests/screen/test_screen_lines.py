@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
-from screen_kit import LONG, event, field, plant, slave_plant, snapshot, some_plant
+from screen_kit import LONG, event, field, judged, plant, slave_plant, snapshot, some_plant
 
 from dpstack.live.state import Item
 from dpstack.screen.lines import STYLES, Line, cut, padded, width_of, wrapped
@@ -82,8 +82,8 @@ def test_markup_of_a_device_stays_text() -> None:
 
 
 NOT_ALIVE: dict[str, list[Item]] = {
-    "the slave left data exchange": [snapshot({"3": {"state": "set_prm"}}, whole=False)],
-    "its inputs are not valid": [snapshot({"3": {"inputs_valid": False}}, whole=False)],
+    "the slave left data exchange": [snapshot({"3": judged(state="set_prm")}, whole=False)],
+    "its inputs are not valid": [snapshot({"3": judged(state="data_exchange", inputs_valid=False)}, whole=False)],
     "the counters are stale": [snapshot({}, whole=False, stale=True)],
     "the bus process is silent": [{"event": {"event": "bus_process", "silent": True, "text": "silent"}}],
     "the bus has ended": [{"end": {"text": "closed"}}],

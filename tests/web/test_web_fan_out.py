@@ -56,6 +56,29 @@ async def test_pages_that_read_share_their_texts() -> None:
     assert (await taken(slow))[-1]["snapshot"]["slaves"]["3"]["state"] == "chk_cfg"
 
 
+async def test_a_stream_of_an_older_version_is_judged_here() -> None:
+    """Its program makes no verdicts: the page gets them as from a program of today, and only when they change."""
+    fan_out = FanOut()
+    fan_out.put(PLANT)
+    reader = fan_out.join()
+    await reader.take()
+    found = []
+    for values in (
+        {"state": "data_exchange", "inputs_valid": True, "drive": {"faults": ["F0070 comm link error"]}, "retries": 0},
+        {"inputs_valid": False, "retries": 1},
+        {"retries": 2},
+    ):
+        fan_out.put({"snapshot": {"t": 1, "whole": not values["retries"], "bus": {}, "slaves": {"3": values}}})
+        fan_out.hand_out()
+        found += [item["snapshot"]["slaves"]["3"] for item in await taken(reader)]
+    first, second, third = found
+    remark = {"text": "drive fault: F0070 comm link error", "severity": "error"}
+    assert (first["alive"], first["level"], first["remark"]) == (True, "error", remark)
+    assert first["state_text"] == "data exchange"
+    assert second == {"inputs_valid": False, "retries": 1, "alive": False, "state_text": "not valid"}
+    assert third == {"retries": 2}
+
+
 async def test_a_bus_that_runs_again_has_not_ended() -> None:
     pending = Pending()
     for item in ({"end": {"text": "over"}}, PLANT, WHOLE):

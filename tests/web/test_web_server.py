@@ -32,7 +32,7 @@ async def test_a_page_gets_plant_whole_snapshot_events_and_then_deltas() -> None
                 "t": 0.3,
                 "whole": True,
                 "bus": {"mode": "clear", "rotations": 10},
-                "slaves": {"3": {"state": "data_exchange", "exchanges": 0}},
+                "slaves": {"3": {"exchanges": 0} | delta(0.3, "data_exchange")["snapshot"]["slaves"]["3"]},
             }
             assert items[3] == event("hello")
 

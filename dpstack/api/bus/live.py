@@ -17,18 +17,19 @@ from msgspec import structs
 
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
-from dpstack.api.bus.statistics import bus_figures, clear_since, diagnosis_dict, drive_dict, inputs_dict
+from dpstack.api.bus.statistics import bus_figures, clear_since, diagnosis_dict, drive_dict, inputs_dict, named_octets
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import when_dropped
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState, SlaveStateChanged
 from dpstack.dp.master.scanner import Found
-from dpstack.dp.process_data import Field, as_json
+from dpstack.dp.process_data import Field
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
-from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot
+from dpstack.drivers.snapshots import BusSnapshot, Counters, SlaveSnapshot
 from dpstack.errors import UsageError
 from dpstack.gsd.identifiers import io_lengths
+from dpstack.live.judge import JUDGED, judge
 from dpstack.live.pending import Pending
 from dpstack.live.state import Item, difference, end_of
 from dpstack.record.rows import iso_time
@@ -257,7 +258,7 @@ class LiveFeed:
                 self._now["slaves"][key] = reader.values
             changes = reader.read(now)
             if self._end is not None:  # nothing of an ended bus is alive
-                changes |= reader.put({"state": SlaveState.OFFLINE.value, "inputs_valid": False})
+                changes |= reader.end()
             if changes:
                 found[key] = changes
         return {"bus": {}, "slaves": found}
@@ -485,6 +486,10 @@ class SlaveReader:
         self.values.update(changes)
         return changes
 
+    def end(self) -> dict[str, Any]:
+        """The bus has ended: nothing is alive. Returns the values that change."""
+        return self.judged(self.put({"state": SlaveState.OFFLINE.value, "inputs_valid": False}))
+
     def read(self, now: BusSnapshot) -> dict[str, Any]:
         """The values that have changed since the last time. ``now``: the snapshot of the bus."""
         bus, slave = self._bus, self._slave
@@ -498,7 +503,7 @@ class SlaveReader:
         octets = image.inputs, image.outputs
         if octets != self._octets:
             self._octets = octets
-            changes |= self.put(self._read_octets(image))
+            changes |= self.put(named_octets(slave, image.inputs, image.outputs).as_dict())
         age_ns = max(0, bus.runtime.now() - image.input_time) if image.input_time else None
         limit_ns = inputs_limit_ns(snapshot.watchdog_ns, bus.poll_interval_ns(slave.setup))
         ready = self.values["state"] == SlaveState.DATA_EXCHANGE.value
@@ -517,7 +522,11 @@ class SlaveReader:
             "bad": dict(link.bad),
             "injected": [] if bus.bench is None else bus.bench.injected(slave.address),
         }
-        return changes | self.put(varying)
+        return self.judged(changes | self.put(varying))
+
+    def judged(self, changes: dict[str, Any]) -> dict[str, Any]:
+        """``changes``, which were put, with the verdicts that change with them."""
+        return changes if JUDGED.isdisjoint(changes) else changes | self.put(judge(self.values))
 
     def _read_state(self, snapshot: SlaveSnapshot, found: Found | None) -> dict[str, Any]:
         slave = self._slave
@@ -530,22 +539,6 @@ class SlaveReader:
             "alarms": None if alarms is None else structs.asdict(alarms),
             "watchdog_ms": slave.watchdog_ms,
             "master": None if found is None else found.master,
-        }
-
-    def _read_octets(self, image: ImageSnapshot) -> dict[str, Any]:
-        """Octets and named values; outputs are those on the wire, ``held`` the application's if they differ."""
-        slave, held = self._slave, image.outputs
-        inputs, outputs = slave.config.input_fields, slave.config.output_fields
-        sent, held_fields = slave.outputs_sent, as_json(outputs.values(held))
-        sent_fields: dict[str, object] = held_fields
-        if sent != held:
-            sent_fields = as_json(outputs.values(sent)) if len(sent) == len(held) else dict.fromkeys(held_fields)
-        return {
-            "inputs": image.inputs.hex(),
-            "outputs": sent.hex(),
-            "held": held.hex() if sent != held else None,
-            "fields": as_json(inputs.values(image.inputs)) | sent_fields,
-            "held_fields": held_fields if sent != held and held_fields else None,
         }
 
 

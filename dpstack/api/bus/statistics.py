@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec import Struct, field, structs
 
@@ -26,9 +26,11 @@ STALE_NS: Final = NS_PER_S
 class SlaveStats(Struct, frozen=True, kw_only=True):
     """One slave's counters since the start; ``link`` are those of the link layer.
 
-    ``inputs_valid``, ``inputs_age`` (seconds, None: there never were any): see :class:`~dpstack.api.slave.slave.Slave`.
-    ``master``: address of its master on a read-only bus, None: not known. ``fields``: its named inputs and outputs,
-    octets as hex; ``units``: the units of those that have one.
+    ``inputs_valid``, ``inputs_age`` (seconds, None: there never were any): see
+    :class:`~dpstack.api.slave.slave.Slave`. ``outputs``: those that the slave gets; ``held``: the application's, while
+    they wait for Operate or for data exchange, else None. ``fields``: its named inputs and the named outputs that it
+    gets, octets as hex; ``held_fields``: those of ``held``; ``units``: the units of those that have one. ``master``:
+    address of its master on a read-only bus, None: not known.
     """
 
     address: int
@@ -41,13 +43,13 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
     inputs_valid: bool
     inputs_age: float | None
     outputs: bytes
-    #: the outputs on the wire; not ``outputs`` outside data exchange and in Clear
-    outputs_sent: bytes
+    held: bytes | None
     #: the effective watchdog, 0 when off
     watchdog_ms: int
     link: StationStats
     master: int | None = None
     fields: Mapping[str, object] = field(default_factory=dict)
+    held_fields: Mapping[str, object] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     #: counters of its alarms, None for a slave without DP-V1
     alarms: AlarmCounts | None = None
@@ -69,8 +71,10 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
             "inputs": self.inputs.hex(),
             **inputs_dict(self.inputs_valid, self.inputs_age),
             "outputs": self.outputs.hex(),
+            **({} if self.held is None else {"held": self.held.hex()}),
             "watchdog_ms": self.watchdog_ms,
             **({"fields": dict(self.fields)} if self.fields else {}),
+            **({"held_fields": dict(self.held_fields)} if self.held_fields else {}),
             **({"units": dict(self.units)} if self.units else {}),
             **_link_dict(self.link),
             **({} if self.master is None else {"master": self.master}),
@@ -83,6 +87,42 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
 def inputs_dict(valid: bool, age: float | None) -> dict[str, object]:
     """JSON of the validity of inputs and of their age in ms (null: no inputs yet)."""
     return {"inputs_valid": valid, "inputs_age_ms": None if age is None else round(age * 1000, 1)}
+
+
+class NamedOctets(NamedTuple):
+    """Process data of a slave at one moment, as every shape shows them: status, statistics, summary, live stream."""
+
+    inputs: bytes
+    #: those that the slave gets
+    outputs: bytes
+    #: the application's, if the slave gets others
+    held: bytes | None
+    #: named inputs and outputs, and the outputs of ``held``, as JSON has them
+    fields: dict[str, object]
+    held_fields: dict[str, object]
+
+    def as_dict(self) -> dict[str, object]:
+        """In hex; None for nothing."""
+        return {
+            "inputs": self.inputs.hex(),
+            "outputs": self.outputs.hex(),
+            "held": None if self.held is None else self.held.hex(),
+            "fields": self.fields,
+            "held_fields": self.held_fields or None,
+        }
+
+
+def named_octets(slave: Slave, inputs: bytes, wanted: bytes) -> NamedOctets:
+    """``inputs`` and outputs of ``slave``; ``wanted``: the outputs that its application has set."""
+    sent, named = slave.outputs_sent, as_json(slave.config.output_fields.values(wanted))
+    now: Mapping[str, object] = named
+    if sent != wanted:
+        there = len(sent) == len(wanted)
+        now = as_json(slave.config.output_fields.values(sent)) if there else dict.fromkeys(named)
+    fields = {**as_json(slave.config.input_fields.values(inputs)), **now}
+    if sent == wanted:
+        return NamedOctets(inputs, sent, None, fields, {})
+    return NamedOctets(inputs, sent, wanted, fields, named)
 
 
 def diagnosis_dict(slave: Slave) -> dict[str, object]:
@@ -231,31 +271,7 @@ def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters |
         cycles=counters.cycles if counters.cycles.cycle_ns else None,
         held_back=counters.held_back,
         forced=counters.forced,
-        slaves={
-            slave.address: SlaveStats(
-                address=slave.address,
-                name=slave.name,
-                state=slave.state.value,
-                exchanges=slave.exchanges,
-                retries=link.station(slave.address).retries,
-                timeouts=link.station(slave.address).timeouts,
-                inputs=slave.inputs,
-                inputs_valid=slave.inputs_valid,
-                inputs_age=slave.inputs_age,
-                outputs=slave.outputs_held,
-                outputs_sent=slave.outputs_sent,
-                watchdog_ms=slave.watchdog_ms,
-                link=link.station(slave.address),
-                master=slave.found.master if slave.found is not None else None,
-                fields=as_json(slave.input_values | slave.output_values),
-                units=slave.config.input_fields.units | slave.config.output_fields.units,
-                alarms=slave.alarm_counts,
-                diagnosis=diagnosis_dict(slave),
-                conspicuous=slave.conspicuous,
-                drive=drives.get(slave.address, {}),
-            )
-            for slave in slaves
-        },
+        slaves={slave.address: _slave_stats(slave, link, drives) for slave in slaves},
         tokens=link.tokens,
         tokens_lost=link.tokens_lost,
         late=link.late,
@@ -266,4 +282,32 @@ def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters |
         age=ns_to_s(age_ns),
         behind=ns_to_s(bus.runtime.behind_ns),
         stale=bus.runtime.not_running is not None or age_ns > STALE_NS,
+    )
+
+
+def _slave_stats(slave: Slave, link: LinkStats, drives: Mapping[int, Mapping[str, object]]) -> SlaveStats:
+    station, found = link.station(slave.address), slave.found
+    octets = named_octets(slave, slave.inputs, slave.outputs_held)
+    return SlaveStats(
+        address=slave.address,
+        name=slave.name,
+        state=slave.state.value,
+        exchanges=slave.exchanges,
+        retries=station.retries,
+        timeouts=station.timeouts,
+        inputs=octets.inputs,
+        inputs_valid=slave.inputs_valid,
+        inputs_age=slave.inputs_age,
+        outputs=octets.outputs,
+        held=octets.held,
+        watchdog_ms=slave.watchdog_ms,
+        link=station,
+        master=None if found is None else found.master,
+        fields=octets.fields,
+        held_fields=octets.held_fields,
+        units=slave.config.input_fields.units | slave.config.output_fields.units,
+        alarms=slave.alarm_counts,
+        diagnosis=diagnosis_dict(slave),
+        conspicuous=slave.conspicuous,
+        drive=drives.get(slave.address, {}),
     )

@@ -14,7 +14,7 @@ from msgspec import structs
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.parts import SEARCHING
-from dpstack.api.bus.statistics import clear_since, diagnosis_dict, drive_dict, inputs_dict
+from dpstack.api.bus.statistics import clear_since, diagnosis_dict, drive_dict, inputs_dict, named_octets
 from dpstack.api.control import arguments
 from dpstack.api.control.arguments import PTY, address_of
 from dpstack.api.control.commands import KINDS, NOW, SLAVES
@@ -24,7 +24,6 @@ from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import load_beside
 from dpstack.dp.master.scanner import Found
-from dpstack.dp.process_data import as_json
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import UNADDRESSED
@@ -131,12 +130,12 @@ def run_status(bus: Bus) -> dict[str, object]:
     core = core_of(bus)
     drives = {drive.slave.address: drive for drive in bus.drives}
     for slave in bus.slaves:
+        octets = named_octets(slave, slave.inputs, slave.outputs_held).as_dict()
         entry: dict[str, object] = {
             "name": slave.name,
             "state": slave.state.value,
-            "inputs": slave.inputs.hex(),
             **inputs_dict(slave.inputs_valid, slave.inputs_age),
-            **_outputs_of(slave),
+            **{key: value for key, value in octets.items() if value or key in ("inputs", "outputs")},
         }
         if slave.fault is not None:
             entry["fault"] = slave.fault.text
@@ -158,27 +157,6 @@ def run_status(bus: Bus) -> dict[str, object]:
         "masters": sorted(bus.snapshot.las),
         "slaves": slaves,
     }
-
-
-def _outputs_of(slave: Slave) -> dict[str, object]:
-    """``outputs``: the octets that the master sends now, "" for none; ``held``: the application's if they differ.
-
-    Likewise ``fields``, the named inputs and outputs, and ``held_fields``.
-    """
-    sent, held = slave.outputs_sent, slave.outputs_held
-    named = as_json(slave.output_values)
-    now = named
-    entry: dict[str, object] = {"outputs": sent.hex()}
-    if sent != held:
-        entry["held"] = held.hex()
-        there = len(sent) == len(held)
-        now = as_json(slave.config.output_fields.values(sent)) if there else dict.fromkeys(named)
-    fields = as_json(slave.input_values) | now
-    if fields:
-        entry["fields"] = fields
-    if now != named:
-        entry["held_fields"] = named
-    return entry
 
 
 async def _outputs(bus: Bus, args: Sequence[str]) -> object:

@@ -261,7 +261,7 @@ def _process_data(slaves: Iterable[SlaveStats]) -> None:
     octets = []
     for s in slaves:
         inputs = _marked(s.inputs, "" if s.inputs_valid else " (not valid)")
-        outputs = _marked(s.outputs, "" if s.outputs_sent == s.outputs else " (not sent)")
+        outputs = _marked(s.outputs, "") if s.held is None else f"{_marked(s.outputs, ' ')}(not sent: {s.held.hex()})"
         octets.append((s.address, s.name, inputs, outputs))
     output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
     named = [

@@ -69,25 +69,16 @@ export function words(name) {
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
-// Each state of a slave: its text, and the kind that gives colour and shape.
-const STATES = {
-  data_exchange: ["Data exchange", "good"],
-  diagnosis: ["Diagnosis", "busy"],
-  set_prm: ["Parameters", "busy"],
-  chk_cfg: ["Configuration", "busy"],
-  wait_ready: ["Not ready yet", "busy"],
-  wait_prm: ["Waits for parameters", "busy"],
-  wait_cfg: ["Waits for configuration", "busy"],
-  fault: ["Fault", "bad"],
-  offline: ["Offline", "off"],
-};
+// Marks and colours of the levels and severities that the stream names.
+const KINDS = { good: "good", busy: "busy", off: "off", info: "info", warning: "warn", error: "bad" };
 
-export function stateText(state) {
-  return STATES[state]?.[0] ?? (state ? words(state) : "Unknown");
+export function kindOf(level) {
+  return KINDS[level] ?? "off";
 }
 
-export function stateKind(state) {
-  return STATES[state]?.[1] ?? "off";
+/** The state of a slave in the words of the stream. */
+export function stateText(slave) {
+  return words(slave.state_text ?? "unknown");
 }
 
 const MODES = { operate: ["Operate", "good"], clear: ["Clear", "warn"], stop: ["Stop", "off"], offline: ["Offline", "off"] };

@@ -91,20 +91,3 @@ export class Live {
     return Number.isNaN(ms) ? this.wall(event.t ?? 0) : ms / 1000;
   }
 }
-
-/** Whether the inputs of a slave are those of this moment. */
-export function inputsAlive(slave) {
-  return slave.state === "data_exchange" && slave.inputs_valid !== false;
-}
-
-/** A short text about anything unusual of a slave, or "". */
-export function remarkOf(slave) {
-  if (slave.fault) return slave.fault.text ?? slave.fault.kind ?? "";
-  const drive = slave.drive;
-  if (drive?.faults?.length) return drive.faults.join(", ");
-  if (slave.conspicuous) return slave.conspicuous;
-  if (drive?.warnings?.length) return drive.warnings.join(", ");
-  if (slave.injected?.length) return `simulated: ${slave.injected.join(", ")}`;
-  if (slave.state === "data_exchange" && slave.inputs_valid === false) return "inputs are not valid";
-  return "";
-}

@@ -1,7 +1,7 @@
 // The bus: rotation times now and over time, plan beside measured, retries by station, the time line of events.
 
 import { cell, el, pairs, refill, setAttr, setText, setVar, svg, table } from "./dom.js";
-import { clock, count, duration, micros, number, rate, stateKind, stateText, words } from "./format.js";
+import { clock, count, duration, micros, number, rate, kindOf, stateText, words } from "./format.js";
 import { StateMark, mark } from "./marks.js";
 import { eventItem } from "./page_plant.js";
 import { axis, colour, onTheme, uPlot } from "./plots.js";
@@ -24,7 +24,7 @@ class RetryRow {
   update(most) {
     const slave = this.app.live.slaves.get(this.address);
     if (!slave) return;
-    this.state.update(stateKind(slave.state), stateText(slave.state));
+    this.state.update(kindOf(slave.level), stateText(slave));
     for (const { name, node } of this.cells) {
       const one = name === "bad" ? Object.values(slave.bad ?? {}).reduce((sum, more) => sum + more, 0) : slave[name];
       setText(node, count(one));
@@ -269,7 +269,7 @@ export class BusPage {
       const key = `${one.severity}${Math.round(at / 3)}`;
       if (used.has(key)) continue;
       used.add(key);
-      const kind = { error: "bad", warning: "warn", info: "info" }[one.severity] ?? "info";
+      const kind = kindOf(one.severity);
       drawing.append(svg("rect", { class: `event ${kind}`, x: at - 1.5, y: lanes[one.severity] - 7, width: 3, height: 14 }));
     }
     this.strip.replaceChildren(drawing);

@@ -1,11 +1,8 @@
 // The plant: a picture of the line, a table of states and values, the drives, the last events.
 
 import { el, refill, setAttr, setText, svg } from "./dom.js";
-import { clock, count, micros, number, octets, percent, stateKind, stateText, value } from "./format.js";
-import { inputsAlive, remarkOf } from "./live.js";
+import { clock, count, micros, number, octets, percent, kindOf, stateText, value } from "./format.js";
 import { MachinePicture, SpeedBar, StateMark, mark, shape } from "./marks.js";
-
-const SEVERITY = { error: "bad", warning: "warn", info: "info" };
 
 /** The line as a picture: the master, and the slaves in the order of their addresses. */
 class LinePicture {
@@ -108,27 +105,26 @@ class LinePicture {
       const parts = this.stations.get(address);
       if (!parts) continue;
       const slave = live.slaves.get(address);
-      const kind = stateKind(slave.state);
-      const remark = remarkOf(slave);
-      const key = `${kind}|${slave.state}|${remark}|${slave.drive?.faults?.length}`;
+      const kind = kindOf(slave.level);
+      const remark = slave.remark?.text ?? "";
+      const key = `${kind}|${slave.state_text}|${remark}`;
       if (!all && parts.key === key) continue;
       parts.key = key;
       setAttr(parts.link, "class", `station ${kind}`);
       if (parts.kind !== kind) parts.sign.replaceChildren(shape(kind));
       parts.kind = kind;
-      if (parts.text) setText(parts.text, SHORT[slave.state] ?? stateText(slave.state));
-      const broken = slave.drive?.faults?.length ? "bad" : "warn";
+      if (parts.text) setText(parts.text, stateText(slave));
+      const broken = kindOf(slave.remark?.severity);
       if (parts.broken !== broken) parts.remark.replaceChildren(shape(broken));
       parts.broken = broken;
-      setAttr(parts.remark, "class", remark && kind !== "bad" ? null : "gone");
-      setText(parts.title, `${address} ${live.name(address)}: ${stateText(slave.state)}${remark ? `, ${remark}` : ""}`);
+      setAttr(parts.remark, "class", remark && broken !== kind ? null : "gone");
+      setText(parts.title, `${address} ${live.name(address)}: ${stateText(slave)}${remark ? `, ${remark}` : ""}`);
     }
   }
 }
 
 // Rows outside the window that are painted with each snapshot.
 const AT_A_TIME = 8;
-const SHORT = { data_exchange: "Data exchange", wait_ready: "Waiting", chk_cfg: "Configuration", set_prm: "Parameters" };
 
 /** Named values of a slave as a list that changes in place. */
 export class Values {
@@ -143,7 +139,7 @@ export class Values {
   }
 
   update(slave) {
-    const alive = this.outputs || inputsAlive(slave);
+    const alive = this.outputs || slave.alive;
     setAttr(this.node, "class", alive ? "values" : "values old");
     for (const { field, shown, node } of this.cells) {
       const one = slave.fields?.[field.name];
@@ -182,10 +178,9 @@ class Row {
   update() {
     const slave = this.app.live.slaves.get(this.address);
     if (!slave) return;
-    this.state.update(stateKind(slave.state), stateText(slave.state));
-    const alive = inputsAlive(slave);
-    const age = slave.inputs_age_ms;
-    setText(this.age, alive ? "" : typeof age === "number" ? "inputs not valid" : "no inputs yet");
+    this.state.update(kindOf(slave.level), stateText(slave));
+    const { alive } = slave;
+    setText(this.age, alive ? "" : typeof slave.inputs_age_ms === "number" ? "inputs not valid" : "no inputs yet");
     if (this.inputs) this.inputs.update(slave);
     else {
       setText(this.rawIn, octets(slave.inputs, 16));
@@ -194,9 +189,8 @@ class Row {
     if (this.outputs) this.outputs.update(slave);
     else setText(this.rawOut, octets(slave.outputs, 16));
     setText(this.counters, count(slave.retries));
-    const bad = slave.fault || slave.drive?.faults?.length;
-    setText(this.remark, remarkOf(slave));
-    setAttr(this.remark, "class", bad ? "remark bad" : "remark");
+    setText(this.remark, slave.remark?.text ?? "");
+    setAttr(this.remark, "class", slave.remark ? `remark ${kindOf(slave.remark.severity)}` : "remark");
   }
 }
 
@@ -225,7 +219,7 @@ export class DriveCard {
     const slave = this.app.live.slaves.get(this.address);
     const drive = slave?.drive;
     if (!drive) return;
-    const state = slave.state === "data_exchange" ? drive.state : "offline";
+    const { state } = drive;
     this.machine.update(state);
     this.state.update(KIND[state] ?? "busy", stateOfDrive(state));
     this.bar.update(drive.speed, drive.setpoint);
@@ -241,7 +235,7 @@ export class DriveCard {
     refill(this.figures, rows, () => rows.map(([term, text]) => el("div", {}, el("dt", { text: term }), el("dd", { class: "figure", text }))));
     const faults = drive.faults?.length ? drive.faults.join(", ") : "";
     const warnings = drive.warnings?.length ? drive.warnings.join(", ") : "";
-    const lost = slave.state === "data_exchange" ? "" : remarkOf(slave);
+    const lost = slave.alive ? "" : slave.remark?.text ?? "";
     refill(this.fault, [faults, warnings, lost], () => [
       faults ? el("span", { class: "bad" }, mark("bad"), `Fault: ${faults}`) : null,
       warnings ? el("span", { class: "warn" }, mark("warn"), `Warning: ${warnings}`) : null,
@@ -314,7 +308,7 @@ export function eventItem(live, event) {
   const text = event.text ?? [event.event, event.state].filter(Boolean).join(" ");
   return el("li", { class: event.severity },
     el("time", { datetime: event.time, text: clock(live.eventWall(event), true) }),
-    mark(SEVERITY[event.severity] ?? "info"), about, el("span", { class: "text", text }));
+    mark(kindOf(event.severity)), about, el("span", { class: "text", text }));
 }
 
 export class PlantPage {
@@ -388,7 +382,7 @@ export class PlantPage {
     let shown = 0;
     for (const [address, row] of this.rows) {
       const slave = live.slaves.get(address) ?? {};
-      const fits = !wanted || `${address} ${live.name(address)} ${live.about(address).model ?? ""} ${stateText(slave.state)} ${remarkOf(slave)}`.toLowerCase().includes(wanted);
+      const fits = !wanted || `${address} ${live.name(address)} ${live.about(address).model ?? ""} ${slave.state_text} ${slave.remark?.text ?? ""}`.toLowerCase().includes(wanted);
       setAttr(row.node, "hidden", !fits);
       shown += fits ? 1 : 0;
     }
@@ -418,16 +412,16 @@ export class PlantPage {
   }
 
   paintTiles(live) {
-    let exchanging = 0;
+    let alive = 0;
     let faults = 0;
     for (const slave of live.slaves.values()) {
-      exchanging += slave.state === "data_exchange" ? 1 : 0;
-      faults += slave.fault || slave.drive?.faults?.length || stateKind(slave.state) === "bad" ? 1 : 0;
+      alive += slave.alive ? 1 : 0;
+      faults += slave.level === "error" ? 1 : 0;
     }
     const { bus } = live;
     const all = live.slaves.size;
     const tiles = [
-      ["In data exchange", `${exchanging} of ${all}`, exchanging === all ? "good" : "bad"],
+      ["In data exchange", `${alive} of ${all}`, alive === all ? "good" : "bad"],
       ["With a fault", String(faults), faults ? "bad" : "good"],
       ["Rotation time, median", micros(bus.rotation_us?.p50), null],
       ["99 % below", micros(bus.rotation_us?.p99), null],

@@ -1,8 +1,7 @@
 // One slave: identity, values, diagnosis and its history, counters, alarms, records, I&M, and why it does not run.
 
 import { cell, el, pairs, refill, setAttr, setText, table } from "./dom.js";
-import { clock, count, duration, millis, number, octets, percent, stateKind, stateText, value, words } from "./format.js";
-import { inputsAlive } from "./live.js";
+import { clock, count, duration, millis, number, octets, percent, kindOf, stateText, value, words } from "./format.js";
 import { StateMark, mark } from "./marks.js";
 import { DriveCard, Values, eventItem } from "./page_plant.js";
 
@@ -229,13 +228,13 @@ export class SlavePage {
     if (!changed.has(address)) return;
     const slave = live.slaves.get(address);
     if (!slave) return;
-    this.state.update(stateKind(slave.state), stateText(slave.state));
+    this.state.update(kindOf(slave.level), stateText(slave));
     setText(this.fault, slave.fault ? `${words(slave.fault.kind ?? "fault")}: ${slave.fault.text}` : "");
     setAttr(this.fault, "class", slave.fault ? "fault bad" : "gone");
     this.inputs?.update(slave);
     this.outputs?.update(slave);
     const { dead } = this.app;
-    const alive = !dead && inputsAlive(slave);
+    const alive = !dead && slave.alive;
     setText(this.rawIn, octets(slave.inputs));
     setAttr(this.rawIn, "class", alive ? "octets" : "octets old");
     setText(this.rawOut, octets(slave.outputs));

@@ -1,6 +1,5 @@
 // The data of the oscilloscope: samples of signals, triggers, CSV. Nothing here draws.
 
-import { inputsAlive } from "./live.js";
 
 // Samples kept of each signal: an hour at five a second.
 const KEPT = 18000;
@@ -30,14 +29,14 @@ export function signalsOf(live) {
       found.push({
         id: `${address}.${field.name}`, address, label: `${slave.name}.${field.name}`,
         unit: plain === "bool" ? "" : field.unit ?? "", kind: plain === "bool" ? "bool" : "number",
-        read: of((now) => (input && !inputsAlive(now) ? null : now.fields?.[field.name])),
+        read: of((now) => (input && !now.alive ? null : now.fields?.[field.name])),
       });
     }
     if (slave.drive) {
       for (const [name, unit, scale] of QUANTITIES) {
         found.push({
           id: `${address}:${name}`, address, label: `${slave.name}: ${name.replace("_hz", "")}`, unit, kind: "number",
-          read: of((now) => (typeof now.drive?.[name] === "number" && now.state === "data_exchange" ? now.drive[name] * scale : null)),
+          read: of((now) => (typeof now.drive?.[name] === "number" && now.alive ? now.drive[name] * scale : null)),
         });
       }
     }

@@ -154,5 +154,5 @@ async def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixt
     assert "counters are" not in out
     reporter.summary(structs.replace(bad, age=1.5, stale=True))
     out = capsys.readouterr().out
-    assert "00 (not valid)  00 (not sent)" in out
+    assert "00 (not valid)  (not sent: 00)" in out
     assert "the counters are 1.5 s old" in out

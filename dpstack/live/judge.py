@@ -1,0 +1,99 @@
+"""Verdicts on a slave for people, made once: alive, level, words of its state, its most important remark.
+
+They are keys of every slave in a snapshot (docs/reference/live.md); screen, page, metrics and replays show them and do
+not judge again. ``alive`` is the bus's own verdict: a reader that gets no snapshots any more adds its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from typing import Any, Final
+
+from dpstack.trace import Severity
+
+#: values of a slave that :func:`judge` looks at
+JUDGED: Final = frozenset({"state", "inputs_valid", "fault", "conspicuous", "drive", "injected", "master"})
+
+
+class Level(Enum):
+    """How a slave is. The levels of messages, and three more."""
+
+    GOOD = "good"
+    #: it is being brought up
+    BUSY = "busy"
+    #: nobody exchanges data with it, and nothing is known to be wrong
+    OFF = "off"
+    WARNING = Severity.WARNING.value
+    ERROR = Severity.ERROR.value
+
+
+DATA_EXCHANGE: Final = "data_exchange"
+#: words and level of each state without a remark: those of the master, then those of other masters' slaves
+STATES: Final[dict[str, tuple[str, Level]]] = {
+    "offline": ("offline", Level.OFF),
+    "diagnosis": ("diagnosis", Level.BUSY),
+    "set_prm": ("parameters", Level.BUSY),
+    "chk_cfg": ("configuration", Level.BUSY),
+    "wait_ready": ("not ready yet", Level.BUSY),
+    DATA_EXCHANGE: ("data exchange", Level.GOOD),
+    "fault": ("fault", Level.ERROR),
+    "deactivated": ("deactivated", Level.OFF),
+    "wait_prm": ("waits for parameters", Level.BUSY),
+    "wait_cfg": ("waits for configuration", Level.BUSY),
+    "unknown": ("unknown", Level.OFF),
+}
+#: of a slave in data exchange whose inputs are too old
+_NOT_VALID: Final = "not valid"
+
+
+def exchanging(values: Mapping[str, Any]) -> bool:
+    """Whether the slave is in data exchange."""
+    return bool(values.get("state") == DATA_EXCHANGE)
+
+
+def judge(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The verdicts on a slave with ``values``, the keys :data:`JUDGED` of a snapshot; what is missing is not known.
+
+    ``alive``: its inputs are those of this moment. ``level``: see :class:`Level`. ``state_text``: its state in words.
+    ``remark``: the most important thing to say about it, with ``text`` and ``severity``, or None.
+    """
+    state = str(values.get("state") or "unknown")
+    words, level = STATES.get(state, (state.replace("_", " "), Level.OFF))  # one that a newer version has
+    alive = level is Level.GOOD and values.get("inputs_valid") is True
+    if level is Level.GOOD and not alive:
+        words, level = _NOT_VALID, Level.WARNING
+    remark = _remark(values)
+    if remark is not None:
+        severity = remark["severity"]
+        if severity == Severity.ERROR.value or level in (Level.GOOD, Level.WARNING):
+            level = Level(severity)
+    elif words == _NOT_VALID:
+        remark = {"text": "the inputs are not valid", "severity": Severity.WARNING.value}
+    master = values.get("master")
+    return {
+        "alive": alive,
+        "level": level.value,
+        "state_text": words if master is None else f"{words} (master {master})",
+        "remark": remark,
+    }
+
+
+def _remark(values: Mapping[str, Any]) -> dict[str, str] | None:
+    """The first that applies: errors before warnings, the bus before the drive."""
+    fault, drive = values.get("fault"), values.get("drive") or {}
+    if fault:
+        return _said(Severity.ERROR, "", [fault.get("text") or fault.get("kind") or "fault"])
+    if drive.get("faults"):
+        return _said(Severity.ERROR, "drive fault: ", drive["faults"])
+    if values.get("conspicuous"):
+        return _said(Severity.WARNING, "", [values["conspicuous"]])
+    if drive.get("warnings"):
+        return _said(Severity.WARNING, "drive warning: ", drive["warnings"])
+    if values.get("injected"):
+        return _said(Severity.WARNING, "simulated fault: ", values["injected"])
+    return None
+
+
+def _said(severity: Severity, head: str, texts: Sequence[object]) -> dict[str, str]:
+    return {"text": head + ", ".join(map(str, texts)), "severity": severity.value}
