@@ -23,6 +23,7 @@ from dpstack.bridge.conditions import Condition, ConditionBook, Level
 from dpstack.bridge.nodes import MOST_NODES, Described, Kind, Node, Order, Source, bus_of, slave_of
 from dpstack.bridge.quality import FLOAT, TEXT, Reading, Reason, Value, clean, value_of
 from dpstack.live.items import check_item
+from dpstack.live.judge import exchanging
 from dpstack.record.columns import is_news
 from dpstack.text import printable, shortened
 
@@ -47,8 +48,6 @@ _MOST_REMARKS: Final = 100
 #: troubles of the values of a slave that is there
 _OF_VALUES: Final = frozenset({Reason.NOT_VALID, Reason.TOO_OLD})
 #: states of a slave, as the live stream has them
-EXCHANGING: Final = "data_exchange"
-DEACTIVATED: Final = "deactivated"
 
 
 class Changed(NamedTuple):
@@ -442,7 +441,7 @@ class PlantTree:
         if values is None:
             return Reason.WAITING, ""
         waited = max(now - branch.heard, 0.0 if branch.awaited is None else now - branch.awaited)
-        if values.get("state") != EXCHANGING:
+        if not exchanging(values):
             fault = values.get("fault") or {}
             return Reason.NOT_EXCHANGING, clean(fault.get("text") or values.get("state"))
         if waited > self._silent_s:
@@ -551,12 +550,12 @@ class PlantTree:
     def _slave_conditions(self, branch: _Branch) -> list[Change]:
         values, address = branch.values or {}, branch.slave
         own, time = f"slave/{address}", self._time(self._t)
-        name, exchanging = branch.described.name, values.get("state") == EXCHANGING
+        name, exchanges = branch.described.name, exchanging(values)
         fault = values.get("fault")
         said = clean(fault.get("text")) if fault else ""
         found: list[Condition | None] = []
-        branch.exchanged = branch.exchanged or exchanging
-        if said or (branch.exchanged and not exchanging):
+        branch.exchanged = branch.exchanged or exchanges
+        if said or (branch.exchanged and not exchanges):
             text = said or f"not in data exchange: {clean(values.get('state')) or 'unknown'}"
             found.append(
                 self.conditions.show(f"{own}/fault", address, f"{name}: data exchange", text, Level.ERROR, time)
@@ -569,10 +568,10 @@ class PlantTree:
             found.append(self.conditions.show(f"{own}/diagnosis", address, title, unusual, Level.WARNING, time))
         else:
             found.append(self.conditions.end(f"{own}/diagnosis", time))
-        if not exchanging:
+        if not exchanges:
             found += self._end_alarms_of(branch, "the slave left data exchange")
         drive = values.get("drive")
-        if exchanging and drive is not None and drive.get("state") != "offline":
+        if exchanges and drive is not None and drive.get("state") != "offline":
             for key, title, level in (("faults", "fault", Level.ERROR), ("warnings", "warning", Level.WARNING)):
                 texts = [clean(one)[:120] for one in (drive.get(key) or ())[:_MOST_TEXTS] if isinstance(one, str)]
                 prefix = f"{own}/drive/{key}/"

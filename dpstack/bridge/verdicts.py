@@ -12,7 +12,8 @@ from typing import Any, Final, NamedTuple
 
 from dpstack.bridge.conditions import Level
 from dpstack.bridge.quality import FLOAT, Reason, clean, value_of
-from dpstack.bridge.tree import DEACTIVATED, EXCHANGING, Change, NodesChanged, PlantTree
+from dpstack.bridge.tree import Change, NodesChanged, PlantTree
+from dpstack.live.judge import DATA_EXCHANGE, DEACTIVATED
 from dpstack.monitor.thresholds import Thresholds
 
 GOOD, UNKNOWN, WARNING, CRITICAL = "good", "unknown", "warning", "critical"
@@ -144,7 +145,7 @@ class Judge:
     def _follow(self, address: int, t: float) -> None:
         past = self._past.setdefault(address, _Past(t))
         state = self._tree.values(address).get("state")
-        exchanges = state == EXCHANGING
+        exchanges = state == DATA_EXCHANGE
         if past.exchanged and not exchanges:
             past.away_since = t
             if state != DEACTIVATED and self._is_served():
@@ -203,7 +204,7 @@ class Judge:
         if state == DEACTIVATED or not self._is_served() or past is None:
             return Verdict(UNKNOWN, ("the master does not exchange data with it",))
         found: list[tuple[str, str]] = []
-        if state != EXCHANGING and now.t - past.away_since >= limits.bring_up_s:
+        if state != DATA_EXCHANGE and now.t - past.away_since >= limits.bring_up_s:
             fault = values.get("fault")
             why = clean(fault.get("text")) if isinstance(fault, Mapping) else clean(state)
             found.append((CRITICAL, f"it is not in data exchange: {why or 'unknown'}"))

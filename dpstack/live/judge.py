@@ -29,7 +29,8 @@ class Level(Enum):
 
 
 DATA_EXCHANGE: Final = "data_exchange"
-#: words and level of each state without a remark: those of the master, then those of other masters' slaves
+DEACTIVATED: Final = "deactivated"
+#: words and level of each state without a remark. ``unknown``: the stream does not show it
 STATES: Final[dict[str, tuple[str, Level]]] = {
     "offline": ("offline", Level.OFF),
     "diagnosis": ("diagnosis", Level.BUSY),
@@ -38,9 +39,7 @@ STATES: Final[dict[str, tuple[str, Level]]] = {
     "wait_ready": ("not ready yet", Level.BUSY),
     DATA_EXCHANGE: ("data exchange", Level.GOOD),
     "fault": ("fault", Level.ERROR),
-    "deactivated": ("deactivated", Level.OFF),
-    "wait_prm": ("waits for parameters", Level.BUSY),
-    "wait_cfg": ("waits for configuration", Level.BUSY),
+    DEACTIVATED: ("deactivated", Level.OFF),
     "unknown": ("unknown", Level.OFF),
 }
 #: of a slave in data exchange whose inputs are too old

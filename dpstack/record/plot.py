@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dpstack.errors import UsageError
+from dpstack.live.judge import DATA_EXCHANGE, DEACTIVATED
 from dpstack.record.columns import Cell, Column, Kind
 from dpstack.record.reader import Recording
 from dpstack.text import printable, shortened
@@ -45,9 +46,9 @@ _GOOD: Final = "#9bd19b"
 _BAD: Final = "#e58f8f"
 _OTHER: Final = ("#9ecae1", "#fdd08a", "#c7b8e0", "#d9d9b0", "#f3bfd3")
 _COLOURS: Final = {
-    **dict.fromkeys(("data_exchange", "running", "true"), _GOOD),
+    **dict.fromkeys((DATA_EXCHANGE, "running", "true"), _GOOD),
     **dict.fromkeys(("fault",), _BAD),
-    **dict.fromkeys(("offline", "deactivated", "false"), "#d9d9d9"),
+    **dict.fromkeys(("offline", DEACTIVATED, "false"), "#d9d9d9"),
 }
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.scanner import SlaveView
 from dpstack.live.judge import STATES, Level, judge
 
 GOOD: dict[str, Any] = {
@@ -61,8 +60,8 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[bool, str, str, str | None, str | No
         (False, "off", "deactivated", None, None),
     ),
     "of another master": (
-        {"inputs_valid": False, "state": "wait_cfg", "master": 7},
-        (False, "busy", "waits for configuration (master 7)", None, None),
+        {"master": 7},
+        (True, "good", "data exchange (master 7)", None, None),
     ),
     "a state of a newer version": ({"state": "new_state"}, (False, "off", "new state", None, None)),
     "nothing is known": ({"state": None, "inputs_valid": None}, (False, "off", "unknown", None, None)),
@@ -78,5 +77,5 @@ def test_verdicts(case: str) -> None:
 
 
 def test_every_state_has_words() -> None:
-    assert {*STATES} == {one.value for one in (*SlaveState, *SlaveView)}
+    assert {*STATES} == {*(one.value for one in SlaveState), "unknown"}
     assert {level for _, level in STATES.values()} <= {*Level}

@@ -23,8 +23,9 @@ from dpstack.bridge.metrics.processes import usage_of
 from dpstack.bridge.metrics.table import COUNTER, GAUGE, Metric
 from dpstack.bridge.names import PROMETHEUS_LABEL, Names, unique_names
 from dpstack.bridge.quality import FLOAT, Reason, value_of
-from dpstack.bridge.tree import EXCHANGING, Change, NodesChanged, PlantTree
+from dpstack.bridge.tree import Change, NodesChanged, PlantTree
 from dpstack.bridge.verdicts import VERDICTS, Judge, Verdict
+from dpstack.live.judge import DATA_EXCHANGE, STATES
 
 #: causes of damage of one slave or of the bus: a decoder has 15, and an adapter some of its own
 _MOST_CAUSES: Final = 24
@@ -133,11 +134,11 @@ class Collector:
         trouble = tree.trouble(address)
         reason = None if trouble is None else trouble[0]
         state = values.get("state")
-        if reason in (Reason.NOT_SENT, Reason.WAITING) or state not in table.STATES:
+        if reason in (Reason.NOT_SENT, Reason.WAITING) or state not in STATES:
             state = "unknown"
-        for one in table.STATES:
+        for one in STATES:
             families.add(table.SLAVE_STATE, one == state, *labels, one)
-        exchanging = state == EXCHANGING
+        exchanging = state == DATA_EXCHANGE
         families.add(table.EXCHANGING, exchanging, *labels)
         families.add(table.INPUTS_VALID, trouble is None, *labels)
         if exchanging:

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from dpstack.bridge.quality import Reason, clean
-from dpstack.bridge.tree import DEACTIVATED, EXCHANGING, PlantTree
+from dpstack.bridge.tree import PlantTree
 from dpstack.bridge.verdicts import CRITICAL, WARNING, Verdict
+from dpstack.live.judge import DATA_EXCHANGE, DEACTIVATED
 from dpstack.text import printable
 
 #: reasons for which no value of the stream is of this moment
@@ -59,7 +60,7 @@ def readiness(tree: PlantTree, judge: Callable[[], Verdict]) -> Health:
         if not tree.is_alive(address):
             trouble = tree.trouble(address)
             state = clean(slave.get("state")) or "unknown"
-            why = _line(*trouble) if trouble is not None and state == EXCHANGING else state
+            why = _line(*trouble) if trouble is not None and state == DATA_EXCHANGE else state
             lines.append(f"slave {address} ({printable(described.name)}) is not in data exchange: {why}")
     if lines:
         return Health(False, "".join(f"{line}\n" for line in lines))

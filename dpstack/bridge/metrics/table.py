@@ -7,6 +7,7 @@ from typing import Final
 
 from dpstack.bridge import nodes
 from dpstack.bridge.verdicts import VERDICTS
+from dpstack.live.judge import STATES
 
 GAUGE, COUNTER, HISTOGRAM = "gauge", "counter", "histogram"
 
@@ -21,18 +22,6 @@ class Metric:
     text: str
 
 
-#: states of a slave; ``unknown``: the live stream does not show it, or has a state that is not in this list
-STATES: Final = (
-    "offline",
-    "diagnosis",
-    "set_prm",
-    "chk_cfg",
-    "wait_ready",
-    "data_exchange",
-    "fault",
-    "deactivated",
-    "unknown",
-)
 MODES: Final = ("offline", "stop", "clear", "operate")
 LEVELS: Final = ("warning", "error")
 #: counters of the bus by their key in the live stream

@@ -14,8 +14,9 @@ from typing import Any, Final
 from dpstack.bridge.mqtt.json_payload import read_object
 from dpstack.bridge.mqtt.session_file import NUMBERS
 from dpstack.bridge.quality import clean
-from dpstack.bridge.tree import EXCHANGING, Change, Changed, PlantTree
+from dpstack.bridge.tree import Change, Changed, PlantTree
 from dpstack.bridge.verdicts import UNKNOWN, VERDICTS, Judge
+from dpstack.live.judge import DATA_EXCHANGE
 from dpstack.text import json_text, printable, shortened
 
 VERSION: Final = 1
@@ -99,7 +100,7 @@ def _first_ones(reasons: Sequence[str]) -> list[str]:
 def _lost_one(tree: PlantTree, address: int, name: str) -> dict[str, Any]:
     state = clean(tree.values(address).get("state")) or UNKNOWN
     # one that is in data exchange and not born has no valid inputs yet
-    shown = "no valid inputs" if state == EXCHANGING else state
+    shown = "no valid inputs" if state == DATA_EXCHANGE else state
     return {"address": address, "name": _short(name, _MOST_NAME), "state": _short(shown, _MOST_VERSION)}
 
 
