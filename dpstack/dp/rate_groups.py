@@ -6,7 +6,8 @@ offsets, so that the bus runs as planned.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
 from math import lcm
 from typing import Final, NamedTuple
 
@@ -46,15 +47,27 @@ def fullest(shares: Iterable[Share], chosen: Mapping[int, int]) -> frozenset[int
 
     The fullest cycles of different families are assumed to coincide.
     """
-    addresses: set[int] = set()
-    for period, members in _families(sorted(shares)):
-        load = [0] * period
-        for slave in members:
-            part = slice(chosen[slave.address], None, slave.every)
-            load[part] = [taken + slave.duration_ns for taken in load[part]]
-        cycle = load.index(max(load))
-        addresses.update(s.address for s in members if cycle % s.every == chosen[s.address])
-    return frozenset(addresses)
+    families = _loads(shares, chosen)
+    return frozenset(a for members, load in families for a in _in_turn(members, chosen, load.index(max(load))))
+
+
+def emptiest(shares: Iterable[Share], chosen: Mapping[int, int]) -> frozenset[int]:
+    """The addresses of the slaves in the emptiest cycle that has any, with the offsets ``chosen``.
+
+    The emptiest cycles of different families are assumed to coincide.
+    """
+    families = list(_loads(shares, chosen))
+    least = frozenset(a for members, load in families for a in _in_turn(members, chosen, load.index(min(load))))
+    if least or not families:
+        return least
+    # each family has cycles without a slave: one slave of one family makes the cycle
+    members, load = min(families, key=lambda family: min(filter(None, family[1])))
+    return frozenset(_in_turn(members, chosen, load.index(min(filter(None, load)))))
+
+
+def idle_rounds(shares: Iterable[Share], chosen: Mapping[int, int]) -> int:
+    """The greatest number of cycles without any slave, one after the other, with the offsets ``chosen``."""
+    return min((_longest_gap(load) for _, load in _loads(shares, chosen)), default=0)
 
 
 def round_interval_ns(slaves: Iterable[tuple[int, int]]) -> int:
@@ -64,6 +77,26 @@ def round_interval_ns(slaves: Iterable[tuple[int, int]]) -> int:
     (the last ones, an order to all) needs the longest interval as it is: give ``every`` 1 then.
     """
     return max((-(-interval // every) for every, interval in slaves), default=0)
+
+
+def _loads(shares: Iterable[Share], chosen: Mapping[int, int]) -> Iterator[tuple[list[Share], list[int]]]:
+    """The members of each family, and the time that they take in each cycle of its hyperperiod."""
+    for period, members in _families(sorted(shares)):
+        load = [0] * period
+        for slave in members:
+            part = slice(chosen[slave.address], None, slave.every)
+            load[part] = [taken + slave.duration_ns for taken in load[part]]
+        yield members, load
+
+
+def _in_turn(members: Iterable[Share], chosen: Mapping[int, int], cycle: int) -> Iterator[int]:
+    return (s.address for s in members if cycle % s.every == chosen[s.address])
+
+
+def _longest_gap(load: list[int]) -> int:
+    """The most empty cycles in a row; the hyperperiod repeats."""
+    taken = [cycle for cycle, duration in enumerate(load) if duration]
+    return max(after - before - 1 for before, after in pairwise([*taken, taken[0] + len(load)]))
 
 
 def _emptiest(load: list[int], every: int) -> int:

@@ -99,7 +99,7 @@ def _bus_doubt(heard: Heard) -> str:
         return f"{counters.telegrams} {finding(counters).text}"
     if heard.silent_s >= limits.silence_s:
         return f"silent since {heard.silent_s:.1f} s: no master sends any more"
-    if heard.seconds < limits.min_seconds:
+    if round(heard.seconds, 1) < limits.min_seconds:  # as it is printed
         return f"too little was heard: {heard.seconds:.1f} s, {limits.min_seconds:g} s are needed"
     return ""
 

@@ -321,6 +321,10 @@ def test_unknown() -> None:
     assert judge(bus.heard(NOW + 10 * S))[0].reasons == ("silent since 10.0 s: no master sends any more",)
     bus = Bus(thresholds=Thresholds(min_seconds=100))
     assert bus.bus == Verdict("unknown", ("too little was heard: 60.0 s, 100 s are needed",))
+    # the figure in the message is never the one that is needed
+    bus = Bus(thresholds=Thresholds(min_seconds=60))
+    assert judge(replace(bus.heard(), seconds=59.97))[0].level == "good"
+    assert judge(replace(bus.heard(), seconds=59.94))[0].reasons == ("too little was heard: 59.9 s, 60 s are needed",)
     bus = Bus()
     bus[3].requests = 100
     assert bus.verdict(3) == Verdict("unknown", ("too little was heard: 100 requests, 200 are needed",))

@@ -110,13 +110,13 @@ class BusBase:
 
     @property
     def rotation_limit_s(self) -> float:
-        """The longest rotation of the plan in seconds."""
+        """The longest round of the plan in seconds."""
         return ns_to_s(self.rotation_limit_ns)
 
     @property
     def rotation_limit_ns(self) -> int:
-        """The longest rotation of the plan in ns."""
-        return self.plan.rotation_ns(Case.LONGEST)
+        """The longest round of the plan in ns."""
+        return self.plan.figures.full_ns(Case.LONGEST)
 
     @property
     def mode(self) -> Mode:

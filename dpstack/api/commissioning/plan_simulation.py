@@ -168,7 +168,7 @@ class PlanSimulation:
 
     def _on_round(self) -> None:
         cycle = self._core.view.cycle
-        if cycle is None:
+        if cycle is None or cycle.t_ns == self._last_ns:  # the round had no slave in turn
             return
         if self._last_ns is not None:
             self._rotation.add(cycle.t_ns - self._last_ns)

@@ -234,11 +234,12 @@ def _show_simulated(plan: Plan, found: SimulatedPlan | None) -> None:
         output.line("not simulated: no slave was in data exchange", "bold red")
         return
     measured = {"min": times.min_ns, "median": times.quantile_ns(0.5), "p99": times.quantile_ns(0.99)}
-    planned = [(name, _rotation_text(plan, case)) for case, name in _CASES.items()]
+    planned = [(name, _ms(plan.figures.between_ns(case))) for case, name in _CASES.items()]
     planned.insert(2, ("", ""))
     simulated = [(name, _ms(ns)) for name, ns in (*measured.items(), ("max", times.max_ns))]
+    what = "Time from cycle to cycle" if plan.figures.cycle_ns else "Bus rotation time"
     output.table(
-        f"Bus rotation time of the plan, and of {times.count} simulated rotations in {found.ns / NS_PER_S:g} s",
+        f"{what} of the plan, and of {times.count} simulated rotations in {found.ns / NS_PER_S:g} s",
         ("plan", "time", "simulated", "time"),
         [(*left, *right) for left, right in zip(planned, simulated, strict=True)],
     )

@@ -87,15 +87,21 @@ class LiveMonitor:
         watching = [asyncio.ensure_future(self._tick())]
         if self._view is not None:
             watching.append(asyncio.ensure_future(self._watch(self._view)))
+        if self._args.seconds is not None:
+            watching.append(asyncio.ensure_future(self._listened_for(self._args.seconds)))
         try:
-            tasks = [listening, *watching]
-            done, _ = await asyncio.wait(tasks, timeout=self._args.seconds, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait([listening, *watching], return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
         finally:
             for task in (listening, *watching):
                 task.cancel()
             await asyncio.gather(listening, *watching, return_exceptions=True)
+
+    async def _listened_for(self, seconds: float) -> None:
+        """Wait until the time is over. It begins when the port is open."""
+        await self._begun.wait()
+        await asyncio.sleep(seconds)
 
     async def _watch(self, view: LiveView) -> None:
         await self._begun.wait()  # what stands on the screen before stays readable

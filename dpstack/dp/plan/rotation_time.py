@@ -1,7 +1,8 @@
 """The bus rotation time from the telegrams as they are really sent; T_TR and the watchdog that follow from it.
 
 All slaves are in data exchange: for each of them Data_Exchange, T_SDR, the answer, T_ID1; then the token and T_ID1.
-With rate groups the fullest round counts. Other masters have their turn before the token is back.
+With rate groups the emptiest round with a slave makes the shortest rotation, the fullest round the others. Other
+masters have their turn before the token is back.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Final
 
 from msgspec import Struct
 
-from dpstack.dp.rate_groups import Share, fullest, offsets, round_interval_ns
+from dpstack.dp.rate_groups import Share, emptiest, fullest, idle_rounds, offsets, round_interval_ns
 from dpstack.dp.slave_params import MAX_WATCHDOG_MS, SlaveParams
 from dpstack.dp.telegram_times import (
     acyclic_bits,
@@ -27,7 +28,7 @@ from dpstack.dp.telegram_times import (
     token_bits,
 )
 from dpstack.params import BusParams
-from dpstack.units import NS_PER_MS
+from dpstack.units import NS_PER_MS, NS_PER_S
 
 #: T_SDR of a usual slave ASIC, for the typical rotation
 TYPICAL_TSDR: Final = 60
@@ -60,11 +61,15 @@ ALONE: Final = OtherMasters()
 
 
 class Rotation(Struct, frozen=True, kw_only=True):
-    """The fullest rotation in bit times. ``slaves``: the time of each slave in its rounds, with T_ID1 after its answer;
-    ``together``: the slaves in this rotation.
+    """A rotation in bit times. ``slaves``: the time of each slave in its rounds, with T_ID1 after its answer;
+    ``together``: the slaves in the fullest round.
 
     ``data``: of these slaves; ``beside``: services, Global_Control and GAP poll; ``token``: until the next station has
-    the token; ``others``: of other masters; ``waiting``: for Min_Slave_Interval while the token goes round.
+    the token; ``others``: of other masters; ``waiting``: for Min_Slave_Interval while the token goes round; ``idle``:
+    the most rounds without any slave, one after the other.
+
+    ``bits``: from the first Data_Exchange of a round to the first one after that round. In the shortest case the round
+    is the emptiest one and no idle round follows; in the others it is the fullest one, and all of them follow.
     """
 
     slaves: dict[int, int]
@@ -74,15 +79,12 @@ class Rotation(Struct, frozen=True, kw_only=True):
     token: int
     others: int
     waiting: int
-
-    @property
-    def bits(self) -> int:
-        """From the first Data_Exchange of the round to that of the next."""
-        return self.work + self.waiting
+    idle: int
+    bits: int
 
     @property
     def work(self) -> int:
-        """The same without waiting: the earliest return of the token."""
+        """The fullest round without waiting: the earliest return of the token."""
         return self.data + self.beside + self.token + self.others
 
     @property
@@ -95,18 +97,44 @@ def rotation(params: BusParams, setups: Sequence[SlaveParams], case: Case, other
     """The bus rotation time with every slave of ``setups`` in data exchange, of other masters too as in ``case``."""
     retries = params.max_retry if case is Case.LONGEST else 0
     slaves = {s.address: data_bits(params, s, tsdr_bits(params, s, case), retries) for s in setups}
-    groups = (Share(s.address, s.every, slaves[s.address]) for s in setups)
-    together = fullest(groups, rate_offsets(params, setups))
+    groups = [Share(s.address, s.every, slaves[s.address]) for s in setups]
+    chosen = rate_offsets(params, setups)
+    together = fullest(groups, chosen)
     data = sum(slaves[address] for address in together)
     beside, token = _beside(params, setups, case), token_bits(params)
     theirs = others.alike * (data + beside + token) + sum(others.rounds)
     needs = data + beside + token + theirs
-    missing = round_interval_ns((s.every, s.min_slave_interval_ns) for s in setups) - params.ns(needs)
-    # a round begins with the first token after the interval; until then the token goes round
-    turn = token * (1 + others.count)
-    waiting = -(-missing // params.ns(turn)) * turn if missing > 0 else 0
+    # in bit times, up to the next one
+    interval = -(-round_interval_ns((s.every, s.min_slave_interval_ns) for s in setups) * params.baud // NS_PER_S)
+    if case is Case.SHORTEST:
+        waiting, idle = max(0, interval - needs), 0
+        least = sum(slaves[address] for address in emptiest(groups, chosen))
+        # a slave that follows others in one round and is the first in the next waits before that round's first request
+        ahead = sum(data_bits(params, s, longest_tsdr(params, s)) for s in setups if s.every > 1)
+        bits = max(interval - ahead, needs - (1 + others.alike) * (data - least))
+    else:
+        idle = idle_rounds(groups, chosen)
+        empty = needs - data
+        if case is Case.TYPICAL:
+            # a round begins with the first token after the interval; until then the token goes round
+            turn = token * (1 + others.count)
+            waiting = -(-max(0, interval - needs) // turn) * turn
+            empty += -(-max(0, interval - empty) // turn) * turn
+        else:
+            # the last hold before the round may still have what stands beside the data
+            waiting = max(0, interval - data)
+            empty += interval
+        bits = needs + waiting + idle * empty
     return Rotation(
-        slaves=slaves, together=together, data=data, beside=beside, token=token, others=theirs, waiting=waiting
+        slaves=slaves,
+        together=together,
+        data=data,
+        beside=beside,
+        token=token,
+        others=theirs,
+        waiting=waiting,
+        idle=idle,
+        bits=bits,
     )
 
 
@@ -159,8 +187,12 @@ class Figures:
         object.__setattr__(self, "rotations", rotations)
 
     def ns(self, case: Case) -> int:
-        """A rotation in nanoseconds."""
+        """A rotation in nanoseconds (:attr:`Rotation.bits`)."""
         return self.params.ns(self.rotations[case].bits)
+
+    def full_ns(self, case: Case) -> int:
+        """The fullest round in nanoseconds."""
+        return self.params.ns(self.rotations[case].work + self.rotations[case].waiting)
 
     def work_ns(self, case: Case) -> int:
         """The same without waiting for Min_Slave_Interval."""
@@ -181,9 +213,14 @@ class Figures:
         return self.round_ns(Case.LONGEST)
 
     def round_ns(self, case: Case) -> int:
-        """The time from round to round: with a fixed cycle whole cycles."""
-        takes = self.ns(case)
+        """The time from the fullest round to the next one: with a fixed cycle whole cycles."""
+        takes = self.full_ns(case)
         return -(-takes // self.cycle_ns) * self.cycle_ns if self.cycle_ns else takes
+
+    def between_ns(self, case: Case) -> int:
+        """The time from a round with slaves to the next one: with a fixed cycle whole cycles, the delays of their
+        beginnings aside."""
+        return self.round_ns(case) + self.rotations[case].idle * self.cycle_ns if self.cycle_ns else self.ns(case)
 
     @property
     def dying_ns(self) -> int:

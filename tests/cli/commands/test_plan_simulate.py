@@ -113,6 +113,9 @@ def test_a_fixed_cycle_that_is_kept_and_one_that_is_not(cli: Cli, plant: Callabl
         "left_out": 0,
         "missed_by": {},
     }
+    lines = cli.out("plan", plant(keys="cycle_ms = 4"), "--simulate", "0.1", code=1).splitlines()
+    at = next(n for n, line in enumerate(lines) if line.startswith("Time from cycle to cycle of the plan, and of "))
+    assert lines[at + 2].split() == ["shortest", "4.000", "ms", "min", "4.000", "ms"]
     # shorter than the typical rotation
     file = plant(keys=f"cycle_ms = {ROTATION_US / 1000 - 0.05:g}")
     missed = cli.json("plan", file, "--simulate", "1", code=1)["simulated"]["cycle"]

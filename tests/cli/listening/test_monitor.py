@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 from collections.abc import Iterator, Mapping
@@ -20,6 +21,7 @@ from dpstack.capture.pcapng import Writer
 from dpstack.capture.recording import Gaps, PortAbout, Recording
 from dpstack.capture.timing import ADAPTER, TAP, timing_of
 from dpstack.capture.transmission import Transmission
+from dpstack.cli.listening import monitor_live
 from dpstack.cli.listening.monitor_view import LiveView
 from dpstack.decode.source import read_transmissions
 from dpstack.monitor.monitor import Monitor
@@ -202,6 +204,20 @@ def test_a_port_is_listened_to_and_never_written(cli: Cli, speaking: SpeakingPty
     assert out.startswith(f"listening on {speaking.path}, 500 kbit/s; Ctrl-C ends\n")
     assert "too little was heard" in out
     assert speaking.heard == b""
+
+
+def test_the_seconds_begin_when_the_port_is_open(
+    cli: Cli, speaking: SpeakingPty, alone: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep_listening = monitor_live.keep_listening
+
+    async def slow(*ways: Any) -> None:
+        await asyncio.sleep(0.1)
+        await keep_listening(*ways)
+
+    monkeypatch.setattr(monitor_live, "keep_listening", slow)
+    summary = cli.jsons("monitor", "--port", speaking.path, "--baud", "500000", "--seconds", "0.12")[-1]
+    assert summary["seconds"] >= 0.12
 
 
 @pytest.mark.parametrize(("columns", "lines"), [(40, 12), (60, 10), (120, 40)])
