@@ -10,6 +10,7 @@ from typing import Final
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock
+from dpstack.dp.pdu.diag_texts import texts_of
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import (
     ALARM_LIMITS,
@@ -209,7 +210,14 @@ def _slave_diag(data: bytes) -> Fields:
 
 
 def _block(block: Block) -> Fields:
-    """A block of the extended diagnosis."""
+    """A block of the extended diagnosis. Its numbers of modules are those of the wire, from 0; its text counts slots."""
+    found = _block_fields(block)
+    if "if_dpv1" not in found and (text := "; ".join(texts_of((block,), None, dpv1=False))):
+        found["text"] = text
+    return found
+
+
+def _block_fields(block: Block) -> Fields:
     match block:
         case ChannelBlock():
             return {
@@ -217,7 +225,6 @@ def _block(block: Block) -> Fields:
                 "module": block.identifier,
                 "channel": block.channel,
                 "error": block.error,
-                "text": block.text,
             }
         case IdentifierBlock():
             return {"kind": "identifier", "modules": list(block.modules)}

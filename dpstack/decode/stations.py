@@ -7,11 +7,11 @@ The layout of process data is that of the last Chk_Cfg (or the answer to Get_Cfg
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 from dpstack.decode.fields import Fields, dpv1_fields, fields_of, is_dpv1
 from dpstack.decode.names import NO_NAMES, DriveWords, Names, SlaveNames
-from dpstack.dp.pdu.diag_texts import block_texts
+from dpstack.dp.pdu.diag_texts import block_texts, texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE
 from dpstack.dp.pdu.requests import SET_PRM_LEN
@@ -195,8 +195,12 @@ class Station:
         own = self._own
         if own is not None and own.ident not in (None, diagnosis.ident):
             found["Configured_Ident_Number"] = f"0x{own.ident:04x}"
-        if diagnosis.ext and self.names.texts is not None:
-            found["texts"] = list(block_texts(diagnosis, self.names.texts, dpv1=self._dpv1))
+        texts = self.names.texts
+        if diagnosis.ext and texts is not None:
+            found["texts"] = list(block_texts(diagnosis, texts, dpv1=self._dpv1))
+            for block, entry in zip(diagnosis.blocks, found["Ext_Diag_Data"], strict=True):
+                if "text" in entry:
+                    entry["text"] = "; ".join(texts_of((block,), texts, dpv1=False))
 
 
 class Stations:

@@ -234,14 +234,16 @@ def _global_control(fields: Mapping[str, Any]) -> str:
 
 
 def _diagnosis(fields: Mapping[str, Any]) -> str:
-    """The texts of a diagnosis: those of the GSD file and of the standard, or alarms and status. A device related block
+    """The texts of a diagnosis: alarms and status, or those of the GSD file and of the standard. A device related block
     of a slave without DP-V1 may look like an alarm."""
-    texts = []
+    messages, texts = [], []
     for block in fields.get("Ext_Diag_Data", ()):
         if (message := block.get("if_dpv1")) is not None:
             number = "" if message["Seq_Nr"] is None else f", sequence number {message['Seq_Nr']}"
-            texts.append(message["text"] + number)
-    return "; ".join(texts or fields.get("texts", ()))
+            messages.append(message["text"] + number)
+        elif block.get("text"):
+            texts.append(block["text"])
+    return "; ".join(messages or fields.get("texts", texts))
 
 
 def pdu_text(octets: bytes, *, request: bool) -> str:

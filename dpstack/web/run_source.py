@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.api.config.config import Config, file_digest
-from dpstack.api.control.client import ControlClient, connect, find_run, is_same_file, running
+from dpstack.api.control.client import ControlClient, connect, find_run
 from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.live.items import check_item
-from dpstack.ports.base import VIRTUAL
 from dpstack.web.child import Child
 from dpstack.web.fan_out import Item
 from dpstack.web.run_link import Find, RunLink
@@ -72,7 +71,7 @@ class RunSource(Source):
         """The run with ``config``, which is from a file."""
 
         def find() -> ControlClient | None:
-            return _find_virtual(config.file) if config.port == VIRTUAL else find_run(config.port, config.file)
+            return find_run(config.port, config.file)
 
         return cls(find, config.file, control=control, options=options)
 
@@ -268,24 +267,6 @@ class RunSource(Source):
                 self._note(f"{file} {text}", "warning")
             else:
                 self._note(f"{file} is again as this run has read it")
-
-
-def _find_virtual(file: Path | None) -> ControlClient | None:
-    """Connect to the run on "virtual" with the configuration ``file``; others on it have nothing to do with it.
-
-    Raises UsageError where there are several.
-    """
-    names = [
-        one["name"]
-        for one in running()
-        if one["kind"] == "run" and one["port"] == VIRTUAL and is_same_file(one.get("config"), file)
-    ]
-    if len(names) > 1:
-        raise UsageError(
-            f'{len(names)} runs on "{VIRTUAL}" have the configuration {file}: {", ".join(names)}; join one by its '
-            f"name, for instance dpstack web --join {names[0]}"
-        )
-    return connect(names[0]) if names else None
 
 
 def _kind_of(link: RunLink, item: Item) -> Kind:

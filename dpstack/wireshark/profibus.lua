@@ -673,6 +673,28 @@ local function channel_text(block)
         CHANNEL_ERRORS[number] or "error " .. number)
 end
 
+-- The text of a block that is no alarm and no status, in slots from 1; nil where it reports nothing.
+local function block_text(block)
+    if block.kind == 2 then
+        return channel_text(block)
+    elseif block.kind == 1 then
+        local slots = {}
+        for place = 2, #block.octets do
+            for number = 0, 7 do
+                if bit(octet(block.octets, place), number) then
+                    slots[#slots + 1] = 1 + 8 * (place - 2) + number
+                end
+            end
+        end
+        return #slots > 0 and "slots with a diagnosis: " .. table.concat(slots, ", ") or nil
+    elseif block.kind == 0 and string.find(block.octets, "[^%z]", 2) then
+        return "device: " .. string.gsub(string.sub(block.octets, 2), ".", function(one)
+            return string.format("%02x ", string.byte(one))
+        end):sub(1, -2)
+    end
+    return nil
+end
+
 local function diag_block(nodes, block)
     local at, size = 5 + block.from, #block.octets
     local prefix = "ext_diag_data."
@@ -685,7 +707,8 @@ local function diag_block(nodes, block)
         node(inner, prefix .. "error", octet(block.octets, 3) % 32, at + 2)
         node(inner, prefix .. "text", text, at, size)
     elseif block.kind == 1 then
-        local inner = group(nodes, "Modules with a diagnosis", at, size)
+        local text = block_text(block)
+        local inner = group(nodes, text or "Modules with a diagnosis: none", at, size)
         node(inner, prefix .. "kind", "identifier", at)
         for place = 2, size do
             for number = 0, 7 do
@@ -693,6 +716,9 @@ local function diag_block(nodes, block)
                     node(inner, prefix .. "modules", 8 * (place - 2) + number, at + place - 1)
                 end
             end
+        end
+        if text then
+            node(inner, prefix .. "text", text, at, size)
         end
     elseif block.kind == 3 then
         local inner = group(nodes, "Revision", at, size)
@@ -703,7 +729,10 @@ local function diag_block(nodes, block)
         local inner = group(nodes, "Device" .. (message and ", with DP-V1: " .. message.text or ""), at, size)
         node(inner, prefix .. "kind", "device", at)
         node_octets(inner, prefix .. "data", at + 1, size - 1)
-        if message then
+        local text = not message and block_text(block)
+        if text then
+            node(inner, prefix .. "text", text, at, size)
+        elseif message then
             local name = message.is_status and "status" or "alarm"
             prefix = prefix .. "if_dpv1."
             node(inner, prefix .. name .. "_type", message.type, at + 1)
@@ -1051,17 +1080,19 @@ local function contents(telegram)
     if slave == nil or telegram.data == "" then
         return ""
     elseif slave == 60 then
-        local texts = {}
+        local messages, texts = {}, {}
         if not telegram.request and #telegram.data >= 6 and #telegram.data <= 244 then
             for _, block in ipairs((split_blocks(string.sub(telegram.data, 7)))) do
                 local message = block.kind == 0 and message_of(block.octets)
                 if message then
                     local number = message.is_status and "" or ", sequence number " .. message.sequence
-                    texts[#texts + 1] = message.text .. number
+                    messages[#messages + 1] = message.text .. number
+                else
+                    texts[#texts + 1] = block_text(block)
                 end
             end
         end
-        return table.concat(texts, "; ")
+        return table.concat(#messages > 0 and messages or texts, "; ")
     elseif is_dpv1(slave, master) then
         local good, found, text = pcall(dpv1, telegram.data, telegram.request)
         if good then

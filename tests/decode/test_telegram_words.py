@@ -161,13 +161,9 @@ def _telegram(sap: int, master: int, unit: str, *, request: bool) -> bytes:
             "diagnosis alarm, slot 2, appears, slot disturbed, sequence number 5",
         ),
         (60, 62, "<-", DIAG + "05 82 00 00 30 04 83 01 02", "module status: slot 3 no module; DXB link status, slot 1"),
-        (
-            60,
-            62,
-            "<-",
-            DIAG + "03 AA BB 42 01",
-            "",
-        ),  # of the maker, and of modules
+        # of the maker, and of modules: slots count from 1, as the texts of a running bus do
+        (60, 62, "<-", DIAG + "03 AA BB 42 02", "device: aa bb; slots with a diagnosis: 2"),
+        (60, 62, "<-", DIAG + "82 41 66", "slot 3, input channel 1 (4 bits): line break"),
         (60, 62, "<-", "00 0C", "cannot be read (Slave_Diag has 2 octets"),
         (60, 62, "->", "AA", ""),
         (61, 62, "->", "88 01 01 0B 12 34 00", ""),

@@ -11,7 +11,7 @@ from dpstack.cli.main import main
 
 #: what commands say on standard error that are the master themselves, on the port "virtual"
 SIMULATED = (
-    'dpstack: no run holds the port "virtual": its slaves are simulated for this command only; '
+    'dpstack: no run on "virtual" has this configuration: its slaves are simulated for this command only; '
     "`dpstack run` with this configuration keeps them, and is asked then\n"
 )
 

@@ -190,19 +190,27 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
 
 def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
     """Connect to the run on ``port`` with the configuration file ``config``; None where no run answers for that port.
+    On "virtual", where each program has a bus of its own, runs with other files do not count.
 
-    Raises UsageError where the run, or each run on "virtual", has another file, or where several runs have this one;
-    PortError where the program cannot connect to a run.
+    Raises UsageError where the run has another file, or where several runs on "virtual" have this one; PortError where
+    the program cannot connect to a run.
     """
     with _open_directory() as sockets:
         if sockets is None:
             return None
         if port == VIRTUAL:
-            found = [_connect_first(sockets, port, (name,), timeout) for name in sockets.virtual_names()]
-        else:
-            found = [_connect_first(sockets, port, [own_name("run", name) for name in names_of(port)], timeout)]
-    clients = [client for client in found if client is not None]
-    return _client_with_file(clients, port, config) if clients else None
+            runs = _help_of(sockets, map(socket_name, sockets.virtual_names()), timeout)
+            mine = [one["name"] for one in runs if is_same_file(one.get("config"), config)]
+            if len(mine) > 1:
+                raise UsageError(
+                    f'{len(mine)} runs on "{VIRTUAL}" have the configuration {config}: {", ".join(mine)}; name the one '
+                    f"that is meant: `dpstack ctl {mine[0]} drive NAME ORDER`, `dpstack web --join {mine[0]}`"
+                )
+            return _connect_first(sockets, port, mine, timeout)
+        client = _connect_first(sockets, port, [own_name("run", name) for name in names_of(port)], timeout)
+    if client is not None:
+        _check_file(client, port, config)
+    return client
 
 
 def find_any_run(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
@@ -247,8 +255,9 @@ def _connect_first(sockets: Sockets, port: str, names: Iterable[str], timeout: f
     return None
 
 
-def _help_of(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
-    """The ``help`` of the programs behind the sockets ``names``, each once."""
+def _help_of(sockets: Sockets, names: Iterable[str], timeout: float | None = 1.0) -> list[dict[str, Any]]:
+    """The ``help`` of the programs behind the sockets ``names``, each once; without those that do not answer within
+    ``timeout`` in seconds (None: no limit)."""
     found = []
     for name in names:
         if sockets.link_target(name) is not None:
@@ -256,46 +265,25 @@ def _help_of(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
             continue
         with (
             contextlib.suppress(OSError, DpError),
-            ControlClient(os.path.join(sockets.path, name), _open(sockets, name, 1.0)) as client,
+            ControlClient(os.path.join(sockets.path, name), _open(sockets, name, timeout)) as client,
         ):
             found.append(client.help())
     return found
 
 
-def _client_with_file(clients: list[ControlClient], port: str, config: Path | None) -> ControlClient:
-    """The client of the run with the configuration file ``config``; closes the others. Raises as :func:`find_run`."""
-    chosen = None
+def _check_file(client: ControlClient, port: str, config: Path | None) -> None:
+    """Close ``client`` and raise UsageError if its run has another configuration file than ``config``."""
     try:
-        runs = [(client, client.help()) for client in clients]
-        fitting = [client for client, one in runs if is_same_file(one.get("config"), config)]
-        if len(fitting) != 1:
-            raise UsageError(_mismatch_text([one for _, one in runs], len(fitting), port, config))
-        chosen = fitting[0]
-        return chosen
-    finally:
-        for client in clients:
-            if client is not chosen:
-                client.close()
-
-
-def _mismatch_text(runs: list[dict[str, Any]], fitting: int, port: str, config: Path | None) -> str:
-    """The message when not exactly one of ``runs`` has ``config``."""
-    mine = config or "a program without a configuration file"
-    if fitting:
-        return (
-            f'{fitting} runs on "{port}" have the configuration {mine}; there is: {_programs_text(runs)}; give the '
-            f"order to the one that is meant by its name: `dpstack ctl {runs[0].get('name')} drive NAME ORDER`"
-        )
-    if port == VIRTUAL:
-        return (
-            f'no run on "{port}" has the configuration {mine}; there is: {_programs_text(runs)}; give the '
-            f"configuration of the run that is meant, or start one with `dpstack run {mine}`"
-        )
-    theirs = runs[0].get("config") or "none from a file"
-    return (
-        f"the run on {port} (pid {runs[0].get('pid')}) has the configuration {theirs}, not {mine}: give the one that "
-        f"the run has, or end that run"
-    )
+        run = client.help()
+        if not is_same_file(run.get("config"), config):
+            mine = config or "a program without a configuration file"
+            raise UsageError(
+                f"the run on {port} (pid {run.get('pid')}) has the configuration "
+                f"{run.get('config') or 'none from a file'}, not {mine}: give the one that the run has, or end that run"
+            )
+    except BaseException:
+        client.close()
+        raise
 
 
 def _levels(answer: object) -> int:

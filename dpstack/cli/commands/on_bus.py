@@ -148,7 +148,7 @@ def warn_of_simulation(config: Config) -> None:
     """Warn that the slaves of the port "virtual" are simulated for this one command."""
     if config.virtual:
         output.warn(
-            'no run holds the port "virtual": its slaves are simulated for this command only; '
+            'no run on "virtual" has this configuration: its slaves are simulated for this command only; '
             "`dpstack run` with this configuration keeps them, and is asked then"
         )
 

@@ -6,6 +6,7 @@ import argparse
 import functools
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from typing import Final
 
 import msgspec
 
@@ -18,6 +19,9 @@ from dpstack.decode.telegram import Explained
 from dpstack.errors import UsageError
 from dpstack.text import json_text
 from dpstack.units import NS_PER_S
+
+#: keys of entries that stand in JSON only: the text beside them counts slots, these are the wire's numbers, from 0
+_LEFT_OUT: Final = {"Ext_Diag_Data": frozenset({"module", "modules"})}
 
 
 def add_names(parser: Parser) -> None:
@@ -99,7 +103,8 @@ def _field_lines(fields: Mapping[str, object]) -> Iterator[str]:
                 yield from (f"  {line}" for line in _field_lines(value) if not line.startswith("text: "))
             case [dict(), *_]:
                 yield f"{name}:"
-                yield from (f"  {_plain(entry)}" for entry in value)
+                left_out = _LEFT_OUT.get(name, frozenset())
+                yield from (f"  {_plain({k: v for k, v in entry.items() if k not in left_out})}" for entry in value)
             case _:
                 yield f"{name}: {_plain(value)}"
 

@@ -56,6 +56,18 @@ def test_hex_digits_in_words(cli: Cli) -> None:
     assert "     2  aa\n        no telegram: no start octet" in out
 
 
+def test_slots_of_a_diagnosis_count_from_1(cli: Cli) -> None:
+    """42 02: the second module (octet 2, bit 1). JSON keeps the number of the wire, which counts from 0."""
+    octets = "68 0d 0d 68 82 88 08 3e 3c 08 0c 00 02 12 34 42 02 2c 16"
+    out = cli.out("decode", octets)
+    assert "Slave_Diag answer 8 -> 2, 8 octets: slots with a diagnosis: 2 (DL, slave)" in out
+    assert "kind identifier, text slots with a diagnosis: 2\n" in out
+    assert "modules" not in out
+    assert cli.json("decode", octets)["fields"]["Ext_Diag_Data"] == [
+        {"kind": "identifier", "modules": [1], "text": "slots with a diagnosis: 2"}
+    ]
+
+
 def test_text_from_standard_input(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     text = f"# a comment\n0x10,0x02,0x63,0x49,0xAE,0x16\n\n{DIAG} E5  # two in a line"
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
