@@ -210,7 +210,7 @@ def _slave_diag(data: bytes) -> Fields:
 
 
 def _block(block: Block) -> Fields:
-    """A block of the extended diagnosis. Its numbers of modules are those of the wire, from 0; its text counts slots."""
+    """A block of the extended diagnosis. Numbers of modules are those of the wire, from 0; its text counts slots."""
     found = _block_fields(block)
     if "if_dpv1" not in found and (text := "; ".join(texts_of((block,), None, dpv1=False))):
         found["text"] = text

@@ -198,7 +198,7 @@ class Station:
         texts = self.names.texts
         if diagnosis.ext and texts is not None:
             found["texts"] = list(block_texts(diagnosis, texts, dpv1=self._dpv1))
-            for block, entry in zip(diagnosis.blocks, found["Ext_Diag_Data"], strict=True):
+            for block, entry in zip(diagnosis.blocks, cast("list[Fields]", found["Ext_Diag_Data"]), strict=True):
                 if "text" in entry:
                     entry["text"] = "; ".join(texts_of((block,), texts, dpv1=False))
 

@@ -103,10 +103,17 @@ def _field_lines(fields: Mapping[str, object]) -> Iterator[str]:
                 yield from (f"  {line}" for line in _field_lines(value) if not line.startswith("text: "))
             case [dict(), *_]:
                 yield f"{name}:"
-                left_out = _LEFT_OUT.get(name, frozenset())
-                yield from (f"  {_plain({k: v for k, v in entry.items() if k not in left_out})}" for entry in value)
+                yield from (f"  {_plain(_kept(name, entry))}" for entry in value)
             case _:
                 yield f"{name}: {_plain(value)}"
+
+
+def _kept(name: str, entry: object) -> object:
+    """An entry of the list ``name`` without the keys that stand in JSON only."""
+    left_out = _LEFT_OUT.get(name)
+    if left_out is None or not isinstance(entry, dict):
+        return entry
+    return {key: value for key, value in entry.items() if key not in left_out}
 
 
 def _plain(value: object) -> str:

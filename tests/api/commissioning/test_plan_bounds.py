@@ -80,7 +80,7 @@ def test_a_round_that_waits_for_a_min_slave_interval() -> None:
 
 
 def test_the_shortest_rotation_of_rate_groups_is_the_emptiest_round() -> None:
-    """Slave 3 in each round; 4, 5 and 6 take turns, the last one with long telegrams (41 characters of 11 bits each way)."""
+    """Slave 3 in each round; 4, 5 and 6 take turns, the last one with 41 characters of 11 bits each way."""
     slaves: list[dict[str, object]] = [{"config": "10 20"}, *({"config": "10", "every": 3} for _ in range(2))]
     slaves.append({"config": "5F 6F", "every": 3})
     plan = plan_bus(config_of({"baud": 500_000, "gap": 0}, slaves))

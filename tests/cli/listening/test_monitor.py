@@ -16,12 +16,12 @@ from rich.console import Console
 from speaking_pty import ROUND, SpeakingPty
 from support import MS, S
 
+from dpstack.api.listen.listening import keep_listening
 from dpstack.capture.listener import Listener
 from dpstack.capture.pcapng import Writer
 from dpstack.capture.recording import Gaps, PortAbout, Recording
 from dpstack.capture.timing import ADAPTER, TAP, timing_of
 from dpstack.capture.transmission import Transmission
-from dpstack.cli.listening import monitor_live
 from dpstack.cli.listening.monitor_view import LiveView
 from dpstack.decode.source import read_transmissions
 from dpstack.monitor.monitor import Monitor
@@ -209,13 +209,11 @@ def test_a_port_is_listened_to_and_never_written(cli: Cli, speaking: SpeakingPty
 def test_the_seconds_begin_when_the_port_is_open(
     cli: Cli, speaking: SpeakingPty, alone: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keep_listening = monitor_live.keep_listening
-
     async def slow(*ways: Any) -> None:
         await asyncio.sleep(0.1)
         await keep_listening(*ways)
 
-    monkeypatch.setattr(monitor_live, "keep_listening", slow)
+    monkeypatch.setattr("dpstack.cli.listening.monitor_live.keep_listening", slow)
     summary = cli.jsons("monitor", "--port", speaking.path, "--baud", "500000", "--seconds", "0.12")[-1]
     assert summary["seconds"] >= 0.12
 
