@@ -43,6 +43,7 @@ _COMMANDS = {
     "wireshark": "dissector and extcap program for the Wireshark that is there: install, remove, where",
     "ports": "serial adapters with their lasting path, chip and holder",
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
+    "drives": "the drives and devices that are known here, and the packages that bring them",
     "gsd": "GSD files: show, check, configure",
     "completion": "the completion script for bash, zsh or fish",
 }

@@ -64,6 +64,12 @@ def places() -> dict[str, str]:
     return {name: point.value for name, point in _points().items()}
 
 
+def origins() -> dict[str, str]:
+    """The package that brings each drive, with its version: name -> ``dpstack 1.0``. None is imported for it."""
+    dists = {name: point.dist for name, point in _points().items()}
+    return {name: "" if dist is None else f"{dist.name} {dist.version}" for name, dist in dists.items()}
+
+
 def refresh() -> None:
     """Forget what was found; the next call looks again."""
     _points.cache_clear()

@@ -29,6 +29,10 @@ _T = TypeVar("_T")
 _LISTED = 40
 #: answer that ends the modules or the parameters
 _DONE: Final = "done"
+#: answer that takes the module of the last slot away
+_BACK: Final = "back"
+#: modules named in a message about an answer that several of them begin with
+_NAMED: Final = 6
 
 
 def run(file: GsdFile, path: str, beside: str | None = None) -> int:
@@ -141,8 +145,9 @@ class _Dialogue:
             if len(device.modules) <= _LISTED:
                 self._list_modules("")
             say(
-                "a module is its name or number; /text lists those whose name contains text, ? lists all, "
-                "- is an empty slot, an empty line or done ends"
+                "a module is its name, the beginning of one name only, or its number; /text lists those whose name "
+                "contains text, ? lists all, - is an empty slot, back returns to the slot before, an empty line or "
+                "done ends"
             )
         while self._room(chosen):
             answer = self._ask(
@@ -150,7 +155,10 @@ class _Dialogue:
             )
             if answer == _DONE:
                 break
-            chosen.append(answer if isinstance(answer, Module) else None)
+            if answer == _BACK:
+                chosen.pop()
+            else:
+                chosen.append(answer if isinstance(answer, Module) else None)
         return chosen
 
     def _room(self, chosen: list[Module | None]) -> bool:
@@ -168,16 +176,39 @@ class _Dialogue:
         return f"slot {number}{hint}: "
 
     def _slot(self, chosen: list[Module | None], answer: str) -> Module | str | None:
-        """A module, None for an empty slot, or ``done``."""
+        """A module, None for an empty slot, ``done`` or ``back``."""
+        if answer == _BACK and not self._device.modules_named(answer):
+            if len(chosen) == len(fixed_modules(self._device)):
+                raise GsdError("this is the first slot that can be chosen")
+            return _BACK
         if answer == _DONE and not self._device.modules_named(answer):
             if not any(chosen):
                 raise GsdError("no module is chosen yet; type a name or a number, ? lists them")
             return _DONE
-        module = None if answer == "-" else find_module(self._device, answer)
+        module = None if answer == "-" else self._module(answer)
         module_key(self._device, module)
         if module is not None:
             plug(self._device, [*chosen, module])
         return module
+
+    def _module(self, answer: str) -> Module:
+        """The module with this name or number, else the only one whose name begins with it, whatever case and blanks.
+
+        Raises GsdError.
+        """
+        device = self._device
+        beginning = _squeezed(answer)
+        named = [module for module in device.modules if _squeezed(module.name).startswith(beginning)]
+        if not named or device.modules_named(answer) or _is_number(device, answer):
+            return find_module(device, answer)
+        names = list(dict.fromkeys(module.name for module in named))
+        if len(names) > 1:
+            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+            raise GsdError(
+                f"{len(names)} modules begin with {answer!r}: {', '.join(names[:_NAMED])}{more}; type more of the name"
+            )
+        say(f"  {names[0]}")
+        return find_module(device, names[0])
 
     def _list_modules(self, part: str) -> None:
         """Print the modules whose name, info text or number contains ``part``; all where it is empty."""
@@ -236,6 +267,16 @@ def _seen_from(path: str, config: str) -> str:
 def _places(device: Device, modules: list[Module | None] | tuple[Module, ...]) -> str:
     numbered = enumerate(modules, device.first_slot)
     return ", ".join(f"slot {n} {module.name}" for n, module in numbered if module is not None)
+
+
+def _squeezed(name: str) -> str:
+    """``name`` without blanks and in one case."""
+    return folded(name).replace(" ", "")
+
+
+def _is_number(device: Device, answer: str) -> bool:
+    """Whether ``answer`` is the reference number of a module."""
+    return answer.isdecimal() and len(answer) < 12 and device.module_numbered(int(answer)) is not None
 
 
 def _yes(answer: str) -> bool:

@@ -381,6 +381,22 @@ def test_configure_puts_modules_behind_the_fixed_presets(small: str, configure: 
     assert parse_config(BUS + out, "plant.toml").slaves[0].params.config.hex() == "001121"
 
 
+def test_configure_takes_the_beginning_of_a_name_and_goes_back(configure: Configure) -> None:
+    out, err = configure(WHOLE, "valves\n8\nn\nback\n8di\n8 D\n8d\n-\nback\nback\n8do\n8DI\n\n")
+    assert 'modules = ["8 DO", "8 DI"]\n' in out
+    assert "this is the first slot that can be chosen" in err
+    assert err.count("2 modules begin with '8") == 2
+    assert "begin with '8 D': 8 DI, 8 DO; type more of the name" in err
+    assert err.count("slot 1: ") == 3
+    assert err.count("  8 DI\n") == 2  # the name in full
+
+
+def test_configure_goes_back_to_the_fixed_presets_only(small: str, configure: Configure) -> None:
+    out, err = configure(small, "\n8\nback\n10\nback\n12\ndone\n")
+    assert 'modules = ["HEAD 7", "6ES7 322-1BH00-0AA0 16DO"]\n' in out
+    assert err.count("this is the first slot that can be chosen") == 1
+
+
 def test_a_preset_that_is_not_fixed_is_taken_and_more_behind_it(configure: Configure) -> None:
     assert 'modules = ["8 DO", "8 DI"]\n' in configure(WHOLE, "valves\n8\ny\n8 DI\n\n")[0]
 
