@@ -8,12 +8,13 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 from dpstack.errors import UnknownAttribute, UsageError
+from dpstack.text import brief
 
 
 def whole_number(what: str, value: Any, error: type[Exception] = UsageError) -> int:
     """``value`` where it is a whole number; the caller checks ranges. Raises ``error``."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise error(f"{what} = {value!r} is no whole number: give one, 47 or 0x2F for instance")
+        raise error(f"{what} = {brief(value)} is no whole number: give one, 47 or 0x2F for instance")
     return value
 
 
@@ -24,14 +25,16 @@ def octets(what: str, value: Any, error: type[Exception] = UsageError) -> bytes:
             return bytes(value)
         except (TypeError, ValueError):
             pass
-    raise error(f"{what} = {value!r} is no octets: give bytes, b'\\x01\\x02' or bytes.fromhex('01 02') for instance")
+    raise error(
+        f"{what} = {brief(value)} is no octets: give bytes, b'\\x01\\x02' or bytes.fromhex('01 02') for instance"
+    )
 
 
 def functions(who: str, error: type[Exception] = UsageError, /, **functions: object) -> None:
     """Raises ``error`` for an argument that is neither None nor callable; the first one must not be None."""
     for at, (name, value) in enumerate(functions.items()):
         if not callable(value) and (value is not None or not at):
-            raise error(f"{who}: {name} = {value!r} is no function")
+            raise error(f"{who}: {name} = {brief(value)} is no function")
 
 
 def plain_function(what: str, value: object, example: str, error: type[Exception] = UsageError) -> None:
@@ -40,7 +43,7 @@ def plain_function(what: str, value: object, example: str, error: type[Exception
     ``example``: a call with such a function.
     """
     if not callable(value):
-        raise error(f"{what} = {value!r} is no function: give one, {example} for instance")
+        raise error(f"{what} = {brief(value)} is no function: give one, {example} for instance")
     if inspect.iscoroutinefunction(value):
         raise error(f"{what} is an async function, whose result nobody awaits: give a plain one (def, lambda)")
 
@@ -48,7 +51,7 @@ def plain_function(what: str, value: object, example: str, error: type[Exception
 def instance(what: str, value: object, kind: type, example: str, error: type[Exception] = UsageError) -> None:
     """Raises ``error`` unless ``value`` is a ``kind``. ``example``: one, or a call that takes one."""
     if not isinstance(value, kind):
-        raise error(f"{what} = {value!r} is no {kind.__name__}: give one, {example} for instance")
+        raise error(f"{what} = {brief(value)} is no {kind.__name__}: give one, {example} for instance")
 
 
 def is_number(value: object) -> bool:
@@ -59,7 +62,7 @@ def is_number(value: object) -> bool:
 def seconds(what: str, value: object) -> None:
     """Raises UsageError unless ``value`` is a number of seconds, or None."""
     if value is not None and not is_number(value):
-        raise UsageError(f"{what} = {value!r} is no time: give a number of seconds, 2.5 for instance")
+        raise UsageError(f"{what} = {brief(value)} is no time: give a number of seconds, 2.5 for instance")
 
 
 class Sealed:

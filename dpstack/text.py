@@ -90,6 +90,11 @@ def shortened(text: str, most: int = 60) -> str:
     return f"{kept}..."
 
 
+def brief(value: object) -> str:
+    """``value`` in a message about it: its representation, cut where it would hide what follows."""
+    return shortened(repr(value))
+
+
 def json_text(value: object, *, encoding: str = "utf-8", **how: object) -> str:
     """``value`` as JSON on one line. Characters that are not plain, or not in ``encoding``, are escaped.
 

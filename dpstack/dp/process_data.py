@@ -18,7 +18,7 @@ from fractions import Fraction
 from typing import Final
 
 from dpstack.errors import ConfigError, UsageError
-from dpstack.text import shortened
+from dpstack.text import brief, shortened
 
 #: the value of a field
 Value = bool | int | float | bytes
@@ -172,7 +172,7 @@ class Field:
         if self.is_scaled:
             raw = self._nearest_raw(value)
         elif isinstance(value, bool) or not isinstance(value, int):
-            raise ValueError(f"{self.name} is {self.type}, a whole number: {value!r} is none")
+            raise ValueError(f"{self.name} is {self.type}, a whole number: {brief(value)} is none")
         else:
             raw = value
         low, high = self._raw_limits
@@ -201,7 +201,7 @@ class Field:
 
     def _number(self, value: object) -> int | float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"{self.name} is {self.type}, a number: {value!r} is none")
+            raise ValueError(f"{self.name} is {self.type}, a number: {brief(value)} is none")
         return value
 
     def _float_octets(self, value: object, codec: struct.Struct) -> bytes:
@@ -213,7 +213,7 @@ class Field:
                 return codec.pack(raw)
         except OverflowError:
             pass
-        raise ValueError(f"{self.name} = {value!r} is no number that {self.type} can hold{self._scale_text}")
+        raise ValueError(f"{self.name} = {brief(value)} is no number that {self.type} can hold{self._scale_text}")
 
     @property
     def _scale_text(self) -> str:

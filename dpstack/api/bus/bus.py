@@ -29,6 +29,7 @@ from dpstack.drivers.snapshots import BusSnapshot
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import BusParams
+from dpstack.text import brief
 from dpstack.trace import Severity
 from dpstack.units import baud_text
 
@@ -459,10 +460,10 @@ def check_arguments(config: object, slaves: object, on_event: object, world: obj
     """Raises ConfigError for arguments of another type, and for one whose name is not known."""
     if not isinstance(config, (str, os.PathLike, Config, type(None))):
         raise ConfigError(
-            f"open_bus: {config!r} is no configuration: give the path of a file, or port=, baud= and slaves="
+            f"open_bus: {brief(config)} is no configuration: give the path of a file, or port=, baud= and slaves="
         )
     if isinstance(slaves, (str, Mapping)) or not isinstance(slaves, Iterable):
-        raise ConfigError(f"open_bus: slaves = {slaves!r} is no list: write slaves=[{{'name': 'fan', ...}}]")
+        raise ConfigError(f"open_bus: slaves = {brief(slaves)} is no list: write slaves=[{{'name': 'fan', ...}}]")
     if on_event is not None:
         plain_function("open_bus: on_event", on_event, "on_event=print", ConfigError)
     if world is not None:

@@ -8,6 +8,7 @@ from msgspec import Struct
 
 from dpstack.api.config.table import Key, Source, Table, is_integer, keys_of
 from dpstack.params import BUS_LIMITS, MAX_STATION
+from dpstack.text import brief
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
 #: the baud rate is found by listening (see :mod:`dpstack.api.bus.find_baud`); echo is recognised
@@ -58,7 +59,7 @@ def _other_masters(table: Table, name: str, key: Key) -> object:
         if not number or not 0 <= member <= _MAX_CYCLE_MS:
             table.fail(
                 name,
-                f"{name} holds {member!r}",
+                f"{name} holds {brief(member)}",
                 f"give the bus rotation time of each other master in ms (0..{_MAX_CYCLE_MS}), or how many there are",
             )
     return tuple(float(member) for member in value)
@@ -71,7 +72,7 @@ def _cpu(table: Table, name: str, key: Key) -> object:
     numbers = value if isinstance(value, (list, tuple)) else ()
     if not numbers or not all(is_integer(number) and key.low <= number <= key.high for number in numbers):
         table.fail(
-            name, f"{name} = {value!r}", "give the number of a processor, 0 for the first one, or a list of them"
+            name, f"{name} = {brief(value)}", "give the number of a processor, 0 for the first one, or a list of them"
         )
     return tuple(sorted(set(numbers)))
 
@@ -88,7 +89,7 @@ def _echo(table: Table, name: str, key: Key) -> object:
     if echo == AUTO:
         return None
     if not isinstance(echo, bool):
-        table.fail(name, f"{name} = {echo!r}", 'it must be "auto", true or false')
+        table.fail(name, f"{name} = {brief(echo)}", 'it must be "auto", true or false')
     return echo
 
 

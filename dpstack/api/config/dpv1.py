@@ -13,6 +13,7 @@ from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS, DPV1_ENABLE, Dpv1
 from dpstack.dp.pdu.layouts import MAX_RECORD, Layout
 from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, DPV1_STATUS_LEN, alarm_kinds
+from dpstack.text import brief
 from dpstack.units import NS_PER_MS
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def _alarms(table: Table, key: str, _: Key) -> tuple[str, ...]:
     given = table.raw(key)
     kinds = f"it is a list of these: {', '.join(ALARMS)}"
     if not isinstance(given, (list, tuple)):
-        table.fail(key, f"{key} = {given!r}", kinds)
+        table.fail(key, f"{key} = {brief(given)}", kinds)
     for name in given:
         if not isinstance(name, str) or name not in ALARMS:
             table.fail(key, f"{key} holds {name!r}, which is none", kinds)
@@ -162,7 +163,7 @@ def _type(table: Table, name: str, key: Key) -> int:
         return table.integer(name, key.low, key.high)
     numbers = {text: number for number, text in NAMES.items()}
     if given not in numbers:
-        table.fail(name, f"there is no type {given!r}", f"a number, or one of these: {', '.join(numbers)}")
+        table.fail(name, f"there is no type {brief(given)}", f"a number, or one of these: {', '.join(numbers)}")
     return numbers[given]
 
 

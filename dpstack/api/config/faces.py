@@ -10,13 +10,16 @@ from msgspec import Struct, structs
 
 from dpstack.api.config.table import Key, Source, Table, keys_of
 from dpstack.errors import UsageError
+from dpstack.text import brief
 
 
 def read_names(table: Table, name: str, _: Key) -> object:
     """Reader of a list of texts, such as ``allow_commands``."""
     value = table.raw(name)
     if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
-        table.fail(name, f"{name} = {value!r} is no list of texts", 'write for instance ["valves.lamp", "hoist.*"]')
+        table.fail(
+            name, f"{name} = {brief(value)} is no list of texts", 'write for instance ["valves.lamp", "hoist.*"]'
+        )
     return tuple(value)
 
 
@@ -78,7 +81,7 @@ def read_listen(table: Table, name: str, _: Key) -> object:
     value = table.raw(name)
     try:
         if not isinstance(value, str):
-            raise UsageError(f"{name} = {value!r} is no text")
+            raise UsageError(f"{name} = {brief(value)} is no text")
         Listen.parse(value, name)
     except UsageError as error:
         what = str(error).partition("; ")[0]

@@ -18,7 +18,7 @@ from dpstack.gsd.configuration import Configuration, configure
 from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.model import Device
 from dpstack.gsd.prm import MAY_REFUSE, Reading, UserPrm
-from dpstack.text import octets_text
+from dpstack.text import brief, octets_text
 
 _OTHER: Final = {Reading.REFS: Reading.CONST, Reading.CONST: Reading.REFS}
 #: most octet numbers in a message about two readings of a file
@@ -139,6 +139,6 @@ def _contradictions_note(reading: Reading, octets: bytes, others: bytes) -> str:
 def _set_parameters(table: Table, parameters: Mapping[str, object], prm: UserPrm) -> None:
     for name, wanted in parameters.items():
         if not isinstance(wanted, (int, str)):
-            table.fail("parameters", f"parameter {name!r} = {wanted!r}", "give a number or a text of its list")
+            table.fail("parameters", f"parameter {name!r} = {brief(wanted)}", "give a number or a text of its list")
         with table.blaming("parameters"):
             prm.set(name, wanted)

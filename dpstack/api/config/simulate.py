@@ -10,6 +10,7 @@ from typing import Annotated, Final, TypedDict
 
 from dpstack.api.config.table import Key, Table, keys_of
 from dpstack.errors import ConfigError
+from dpstack.text import brief
 from dpstack.units import NS_PER_MS
 
 _FUNCTION: Final = re.compile(r"[^\W\d]\w*(?:\.[^\W\d]\w*)*:[^\W\d]\w*(?:\.[^\W\d]\w*)*")
@@ -73,7 +74,7 @@ def read_simulate(table: Table, *, drive: bool) -> SimulateConfig | None:
         if key in given and other not in given:
             inside.fail(key, f"{key} without {other}", f"leave {key} out")
     if function is not None and not _FUNCTION.fullmatch(function):
-        inside.fail("function", f"function = {function!r}", 'write module:function, for instance "tank:inputs"')
+        inside.fail("function", f"function = {brief(function)}", 'write module:function, for instance "tank:inputs"')
     return SimulateConfig(
         folder=table.folder,
         recording=None if recording is None else table.folder / recording,

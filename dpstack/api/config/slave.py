@@ -33,6 +33,7 @@ from dpstack.errors import ConfigError, UsageError
 from dpstack.gsd.dpv1_keywords import NO_GSD, DpV1
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION, UNADDRESSED
+from dpstack.text import brief
 from dpstack.units import ms_text
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ def _ident(table: Table, name: str, key: Key) -> object:
         return table.table(name).read(keys_of(IdentKeys))
     if isinstance(value, str):
         if value.strip().lower() != "ask":
-            table.fail(name, f"{name} = {value!r}", 'give a number like 0x0696, or "ask"')
+            table.fail(name, f"{name} = {brief(value)}", 'give a number like 0x0696, or "ask"')
         return None
     return table.integer(name, key.low, key.high, key.hint)
 

@@ -14,6 +14,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
 from dpstack.gsd.identifiers import io_lengths
+from dpstack.text import brief
 
 if TYPE_CHECKING:
     from dpstack.gsd.model import Device
@@ -61,7 +62,7 @@ def modules_of(table: Table, name: str, _: Key) -> list[int | str]:
     """Reader of ``modules``."""
     value = table.raw(name)
     if not isinstance(value, list) or not all(isinstance(one, str) or is_integer(one) for one in value):
-        table.fail(name, f"{name} = {value!r} is no list of names and numbers", 'write modules = ["8 DO", 12]')
+        table.fail(name, f"{name} = {brief(value)} is no list of names and numbers", 'write modules = ["8 DO", 12]')
     return list(value)
 
 

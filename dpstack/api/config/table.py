@@ -32,6 +32,7 @@ from msgspec import Struct, structs
 from dpstack.api.config.toml import Path as KeyPath
 from dpstack.api.config.toml import quoted
 from dpstack.errors import ConfigError, PduError
+from dpstack.text import brief
 
 if TYPE_CHECKING:
     from dpstack.gsd.model import Device
@@ -199,7 +200,7 @@ class Table:
     def _wrong(self, key: str, wanted: str) -> NoReturn:
         value = self._data.get(key)
         kind = _KINDS.get(type(value), type(value).__name__)
-        self.fail(key, f"{key} = {value!r} is {kind}", f"it must be {wanted}")
+        self.fail(key, f"{key} = {brief(value)} is {kind}", f"it must be {wanted}")
 
     def text(self, key: str) -> str:
         """A text that is not empty and has no line ends or other control characters."""
@@ -207,7 +208,7 @@ class Table:
         if not value.strip():
             self.fail(key, f"{key} is empty", "give it a value or leave it out")
         if not value.isprintable():
-            self.fail(key, f"{key} = {value!r} holds a control character", "take it out")
+            self.fail(key, f"{key} = {brief(value)} holds a control character", "take it out")
         return value
 
     def _flag(self, key: str) -> bool:
@@ -231,7 +232,7 @@ class Table:
         value = self.text(key)
         if value not in known:
             *others, last = map(quoted, known)
-            self.fail(key, f"unknown {key} {value!r}", f"it must be {', '.join(others)} or {last}")
+            self.fail(key, f"unknown {key} {brief(value)}", f"it must be {', '.join(others)} or {last}")
         return value
 
     def _integers(self, key: str, low: float, high: float) -> tuple[int, ...]:
@@ -272,7 +273,7 @@ class Table:
         try:
             return parse_hex(text)
         except ValueError as error:
-            raise self.error(key, f"{key} = {text!r} is no hex ({error})", 'write octets like "20 10"') from None
+            raise self.error(key, f"{key} = {brief(text)} is no hex ({error})", 'write octets like "20 10"') from None
 
 
 def is_integer(value: object) -> bool:

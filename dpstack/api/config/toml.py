@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from dpstack.errors import ConfigError
-from dpstack.text import is_plain, long_escape, printable
+from dpstack.text import brief, is_plain, long_escape, printable
 
 if TYPE_CHECKING:
     import tomllib
@@ -200,7 +200,9 @@ def toml_value(value: object, depth: int = 1) -> str:
             return f"{{ {inside} }}" if inside else "{}"
         case Sequence():
             return "[" + ", ".join(toml_value(one, depth + 1) for one in value) + "]"
-    raise ConfigError(f"{value!r} cannot stand in a TOML file; give a text, a number, true or false, a list or a table")
+    raise ConfigError(
+        f"{brief(value)} cannot stand in a TOML file; give a text, a number, true or false, a list or a table"
+    )
 
 
 def table_lines(header: str, keys: Mapping[str, object], remarks: Mapping[str, str] | None = None) -> list[str]:

@@ -24,7 +24,7 @@ from dpstack.api.server.fault_steps import KINDS, Deed, End, Kind
 from dpstack.api.server.simulated_inputs import SimulatedInputs
 from dpstack.api.server.virtual_bench import Bench
 from dpstack.errors import ConfigError, DpError
-from dpstack.text import shortened
+from dpstack.text import brief, shortened
 from dpstack.trace import Event
 from dpstack.units import ns_to_s, s_to_ns
 
@@ -191,7 +191,7 @@ def _args(table: Table, name: str, _: Key) -> list[str]:
     value = table.raw(name)
     if not isinstance(value, list) or not all(isinstance(one, (str, int, float)) for one in value):
         table.fail(
-            name, f"{name} = {value!r} is no list", 'write the words of the command, for instance args = ["0.6"]'
+            name, f"{name} = {brief(value)} is no list", 'write the words of the command, for instance args = ["0.6"]'
         )
     return [("on" if one else "off") if isinstance(one, bool) else str(one) for one in value]
 

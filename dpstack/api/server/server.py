@@ -44,6 +44,7 @@ from dpstack.params import UNADDRESSED, BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.ports import open_port
 from dpstack.sim.world import World
+from dpstack.text import brief
 from dpstack.trace import Event
 from dpstack.units import baud_text, ns_to_s
 
@@ -303,7 +304,7 @@ class ServedSlave(Sealed):
         given = tuple(states) if isinstance(states, Iterable) else (states,)
         if not given or any(not isinstance(state, int) or state not in range(4) for state in given):
             raise UsageError(
-                f"{states!r} is no list of ModuleState: ModuleState.OK, .INVALID, .WRONG or .MISSING for each"
+                f"{brief(states)} is no list of ModuleState: ModuleState.OK, .INVALID, .WRONG or .MISSING for each"
             )
         self._alarm_server().status(module_status(tuple(ModuleState(state) for state in given)))
 

@@ -25,6 +25,7 @@ from dpstack.api.server.virtual_bench import Bench, SimulatedSlave, VirtualBench
 from dpstack.api.user_code import load_object
 from dpstack.errors import ConfigError, DpError, UsageError
 from dpstack.record.reader import Recording
+from dpstack.text import brief
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s, s_to_ns
 
@@ -265,7 +266,7 @@ class _Calls:
             what, _, todo = str(error).partition("; ")
             raise given.error("function", what, todo) from None
         if not callable(function):
-            raise given.error("function", f"{given.function!r} is no function", "name a function")
+            raise given.error("function", f"{brief(given.function)} is no function", "name a function")
         self._requests: queue.SimpleQueue[tuple[float, object] | None] = queue.SimpleQueue()
         self._results: queue.SimpleQueue[_Result] = queue.SimpleQueue()
         self._is_running = self._is_overdue = False

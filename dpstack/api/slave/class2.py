@@ -35,6 +35,7 @@ from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import ConfigError, ConnectionEnded, PduError, UsageError
 from dpstack.gsd.dpv1_keywords import NO_GSD, DpV1
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
+from dpstack.text import brief
 from dpstack.units import ns_to_s
 
 #: Slave_Diag of the slave at an address
@@ -218,7 +219,7 @@ class Class2(Sealed):
             return self._find(slave).address
         address = getattr(slave, "address", None)
         if not isinstance(address, int):
-            raise UsageError(f"{slave!r} is no slave: give its address, 0..126, its name, or bus.slave(...)")
+            raise UsageError(f"{brief(slave)} is no slave: give its address, 0..126, its name, or bus.slave(...)")
         return address
 
     def _check_settable(self, old: int, new: int, ident: int | None) -> None:

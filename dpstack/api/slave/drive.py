@@ -22,6 +22,7 @@ from dpstack.dp.master.events import FaultKind
 from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import DriveCore, DriveStatus, ListedParam
 from dpstack.profile.model.jobs import LARGEST
+from dpstack.text import brief
 
 #: seconds: the plugin checks time-outs once a rotation; after this time its answer is late
 _GRACE: Final = 0.25
@@ -131,7 +132,7 @@ class Drive(Sealed, Readable):
 
     def _set(self, op: str, value: float, reference: float) -> None:
         if not is_number(value):
-            raise UsageError(f"drive {self.name}: {op} = {value!r} is no number: give one, 0.5 for instance")
+            raise UsageError(f"drive {self.name}: {op} = {brief(value)} is no number: give one, 0.5 for instance")
         if LARGEST < abs(value) < math.inf:
             raise UsageError(f"drive {self.name}: {op} must be a number up to {LARGEST:g}")
         value = float(value)
@@ -207,7 +208,9 @@ class Drive(Sealed, Readable):
         refuses. Raises the other errors of :meth:`read`.
         """
         if isinstance(parameters, str) or not isinstance(parameters, Iterable):
-            raise UsageError(f"parameters = {parameters!r} is no list: read_many([480, 'F26', ParameterPlace(...)])")
+            raise UsageError(
+                f"parameters = {brief(parameters)} is no list: read_many([480, 'F26', ParameterPlace(...)])"
+            )
         tables = [one.as_dict() if isinstance(one, ParameterPlace) else {"number": one} for one in parameters]
         found = (await self._order("read_many", timeout, parameters=tables)).get("values")
         if not isinstance(found, (list, tuple)):

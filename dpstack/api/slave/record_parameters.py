@@ -35,6 +35,7 @@ from dpstack.profile.record47 import (
     read_out,
     texts,
 )
+from dpstack.text import brief
 from dpstack.units import NEVER, NS_PER_S, s_to_ns
 
 T = TypeVar("T")
@@ -170,11 +171,11 @@ def drive_error(name: str, kind: object, text: object, number: object = None) ->
 def _wanted(items: Iterable[Address | Item | int]) -> list[Address | Item]:
     """``items`` as a list of addresses. Raises UsageError for anything else."""
     if not isinstance(items, Iterable) or isinstance(items, (Address, Item, str)):
-        raise UsageError(f"{items!r} is no list of parameters: give for instance [930, Address(964, 0, 7)]")
+        raise UsageError(f"{brief(items)} is no list of parameters: give for instance [930, Address(964, 0, 7)]")
     found = list(items)
     wrong = next((one for one in found if not isinstance(one, (Address, Item, int))), None)
     if wrong is not None:
-        raise UsageError(f"{wrong!r} is no parameter: give its number, or Address(pnu, subindex, elements)")
+        raise UsageError(f"{brief(wrong)} is no parameter: give its number, or Address(pnu, subindex, elements)")
     return [Address(one) if isinstance(one, int) else one for one in found]
 
 

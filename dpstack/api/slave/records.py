@@ -16,6 +16,7 @@ from dpstack.dpv1.pdu.error_codes import AGAIN, Decode
 from dpstack.dpv1.pdu.read_write import Function, ReadReq, WriteReq
 from dpstack.dpv1.timeouts import service_timeout
 from dpstack.errors import AcyclicError, PduError, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
+from dpstack.text import brief
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
@@ -172,7 +173,7 @@ class RecordAccess(abc.ABC):
         from dpstack.dpv1.pdu.im import IM_INDEX, RECORDS, Im0, build_call, number_of  # here, as few programs write it
 
         if not isinstance(record, RECORDS):
-            raise UsageError(f"{record!r} is no I&M record: give Im1(tag_function=...), Im2(date=...), Im3 or Im4")
+            raise UsageError(f"{brief(record)} is no I&M record: give Im1(tag_function=...), Im2(date=...), Im3 or Im4")
         if isinstance(record, Im0):
             raise UsageError("I&M0 is what the device is: it cannot be written")
         try:

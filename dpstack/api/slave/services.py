@@ -18,6 +18,7 @@ from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
 from dpstack.dp.master.scanner import ScanDone
 from dpstack.dpv1.master.orders import CloseConnection, ConnectionOver, ConnectionsClosed, RecordDone
 from dpstack.errors import BusError, DpError, UsageError
+from dpstack.text import brief
 from dpstack.trace import Event
 from dpstack.units import s_to_ns
 
@@ -35,7 +36,7 @@ class TokenOrder(Protocol):
 def time_of(seconds: float, what: str = "timeout") -> int:
     """A timeout of the user in ns. Raises UsageError unless it is a number of seconds from 0 on."""
     if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds < math.inf:
-        raise UsageError(f"{what} = {seconds!r} is no time for a service: seconds are wanted, 0 or more")
+        raise UsageError(f"{what} = {brief(seconds)} is no time for a service: seconds are wanted, 0 or more")
     return s_to_ns(seconds)
 
 

@@ -20,6 +20,7 @@ from typing import Any, Final, Self, TypeAlias, TypeVar, dataclass_transform, ge
 
 from dpstack.dp.process_data import Field, FieldMap, field_of, with_scale
 from dpstack.errors import ConfigError, UsageError
+from dpstack.text import brief
 
 Bool: TypeAlias = bool
 Int: TypeAlias = int
@@ -93,7 +94,9 @@ def typed(base: type[_Typed], kind: type[K]) -> type[K]:
     """``kind``. Raises UsageError where it is no class of ``base``, :class:`Inputs` or :class:`Outputs`."""
     if not isinstance(kind, type) or not issubclass(kind, base):
         name = base.__name__
-        raise UsageError(f"{kind!r} is no class of {name.lower()}: write class Tank(dpstack.{name}): level: Int = at()")
+        raise UsageError(
+            f"{brief(kind)} is no class of {name.lower()}: write class Tank(dpstack.{name}): level: Int = at()"
+        )
     return kind
 
 

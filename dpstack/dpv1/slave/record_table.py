@@ -17,6 +17,7 @@ from dpstack.dpv1.pdu.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.dpv1.slave.record_requests import Asker, RecordRequest, Records, ask_records
 from dpstack.errors import PduError
+from dpstack.text import brief
 
 
 class RecordTable:
@@ -140,11 +141,11 @@ class ImRecords:
 
 def _of_one_slot(records: Iterable[Im]) -> dict[int, Im]:
     if isinstance(records, (*RECORDS, str)) or not isinstance(records, Iterable):
-        raise PduError(f"I&M = {records!r} is no list: write [Im0(order_id=...), Im1()]")
+        raise PduError(f"I&M = {brief(records)} is no list: write [Im0(order_id=...), Im1()]")
     given = tuple(records)
     for record in given:
         if not isinstance(record, RECORDS):
-            raise PduError(f"{record!r} is no I&M record: give Im0(order_id=...), Im1(), Im2(), Im3() or Im4()")
+            raise PduError(f"{brief(record)} is no I&M record: give Im0(order_id=...), Im1(), Im2(), Im3() or Im4()")
     found = {number_of(record): record for record in given}
     bits = sum(1 << number for number in found if number)
     known = found.get(0, Im0())

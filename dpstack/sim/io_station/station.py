@@ -48,6 +48,7 @@ from dpstack.errors import AlarmError, ConfigError
 from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named
+from dpstack.text import brief
 
 PARAMETERS: Final = 1
 STATE: Final = 2
@@ -174,7 +175,7 @@ class IoStation(DpSlave):
     def of(cls, modules: Sequence[str], name: str = "io-station") -> IoStation:
         """A station with these modules plugged, by name from slot 1 on, "" for an empty slot. Raises ConfigError."""
         if isinstance(modules, (str, bytes)) or not isinstance(modules, Iterable):
-            raise ConfigError(f'I/O station {name}: modules = {modules!r} is no list: write ["8 DI", "8 DO"]')
+            raise ConfigError(f'I/O station {name}: modules = {brief(modules)} is no list: write ["8 DI", "8 DO"]')
         try:
             config = bytes(module_named(module).config if module else EMPTY for module in modules)
         except ValueError as error:

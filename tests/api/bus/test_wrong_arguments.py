@@ -32,7 +32,13 @@ class Bits(dpstack.Inputs):
     level: dpstack.Bool = at(0, "u8")
 
 
+#: a whole configuration, which a message must not print before its remedy
+WHOLE = {"bus": {"port": "virtual"}, "slave": [{"name": f"s{n}", "address": n} for n in range(3, 99)]}
 OPENED: list[tuple[Any, dict[str, Any], str]] = [
+    (WHOLE, {}, "... is no configuration: give the path of a file, or port=, baud= and slaves="),
+    (None, {"baud": WHOLE}, "... is a table; it must be an integer"),
+    (None, {"baud": 500_000, "slaves": WHOLE}, "... is no list: write slaves=[{'name': 'fan', ...}]"),
+    (None, {"baud": 500_000, "world": WHOLE}, "... is no World: give one, world = dpstack.World() for instance"),
     ({"bus": {}}, {}, "open_bus: {'bus': {}} is no configuration: give the path of a file, or port=, baud= and slaves"),
     (None, {"baudrate": 500_000}, "open_bus: unknown argument 'baudrate'; did you mean 'baud'?"),
     (None, {"baud": 500_000, "slave": [TANK]}, "open_bus: unknown argument 'slave'; did you mean 'slaves'?"),
@@ -50,6 +56,7 @@ def test_open_bus_refuses(config: Any, arguments: dict[str, Any], says: str) -> 
     with pytest.raises(dpstack.ConfigError) as raised:
         dpstack.open_bus(config, port="virtual", **arguments)
     assert says in str(raised.value)
+    assert len(str(raised.value)) < 200
 
 
 Call = Callable[[Any, Any, Any], Any]
