@@ -90,7 +90,22 @@ def test_d20_an_unknown_parameter_is_read_raw_and_its_type_found_before_a_write(
     bench.see("22 BC 00 00 00 00 00 05 02 40 00 00", 2)
     assert bench.see(ZERO + "02 40 00 00", 2).startswith("32 BC 00 00 FF FF FF FE")
     bench.see("22 BC 00 00 FF FF FF FE 02 40 00 00")
-    assert bench.done(token)["raw"] == 0xFFFFFFFE
+    result = bench.done(token)
+    assert (result["value"], result["raw"]) == (-2, -2)
+
+
+def test_d20_a_negative_word_comes_back_as_it_was_written() -> None:
+    """303 is in no table: the drive says that it is a word, and takes FFFB. A number without a sign keeps none."""
+    bench = ppo1()
+    for value, octets in ((-5, "FF FB"), (65_531, "FF FB")):
+        token = bench.order("write", number=303, value=value)
+        bench.run()
+        bench.see("11 2F 00 00 00 00 00 05 02 40 00 00", 2)
+        assert bench.see(ZERO + "02 40 00 00", 2).startswith(f"21 2F 00 00 00 00 {octets}")
+        bench.see(f"11 2F 00 00 00 00 {octets} 02 40 00 00")
+        result = bench.done(token)
+        assert (result["value"], result["raw"]) == (value, value)
+        bench.see(ZERO + "02 40 00 00", 2)
 
 
 @pytest.mark.parametrize(

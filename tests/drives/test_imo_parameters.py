@@ -53,6 +53,16 @@ def test_i3_a_write_is_request_4_with_cw_bit_8() -> None:
     assert any("request 4" in text for text in bench.notices())
 
 
+def test_i3_a_negative_value_comes_back_as_it_was_written() -> None:
+    """P01.47 (address 303, 012Fh) is not in the manual of the card: its type is not known."""
+    bench = quiet()
+    token = bench.order("write", number=303, value=-5)
+    assert bench.see("00 00 00 00 00 00 00 00 " + READY + NOTHING, 2).startswith("00 04 01 2F 00 00 FF FB")
+    bench.see("00 01 01 2F 00 00 FF FB " + READY + NOTHING, 2)
+    result = bench.done(token)
+    assert (result["value"], result["raw"]) == (-5, -5)
+
+
 @pytest.mark.parametrize(
     ("reply", "says", "number"),
     [

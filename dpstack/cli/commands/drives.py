@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from dpstack import __version__
 from dpstack.api.gsd_info import bundled, read_gsd
@@ -37,7 +38,7 @@ def execute(args: argparse.Namespace) -> int:
     return int(bool(broken))
 
 
-def _drives() -> list[dict[str, object]]:
+def _drives() -> list[dict[str, Any]]:
     """``ident`` is null where no manual gives the number."""
     places, origins, files = registry.places(), registry.origins(), bundled()
     return [
@@ -56,9 +57,9 @@ def _drives() -> list[dict[str, object]]:
     ]
 
 
-def _devices() -> list[dict[str, object]]:
+def _devices() -> list[dict[str, Any]]:
     """Those with a GSD file that dpstack brings, and no plugin."""
-    found: list[dict[str, object]] = []
+    found: list[dict[str, Any]] = []
     for name, place in bundled().items():
         if name not in registry.known():
             device = read_gsd(name).device

@@ -352,7 +352,7 @@ class PkwAccess(PkwChannel, ParameterChannel):
             self._stored_writes.admit((ref.pnu, ref.ind), ref.label, self._core.now, ref.spec)
         reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.ind, pwe), ref, deadline)
         self._core.written(ref)
-        return _outcome(ref, reply)
+        return _outcome(ref, reply, value)
 
     def _read(self, ref: ParamRef, deadline: int) -> Steps[Pkw]:
         return self._exchange(Pkw(TaskId.READ_ARRAY if ref.array else TaskId.READ, ref.pnu, ref.ind), ref, deadline)
@@ -384,11 +384,14 @@ class PkwAccess(PkwChannel, ParameterChannel):
         return reply
 
 
-def _outcome(ref: ParamRef, reply: Pkw) -> dict[str, object]:
-    """The id of the reply decides its size, a word or a double word, also where the table has the other type."""
+def _outcome(ref: ParamRef, reply: Pkw, written: float = 0) -> dict[str, object]:
+    """The id of the reply decides its size, a word or a double word, also where the table has the other type.
+    ``written``: the value of a write; a negative one says that a parameter of unknown type has a sign."""
     spec = ref.spec
     bits = 32 if reply.id in (ReplyId.LONG, ReplyId.ARRAY_LONG) else 16
     raw = reply.pwe & (1 << bits) - 1
+    if written < 0 and raw >> bits - 1:
+        raw -= 1 << bits
     value: int | float = raw
     if spec is not None:
         raw = spec.from_wire(reply.pwe, bits)

@@ -24,6 +24,7 @@ from dpstack.profile import (
     PkwDialect,
     Steps,
     StoredWrites,
+    signed16,
 )
 from dpstack_drives.imo import table as t
 
@@ -120,7 +121,7 @@ class ImoAccess(PkwChannel, ParameterChannel):
             raise CommandError("usage", _NO_RAM)
         raw = _raw(number, t.known(number), value)
         reply = yield from self.put(number, raw, deadline)
-        return _outcome(number, reply)
+        return _outcome(number, reply, value)
 
     def get(self, number: int, deadline: int) -> Steps[int]:
         """The value at an address."""
@@ -187,9 +188,12 @@ def _raw(number: int, spec: ParamSpec | None, value: float) -> int:
         raise CommandError("usage", str(error)) from None
 
 
-def _outcome(number: int, reply: Pkw) -> dict[str, object]:
+def _outcome(number: int, reply: Pkw, written: float = 0) -> dict[str, object]:
+    """``written``: the value of a write; a negative one says that a parameter of unknown type has a sign."""
     spec = t.known(number)
     raw = reply.pwe if reply.id == Response.LONG else reply.pwe & 0xFFFF
+    if written < 0:
+        raw = signed16(raw)
     return {
         "value": raw if spec is None else spec.to_value(raw),
         "raw": raw,
