@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, TypeVar, Unpack
 
@@ -45,7 +45,7 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.ports import open_port
 from dpstack.sim.world import World
 from dpstack.text import brief
-from dpstack.trace import Event
+from dpstack.trace import Event, Notice, Severity
 from dpstack.units import baud_text, ns_to_s
 
 T = TypeVar("T")
@@ -333,7 +333,7 @@ class ServedSlave(Sealed):
     def _hint(self) -> str:
         if self.failure is not None:
             return f"its function failed ({self.failure}); correct it and restart() the slave"
-        if self.stats.services + self.stats.exchanges + self.stats.refused == 0:
+        if not _is_spoken_to(self.stats):
             return "no master has spoken to it; check address, baud rate and cable"
         return "its master stopped half-way; look at the slave's events for what was refused"
 
@@ -351,6 +351,11 @@ class ServedSlave(Sealed):
             again(0)
         else:
             self.runtime.command(AtStation(again))
+
+
+def _is_spoken_to(stats: SlaveAppStats) -> bool:
+    """Whether a master has sent a request to the slave."""
+    return stats.services + stats.exchanges + stats.refused > 0
 
 
 def _numbers(type: int, slot: int, specifier: int) -> tuple[int, int, int]:
@@ -403,6 +408,7 @@ class SlaveServer(Sealed):
         #: callback for every event
         self.on_event = on_event
         self._clock = WallClock(lambda: self._runtimes[0].now(), lambda: world is not None)
+        self._world = world
         #: the failure that stopped the server, a defect in dpstack; None without one
         self.failure = None
         self._waiters = Waiters()
@@ -463,7 +469,23 @@ class SlaveServer(Sealed):
                 runtimes.push_async_callback(runtime.close)
 
     def _publish_rest(self) -> None:
-        self._on_events([event for slave in self.slaves for event in slave.station.take_events()])
+        rest: list[Event] = [event for slave in self.slaves for event in slave.station.take_events()]
+        self._on_events([*rest, *self._deaf_slaves()])
+
+    def _deaf_slaves(self) -> Iterator[Notice]:
+        """A notice of each slave that has heard nothing because its world runs at another rate."""
+        world = self._world
+        if world is None or world.baud in (0, self.baud):
+            return
+        for slave in self.slaves:
+            if not _is_spoken_to(slave.stats):
+                yield Notice(
+                    t_ns=self._runtimes[0].now(),
+                    source=f"slave {slave.address} ({slave.name})",
+                    message=f"no master has spoken to it: it was served at {baud_text(self.baud)}, and the bus ran at "
+                    f"{baud_text(world.baud)}; give baud={world.baud}",
+                    severity=Severity.WARNING,
+                )
 
     def _on_events(self, events: list[Event]) -> None:
         self._waiters.check()

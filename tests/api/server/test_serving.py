@@ -21,6 +21,7 @@ from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BusError, ConfigError, SlaveTimeout
 from dpstack.sim.world import World
 from dpstack.slave import DpSlave, SlaveAppState, SlaveDescription
+from dpstack.trace import Notice, Severity
 
 DATA_EXCH, WAIT_PRM = SlaveAppState.DATA_EXCH, SlaveAppState.WAIT_PRM
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig")
@@ -61,6 +62,24 @@ async def test_beside_a_master_in_one_world(world: WorldFactory) -> None:
         assert read.ext == served.diagnosis().ext == b"\x02\x05"
     assert "rig): data_exchange" in " ".join(event.text for event in seen if isinstance(event, SlaveAppStateChanged))
     assert left
+
+
+@in_virtual_time
+async def test_a_slave_at_another_rate_than_its_world_says_so_at_its_end(world: WorldFactory) -> None:
+    """A slave that a master has spoken to says nothing."""
+    w = world()
+    seen: list[dpstack.Event] = []
+    raw = {"name": "raw", "address": 8, "ident": 0x1234, "config": "10 20"}
+    heard = dpstack.slave.serve_slave(DpSlave(RIG, mirror), address=8, baud=500_000, world=w, on_event=seen.append)
+    deaf = dpstack.slave.serve_slave(DpSlave(RIG, mirror), address=9, baud=1_500_000, world=w, on_event=seen.append)
+    async with heard, deaf, dpstack.open_bus(baud=500_000, slaves=[raw], world=w) as bus:
+        await bus.ready()
+    notices = [event for event in seen if isinstance(event, Notice)]
+    assert [event.text for event in notices] == [
+        "slave 9 (rig): no master has spoken to it: it was served at 1.5 Mbit/s, and the bus ran at 500 kbit/s; "
+        "give baud=500000"
+    ]
+    assert notices[0].severity is Severity.WARNING
 
 
 @in_virtual_time
