@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 import unicodedata
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -142,3 +144,18 @@ def assert_printable(text: str) -> None:
 )
 def test_a_text_is_not_cut_within_a_number(text: str, most: int, short: str) -> None:
     assert shortened(text, most) == short
+
+
+def test_no_sentence_begins_with_a_bus_address() -> None:
+    """ "1 does not answer" reads as a count: "station 1", "slave 1 (fan)" or "address 1" stands there."""
+    begins = re.compile(r'f"\{(?:\w+\.)*(?:address|station|sa|da|telegram\.name)\} [a-z]')
+    root = Path(__file__).resolve().parents[1]
+    sources = [path for top in ("dpstack", "drives") for path in (root / top).rglob("*.py")]
+    found = [
+        f"{path.relative_to(root)}: {line.strip()}"
+        for path in sources
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if begins.search(line)
+    ]
+    assert len(sources) > 300
+    assert found == []

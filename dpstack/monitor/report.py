@@ -462,7 +462,7 @@ class Report:
             return "the bus"
         one = (self.summary.get("stations") or {}).get(str(address), {})
         name = one.get("name") or one.get("model")
-        return f"{address} {name}" if name else f"station {address}"
+        return f"{address} ({name})" if name else f"station {address}"
 
     def _max_tsdr_us(self, one: Summary) -> float | None:
         bits, baud = one.get("max_tsdr"), self.summary.get("baud")

@@ -371,7 +371,7 @@ class Referee:
             return _ANSWER
         sa, da, end_ns = pending
         if telegram.fc >= 0 and (telegram.sa != da or telegram.da != sa):
-            text = f"{telegram.sa} answers {telegram.da}, the request was {sa} -> {da}"
+            text = f"station {telegram.sa} answers {telegram.da}, the request was {sa} -> {da}"
             self._add_violation(tx, Rule.UNASKED, text)
             return _ANSWER
         waited = tx.start_ns - end_ns

@@ -440,16 +440,16 @@ class Class2(Provider):
 def check_address(address: int, own: int) -> None:
     """Raises UsageError for an address that no slave can have, beside the station ``own``."""
     if not 0 <= address <= UNADDRESSED:
-        raise UsageError(f"{address} is no address of a slave: 0..{UNADDRESSED} ({UNADDRESSED}: as delivered)")
+        raise UsageError(f"address {address}: a slave has 0..{UNADDRESSED} ({UNADDRESSED}: as delivered)")
     if address == own:
-        raise UsageError(f"{address} is the address of this master itself")
+        raise UsageError(f"address {address} is that of this master itself")
 
 
 def _check_new(old: int, new: int, own: int, master: Master | None) -> None:
     if not 0 <= new <= MAX_STATION:
-        raise UsageError(f"{new} is no address to give to a slave: 0..{MAX_STATION}")
+        raise UsageError(f"address {new} cannot be given to a slave: 0..{MAX_STATION}")
     if new == own:
-        raise UsageError(f"{new} is the address of this master itself: give the slave another one")
+        raise UsageError(f"address {new} is that of this master itself: give the slave another one")
     if new == old:
         raise UsageError(f"the slave has address {new} already: nothing to do")
     if master is not None and old in master.handlers and master.handlers[old].owned:

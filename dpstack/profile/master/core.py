@@ -461,7 +461,7 @@ class DriveCore:
         """The fault that stands in the status word, by name; None while the drive has not yet named it."""
         number = self.word("fault")
         if number is None:
-            return (f"without a name: {self.telegram.name} does not carry it",)
+            return (f"without a name: telegram {self.telegram.name} does not carry it",)
         return (self.fault_names.get(number, f"number {number}"),) if number else None
 
     def warnings(self) -> tuple[str, ...]:

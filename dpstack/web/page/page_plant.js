@@ -118,7 +118,7 @@ class LinePicture {
       if (parts.broken !== broken) parts.remark.replaceChildren(shape(broken));
       parts.broken = broken;
       setAttr(parts.remark, "class", remark && broken !== kind ? null : "gone");
-      setText(parts.title, `${address} ${live.name(address)}: ${stateText(slave)}${remark ? `, ${remark}` : ""}`);
+      setText(parts.title, `slave ${address} (${live.name(address)}): ${stateText(slave)}${remark ? `, ${remark}` : ""}`);
     }
   }
 }

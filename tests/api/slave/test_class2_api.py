@@ -140,9 +140,9 @@ Call = Callable[[Class2], Coroutine[Any, Any, object]]
         (lambda c: c.diagnosis(77), dpstack.SlaveTimeout, "slave 77 does not answer Slave_Diag; check address and"),
         (lambda c: c.inputs(20), dpstack.ServiceRefused, r"slave 20 refuses RD_Inp \(RS\); it is open in data"),
         (lambda c: c.diagnosis("nobody"), dpstack.UsageError, "no slave 'nobody' on this bus; there are: raw"),
-        (lambda c: c.config(127), dpstack.UsageError, "127 is no address of a slave: 0..126"),
-        (lambda c: c.config(2), dpstack.UsageError, "2 is the address of this master itself"),
-        (lambda c: c.set_address(20, 126), dpstack.UsageError, "126 is no address to give to a slave: 0..125"),
+        (lambda c: c.config(127), dpstack.UsageError, "address 127: a slave has 0..126"),
+        (lambda c: c.config(2), dpstack.UsageError, "address 2 is that of this master itself"),
+        (lambda c: c.set_address(20, 126), dpstack.UsageError, "address 126 cannot be given to a slave: 0..125"),
         (lambda c: c.set_address(20, 9), dpstack.SlaveFault, "address 9 is in use: a station answers there"),
         (
             lambda c: c.set_address(20, 21, ident=1),

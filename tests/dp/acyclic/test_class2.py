@@ -203,7 +203,11 @@ def test_the_queue_is_bounded() -> None:
 
 @pytest.mark.parametrize(
     ("address", "text"),
-    [(127, "127 is no address of a slave: 0..126"), (-1, "-1 is no address"), (2, "2 is the address of this master")],
+    [
+        (127, "address 127: a slave has 0..126"),
+        (-1, "address -1: a slave has"),
+        (2, "address 2 is that of this master"),
+    ],
 )
 def test_addresses_that_cannot_be(address: int, text: str) -> None:
     kit = Class2Bus()

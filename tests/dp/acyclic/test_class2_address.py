@@ -214,11 +214,11 @@ def test_a_slave_that_cannot_do_it() -> None:
 @pytest.mark.parametrize(
     ("order", "text"),
     [
-        (ChangeAddress(1, 126, 126), "126 is no address to give to a slave: 0..125"),
-        (ChangeAddress(1, 126, -1), "-1 is no address to give to a slave"),
-        (ChangeAddress(1, 126, 2), "2 is the address of this master itself: give the slave another one"),
-        (ChangeAddress(1, 2, 5), "2 is the address of this master itself"),
-        (ChangeAddress(1, 127, 5), "127 is no address of a slave: 0..126"),
+        (ChangeAddress(1, 126, 126), "address 126 cannot be given to a slave: 0..125"),
+        (ChangeAddress(1, 126, -1), "address -1 cannot be given to a slave"),
+        (ChangeAddress(1, 126, 2), "address 2 is that of this master itself: give the slave another one"),
+        (ChangeAddress(1, 2, 5), "address 2 is that of this master itself"),
+        (ChangeAddress(1, 127, 5), "address 127: a slave has 0..126"),
         (ChangeAddress(1, 5, 5), "the slave has address 5 already"),
         (ChangeAddress(1, 126, 5, rem_slave_data=bytes(241)), "241 octets for the device, 240 are possible"),
         (ChangeAddress(1, 126, 5, ident=0x10000), "ident = 65536 does not fit"),

@@ -311,8 +311,8 @@ def test_misuse_raises_at_once() -> None:
     kit.slave.initiate = bytes.fromhex("57 20 01 00 00 00 00 00 00 02 00 02 00 00 00 00")
     assert kit.open().max_len == 32
     for wrong, what in [
-        (OpenConnection(9, 127), "127 is no address of a slave"),
-        (OpenConnection(9, 2), "2 is the address of this master itself"),
+        (OpenConnection(9, 127), "address 127: a slave has"),
+        (OpenConnection(9, 2), "address 2 is that of this master itself"),
         (OpenConnection(9, 4, InitiateReq(700_000 * MS)), r"a send time-out of 700 s is not possible: 0\.\.655\.35 s"),
         (OpenConnection(9, 4, InitiateReq(0)), "a send time-out of 0 s or less ends a connection at once"),
         (OpenConnection(9, 4, response_ns=-MS), "-0.001 s is no time for an answer"),

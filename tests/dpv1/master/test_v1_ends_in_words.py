@@ -134,8 +134,8 @@ def test_connections_that_cannot_be() -> None:
     assert refusal(lambda: kit.order_open(response_ns=-MS)) == (
         "-0.001 s is no time for an answer: 0 for as long as is usual"
     )
-    assert refusal(lambda: kit.order_open(address=2)) == "2 is the address of this master itself"
-    assert refusal(lambda: kit.order_open(address=127)) == ("127 is no address of a slave: 0..126 (126: as delivered)")
+    assert refusal(lambda: kit.order_open(address=2)) == "address 2 is that of this master itself"
+    assert refusal(lambda: kit.order_open(address=127)) == ("address 127: a slave has 0..126 (126: as delivered)")
     assert connections_of(kit.acyclic) == 0
     for token in range(100, 164):
         kit.send(OpenConnection(token, token % 8 + 3))
