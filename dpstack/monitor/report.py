@@ -236,7 +236,7 @@ class Report:
         rows: dict[str, object] = {
             "Rate": "unknown" if not s.get("baud") else baud_text(s["baud"]),
             "Characters": "8 data bits, even parity, 1 stop bit: 11 bits",
-            "Masters": ", ".join(map(str, sorted(counters.masters))) or "none heard",
+            "Masters, by address": ", ".join(map(str, sorted(counters.masters))) or "none heard",
             "Highest address asked (HSA is at least this)": max(asked, default="none"),
             "GAP polls and FDL status requests": sum(master.gap_polls for master in counters.masters.values()),
         }

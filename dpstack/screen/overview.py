@@ -49,7 +49,8 @@ def _title(view: View, width: int) -> Line:
     ]
     others = [str(master) for master in bus.get("masters") or [] if master != plant.get("address")]
     if others:
-        where.append(piece(f", other masters {', '.join(others)}"))
+        at = "master at address" if len(others) == 1 else "masters at addresses"
+        where.append(piece(f", other {at} {', '.join(others)}"))
     return cut_line(where, width)
 
 

@@ -183,7 +183,7 @@ def _out_of_ring(f: Facts, *, jammed: bool) -> Findings:
     if ring.refused:
         said.append(f"Joining failed: {ring.refused}.")
     if others:
-        said.append(f"Masters in the ring: {', '.join(map(str, others))}.")
+        said.append(f"Masters in the ring, by address: {', '.join(map(str, others))}.")
     waited = f.evidence.now_ns - f.evidence.started_ns
     unreadable = not (line.heard or ring.tokens or others) and waited > _CLAIMS * f.slot_ns
     if unreadable:  # a silent line would have been claimed

@@ -1,13 +1,11 @@
 """The page of ``dpstack web`` in chromium over simulated slaves: it shows what ``run --json`` says, and faults at once.
 
-With DPSTACK_PICTURES=docs/pictures the pictures of the pages are written there (``tools/make_web_pictures.py``).
+With DPSTACK_PICTURES=docs/pictures the pictures of the pages are written there.
 """
 
 from __future__ import annotations
 
 import json
-import math
-import os
 import signal
 import tomllib
 from collections.abc import Iterator
@@ -17,68 +15,13 @@ from typing import Any, Final
 
 import pytest
 from browser_kit import Browser
+from pictures_kit import PLANT, copy_plant, picture_folder, shows_no_place
 from programs import Starter
 
 from dpstack.api.control.client import connect
 
 pytestmark = pytest.mark.strangers
 
-PLANT: Final = """
-[bus]
-port = "virtual"
-baud = 500000
-max_retry = 7
-
-[[slave]]
-name = "hoist"
-address = 3
-drive = "demag-dedrive"
-
-[[slave]]
-name = "fan"
-address = 4
-drive = "fuji-frenic"
-ident = "ask"
-telegram = "PPO3"
-
-[[slave]]
-name = "pump"
-address = 6
-drive = "keb-f5"
-ident = "ask"
-
-[[slave]]
-name = "valves"
-address = 8
-gsd = "io-station"
-modules = ["8 DI", "8 DO", "2 AI"]
-
-[slave.inputs]
-full = "bool@0.0"
-"door open" = "bool@0.1"
-pressure = { at = "i16@1", scale = 0.001, unit = "bar" }
-
-[slave.outputs]
-inlet = "bool@0.0"
-outlet = "bool@0.1"
-
-[[slave]]
-name = "tank"
-address = 9
-ident = 0x1234
-config = "11 20"
-simulate = { recording = "tank.csv", repeat = true }
-
-[slave.inputs]
-level = { at = "u8@0", scale = 0.5, unit = "m" }
-temperature = { at = "u8@1", scale = 0.5, unit = "°C" }
-
-[[slave]]
-name = "mixer"
-address = 12
-ident = 0x1235
-config = "20 10"
-"""
 #: of rotations and exchanges: they go on while one looks
 _MOVING: Final = ("exchanges", "telegrams")
 
@@ -88,13 +31,7 @@ class Plant:
 
     def __init__(self, start: Starter, folder: Path, *options: str) -> None:
         self.start = start
-        self.file = folder / "plant.toml"
-        self.file.write_text(PLANT, encoding="utf-8")
-        rows = [
-            f"{n / 5},{round(16 + 12 * math.sin(n / 24)) / 2},{41 + round(4 * math.cos(n / 40)) / 2}"
-            for n in range(720)
-        ]
-        (folder / "tank.csv").write_text("\n".join(["t,tank.level,tank.temperature", *rows]) + "\n", encoding="utf-8")
+        self.file = copy_plant(folder)
         self.run = start("run", str(self.file), "--json")
         self.run.wait_for_slaves(6)
         self.name = f"virtual:{self.run.process.pid}"
@@ -375,7 +312,8 @@ def test_commissioning_from_the_scan_to_the_file(page: Browser, plant: Plant) ->
 def test_start_operate_and_stop_on_the_page(browser: Browser, start: Starter, tmp_path: Path) -> None:
     """Without a run nothing is live; start leads to Clear, operate is another order, stop ends the run."""
     file = tmp_path / "plant.toml"
-    file.write_text(PLANT.partition("simulate")[0] + PLANT.partition("repeat = true }\n")[2], encoding="utf-8")
+    plant = PLANT.read_text(encoding="utf-8")
+    file.write_text(plant.partition("simulate")[0] + plant.partition("repeat = true }\n")[2], encoding="utf-8")
     web = start("web", str(file), "--json", "--listen", "127.0.0.1:0", "--control")
     web.wait_for('"listening"')
     browser.open(web.lines[0]["url"])
@@ -443,7 +381,7 @@ def test_the_last_values_of_a_run_are_those_of_its_summary(browser: Browser, sta
 
 def test_pictures_of_every_page(page: Browser, plant: Plant, tmp_path: Path) -> None:
     """Each page is drawn, wide and on a telephone. They go to the documentation only where the environment says so."""
-    folder = Path(os.environ.get("DPSTACK_PICTURES") or tmp_path)
+    folder = picture_folder(tmp_path)
     plant.call("set", "valves.full=on", "valves.pressure=4.25", "valves.inlet=on")
     for drive, speed in (("hoist", "60%"), ("pump", "-40%"), ("fan", "80%")):
         plant.call("drive", drive, "speed", speed)
@@ -484,6 +422,8 @@ def test_pictures_of_every_page(page: Browser, plant: Plant, tmp_path: Path) -> 
                 page.js("document.querySelector('#make').click()")
                 page.until(lambda: page.count("#toml"), "the text")
             page.until(lambda: not page.js("return document.querySelector('#said').textContent"), "no message")
+            shows_no_place(page.text("body"))
+            page.sees("Simulated slaves", "#badges")
             name = f"web-{route.split('/')[0]}"
             path = folder / f"{name}.png" if width == 1280 else tmp_path / f"{name}-390.png"
             page.picture(path)

@@ -7,6 +7,7 @@ configuration that it belongs to.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -75,7 +76,13 @@ class Commissioning:
 
     def _head(self) -> dict[str, Any]:
         bad = [{"gsd": path, "reason": reason} for path, reason in self.folder.bad]
-        return {"folder": str(self.folder.folder.resolve()), "bad": bad}
+        return {"folder": self._folder_text(), "bad": bad}
+
+    def _folder_text(self) -> str:
+        """The folder of the GSD files as seen from the configuration: paths of this computer are not for all who look
+        at a page."""
+        folder = os.path.relpath(self.folder.folder.resolve(), self._file.parent.resolve())
+        return f"the folder of {self._file.name}" if folder == os.curdir else folder
 
     def match(self, stations: object) -> dict[str, Any]:
         """The candidates of each slave in ``stations``, which are those of a scan: a list of ``{"address": 8, "ident":
@@ -224,7 +231,7 @@ class Commissioning:
         """The error for a GSD file that is none of the folder's; its existence makes no difference."""
         if not isinstance(name, str) or not name.strip() or self.folder.has(name):
             return None
-        folder = printable(str(self.folder.folder.resolve()))
+        folder = printable(self._folder_text())
         what = f"gsd = {shortened(name)!r} is none of the GSD files in {folder}"
         todo = f"take one of its files, or one of {', '.join(bundled())}"
         return ConfigError.at(self._file.name, None, what, todo)

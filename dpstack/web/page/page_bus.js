@@ -148,7 +148,7 @@ export class BusPage {
     const cycle = plant.plan?.cycle_us ?? null;
     const more = [
       ["Rate", rate(plant.baud)], ["Driver", plant.driver], ["Fixed cycle", cycle ? micros(cycle) : "none: as fast as the bus allows"],
-      ["Cycles missed", bus.missed === undefined ? null : count(bus.missed)], ["Masters in the ring", (bus.masters ?? []).join(", ")], ["Telegrams", count(bus.telegrams)],
+      ["Cycles missed", bus.missed === undefined ? null : count(bus.missed)], ["Masters in the ring, by address", (bus.masters ?? []).map((one) => (one === plant.address ? `${one} (this one)` : `${one}`)).join(", ")], ["Telegrams", count(bus.telegrams)],
       ["Since the start", live.t === null ? null : duration(Math.floor(live.t))],
     ];
     const parameters = Object.entries(plant.parameters ?? {});

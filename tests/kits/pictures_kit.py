@@ -1,0 +1,34 @@
+"""The pictures of README and docs: the plant that they show, where they are written, and what none of them may show."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+FOLDER: Final = ROOT / "docs" / "pictures"
+#: the simulated plant of the pictures; it needs :data:`TANK` beside it
+PLANT: Final = FOLDER / "plant.toml"
+TANK: Final = FOLDER / "tank.csv"
+#: a folder of the computer that took the picture, or a port that looks like hardware
+_PLACE: Final = re.compile(r"/tmp\b|/home/|/root\b|/work\b|/Users/|pytest|/dev/|COM\d")
+
+
+def picture_folder(otherwise: Path) -> Path:
+    """The folder of DPSTACK_PICTURES, by which a picture goes to the documentation; else ``otherwise``."""
+    return Path(os.environ.get("DPSTACK_PICTURES") or otherwise).absolute()
+
+
+def copy_plant(folder: Path) -> Path:
+    """The plant of the pictures in ``folder``."""
+    shutil.copy(TANK, folder)
+    return Path(shutil.copy(PLANT, folder))
+
+
+def shows_no_place(text: str) -> None:
+    """A picture with ``text`` shows no folder of this computer, and no port of hardware."""
+    found = _PLACE.search(text)
+    assert found is None, f"{found[0]!r} in {text}"
