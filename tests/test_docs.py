@@ -16,6 +16,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from pictures_kit import FOLDER, PICTURES
 
 import dpstack
 import dpstack.profile
@@ -319,6 +320,20 @@ def anchors(page: Path) -> frozenset[str]:
     doubled = [name for name, times in Counter(names).items() if times > 1]
     assert page.name == "CHANGELOG.md" or not doubled, f"{page.name}: {doubled}"
     return frozenset(names)
+
+
+def test_each_picture_is_taken_by_a_test_from_a_plant_that_its_page_names() -> None:
+    assert {path.name for path in FOLDER.glob("*.png")} == set(PICTURES)
+    for name, test in PICTURES.items():
+        text = (ROOT / "tests" / "strangers" / test).read_text(encoding="utf-8")
+        assert "picture_folder(" in text, test
+        assert "shows_no_place(" in text or name == "plot.png", test  # its title has the name of the file alone
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        taken = {name for name in PICTURES if f"/{name})" in text}
+        own = {name for name in taken if name.startswith("tutorial-")}
+        assert not own or "<!-- file: motor.toml -->" in text
+        assert taken == own or ("pictures/plant.toml)" in text and "simulated plant" in text), page
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))

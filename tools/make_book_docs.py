@@ -46,6 +46,18 @@ and in a folder of the page's own (`tools/book_blocks.py` and `tools/book_comman
 - examples in docstrings, which the reference shows: they run (`tests/test_docstring_examples.py`)
 
 Links inside the book lead to a page and a heading that exist (`tests/test_docs.py`).
+
+## Pictures
+
+Pictures of screens and pages are taken by tests from a simulated plant, `docs/pictures/plant.toml` or the one that the
+page prints; the page says so. None shows a folder or a port of the computer that took it. Those of one test anew:
+
+<!-- parsed: it installs a browser and writes into the sources -->
+```console
+$ DPSTACK_PICTURES=docs/pictures make strangers TESTS=tests/strangers/test_screen_pictures.py
+```
+
+`tests/kits/pictures_kit.py` lists them with their tests. Drawings of states and rooms: `tools/make_pictures.py`.
 """
 
 

@@ -13,6 +13,16 @@ FOLDER: Final = ROOT / "docs" / "pictures"
 #: the simulated plant of the pictures; it needs :data:`TANK` beside it
 PLANT: Final = FOLDER / "plant.toml"
 TANK: Final = FOLDER / "tank.csv"
+#: the pictures that are taken, with the tests in tests/strangers that take them (DPSTACK_PICTURES=docs/pictures)
+PICTURES: Final = {
+    "plot.png": "test_plot_picture.py",
+    **dict.fromkeys(("screen.png", "screen-narrow.png", "screen-slave.png"), "test_screen_pictures.py"),
+    **dict.fromkeys(("tutorial-page.png", "tutorial-screen.png"), "test_tutorial_pictures.py"),
+    **dict.fromkeys(
+        ("web-plant.png", "web-slave.png", "web-scope.png", "web-bus.png", "web-commissioning.png"),
+        "test_web_page_of_a_run.py",
+    ),
+}
 #: a folder of the computer that took the picture, or a port that looks like hardware
 _PLACE: Final = re.compile(r"/tmp\b|/home/|/root\b|/work\b|/Users/|pytest|/dev/|COM\d")
 

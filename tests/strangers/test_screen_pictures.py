@@ -67,7 +67,17 @@ async def draw(folder: Path, items: list[dict[str, Any]], story: dict[str, Any])
         for item in items:
             app.feed(item)
         app.tell_why("12", story)
-        await take(app, pilot, folder, "screen", "master 2 on virtual", "fan", "slots with a diagnosis: 3", "F2100", "last events")
+        await take(
+            app,
+            pilot,
+            folder,
+            "screen",
+            "master 2 on virtual",
+            "fan",
+            "slots with a diagnosis: 3",
+            "F2100",
+            "last events",
+        )
         await pilot.press("end", "enter")
         await take(app, pilot, folder, "screen-slave", "slave 12", "not_there")
         await pilot.press("escape", "home")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import html
-import os
 import re
 import signal
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from typing import Any, Final
 
 import pytest
 from browser_kit import Browser
+from pictures_kit import picture_folder, shows_no_place
 from programs import Starter
 from svg_pictures import render
 
@@ -83,18 +83,15 @@ async def draw(items: list[dict[str, Any]]) -> str:
         return app.export_screenshot(title="dpstack run motor.toml")
 
 
-def folder(tmp_path: Path) -> Path:
-    return Path(os.environ.get("DPSTACK_PICTURES", tmp_path)).absolute()
-
-
 def test_picture_of_the_screen_of_the_first_motor(plant: Path, tmp_path: Path) -> None:
     picture = asyncio.run(draw(dpstack.run_virtual(live_items(plant))))
     text = "".join(html.unescape(re.sub(r"<[^>]+>", "", picture)).split())
-    for wanted in ("fan", "running", "operate"):
+    shows_no_place(text)
+    for wanted in ("fan", "running", "operate", "onvirtual"):
         assert wanted in text.lower()
     svg = tmp_path / "screen.svg"
     svg.write_text(picture, encoding="utf-8")
-    png = folder(tmp_path) / "tutorial-screen.png"
+    png = picture_folder(tmp_path) / "tutorial-screen.png"
     render(svg, png, tmp_path)
     assert png.read_bytes().startswith(b"\x89PNG")
 
@@ -109,8 +106,10 @@ def test_picture_of_the_page_of_the_first_motor(plant: Path, browser: Browser, s
     browser.open(str(next(line["url"] for line in web.lines if line["event"] == "listening")))
     browser.sees("Live", "#live")
     browser.sees("running")
+    browser.sees("Simulated slaves", "#badges")
+    shows_no_place(browser.text("body"))
     browser.window(1280, 860)
-    png = folder(tmp_path) / "tutorial-page.png"
+    png = picture_folder(tmp_path) / "tutorial-page.png"
     browser.picture(png)
     assert png.read_bytes().startswith(b"\x89PNG")
     browser.open("about:blank")

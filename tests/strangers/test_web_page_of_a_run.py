@@ -5,6 +5,7 @@ With DPSTACK_PICTURES=docs/pictures the pictures of the pages are written there.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import tomllib
@@ -32,10 +33,11 @@ class Plant:
     def __init__(self, start: Starter, folder: Path, *options: str) -> None:
         self.start = start
         self.file = copy_plant(folder)
-        self.run = start("run", str(self.file), "--json")
-        self.run.wait_for_slaves(6)
-        self.name = f"virtual:{self.run.process.pid}"
-        self.web = start("web", str(self.file), "--json", "--listen", "127.0.0.1:0", *options)
+        with contextlib.chdir(folder):  # what the page shows of the file is its name
+            self.run = start("run", self.file.name, "--json")
+            self.run.wait_for_slaves(6)
+            self.name = f"virtual:{self.run.process.pid}"
+            self.web = start("web", self.file.name, "--json", "--listen", "127.0.0.1:0", *options)
         self.web.wait_for('"listening"')
         self.url = str(next(line["url"] for line in self.web.lines if line["event"] == "listening"))
 

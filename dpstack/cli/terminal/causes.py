@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import shlex
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +19,8 @@ from dpstack.cli.terminal import output
 from dpstack.errors import DpError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from dpstack.why.story import Story
 
 #: notices for one slave at most: a slave that is brought up again and again would fill the log
@@ -67,7 +70,7 @@ class CauseLines:
                 return
             told.add(story.first.cause)
             file = self._bus.config.file
-            config = "CONFIG" if file is None else shlex.quote(str(file))
+            config = "CONFIG" if file is None else shlex.quote(_typed(file))
             likely = f"{story.first.cause} ({round(100 * story.first.confidence)} %)"
             core_of(self._bus).notice(
                 "why", f"{event.who}: likely {likely}; dpstack why {config} {shlex.quote(event.name)}"
@@ -102,3 +105,10 @@ def show(stories: Mapping[int, Story]) -> None:
 def as_json(stories: Mapping[int, Story]) -> dict[str, Any]:
     """The key ``why`` of the summary, by address; empty where no slave is missing."""
     return {"why": {str(address): story.as_dict() for address, story in stories.items()}} if stories else {}
+
+
+def _typed(file: Path) -> str:
+    """``file`` as one types it here: below the working directory without that."""
+    with contextlib.suppress(OSError, ValueError):  # no working directory, or another drive
+        return str(file.relative_to(os.path.realpath(os.curdir)))
+    return str(file)

@@ -17,6 +17,7 @@ from dpstack.api.control.client import connect
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import WhyAnswer
 from dpstack.cli.commands import on_bus
+from dpstack.cli.terminal import causes
 from dpstack.cli.terminal.causes import CauseLines, as_json
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveFaulted, SlaveState
@@ -174,3 +175,12 @@ def test_a_real_client_of_a_run() -> None:
                 assert story["causes"][0]["cause"] == "healthy"
 
     asyncio.run(program())
+
+
+def test_the_command_in_a_line_names_the_file_as_one_types_it_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    here = Path.cwd()
+    assert causes._typed(here / "line 3" / "plant.toml") == "line 3/plant.toml"
+    assert causes._typed(here.parent / "plant.toml") == str(here.parent / "plant.toml")
