@@ -142,6 +142,7 @@ COMMANDS: dict[str, Callable[[], int]] = {
     "gsd show of a drive": lambda: main(["gsd", "show", "demag-dedrive"]),
     "scan": show_scan,
     "ports": lambda: main(["ports"]),
+    "drives": lambda: main(["drives"]),
 }
 
 
