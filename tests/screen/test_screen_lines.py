@@ -227,3 +227,15 @@ def test_a_replay_has_no_masters_and_times_beyond_any_clock() -> None:
     view.apply({"snapshot": {"t": 1.0, "whole": True, "bus": {"masters": None, "bad": None}, "slaves": {}}}, 1.0)
     assert head(view, 80)
     assert len(bars([(0.0, 1), (5e-324, 1), (1.0, 1)], 10)) == 1
+
+
+@pytest.mark.parametrize(
+    ("masters", "says"),
+    [([2], ""), ([1, 2], ", other master at address 1"), ([1, 2, 7], ", other masters at addresses 1, 7")],
+)
+def test_other_masters_are_named_by_their_addresses(masters: list[int], says: str) -> None:
+    """ "other masters 1" reads as a count."""
+    view = view_of([plant({}), snapshot({}, masters=masters)])
+    first = text_of(head(view, 200)[0]).rstrip()
+    assert first.endswith(says or "500 kbit/s")
+    assert ("other" in first) is bool(says)

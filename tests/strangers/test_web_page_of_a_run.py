@@ -418,6 +418,8 @@ def test_pictures_of_every_page(page: Browser, plant: Plant, tmp_path: Path) -> 
             if route == "slave/12":
                 page.click("[aria-labelledby=h-why] button")
                 page.until(lambda: page.count(".causes li"), "causes")
+            if route == "bus":
+                assert "Masters in the ring, by address\n2 (this one)" in page.text("body").replace("\t", "\n")
             if route == "commissioning":
                 page.js("document.querySelector('#scan').click()")
                 page.until(lambda: page.count("article.found"), "slaves")

@@ -110,8 +110,8 @@ class _Command:
         kind = "" if slave.profile is None else slave.profile.name
         if (drive.address, drive.kind) != (slave.address, kind):
             raise UsageError(
-                f"{slave.name} is a {kind} at address {slave.address} in {args.config}, but a {drive.kind} at "
-                f"{drive.address} for {run}: the file was changed since that run began; begin it anew"
+                f"{slave.name} is a {kind} at address {slave.address} in {args.config}, but a {drive.kind} "
+                f"at {drive.address} for {run}: the file was changed since that run began; begin it anew"
             )
         if any(order.word in _FOR_FILES for order in self.orders):
             drive = await drive.listed()
