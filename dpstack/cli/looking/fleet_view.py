@@ -239,7 +239,7 @@ def _left_out(count: int) -> str:
 def _why(one: Segment) -> str:
     """Lost slaves and reasons of a segment; of one that is gone, what it said last."""
     status = one.status
-    texts = [f"slave {slave.address} ({slave.name}): {slave.state}" for slave in status.lost]
+    texts = [f"{slave.name} ({slave.address}, {slave.state})" for slave in status.lost]
     if status.more_lost:
         texts.append(f"and {status.more_lost} more")
     lost = ", ".join(texts)
