@@ -1,6 +1,6 @@
 """The bounds of a plan, for random plants: shortest <= typical <= longest, and the simulated bus stays within them.
 
-``make soak`` simulates a minute of each bus, or 5000 rotations.
+``make soak`` simulates a minute of each bus, or 2000 rotations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dpstack.units import BAUD_RATES, NS_PER_S
 
 CASES: Final = (Case.SHORTEST, Case.TYPICAL, Case.LONGEST)
 #: rotations of one simulated bus
-ROTATIONS: Final = 5_000 if soaking() else 30
+ROTATIONS: Final = 2_000 if soaking() else 30
 BUSES = st.fixed_dictionaries(
     {"baud": st.sampled_from(BAUD_RATES), "gap": st.sampled_from([0, 1, 10]), "max_retry": st.integers(0, 3)}
 )
@@ -103,7 +103,7 @@ def test_the_cases_are_in_order(bus: dict[str, object], slaves: list[dict[str, o
 
 
 @given(BUSES, st.lists(SLAVES, min_size=1, max_size=5))
-@examples(12, soak=60)
+@examples(12, soak=40)
 def test_the_simulated_bus_stays_within_the_plan(bus: dict[str, object], slaves: list[dict[str, object]]) -> None:
     config = config_of(bus, slaves)
     plan = plan_bus(config)
@@ -115,7 +115,7 @@ def test_the_simulated_bus_stays_within_the_plan(bus: dict[str, object], slaves:
 
 
 @given(BUSES, st.lists(SLAVES, min_size=1, max_size=5), st.sampled_from([1, 3, 10, 100] if soaking() else [1, 3]))
-@examples(4, soak=40)
+@examples(4, soak=25)
 def test_the_simulated_cycles_stay_within_the_plan(
     bus: dict[str, object], slaves: list[dict[str, object]], cycle_ms: int
 ) -> None:
