@@ -7,7 +7,7 @@ import struct
 from collections.abc import Mapping
 
 import pytest
-from drive_bench import DeviceBench, PairBench
+from drive_bench import DeviceBench, PairBench, PluginBench
 from hypothesis import given
 from hypothesis import strategies as st
 from keb_kit import NONE, ZERO, again, device, plugin
@@ -182,18 +182,26 @@ def test_k7_nothing_is_sent_for_a_wrong_map(maps: dict[str, object], says: str) 
 class Requests:
     """Literal requests to the simulated drive alone; the handshake bit is kept here."""
 
-    def __init__(self, before: Requests | None = None) -> None:
+    def __init__(self, before: Requests | None = None, *, acts: str = "power-on") -> None:
         """A new drive, or the one of ``before`` after power off and on."""
-        self.device: KebDevice = again(before.device) if before else device()
+        presets = {"map_acts": acts}
+        self.device: KebDevice = again(before.device, presets=presets) if before else device(presets=presets)
         self.bench = DeviceBench(self.device, "B7 A3 93")
         self.hand = 0
+        #: the process data that go with every request
+        self.process = "00 00 00 00"
 
     def ask(self, service: int, subindex: int, index: str, value: int = 0) -> str:
         self.hand ^= 0x40
-        request = bytes([self.hand | 0x30 | service, subindex]) + bytes.fromhex(index) + value.to_bytes(4, "big")
-        reply = bytes.fromhex(self.bench.send(request.hex(" ") + " 00 00 00 00", 4))
+        self.request = bytes([self.hand | 0x30 | service, subindex]) + bytes.fromhex(index) + value.to_bytes(4, "big")
+        reply = bytes.fromhex(self.bench.send(f"{self.request.hex(' ')} {self.process}", 4))
         assert reply[0] & 0x43 == self.hand | service
         return ("error " if reply[0] & 0x80 else "") + reply[4:8].hex(" ").upper()
+
+    def send(self, process: str, ms: float) -> str:
+        """Other process data beside the same request; the process data that come back."""
+        self.process = process
+        return self.bench.send(f"{self.request.hex(' ')} {process}", ms)[24:]
 
     def write(self, record: str, values: list[int]) -> None:
         for subindex, value in enumerate(values, 1):
@@ -222,11 +230,99 @@ def test_k7_the_enable_is_answered_by_an_error_and_the_map_acts_after_power_on()
     assert line.ask(2, 0, "5F F8", 0xFF) == "error 08 00 00 34"
     assert line.ask(1, 0, "5F F8") == "00 00 00 FF"
     line.device.trip("E.OL")
-    assert line.bench.send(ZERO + " 00 00 00 00", 60)[24:] == "00 02 00 00"  # the old map: sy.51 = fault
+    assert line.bench.send(ZERO + " 00 00 00 00", 60)[24:] == "00 01 00 00"  # of the old map, from before the change
     after = Requests(line)
     after.device.trip("E.OL")
     assert after.bench.send(ZERO + " 00 00 00 00", 60)[24:] == "00 10 00 00"  # ru.00 = 16
     assert after.ask(1, 2, "60 00") == "00 00 22 00"
+
+
+#: enable and run at 1500 rpm, and at 750 rpm; the inputs at 1500 rpm
+RUN, SLOWER, STOP = "00 05 05 DC", "00 05 02 EE", "00 00 00 00"
+AT_SPEED = "00 15 05 DC"
+
+
+def running(acts: str = "power-on") -> Requests:
+    line = Requests(acts=acts)
+    line.ask(1, 1, "60 00")
+    assert line.send(RUN, 1300) == AT_SPEED
+    return line
+
+
+@pytest.mark.parametrize("acts", ["power-on", "enable"])
+def test_k7_outputs_are_not_obeyed_from_the_first_record_on(acts: str) -> None:
+    """Neither a stop nor Clear arrives: the motor goes on with what the inverter was given last."""
+    line = running(acts)
+    line.ask(2, 6, "60 01", 0x230A)
+    assert line.ask(1, 0, "60 02") == "00 00 00 00"
+    assert line.ask(1, 0, "5F F8") == "00 00 00 FF"  # the other direction is not touched
+    assert line.send(STOP, 2000) == AT_SPEED  # inputs are still read
+    line.device.clear(line.bench.now)
+    line.bench.pass_time(2000)
+    assert line.device.motor.frequency == 1.0
+
+
+@pytest.mark.parametrize("acts", ["power-on", "enable"])
+def test_k7_inputs_freeze_with_a_change_of_their_map(acts: str) -> None:
+    line = running(acts)
+    line.ask(2, 6, "60 00", 0x2200)
+    assert line.send(STOP, 2000) == AT_SPEED
+    assert line.device.motor.frequency == 0  # outputs are still obeyed
+
+
+@pytest.mark.parametrize("acts", ["power-on", "enable"])
+def test_k7_the_length_belongs_to_both_blocks(acts: str) -> None:
+    line = Requests(acts=acts)
+    line.ask(2, 1, "60 00", 4)
+    assert [line.ask(1, 0, index) for index in ("5F F8", "5F E1")] == ["00 00 00 00"] * 2
+    line.ask(2, 1, "60 01", 4)
+    assert [line.ask(1, 0, index) for index in ("60 02", "5F E3")] == ["00 00 00 00"] * 2
+
+
+@pytest.mark.parametrize(("acts", "reply"), [("power-on", "error 08 00 00 34"), ("enable", "00 00 00 03")])
+def test_k11_an_enable_of_single_octets_switches_the_others_off_at_once(acts: str, reply: str) -> None:
+    line = running(acts)
+    assert line.ask(2, 0, "60 02", 0x03) == reply  # sy.50 alone
+    assert line.send(SLOWER, 1500) == AT_SPEED
+    assert line.ask(2, 0, "5F F8", 0x0C) == reply.replace("03", "0C")  # sy.53 alone
+    assert line.send(STOP, 2000) == ("00 15 00 00" if acts == "power-on" else "00 00 00 00")
+    assert line.device.motor.frequency == 0
+
+
+@pytest.mark.parametrize(("acts", "obeyed"), [("power-on", False), ("enable", True)])
+def test_k11_outputs_switched_off_and_on_again(acts: str, obeyed: bool) -> None:
+    """0 is confirmed in both readings; FFh switches on at once, or at the next power-on."""
+    line = running(acts)
+    assert line.ask(2, 0, "60 02", 0) == "00 00 00 00"
+    assert line.send(STOP, 1000) == AT_SPEED
+    assert line.ask(2, 0, "60 02", 0xFF) == ("00 00 00 FF" if obeyed else "error 08 00 00 34")
+    line.send(STOP, 2000)
+    assert (line.device.motor.frequency == 0) == obeyed
+    after = Requests(line, acts=acts)
+    after.ask(1, 1, "60 00")
+    assert after.send(RUN, 1300) == AT_SPEED
+
+
+def test_k7_read_the_other_way_the_enable_is_confirmed_and_the_map_acts_at_once() -> None:
+    """The octets that stand there go to the new places: 1500 of the set speed is a limit of 18.75 Hz then."""
+    line = running("enable")
+    line.ask(2, 6, "60 01", 0x230A)  # oP.10 in place of sy.52
+    assert line.ask(1, 1, "20 1A") == "00 00 00 34"  # the inverter still has the old map
+    assert line.send("00 05 05 DC", 500) == AT_SPEED
+    assert line.ask(2, 0, "60 02", 0xFF) == "00 00 00 FF"
+    assert line.ask(1, 1, "20 1A") == "00 00 03 0A"
+    assert line.send("00 05 05 DC", 1000) == "00 15 02 32"  # 562 of 1500 rpm
+    assert line.device.store.value("oP.10") == 18.75
+    line.ask(2, 6, "60 00", 0x2200)
+    assert line.ask(2, 0, "5F F8", 0xFF) == "00 00 00 FF"
+    assert line.send("00 05 05 DC", 60) == "00 15 00 42"
+
+
+def test_k11_read_the_other_way_a_wrong_map_is_an_invalid_description() -> None:
+    line = Requests(acts="enable")
+    line.ask(2, 6, "60 01", 0x231C)  # oP.28, never an output
+    assert line.ask(2, 0, "60 02", 0xFF) == "error 06 05 00 00"
+    assert line.ask(1, 0, "60 02") == "00 00 00 00"
 
 
 @pytest.mark.parametrize(
@@ -332,3 +428,134 @@ def test_a_map_that_makes_no_sense_is_told() -> None:
     bench = pair("PCH+4/4")
     bench.ok("write", number=0x6000, index=1, value=3)
     assert "read_map: inputs: the record (6000h) has a value of 1 octets" in bench.refused("read_map")[1]
+
+
+# -- the plugin asks before it sends -----------------------------------------------------------------------------------
+
+
+def outputs_of(bench: PairBench, ms: int) -> set[str]:
+    """The process data sent behind the parameter channel."""
+    seen = set()
+    for _ in range(ms * 1_000_000 // bench.rotation):
+        seen.add(bench.run()[8:].hex(" ").upper())
+    return seen
+
+
+def replies(**words: int) -> dict[str, int]:
+    """What a drive answers to reads by index: the default map as the manual's table shows it."""
+    table = {
+        **dict(zip(("2018", "201A", "201C", "2019", "201B"), (0x32, 0x34, -1, 1, 1), strict=True)),
+        **dict(zip(("2010", "2012", "2014", "2011", "2013"), (0x33, 0x35, -1, 1, 1), strict=True)),
+        "6002": 0xFF,
+        "5FF8": 0xFF,
+        "2300": 5,
+        "2301": 9,
+    }
+    return table | {name[1:]: value for name, value in words.items()}
+
+
+@pytest.mark.parametrize(
+    ("words", "sent"),
+    [
+        ({}, True),
+        ({"_6002": -1, "_5FF8": -1}, True),  # the manual's picture shows FFFFFFFFh
+        ({"_6002": 0x0F, "_5FF8": 0x0F}, True),
+        ({"_6002": 0}, False),
+        ({"_6002": 0x03}, False),
+        ({"_5FF8": 0}, False),
+        ({"_201A": 0x0F13}, False),  # cS.19 where the set speed stands
+        ({"_2300": 2}, True),  # another setting refuses the start, and says nothing of the map
+    ],
+)
+def test_k7_no_process_data_before_the_drive_has_told_its_map(words: dict[str, int], sent: bool) -> None:
+    """A drive of literal octets; 500 rpm as the set point from the beginning."""
+    known = replies(**words)
+    bench = PluginBench(DRIVE.core("saw", "PCH+4/4", simulated=True), ZERO + " 00 01 00 00")
+    bench.order("speed", value=1 / 3)
+    seen: list[str] = []
+    asked: list[str] = []
+    for _ in range(900):
+        out = bench.run()
+        if out[0] & 3 == 1:
+            index = out[2:4].hex().upper()
+            asked += [index] if index not in asked else []
+            value = known[index] & 0xFFFF_FFFF
+            bench.inputs = bytes([out[0] & 0x43]) + out[1:4] + value.to_bytes(4, "big") + bytes.fromhex("00 01 00 00")
+        process = out[8:].hex(" ").upper()
+        if process not in seen:
+            seen.append(process)
+            if process == "00 00 01 F4":
+                assert {"2018", "2010", "6002", "5FF8"} <= set(asked)
+    assert seen == (["00 00 00 00", "00 00 01 F4"] if sent else ["00 00 00 00"])
+    if not sent:
+        bench.order("start")
+        bench.run(200)
+        assert bench.out()[24:] == "00 00 00 00"
+
+
+def test_k7_a_map_of_parameters_never_reaches_a_drive_with_the_default_map() -> None:
+    """327680 as a torque reference is 0005 0000 on the wire: enable and run in the default map."""
+    options = {"map_outputs": "2F13:long=327680"}
+    bench = pair("PCH+4/4", options)
+    assert outputs_of(bench, 2000) == {"00 00 00 00"}
+    assert not bench.device.motor.on
+    assert any("the active map has 2032 2034 (sy.24 to sy.31)" in text for text in bench.notices())
+
+
+def test_k11_an_enable_that_somebody_took_away_refuses_the_start() -> None:
+    drive = device()
+    drive.operator.access(0x6002, 0, 0)
+    bench = pair("PCH+4/4", drive=drive)
+    kind, text = bench.refused("start")
+    assert kind == "fault"
+    assert text.startswith("the enable of the outputs, block 1 (6002h) is 00h, 0Fh or FFh is needed: ")
+
+
+MAP: Mapping[str, object] = {"inputs": "sy.51 ru.00", "outputs": "sy.50 sy.52"}
+
+
+def test_k7_a_map_that_acts_with_its_enable_is_used_at_once() -> None:
+    """Outputs are 0 from the first record until the inverter shows the new map; then the drive can start."""
+    drive = device(presets={"map_acts": "enable"})
+    bench = pair("PCH+4/4", drive=drive)
+    bench.ok("speed", value=0.5)
+    bench.run(200)
+    token = bench.order("write_map", **MAP)
+    sent = set()
+    while bench.result(token) is None:
+        sent.add(bench.run()[8:].hex(" ").upper())
+    assert sent == {"00 00 00 00", "00 00 02 EE"}, "the set speed before and after"
+    result = bench.done(token)
+    assert result["value"] == {"inputs": "2033 2200", "outputs": "2032 2034"}
+    assert "acts" not in result
+    assert not any("power-on" in text for text in bench.notices())
+    bench.ok("start")
+    bench.pass_time(1500)
+    assert bench.ok("inputs") == {"sy.51 (2033h)": 0x15, "ru.00 (2200h)": 66}
+
+
+def test_k7_a_map_that_acts_at_power_on_leaves_the_outputs_at_0_and_refuses_the_start() -> None:
+    bench = pair("PCH+4/4")
+    bench.ok("speed", value=0.5)
+    bench.run(200)
+    assert bench.do("write_map", **MAP)["acts"] == "after power-on"
+    assert outputs_of(bench, 500) == {"00 00 00 00"}
+    kind, text = bench.refused("start")
+    assert kind == "fault"
+    assert text.startswith("a process data map was written that acts after the next power-on of the drive; ")
+
+
+def test_k7_the_map_that_is_in_force_is_not_written_again() -> None:
+    """In one of the readings it would stop the outputs until the next power-on."""
+    bench = pair("PCH+4/4")
+    assert "acts" not in bench.do("write_map", outputs="2032 2034")
+    bench.ok("start")
+
+
+def test_k7_a_write_map_that_fails_halfway_leaves_the_drive_without_outputs() -> None:
+    bench = pair("PCH+4/4")
+    token = bench.order("write_map", **MAP, timeout_s=0.05)
+    bench.run(200)
+    assert bench.done(token)["error"] == "timeout"
+    assert outputs_of(bench, 500) == {"00 00 00 00"}
+    assert "(5FF8h) is 00h" in bench.refused("start")[1]

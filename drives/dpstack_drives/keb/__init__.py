@@ -52,6 +52,11 @@ DRIVE: Final = DriveProfile(
         "reference_rpm": OptionSpec(default=1500.0, low=1, high=100_000, text="rated motor speed"),
         "block2_inputs": OptionSpec(default=t.BLOCK2_INPUTS, text="record and enable of block 2 (made up)"),
         "block2_outputs": OptionSpec(default=t.BLOCK2_OUTPUTS, text="record and enable of block 2 (made up)"),
+        "map_acts": OptionSpec(
+            default=t.AT_POWER_ON,
+            choices=(t.AT_POWER_ON, t.WITH_ENABLE),
+            text="a new process data map acts at power-on, or with its enable: the manual says both",
+        ),
         "com_cycle_us": OptionSpec(default=0.0, low=0, high=1_000_000, text="SelComCycle, 0: no cyclic mode"),
         "load": OptionSpec(default=0.2, low=0, high=2, text="load torque of the rated one"),
     },
@@ -67,6 +72,7 @@ DRIVE: Final = DriveProfile(
         "the ident number is a guess from the name of its GSD file",
         "the bits of sy.50 and sy.51 and the unit of sy.52 are not in its PROFIBUS manual: name them by options",
         f"it obeys the control word with {t.RECIPE}",
-        "a new process data map acts after power-on; F5-B, F5-C and R6-S have 8 octets each way, not 16",
+        "a new process data map acts after power-on or with its enable (its manual says both)",
+        "F5-B, F5-C and R6-S have 8 octets each way, not 16",
     ),
 )

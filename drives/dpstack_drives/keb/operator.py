@@ -23,12 +23,16 @@ _LENGTH: Final = 1
 
 
 class Direction:
-    """The map of one direction: the records as written, those that power-on restores, and the active values.
+    """The map of one direction: the records as written, those that power-on restores, and the map of the inverter.
 
-    A change resets the enable of its block (of both, where it is the length); an enable takes effect at power-on.
+    Switching off (a change of a record, of both blocks where it is the length; a bit of the enable that becomes 0) acts
+    at once. Switching on acts at power-on, or where ``at_once`` is true with the enable: then the map goes to the
+    inverter. ``active``: the map that the inverter has, as (octet, value) for each block; ``moving``: the values of it
+    that go to or come from the inverter.
     """
 
-    def __init__(self, default: PdMap) -> None:
+    def __init__(self, default: PdMap, *, at_once: bool) -> None:
+        self._at_once = at_once
         self._kept = ([dict(default.records(0)), dict(default.records(1))], [t.ENABLED, t.ENABLED])
         self.power_on()
 
@@ -43,13 +47,22 @@ class Direction:
         """Write a subindex of a record."""
         self.records[block][subindex] = raw
         for one in (0, 1) if subindex == _LENGTH else (block,):
-            self.enable[one] = 0
+            self.switch_off(one)
 
-    def confirm(self, block: int, enable: int) -> None:
-        """The map is right: from now on it outlives power-off."""
+    def switch_off(self, block: int) -> None:
+        self.enable[block] = 0
+        self.moving[block] = []
+
+    def confirm(self, block: int, enable: int) -> bool:
+        """The map is right: from now on it outlives power-off. Returns whether it acts at once."""
         records, enables = self._kept
         records[block] = dict(self.records[block])
         self.enable[block] = enables[block] = enable
+        if self._at_once:
+            self._to_inverter(block)
+        else:
+            self.moving[block] = _covered(enable, self.moving[block])
+        return self._at_once
 
     def inherit(self, before: Direction, *, default: bool) -> None:
         """Switched on again; ``default``: Fb23 is 0."""
@@ -60,32 +73,45 @@ class Direction:
     def power_on(self) -> None:
         """Records that were not enabled are lost; the maps go to the inverter."""
         self.records, self.enable = deepcopy(self._kept)
-        found = self.map()
-        self.active = tuple(
-            tuple((at, entry) for at, entry in (found.places() if found else ()) if self._enabled(block, at, entry))
-            for block in (0, 1)
-        )
+        self.active: list[list[tuple[int, Entry]]] = [[], []]
+        self.moving: list[list[tuple[int, Entry]]] = [[], []]
+        for block in (0, 1):
+            self._to_inverter(block)
 
-    def _enabled(self, block: int, at: int, entry: Entry) -> bool:
-        """Bit n of the enable stands for octet n + 1 of the block."""
-        needed = ((1 << entry.octets) - 1) << at % BLOCK
-        return at // BLOCK == block and self.enable[block] & needed == needed
+    def _to_inverter(self, block: int) -> None:
+        found = self.map()
+        places = [(at, entry) for at, entry in (found.places() if found else ()) if at // BLOCK == block]
+        self.active[block] = self.moving[block] = _covered(self.enable[block], places)
+
+
+def _covered(enable: int, places: list[tuple[int, Entry]]) -> list[tuple[int, Entry]]:
+    """The values that are switched on: bit n of the enable stands for octet n + 1 of the block."""
+    return [(at, entry) for at, entry in places if not ~enable >> at % BLOCK & (1 << entry.octets) - 1]
 
 
 class Operator:
     """``second``: indexes of record and enable of block 2, inputs then outputs (no manual gives them).
 
-    ``com_cycle_us``: SelComCycle of the cyclic mode, 0 = off.
-    Readings: inputs of a block that is not enabled are 0; in the cyclic mode all process data go with every grid; an
-    enable is answered with 8/0/0034 whether it is confirmed or not.
+    ``com_cycle_us``: SelComCycle of the cyclic mode, 0 = off. ``at_once``: a map acts with its enable, not at power-on.
+    Readings: in the cyclic mode all process data go with every grid; inputs that are switched off stay as they were
+    read last, and are 0 after power-on and where a new map does not reach; the first outputs after the enable count as
+    changed. An enable that acts at power-on is answered with 8/0/0034 whether it is confirmed or not; one that acts at
+    once is confirmed, or answered with 6/5/0000.
     """
 
     def __init__(
-        self, inverter: Parameters, second: tuple[tuple[int, int], tuple[int, int]], com_cycle_us: float
+        self,
+        inverter: Parameters,
+        second: tuple[tuple[int, int], tuple[int, int]],
+        com_cycle_us: float,
+        *,
+        at_once: bool,
     ) -> None:
         self._inverter = inverter
         self._com_cycle_ns = round(com_cycle_us * NS_PER_US)
-        self.into, self.out = Direction(DEFAULT_INPUTS), Direction(DEFAULT_OUTPUTS)
+        self._at_once = at_once
+        self.into = Direction(DEFAULT_INPUTS, at_once=at_once)
+        self.out = Direction(DEFAULT_OUTPUTS, at_once=at_once)
         (in_record, in_enable), (out_record, out_enable) = second
         self._records = {
             t.MAP_INPUTS: (self.into, 0),
@@ -141,13 +167,18 @@ class Operator:
         if raw > t.ENABLED:
             raise RefusedError(t.BAD_VALUE)
         if raw == 0:
-            direction.enable[block] = 0
+            direction.switch_off(block)
             return 0
-        if self._right(direction):
-            direction.confirm(block, raw)
+        if not self._right(direction):
+            direction.switch_off(block)
+            raise RefusedError(t.BAD_MAP if self._at_once else t.NOT_POSSIBLE)
+        if not direction.confirm(block, raw):
+            raise RefusedError(t.NOT_POSSIBLE)
+        if direction is self.out:
+            self._sent[block] = None
         else:
-            direction.enable[block] = 0
-        raise RefusedError(t.NOT_POSSIBLE)
+            self._image[block * BLOCK : (block + 1) * BLOCK] = bytes(BLOCK)
+        return raw
 
     def _right(self, direction: Direction) -> bool:
         into, out = self.into.map(), self.out.map()
@@ -156,7 +187,7 @@ class Operator:
         return all(self._inverter.provides(entry) for entry in (into if direction is self.into else out).fields)
 
     def shown(self, index: int) -> int | None:
-        """The active map as the inverter shows it in sy.16 to sy.31 and sy.58 to sy.73; None for any other index.
+        """The map that the inverter has, as it shows it in sy.16 to sy.31 and sy.58 to sy.73; None for any other index.
 
         The sets of a value that is off are set 0 for inputs and all of them for outputs, as in the manual's table.
         """
@@ -182,7 +213,7 @@ class Operator:
         if grid and now < self._due:
             return
         for number, octets in enumerate(blocks):
-            entries = [(at, entry) for at, entry in self.out.active[number] if at + entry.octets <= len(process)]
+            entries = [(at, entry) for at, entry in self.out.moving[number] if at + entry.octets <= len(process)]
             if entries and (grid or octets != self._sent[number]):
                 self._sent[number] = octets
                 self.output_telegrams += 1
@@ -213,6 +244,6 @@ class Operator:
         return bytes(self._image[:length]).ljust(length, b"\0")
 
     def _read(self, block: int) -> None:
-        for at, entry in self.into.active[block]:
+        for at, entry in self.into.moving[block]:
             raw = self._inverter.fetch(entry)
             self._image[at : at + entry.octets] = (raw & (1 << 8 * entry.octets) - 1).to_bytes(entry.octets, "big")

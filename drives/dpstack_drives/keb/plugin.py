@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from msgspec import structs
+
 from dpstack.profile import (
     FAULTED,
     NS_PER_MS,
@@ -20,6 +22,7 @@ from dpstack.profile import (
     ParamKey,
     Scale,
     Setting,
+    SettingsState,
     State,
     StateRow,
     StateTable,
@@ -63,6 +66,10 @@ class KebCore(MappedCore[PdMap]):
     ``map_outputs``: the map that the drive has, as in :class:`~dpstack_drives.keb.pdmap.PdMap`; ``block2_inputs``,
     ``block2_outputs``: indexes of record and enable of block 2; ``pd_in_cycle_ms``.
 
+    A value at another place of the map is another parameter. So the process data are 0, as in Clear, from the beginning
+    of data exchange until the drive has told its map (sy.16 to sy.31, sy.58 to sy.73) and its enables and they agree
+    with the options, and from ``write_map`` until the new map is in force.
+
     Jobs of its own: those of a :class:`MappedCore`; values are integers as they stand on the wire. Without
     ``control_bits`` an ``output`` is also the control word, without ``rpm_per_count`` the set speed.
     """
@@ -91,6 +98,9 @@ class KebCore(MappedCore[PdMap]):
         self._ours = str(options["status_bits"]).strip() == t.SIMULATED_BITS
         self.inputs_map, self.outputs_map = self.maps_of_options(options)
         self.refuse_zeros()
+        self._held = self.access is not None
+        self._wrong_maps: set[str] = set()  # settings of the map that differ, by what is wanted
+        self._pending_map = False  # a map was written that is not in force
         self._state_number = Lookup(lambda: self.raw_state in FAULTED, self._ask)
         if isinstance(self.access, KebChannel):
             self._channel = self.access
@@ -107,13 +117,29 @@ class KebCore(MappedCore[PdMap]):
         return 0 if at is None else int.from_bytes(process[at : at + 2], "big")
 
     def encode(self, control: int, setpoint: int) -> bytes:
-        """sy.50 and sy.52 where the map has them, what the user gave for the others."""
+        """sy.50 and sy.52 where the map has them, the user's values for the others; zeros until the map is known."""
+        if self._held:
+            self._held = self._map_unknown()
+        if self._held:
+            return bytes(self.telegram.outputs)
         values = dict(self.values)
         if self._bits:
             values[t.CONTROL_WORD] = control
         if self._rpm_per_count:
             values[t.SET_SPEED] = setpoint
         return self.outputs_map.put(values, self.telegram.outputs)
+
+    def safe(self, configured: bytes) -> bytes:
+        """Without the values of parameters while their places are not known."""
+        return configured if self._held else super().safe(configured)
+
+    def received(self) -> None:
+        self._dirty |= self._held
+
+    def lost(self, now: int) -> None:
+        self._held = self.access is not None
+        self._pending_map = False
+        super().lost(now)
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
         """sy.50 and sy.52 where the map has them and their meaning is known."""
@@ -186,8 +212,24 @@ class KebCore(MappedCore[PdMap]):
                     )
         return None
 
+    def obstacle(self) -> str | None:
+        """The map that the drive has not yet told."""
+        if not self._held:
+            return None
+        return "the drive has not yet told its process data map (sy.16 to sy.31): the outputs are 0 until then"
+
+    def prepare(self, deadline: int) -> Steps[None]:
+        """Refuse a start while a map that was written is not in force."""
+        yield from super().prepare(deadline)
+        if self._pending_map:
+            raise CommandError(
+                "fault",
+                "a process data map was written that acts after the next power-on of the drive; until then it takes no "
+                "outputs: end the bus and switch the drive off and on",
+            )
+
     def settings(self) -> Sequence[Setting]:
-        """The source of the set point, the direction, and the active map (sy.16 to sy.31, sy.58 to sy.73)."""
+        """The active map (first: outputs wait for it), the source of the set point, the direction."""
         found = [equal("oP.00", 5, "the set point is not sy.52: set oP.00 = 5")] if self._rpm_per_count else []
         if self._bits and self._by_sign:
             found.append(
@@ -202,11 +244,37 @@ class KebCore(MappedCore[PdMap]):
             found.append(equal("oP.01", 9, remedy, refuse=False))
         if self.writes_later:
             return found
+        return [*map(self._judged, self._map_settings(self.inputs_map, self.outputs_map)), *found]
+
+    def _map_settings(self, inputs: PdMap, outputs: PdMap) -> list[Setting]:
+        """What the inverter shows of its map (sy.16 to sy.31, sy.58 to sy.73), and the enables."""
         return [
-            *found,
-            *_active("map_outputs", self.outputs_map, t.ACTIVE_OUTPUTS),
-            *_active("map_inputs", self.inputs_map, t.ACTIVE_INPUTS),
+            *_active("map_outputs", outputs, t.ACTIVE_OUTPUTS),
+            *_active("map_inputs", inputs, t.ACTIVE_INPUTS),
+            *_enabled("outputs", outputs, self._enables(1)),
+            *_enabled("inputs", inputs, self._enables(0)),
         ]
+
+    def _enables(self, number: int) -> tuple[int | None, int | None]:
+        """Indexes of the enables of both blocks, of the inputs (0) or outputs (1)."""
+        second = self._second[number]
+        return _FIRST[number][1], None if second is None else second[1]
+
+    def _judged(self, setting: Setting) -> Setting:
+        """The same setting of the map, with its result kept for :meth:`_map_unknown`."""
+
+        def differs(values: Sequence[float]) -> str | None:
+            text = setting.differs(values)
+            (self._wrong_maps.discard if text is None else self._wrong_maps.add)(setting.wanted)
+            return text
+
+        return structs.replace(setting, differs=differs)
+
+    def _map_unknown(self) -> bool:
+        """The drive's map is not compared yet, or another one, or a parameter in it has no value."""
+        compared = self.settings_check.state not in (SettingsState.NONE, SettingsState.CHECKING)
+        written = self._pending_map or self.writes_later
+        return not compared or written or bool(self._wrong_maps or self.missing())
 
     def _ask(self, deadline: int) -> Steps[int]:
         return self._channel.get(Target(t.INVERTER_STATE, 1, "ru.00"), deadline)
@@ -262,37 +330,74 @@ class KebCore(MappedCore[PdMap]):
     def write_map(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[dict[str, object]]:
         """Write both records (checked before), enable them, and see whether the drive confirms the enable.
 
-        The enable is answered by an error that tells it acts after power-on; which one is not in the manual, so any
-        that is not about the access itself is taken for it, and the enable read back decides.
+        From the first record on the drive takes no outputs. The enable acts at once, or it is answered by an error that
+        tells it acts after power-on; which one is not in the manual, so any that is not about the access itself is
+        taken for it, and the enable read back decides. Without the error the map counts when the inverter shows it.
         """
-        maps = (inputs, outputs)
+        value: dict[str, object] = {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
+        ours = (inputs, outputs) == self.present_maps() and not (self.writes_later or self._pending_map)
+        if ours and (yield from self._in_force(inputs, outputs, deadline)):
+            return value
+        self._held = self._dirty = self._pending_map = True
+        try:
+            at_once = yield from self._write_records((inputs, outputs), deadline)
+        except BaseException:
+            self._pending_map = False
+            self.settings_check.begin()
+            raise
+        if at_once and (yield from self._in_force(inputs, outputs, deadline)):
+            self.inputs_map, self.outputs_map = inputs, outputs
+            self._pending_map = False
+            self._wrong_maps.clear()
+        else:
+            self.notice(
+                "the process data map acts after the next power-on of the drive, which takes no outputs until then"
+            )
+            value["acts"] = "after power-on"
+        self._notice_of_lengths(inputs, outputs)
+        return value
+
+    def _write_records(self, maps: Sequence[PdMap], deadline: int) -> Steps[bool]:
+        """Returns whether the drive confirmed the enables without an error."""
         places = [self._record_blocks(number, one) for number, one in enumerate(maps)]
         for one, blocks in zip(maps, places, strict=True):
             for block, (record, _) in enumerate(blocks):
                 for subindex, value in one.records(block):
                     yield from self._channel.put(self._target(record, subindex), value, deadline)
+        confirmed = True
         for name, blocks in zip(_NAMES, places, strict=True):
             for block, (_, enable) in enumerate(blocks):
-                yield from self._enable(f"{name}, block {block + 1}", enable, deadline)
-        self._notice_of_power_on(inputs, outputs)
-        return {"value": {"inputs": str(inputs), "outputs": str(outputs)}, "acts": "after power-on"}
+                confirmed &= yield from self._enable(f"{name}, block {block + 1}", enable, deadline)
+        return confirmed
 
-    def _enable(self, name: str, index: int, deadline: int) -> Steps[None]:
+    def _in_force(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[bool]:
+        """Whether the inverter shows these maps."""
+        for setting in self._map_settings(inputs, outputs):
+            found = yield from self._channel.read_many(setting.keys, deadline)
+            values = [value for one in found if isinstance(value := one.get("value"), (int, float))]
+            if len(values) < len(found) or setting.differs(values) is not None:
+                return False
+        return True
+
+    def _enable(self, name: str, index: int, deadline: int) -> Steps[bool]:
+        """Returns whether the drive confirmed it without an error."""
+        confirmed = True
         try:
             yield from self._channel.put(self._target(index, 0), t.ENABLED, deadline)
         except CommandError as error:
             if error.kind != "parameter" or error.number in _NO_ACCESS:
                 raise
+            confirmed = False
         got = yield from self._get(index, 0, deadline)
-        if got != t.ENABLED:
+        if got & t.ENABLED != t.ENABLED:
             raise CommandError(
                 "parameter",
                 f"write_map: the drive does not confirm the enable of {name} ({index:04X}h is {got:02X}h): it does not "
                 f"have a parameter of the map, or not with this length, or not as process data",
             )
+        return confirmed
 
-    def _notice_of_power_on(self, inputs: PdMap, outputs: PdMap) -> None:
-        self.notice("the process data map acts after the next power-on of the drive")
+    def _notice_of_lengths(self, inputs: PdMap, outputs: PdMap) -> None:
         telegram = self.telegram
         for name, one, octets in (("inputs", inputs, telegram.inputs), ("outputs", outputs, telegram.outputs)):
             if one.octets != octets:
@@ -366,6 +471,28 @@ def _active(option: str, own: PdMap, firsts: Sequence[int]) -> list[Setting]:
             )
 
         found.append(Setting(wanted=f"{names} = {wanted}", keys=tuple(keys), differs=differs))
+    return found
+
+
+def _enabled(name: str, own: PdMap, enables: Sequence[int | None]) -> list[Setting]:
+    """The enable of each block covers its octets; without it outputs are not obeyed and inputs stand still."""
+    found = []
+    for block, index in enumerate(enables):
+        octets = sum(entry.octets for entry in own.block(block))
+        if not octets or index is None:
+            continue
+        text = f"the enable of the {name}, block {block + 1} ({index:04X}h)"
+
+        def differs(values: Sequence[float], needed: int = (1 << octets) - 1, text: str = text) -> str | None:
+            enable = int(values[0]) & t.ENABLED
+            if not needed & ~enable:
+                return None
+            return (
+                f"{text} is {enable:02X}h, {needed:02X}h or FFh is needed: the drive does not pass all {name} on: "
+                "write_map, and switch the drive off and on where it does not act at once"
+            )
+
+        found.append(Setting(wanted=f"{index:04X}h = FFh", keys=(ParamKey(index),), differs=differs))
     return found
 
 

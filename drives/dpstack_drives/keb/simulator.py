@@ -24,7 +24,8 @@ class KebDevice(DriveDevice):
     """Inverter and operator.
 
     Options: what the bits mean (``control_bits``, ``status_bits``), ``rpm_per_count`` and ``reference_rpm``,
-    ``block2_inputs`` and ``block2_outputs`` (record and enable), ``com_cycle_us``, ``load``; parameters by name.
+    ``block2_inputs`` and ``block2_outputs`` (record and enable), ``com_cycle_us``, ``map_acts``, ``load``; parameters
+    by name.
 
     Readings: sy.50 is obeyed while oP.01 is 9, sy.52 counts while oP.00 is 5 (the recipe's values, factory here);
     without enable (by the bit, or by the terminal: ``release``) the motor coasts; a reset works with the edge of its
@@ -58,7 +59,8 @@ class KebDevice(DriveDevice):
             raise ConfigError(f"{self.title}: block2_inputs and block2_outputs must name record and enable")
         self._rpm_per_count = float(options["rpm_per_count"])
         self._reference_rpm = float(options["reference_rpm"])
-        self.operator = Operator(self.parameters, (into, out), float(options["com_cycle_us"]))
+        at_once = options["map_acts"] == t.WITH_ENABLE
+        self.operator = Operator(self.parameters, (into, out), float(options["com_cycle_us"]), at_once=at_once)
         self.server = KebServer(self._request)
         self.channel = self.server
         self.watchdog = Watchdog()

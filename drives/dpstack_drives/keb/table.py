@@ -51,6 +51,8 @@ OFF: Final = 0xFFFF
 MAP_INPUTS, MAP_OUTPUTS = 0x6000, 0x6001
 ENABLE_INPUTS, ENABLE_OUTPUTS = 0x5FF8, 0x6002
 ENABLED: Final = 0xFF
+#: the manual's two readings: when a new map acts
+AT_POWER_ON, WITH_ENABLE = "power-on", "enable"
 
 #: groups whose address the manual shows
 GROUPS: Final = {"sy": 0x20, "ru": 0x22, "oP": 0x23, "LE": 0x2D, "cS": 0x2F}

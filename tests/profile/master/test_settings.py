@@ -283,7 +283,7 @@ def test_the_reference_of_the_simulated_demag(order: str, reply: str) -> None:
 
 
 def test_keb_reads_its_active_map_by_index() -> None:
-    """oP.00, then sy.24, sy.26, sy.28 (definitions of the outputs), sy.25, sy.27 (their sets) and the inputs'."""
+    """sy.24, sy.26, sy.28 (definitions of the outputs), sy.25, sy.27 (their sets), the inputs', both enables, oP.00."""
     options = {"check_settings": True, "control_bits": "enable=0 run=2", "status_bits": "run=2", "rpm_per_count": 1.0}
     bench = PairBench(KEB.core("saw", "PCH+4/4", options), KEB.device("PCH+4/4"))
     seen: list[str] = []
@@ -292,9 +292,10 @@ def test_keb_reads_its_active_map_by_index() -> None:
         if request[0] & 3 and (asked := request[1:].hex()) not in seen[-1:]:
             seen.append(asked)
     assert seen == [
-        *("012300", "012301"),
         *("012018", "01201a", "01201c", "012019", "01201b"),
         *("012010", "012012", "012014", "012011", "012013"),
+        *("006002", "005ff8"),
+        *("012300", "012301"),
     ]
 
 
