@@ -41,8 +41,8 @@ _OPTIONS: Final = {"demag-dedrive": {"set_412": True}}
 _IDENT: Final = 0x1234
 _FIRST: Final = 3
 _WITHIN: Final = 60 * NS_PER_S
-#: time for drives to start, to have their settings read and to reach the speed
-_SETTLE: Final = 4 * NS_PER_S
+#: time for drives to start, to have their settings read and to reach the speed; then 412 is not being read
+_SETTLE: Final = 9 * NS_PER_S // 2
 #: CPU time of a simulated second of ten PPO1 drives, in Python loops
 _GOAL: Final = 65_000
 #: no worse than linear: an exchange costs no more with many slaves than with few
@@ -74,7 +74,7 @@ class Plant:
         config, ident = (_PPO1, _IDENT) if profile is None or spec is None else (spec.config, profile.ident)
         user_prm = b"" if profile is None else profile.user_prm
         for address in addresses:
-            device: Device = MirrorDevice(_IDENT, _PPO1) if profile is None else profile.device("PPO1")
+            device: Device = MirrorDevice(_IDENT, _PPO1) if profile is None else profile.simulated("PPO1", {}, {})
             device.sync_supported = device.freeze_supported = members > 0
             self.world.add(PassiveStation(address, SlaveApp(device, address=address), params))
         self.master = Master(

@@ -27,11 +27,17 @@ class OptionSpec(Struct, frozen=True, kw_only=True):
     choices: tuple[str, ...] = ()
 
 
+#: the option of every simulated drive that sets it up for the bus
+READY: Final = "ready"
 #: options of every drive's plugin beside its own
 _OPTIONS: Final = {
     CHECK_SETTINGS: OptionSpec(
         default=True, text="read the settings that the plugin relies on and compare them with its options"
     )
+}
+#: and of every simulated drive
+_DEVICE_OPTIONS: Final = {
+    READY: OptionSpec(default=False, text="set up for the bus and wired to run; false: as delivered, nothing wired")
 }
 
 
@@ -52,8 +58,10 @@ class DriveProfile(DriveType):
 
     ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``on_loss``: what the drive does when its
     master stops. ``notes``: what a user should know. ``simulated_options``: options of the core that no manual gives,
-    as the simulated drive has them. ``gsd``: a GSD file of ours made from the manual's facts (not the vendor's), as
-    ``package:file name``. ``rate_setting``: the drive works only at the rate that it is set to.
+    as the simulated drive has them. ``ready``: parameters of the simulated drive that differ from delivery where it is
+    set up for the bus (option :data:`READY`); ``left_open``: those of them that a plant without that option leaves as
+    delivered. ``gsd``: a GSD file of ours made from the manual's facts (not the
+    vendor's), as ``package:file name``. ``rate_setting``: the drive works only at the rate that it is set to.
     """
 
     title: str
@@ -68,6 +76,8 @@ class DriveProfile(DriveType):
     device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     simulated_options: Mapping[str, object] = field(default_factory=dict)
+    ready: Mapping[str, object] = field(default_factory=dict)
+    left_open: Mapping[str, object] = field(default_factory=dict)
     gsd: str | None = None
     rate_setting: RateSetting | None = None
 
@@ -128,12 +138,26 @@ class DriveProfile(DriveType):
         return core
 
     def device(self, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveDevice:
-        """A simulated drive. Options: those declared, and parameters by number or name with their value.
+        """A simulated drive, as delivered. Options: those declared, :data:`READY`, and parameters by number or name
+        with their value.
 
         Raises ConfigError.
         """
-        checked, extra = _checked(self.device_options, options or {}, f"simulated {self.name}")
+        specs = {**self.device_options, **_DEVICE_OPTIONS}
+        checked, extra = _checked(specs, options or {}, f"simulated {self.name}")
+        if checked[READY]:
+            extra = {**self.ready, **extra}
         return self.device_factory(self, self.telegram(telegram), checked, extra)
+
+    def simulated(
+        self, telegram: str | None, options: Mapping[str, object], simulated: Mapping[str, object]
+    ) -> DriveDevice:
+        """The simulated drive of a plant: ready but for ``left_open``, unless ``simulated`` has :data:`READY`.
+
+        ``options``: those of the core. Raises ConfigError.
+        """
+        own = {} if READY in simulated else {READY: True, **self.left_open}
+        return self.device(telegram, {**own, **self.shared(options), **simulated})
 
     def shared(self, options: Mapping[str, object]) -> dict[str, object]:
         """The options of the core that the simulated drive has too."""

@@ -161,7 +161,8 @@ class SimulatedDevice:
     @property
     def drive(self) -> DriveDevice:
         """The simulated drive: ``motor.speed`` and ``motor.torque`` in parts of the reference and of the rated torque,
-        ``motor.on``, ``set_load()``, ``release()``. Raises UsageError for another slave."""
+        ``motor.on``; ``set_load()``, ``release()``, ``contact()``, ``set_point()``, ``acknowledge()`` (keypad). Raises
+        UsageError for another slave."""
         unit = self._unit
         device = unit.device
         if not isinstance(device, DriveDevice):

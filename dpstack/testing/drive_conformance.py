@@ -314,7 +314,7 @@ class DriveConformance:
         """The plugin is called once a rotation: with unchanged inputs it returns the same object, and builds none."""
         profile = self._profile()
         core = profile.core(_NAME, dpstack_telegram, {**self.options, CHECK_SETTINGS: False}, simulated=True)
-        device = profile.device(dpstack_telegram, {**profile.shared(self.options), **self.simulated})
+        device = profile.simulated(dpstack_telegram, self.options, self.simulated)
         now = NS_PER_MS
         device.enter(core.telegram.config, now)
         device.operate(now)
@@ -329,7 +329,7 @@ class DriveConformance:
         """Any inputs give outputs of the right length, any outputs give inputs, and nothing raises."""
         profile = self._profile()
         core = profile.core(_NAME, dpstack_telegram, self.options, simulated=True)
-        device = profile.device(dpstack_telegram, {**profile.shared(self.options), **self.simulated})
+        device = profile.simulated(dpstack_telegram, self.options, self.simulated)
         spec, random, now = core.telegram, Random(0), NS_PER_MS
         device.enter(spec.config, now)
         device.operate(now)

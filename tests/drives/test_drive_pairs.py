@@ -51,7 +51,9 @@ def pair(
     options: Mapping[str, object] = NONE,
     rotation: int = 2 * MS,
 ) -> PairBench:
-    return PairBench(drive.core("it", telegram, options, simulated=True), drive.device(telegram, presets), rotation)
+    return PairBench(
+        drive.core("it", telegram, options, simulated=True), drive.simulated(telegram, {}, presets), rotation
+    )
 
 
 @pytest.mark.parametrize("rotation", [MS // 2, 40 * MS])  # between them: tests/testing/test_drive_conformance.py
@@ -92,7 +94,7 @@ def test_one_program_for_every_drive(
 
 
 def test_the_demo_story_of_demag() -> None:
-    bench = pair(DEMAG, "PPO1")
+    bench = pair(DEMAG, "PPO1", {"412": 44})
     kind, text = bench.refused("start")
     assert kind == "fault"
     assert "412 is 44" in text
@@ -107,7 +109,7 @@ def test_the_demo_story_of_demag() -> None:
 
 
 def test_set_412_starts_at_once_and_spares_the_eeprom() -> None:
-    bench = pair(DEMAG, "PPO1", options={"set_412": True})
+    bench = pair(DEMAG, "PPO1", {"412": 44}, options={"set_412": True})
     assert bench.ok("start") == "running"
     assert bench.ok("read", number=412, data_set=1) == 1
     assert bench.ok("read", number=412, data_set=2) == 44
@@ -196,7 +198,7 @@ def test_unchanged_inputs_cost_nothing(drive: DriveProfile, telegram: str, prese
 @given(st.data())
 def test_random_outputs_never_break_a_simulated_drive(data: st.DataObject) -> None:
     drive, telegram, presets = data.draw(st.sampled_from(ALL))
-    device = drive.device(telegram, presets)
+    device = drive.simulated(telegram, {}, presets)
     core = drive.core("it", telegram, simulated=True)
     config = core.telegram.config
     octets = core.telegram.output_octets
@@ -245,14 +247,14 @@ def test_switched_off_and_on_a_drive_has_what_its_eeprom_holds() -> None:
     hoist = pair(DEMAG, "PPO1")
     hoist.ok("write", number=412, value=1)
     hoist.ok("write", number=480, value=7.5, data_set=2, ram=True)
-    after = DEMAG.device("PPO1")
+    after = DEMAG.simulated("PPO1", {}, {})
     after.inherit(hoist.device)
     bench = PairBench(DEMAG.core("it", "PPO1"), after)
     assert bench.ok("start") == "running"
     assert bench.ok("read", number=480, data_set=2) == 5.0  # that was RAM only
     fan = pair(FUJI, "PPO1")
     fan.ok("write", number="o30", value=3)
-    other = FUJI.device("PPO1")
+    other = FUJI.simulated("PPO1", {}, {})
     other.inherit(fan.device)
     assert other.check_cfg(FUJI.telegram("PPO1").config) == "configuration f3 71 is not PPO3 (71), o30 is 3"
     assert other.check_cfg(FUJI.telegram("PPO3").config) is None

@@ -20,7 +20,7 @@ class Bench(DeviceBench[ImoDevice]):
     """Process data without the PKW zone, short: the rest is zeros."""
 
     def __init__(self, **presets: Any) -> None:
-        device = DRIVE.device(None, presets)
+        device = DRIVE.simulated(None, {}, presets)
         assert isinstance(device, ImoDevice)
         super().__init__(device, "F3 7B")
 
@@ -155,7 +155,7 @@ def test_i3_a_request_that_stands_is_written_once_to_the_eeprom() -> None:
     assert bench.device.store.eeprom_writes == 1
     bench.pkw("00 04 00 0A 00 00 04 E2")
     assert bench.device.store.eeprom_writes == 2
-    after = DRIVE.device()
+    after = DRIVE.simulated(None, {}, {})
     assert isinstance(after, ImoDevice)
     after.inherit(bench.device)
     assert after.store.value("P00.10") == 12.5
@@ -174,7 +174,7 @@ def test_i4_a_map_written_acts_at_once_and_outlives_power_off() -> None:
     bench.pkw("00 04 0F 02 00 00 00 01", "01 01")
     bench.pkw("00 04 0F 0D 00 00 00 02", "01 01")
     assert bench.pzd("00 01 09 C4")[:11] == "41 01 09 C4"  # transmitted PZD2: the set frequency
-    after = DRIVE.device()
+    after = DRIVE.simulated(None, {}, {})
     after.inherit(bench.device)
     again = DeviceBench(after, "F3 7B")
     assert again.send(NO_PKW + "00 05 13 88" + " 00" * 20)[24:35] == "41 03 13 88"

@@ -26,7 +26,7 @@ RUN = "00 05 05 DC"
 
 def test_k1_every_service() -> None:
     """Set_Prm without user parameters, ident 05EB; Chk_Cfg A3 93; Get_Cfg, RD_Inp, RD_Outp, Slave_Diag, controls."""
-    app = SlaveApp(DRIVE.device("4/4"), address=8)
+    app = SlaveApp(DRIVE.simulated("4/4", {}, {}), address=8)
     bench = Bench(app.device, app)
     assert bench.diag() == bytes.fromhex("02 05 00 FF 05 EB")
     assert bench.ask(59) == Reply(Resp.DL, bytes.fromhex("A3 93"))  # Get_Cfg
@@ -225,6 +225,15 @@ def test_k10_pn06_is_the_time_to_the_trip() -> None:
     assert (tripped(bench), bench.device.motor.on) == (18, False)
     bench.device.enter(bench.config, bench.now)
     assert bench.send(RUN, 60)[:5] == "00 02"  # the trip stays when the bus is back
+
+
+@pytest.mark.parametrize(("after_s", "inputs"), [(4, "00 15 05 DC"), (2, "00 02 00 00")])
+def test_k10_a_master_that_is_away_for_3_s_is_seen_without_the_watchdog_of_set_prm(after_s: float, inputs: str) -> None:
+    """The slave stays in data exchange, but nothing arrives: only the watchdog of the operator stops the drive."""
+    bench = sim({"Pn.05": 0, "Pn.06": after_s})
+    bench.send(RUN, 1200)
+    bench.now += 3000 * MS
+    assert bench.send(RUN, 60) == inputs
 
 
 @pytest.mark.parametrize(("how", "fault", "output"), [(0, 18, False), (1, 18, False), (6, 0, True)])

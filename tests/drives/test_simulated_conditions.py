@@ -306,13 +306,13 @@ def test_fuji_and_imo_lose_their_mains_under_the_option() -> None:
     bench = fuji("PPO3")
     bench.device.mains(False)
     assert bench.send("04 7E 40 00", 20) == "00 00 00 00"
-    card = IMO.device("PKW+12", {})
+    card = IMO.simulated("PKW+12", {}, {})
     card.mains(False)
     assert not card.released
 
 
 def test_imo_errors_of_its_state() -> None:
-    bench = DeviceBench(IMO.device("PKW+12", {}), "F3 7B")
+    bench = DeviceBench(IMO.simulated("PKW+12", {}, {}), "F3 7B")
     bench.device.refuse("5")
     rest = " 01 00" + " 00 00" * 11
     assert bench.send("00 01 00 0A 00 00 00 00" + rest, 20)[:23] == "00 01 00 0A 00 00 13 88"
@@ -378,7 +378,7 @@ LS_PRM = "80 01 01 0B 0A 6C 00 80 20 00"  # DPV1_Enable, diagnosis alarms
 
 
 def ls_master(prm: str = LS_PRM, **options: object) -> OctetMaster:
-    device = LS.device("PPO3" if not options else "VENDOR 2/2", options)
+    device = LS.simulated("PPO3" if not options else "VENDOR 2/2", {}, options)
     bench = OctetMaster(device, SlaveApp(device, address=SLAVE))
     config = "71" if not options else "61 51"
     bench.start_with(bytes.fromhex(prm), bytes.fromhex(config), bytes.fromhex("04 7E 00 00"))
@@ -440,7 +440,7 @@ def test_ls_error_from_outside_over_record_47() -> None:
 
 def test_ls_com_94_takes_a_new_address_over() -> None:
     """4.2.2: COM-07 acts with COM-94 = 1."""
-    bench = on_the_bus(LS.device("PPO1"), LS_PRM, "F3 71")
+    bench = on_the_bus(LS.simulated("PPO1", {}, {}), LS_PRM, "F3 71")
     words = " 04 7E 00 00"
     exchange(bench, ZERO + words, 20)
     assert exchange(bench, "20 17 07 00 00 00 00 0C" + words, 300)[:23] == "10 17 07 00 00 00 00 0C"

@@ -19,7 +19,7 @@ START = ("00 06", "00 07", "00 0F")
 
 def device(telegram: str = "PPO1", **presets: Any) -> DemagDevice:
     """Control by the bus (412 = 1) unless ``presets`` say otherwise."""
-    found = DRIVE.device(telegram, {"412": 1, **presets})
+    found = DRIVE.simulated(telegram, {}, {"412": 1, **presets})
     assert isinstance(found, DemagDevice)
     return found
 

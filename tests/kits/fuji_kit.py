@@ -19,7 +19,7 @@ WIDE = " 00 00 00 00 00 00 00 00"
 
 
 def device(telegram: str = "PPO3", **presets: Any) -> FujiDevice:
-    found = DRIVE.device(telegram, presets)
+    found = DRIVE.simulated(telegram, {}, presets)
     assert isinstance(found, FujiDevice)
     return found
 

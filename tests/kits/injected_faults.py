@@ -330,7 +330,10 @@ ROWS: Final = (
 #: commands of ``ctl`` to a simulated slave that are no fault of this plant: other drives have them
 ELSEWHERE: Final = {
     "jog": "tests/drives/test_ls_simulator.py",
+    "acknowledge": "tests/api/server/test_simulated_orders.py",
+    "contact": "tests/api/server/test_simulated_orders.py",
     "link": "tests/api/server/test_simulated_orders.py",
+    "set-point": "tests/api/server/test_simulated_orders.py",
 }
 
 

@@ -17,7 +17,7 @@ IDLE = " 00 00 00 00"
 
 
 def device(telegram: str = "PCH+4/4", presets: Mapping[str, object] = NONE) -> KebDevice:
-    found = DRIVE.device(telegram, presets)
+    found = DRIVE.simulated(telegram, {}, presets)
     assert isinstance(found, KebDevice)
     return found
 

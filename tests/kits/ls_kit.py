@@ -19,7 +19,7 @@ S2 = "02 35 00 00"
 
 def sim(telegram: str = "PPO3", codes: Mapping[str, float] = NONE, **options: object) -> LsBench:
     """``codes``: parameters by code."""
-    device = DRIVE.device(telegram, {**options, **codes})
+    device = DRIVE.simulated(telegram, options, codes)
     assert isinstance(device, LsDevice)
     return DeviceBench(device, DRIVE.telegram(telegram).config.hex())
 

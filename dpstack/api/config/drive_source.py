@@ -37,7 +37,7 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     with table.blaming(next(iter(references), "options")):
         core = profile.core(who["name"], telegram.name, options)
     with table.blaming("simulated"):
-        profile.device(telegram.name, {**profile.shared(options), **simulated})
+        profile.simulated(telegram.name, options, simulated)
     rest = {
         "profile": profile,
         "telegram": telegram.name,

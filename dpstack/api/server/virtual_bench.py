@@ -73,7 +73,7 @@ _MADE_UP: Final = 0x8000
 
 def _device_of(slave: SlaveConfig, held: HeldInputs | None) -> Device:
     if slave.profile is not None:
-        device = slave.profile.device(slave.telegram, {**slave.profile.shared(slave.options), **slave.simulated})
+        device = slave.profile.simulated(slave.telegram, slave.options, slave.simulated)
         if slave.params.ident is not None:
             device.ident = slave.params.ident
         device.name = slave.name

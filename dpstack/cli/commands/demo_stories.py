@@ -96,6 +96,8 @@ async def ls(drive: Drive, tell: Tell, trip: Trip) -> None:
     await _stop(drive, tell)
 
 
+#: at 9.6 kbit/s the questions of a plugin before its first start take some seconds
+_START_S: Final = 30.0
 STORIES: Final[dict[str, Story]] = {
     "demag-dedrive": Story(demag, "PPO1"),
     "fuji-frenic": Story(fuji, "PPO3"),
@@ -108,7 +110,7 @@ OTHERS: Final = Story(any_drive)
 
 async def _run(drive: Drive, tell: Tell, speed: float) -> None:
     drive.speed = speed
-    await drive.start()
+    await drive.start(timeout=_START_S)
     tell(f"running towards {speed:.0%}")
     await drive.reached()
     actual = drive.status.speed

@@ -40,10 +40,11 @@ class DriveDevice(Device):
 
     ``telegram`` is the one in use, at first the drive's own.
 
-    Faults and conditions from outside: :meth:`trip`, :meth:`warn`, :meth:`set_load`, :meth:`release`, :meth:`refuse`;
-    they take effect at the next scan. ``address_parameter``: the one in ``store`` that holds the station address.
-    ``parameter_errors``: texts of the errors of an access to a parameter, by number; ``read_errors``, ``write_errors``:
-    those of reads only, of writes only.
+    Faults and conditions from outside: :meth:`trip`, :meth:`acknowledge`, :meth:`warn`, :meth:`set_load`,
+    :meth:`release`, :meth:`contact`, :meth:`set_point`, :meth:`refuse`; they take effect at the next scan.
+    ``address_parameter``: the one in ``store`` that holds the station address. ``parameter_errors``: texts of the
+    errors of an access to a parameter, by number; ``read_errors``, ``write_errors``: those of reads only, of writes
+    only.
     """
 
     #: the parameters, and the number of data sets
@@ -52,6 +53,8 @@ class DriveDevice(Device):
     #: names of the faults of :meth:`trip` by number, and what an unknown one is, for people
     trips: Mapping[int, str] = {}
     unknown_trip: str = "no fault of this drive"
+    #: names of the contacts and terminals of :meth:`contact`
+    contacts: tuple[str, ...] = ()
     #: the internal scan time
     scan_ns: int = 4 * NS_PER_MS
     #: of the parameter channel
@@ -80,6 +83,8 @@ class DriveDevice(Device):
         self.record47: ParameterServer | None = None
         self.warning_mask = 0
         self.released = True
+        #: contacts that are on now, and at its commissioning
+        self.contacts_on = self.contacts_wired = frozenset[str]()
         #: None: there are no valid ones
         self.last_outputs: bytes | None = None
         self._inputs = b""
@@ -116,8 +121,26 @@ class DriveDevice(Device):
             self._own_load = self.motor.load
         self.motor.load = load
 
+    def acknowledge(self) -> None:
+        """Acknowledge the fault at the keypad. Raises ValueError where none stands, or the drive locks it."""
+        if not self.faulted:
+            raise ValueError("no fault stands")
+        self.reset_fault()
+
     def release(self, on: bool) -> None:
         self.released = on
+
+    def contact(self, name: str, on: bool) -> None:
+        """Switch one of :attr:`contacts` (any case). Raises ValueError with those that there are."""
+        found = next((known for known in self.contacts if known.lower() == name.strip().lower()), None)
+        if found is None:
+            known = f"it has {', '.join(self.contacts)}" if self.contacts else "it has none here"
+            raise ValueError(f"{name!r} is no contact of {self.profile.name}; {known}")
+        self.contacts_on = self.contacts_on | {found} if on else self.contacts_on - {found}
+
+    def set_point(self, hertz: float) -> None:
+        """The internal set point. Raises ValueError where the drive has none here."""
+        raise ValueError(f"{self.profile.name} has no internal set point here")
 
     def jog(self, direction: int) -> None:
         """Jog terminals: 1 forward, -1 reverse, 0 off. Raises ValueError where the drive has none."""
@@ -191,6 +214,11 @@ class DriveDevice(Device):
             found.append(f"load {self.motor.load:g}")
         if not self.released:
             found.append("release off")
+        found += [
+            f"contact {name} {'on' if name in self.contacts_on else 'off'}"
+            for name in self.contacts
+            if (name in self.contacts_on) != (name in self.contacts_wired)
+        ]
         if self.jog_direction:
             found.append("jog forward" if self.jog_direction > 0 else "jog reverse")
         if self._refusal is not None:
@@ -199,8 +227,9 @@ class DriveDevice(Device):
         return tuple(found)
 
     def inherit(self, before: DriveDevice) -> None:
-        """Take over the EEPROM of ``before``, the same drive before it was switched off and on."""
+        """Take over EEPROM and contacts of ``before``, the same drive before it was switched off and on."""
         self.store.inherit(before.store)
+        self.contacts_on = before.contacts_on
 
     def installed(self, address: int, baud: int | None) -> None:
         """Set its address and the baud rate in bit/s, None while it is not known."""
@@ -317,6 +346,10 @@ class DriveDevice(Device):
             if wanted in (str(number), name.lower()):
                 return number
         raise ValueError(f"{code!r} is {self.unknown_trip}")
+
+    def reset_fault(self) -> None:
+        """End the fault, as its acknowledgement does. Raises ValueError while it is locked."""
+        raise ValueError(f"{self.profile.name} cannot be acknowledged at its keypad here")
 
     def live(self, spec: ParamSpec) -> int | None:
         """The actual value on the wire of a parameter that is not stored."""

@@ -65,6 +65,7 @@ DRIVE: Final = DriveProfile(
         "baud_index": _RATE,
     },
     simulated_options={"rated_current": 10.0, "reference_rpm": 1500.0, "fault_names": t.FAULTS_MADE_UP},
+    ready={t.SOURCE: int(t.Source.COMMUNICATION), t.FREQUENCY_CHANNEL: t.FROM_PROFIBUS},
     notes=(
         "the manual has no GSD file: ident number and identifier octets are made up, use the user's",
         "P15.02 to P15.23 are 0 at the factory: without a set frequency among them it cannot run (write_map)",

@@ -98,6 +98,10 @@ class ImoDevice(DriveDevice):
     def faulted(self) -> bool:
         return bool(self.fault)
 
+    def reset_fault(self) -> None:
+        self.fault = 0
+        self._command = t.Command.STOP
+
     def mains(self, on: bool) -> None:
         """As :meth:`release`: the card stays on the bus."""
         self.release(on)
@@ -140,8 +144,7 @@ class ImoDevice(DriveDevice):
         if words is not None:
             self._receive(words)
         if self._command is t.Command.RESET and self.fault:
-            self.fault = 0
-            self._command = t.Command.STOP
+            self.reset_fault()
         self._drive()
         self._count_energy()
         status = self._status()

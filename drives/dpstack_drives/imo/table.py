@@ -256,9 +256,9 @@ def _row(
 #: the simulated drive's; the plugin knows those that are not made up
 PARAMETERS: Final = ParamTable(
     (
-        _row(0x0001, "Run command channel", 2, Source.COMMUNICATION, made_up=True),
+        _row(0x0001, "Run command channel", 2, Source.KEYPAD, made_up=True),
         _row(0x0003, "Maximum frequency", 400, 50, 2, "Hz", made_up=True),
-        _row(0x0006, "Source of the set frequency", 15, FROM_PROFIBUS, made_up=True),
+        _row(0x0006, "Source of the set frequency", 15, 0, made_up=True),
         _row(KEYPAD_FREQUENCY, "Frequency set by keypad", 400, 50, 2, "Hz"),
         _row(0x000B, "Acceleration time", 3600, 1, 1, "s", made_up=True),
         _row(0x000C, "Deceleration time", 3600, 1, 1, "s", made_up=True),

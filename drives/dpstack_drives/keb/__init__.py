@@ -67,6 +67,7 @@ DRIVE: Final = DriveProfile(
         "block2_inputs": t.BLOCK2_INPUTS,
         "block2_outputs": t.BLOCK2_OUTPUTS,
     },
+    ready=t.READY,
     gsd="dpstack_drives.keb:keb-f5.gsd",
     notes=(
         "the ident number is a guess from the name of its GSD file",

@@ -216,7 +216,10 @@ class KebCore(MappedCore[PdMap]):
         """The map that the drive has not yet told."""
         if not self._held:
             return None
-        return "the drive has not yet told its process data map (sy.16 to sy.31): the outputs are 0 until then"
+        return (
+            "the drive has not yet told its process data map (sy.16 to sy.31): the outputs are 0 until then; a slow "
+            "bus needs a longer timeout"
+        )
 
     def prepare(self, deadline: int) -> Steps[None]:
         """Refuse a start while a map that was written is not in force."""

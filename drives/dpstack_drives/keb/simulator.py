@@ -27,7 +27,7 @@ class KebDevice(DriveDevice):
     ``block2_inputs`` and ``block2_outputs`` (record and enable), ``com_cycle_us``, ``map_acts``, ``load``; parameters
     by name.
 
-    Readings: sy.50 is obeyed while oP.01 is 9, sy.52 counts while oP.00 is 5 (the recipe's values, factory here);
+    Readings: sy.50 is obeyed while oP.01 is 9, sy.52 counts while oP.00 is 5 (the recipe's values);
     without enable (by the bit, or by the terminal: ``release``) the motor coasts; a reset works with the edge of its
     bit; Pn.05 = 0 trips E.buS, 1 after a quick stop, all others only switch a digital output (6 is the manual's). Clear
     writes zeros; after the end of data exchange the last outputs stand until the watchdog acts.
@@ -71,7 +71,7 @@ class KebDevice(DriveDevice):
         self._link_seen = 0
         self._link_reported = False
         self._own = telegram
-        self._exchanging = False
+        self._exchanged = False  # since the last scan
         self._clear = False
         self._seen = (0, 0)  # output telegrams and requests up to the last scan
         self._reset = False
@@ -91,6 +91,10 @@ class KebDevice(DriveDevice):
     @property
     def faulted(self) -> bool:
         return bool(self.fault)
+
+    def reset_fault(self) -> None:
+        self.fault = 0
+        self.digital_output = False
 
     def warn(self, mask: int) -> None:
         """Raises ValueError: the F5 has no warnings on the bus."""
@@ -114,7 +118,7 @@ class KebDevice(DriveDevice):
     def enter(self, config: bytes, now: int) -> None:
         """Data exchange begins; up to now there was none, and the watchdog has to see that."""
         self.advance(now)
-        self._exchanging = True
+        self._exchanged = True
         self._clear = False
         super().enter(config, now)
 
@@ -124,12 +128,12 @@ class KebDevice(DriveDevice):
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
         inputs = super().exchange(outputs, now)
+        self._exchanged = True
         self._clear = False
         return inputs
 
     def master_lost(self, reason: Leave, now: int) -> None:
         """The drive goes on until the watchdog of the operator expires."""
-        self._exchanging = False
         self._clear = False
 
     # -- the internal scan ----------------------------------------------------------------------------------------
@@ -154,7 +158,8 @@ class KebDevice(DriveDevice):
         life = Life(0)
         life |= Life.OUTPUTS if telegrams_sent != self._seen[0] else life
         life |= Life.REQUEST if requests != self._seen[1] else life
-        life |= Life.EXCHANGE if self._exchanging else life
+        life |= Life.EXCHANGE if self._exchanged else life
+        self._exchanged = False
         self._seen = (telegrams_sent, requests)
         if self.watchdog.step(
             life,
@@ -186,8 +191,7 @@ class KebDevice(DriveDevice):
         control = self.parameters.raw(t.CONTROL_WORD) if self.store.value("oP.01") == 9 else 0
         reset = self._is_set(control, "reset")
         if reset and not self._reset and self.fault:
-            self.fault = 0
-            self.digital_output = False
+            self.reset_fault()
         self._reset = reset
         if self._stopping_for is not None and not motor.frequency:
             self.fault, self._stopping_for = self._stopping_for, None

@@ -148,6 +148,9 @@ RECIPE: Final = (
     "F5-B, -C and -G need the rated motor speed)"
 )
 
+#: the same for the simulated drive
+READY: Final = {"ud.01": 440, "Fr.01": -4, "Fr.02": 5, "oP.00": 5, "oP.01": 9, "di.01": 1, "di.02": 1}
+
 #: made up: what the bits mean in the simulated drive
 CONTROL_BITS: Final = "enable=0 reset=1 run=2 reverse=3 quick_stop=8"
 STATUS_BITS: Final = "ready=0 fault=1 run=2 reverse=3 reached=4"
@@ -226,8 +229,8 @@ PARAMETERS: Final = ParamTable(
         _row("ru.00", "inverter state", read_only=True),
         _row("ru.12", "actual torque display", -_ANY, _ANY, long=True, read_only=True),
         _row("ru.39", "OL counter display", read_only=True),
-        _row("oP.00", "reference source", high=10, factory=5),
-        _row("oP.01", "rotation source", high=10, factory=9),
+        _row("oP.00", "reference source", high=10),
+        _row("oP.01", "rotation source", high=10, factory=2),
         _row("oP.03", "digital setpoint setting", -400, 400, per_unit=80, unit="Hz", per_set=True),
         _row("oP.10", "max reference forward", 0, 400, 70, per_unit=80, unit="Hz", per_set=True),
         _row("oP.28", "acceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
@@ -238,12 +241,12 @@ PARAMETERS: Final = ParamTable(
         # at indexes that are made up
         _row("Pn.05", "E.buS stopping mode", high=6, factory=6),
         _row("Pn.06", "watchdog time", high=40, per_unit=100, unit="s"),
-        _row("ud.01", "password", -32_767, 32_767, 440),
+        _row("ud.01", "password", -32_767, 32_767),
         _row("ud.05", "auto store", high=2, factory=2),
-        _row("Fr.01", "copy parameter set", -9, 7, -4),
-        _row("Fr.02", "parameter set source", high=5, factory=5),
-        _row("di.01", "select signal source", high=4095, factory=1),
-        _row("di.02", "digital input setting", high=4095, factory=1),
+        _row("Fr.01", "copy parameter set", -9, 7),
+        _row("Fr.02", "parameter set source", high=5),
+        _row("di.01", "select signal source", high=4095),
+        _row("di.02", "digital input setting", high=4095),
         _row("Fb.09", "PD_In_Cycle", high=10_000, factory=25, unit="ms", made_up=False),
         _row("Fb.23", "Take Stored PD-Map", high=ENABLED, factory=ENABLED, made_up=False),
         _row("Fb.37", "Master_PDIN_Len", read_only=True),

@@ -14,7 +14,7 @@ class Life(IntFlag):
 
     OUTPUTS = 1  # an output telegram to the inverter begins
     REQUEST = 2  # a parameter order begins
-    EXCHANGE = 4  # in user data exchange
+    EXCHANGE = 4  # user data were exchanged
 
 
 class Watchdog:

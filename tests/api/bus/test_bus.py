@@ -221,7 +221,7 @@ async def test_an_order_to_a_drive_that_is_not_there(world: WorldFactory) -> Non
 @in_virtual_time
 async def test_a_drive_that_vanishes_fails_what_is_pending(world: WorldFactory) -> None:
     w = world()
-    fan = dpstack.profile.find("fuji-frenic").device("PPO3")
+    fan = dpstack.profile.find("fuji-frenic").simulated("PPO3", {}, {})
     station = make_slave(4, fan, BusParams.preset(500_000))
     w.add(station)
     async with bus_of(FAN, world=w) as bus:

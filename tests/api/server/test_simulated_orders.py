@@ -106,3 +106,35 @@ async def test_an_address_that_acts_at_once(table: dict[str, object], writes: li
         await asyncio.sleep(0.5)
         found = await bus.scan()
         assert {station.address for station in found if station.ident is not None} == {9}
+
+
+@in_virtual_time
+async def test_contacts_set_point_and_the_keypad_by_ctl() -> None:
+    """A local run of a hoist, a fan whose terminal takes the command away, and a fault acknowledged at the keypad."""
+    local = HOIST | {"simulated": {"412": 0, "434": 1, "ready": False}}
+    async with operating(local, FAN) as bus:
+        server = control_run(bus, "virtual")
+        for text in ("contact hoist S1 on", "contact hoist S2 on", "set-point hoist 12.5"):
+            order(server, text)
+        await asyncio.sleep(1)
+        assert device_of(bus, 3).motor.frequency == pytest.approx(0.25)
+        assert device_of(bus, 3).injected == ("contact S1 on", "contact S2 on")
+        fan = bus.drive("fan")
+        await fan.start()
+        order(server, "contact fan LOC on")
+        await asyncio.sleep(2)
+        with pytest.raises(dpstack.DriveFault, match="STW bit 9 is 0 although y98 is 3"):
+            await fan.start()
+        order(server, "contact fan LOC off")
+        order(server, "trip fan OC1")
+        await asyncio.sleep(0.2)
+        assert list(fan.status.faults) == ["OC1 overcurrent during acceleration"]
+        order(server, "acknowledge fan")
+        await asyncio.sleep(0.2)
+        assert list(fan.status.faults) == []
+        with pytest.raises(ValueError, match="no fault stands"):
+            order(server, "acknowledge fan")
+        with pytest.raises(ValueError, match="'S7' is no contact of demag-dedrive; it has S1, S2"):
+            order(server, "contact hoist S7 on")
+        with pytest.raises(ValueError, match="fuji-frenic has no internal set point here"):
+            order(server, "set-point fan 10")

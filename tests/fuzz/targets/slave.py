@@ -85,7 +85,7 @@ class OwnSlave(DpSlave):
 
 
 def drive(kind: str) -> Device:
-    return find(kind).device(None, {})
+    return find(kind).simulated(None, {}, {})
 
 
 DEVICES: tuple[Callable[[], Device], ...] = (

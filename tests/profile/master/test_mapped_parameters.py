@@ -153,7 +153,7 @@ def ramps(device: DriveDevice) -> float:
 
 @pytest.mark.parametrize(("outputs", "values"), [("dr-04", {2.0}), ("dr-04=7.5", {2.0, 7.5}), ("dr-03 dr-04", {2.0})])
 def test_a_ramp_time_is_never_0_on_the_way_to_its_map(outputs: str, values: set[float]) -> None:
-    bench = Watched(LS.core("pump", "PPO2"), LS.device("PPO2", {"dr-04": 2.0, "dr-03": 3.0}))
+    bench = Watched(LS.core("pump", "PPO2"), LS.simulated("PPO2", {}, {"dr-04": 2.0, "dr-03": 3.0}))
     bench.ok("write_map", outputs=outputs)
     bench.ok("start")
     bench.ok("stop")
@@ -163,7 +163,7 @@ def test_a_ramp_time_is_never_0_on_the_way_to_its_map(outputs: str, values: set[
 
 
 def test_start_is_refused_for_a_limit_without_a_value() -> None:
-    bench = PairBench(IMO.core("pump"), IMO.device(None))
+    bench = PairBench(IMO.core("pump"), IMO.simulated(None, {}, {}))
     bench.ok("write_map", outputs="set_frequency forward_limit braking_torque_limit=120", inputs="frequency")
     bench.ok("speed", value=0.5)
     assert bench.refused("start") == (
@@ -225,7 +225,7 @@ def test_no_way_out_takes_the_ramp_away(way: str, monkeypatch: pytest.MonkeyPatc
 def test_maps_that_act_later_are_needed_as_options_before_the_drive_runs_again() -> None:
     """The words of the old map would stand in the places of the new one: a control word in a torque limit."""
     telegram = "PCH+8/8"
-    bench = PairBench(KEB.core("saw", telegram, simulated=True), KEB.device(telegram))
+    bench = PairBench(KEB.core("saw", telegram, simulated=True), KEB.simulated(telegram, {}, {}))
     maps = {"inputs": "ru.12:long sy.51 sy.53", "outputs": "cS.19:long sy.50 sy.52"}
     bench.ok("write_map", **maps)
     needed = "map_inputs = '220C:long 2033 2035' and map_outputs = '2F13:long 2032 2034' (with cS.19=VALUE)"
@@ -238,7 +238,7 @@ def test_maps_that_act_later_are_needed_as_options_before_the_drive_runs_again()
     assert "it was away since" in text
     assert needed in text
     known = {"map_inputs": maps["inputs"], "map_outputs": "cS.19:long=100 sy.50 sy.52"}
-    bench = PairBench(KEB.core("saw", telegram, known, simulated=True), KEB.device(telegram))
+    bench = PairBench(KEB.core("saw", telegram, known, simulated=True), KEB.simulated(telegram, {}, {}))
     bench.ok("write_map")
     bench.core.lost(bench.now)
     assert not [text for text in bench.notices() if "end the bus" in text]

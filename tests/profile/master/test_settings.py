@@ -27,7 +27,9 @@ def pair(
     options: Mapping[str, object] = NONE,
     rotation: int = 2 * MS,
 ) -> PairBench:
-    return PairBench(drive.core("it", telegram, options, simulated=True), drive.device(telegram, simulated), rotation)
+    return PairBench(
+        drive.core("it", telegram, options, simulated=True), drive.simulated(telegram, {}, simulated), rotation
+    )
 
 
 def set_by_hand(bench: PairBench, name: str, raw: int) -> None:
@@ -163,10 +165,10 @@ def test_a_keb_whose_map_is_the_manuals_example_is_verified_in_both_blocks() -> 
     """The two examples of the manual: 12 octets of inputs, 10 of outputs
     (docs/reference/drives/keb-f5.md#second-block)."""
     maps = {"map_inputs": "202C:long 2033 2035 2200 2227", "map_outputs": "2F13:long=5 2032 2034 230A=5600"}
-    device = KEB.device("PCH+8+2/8+4 own-gsd")
+    device = KEB.simulated("PCH+8+2/8+4 own-gsd", {}, {})
     first = PairBench(KEB.core("it", "PCH+8+2/8+4 own-gsd", simulated=True), device)
     first.ok("write_map", inputs=maps["map_inputs"], outputs=maps["map_outputs"].replace("=5600", "").replace("=5", ""))
-    after = KEB.device("PCH+8+2/8+4 own-gsd")
+    after = KEB.simulated("PCH+8+2/8+4 own-gsd", {}, {})
     after.inherit(device)
     bench = PairBench(KEB.core("it", "PCH+8+2/8+4 own-gsd", maps, simulated=True), after)
     bench.ok("start")
@@ -201,6 +203,7 @@ def test_demag_390_375_and_434_are_read_in_the_active_data_set() -> None:
     assert bench.core.status().settings is SettingsState.CHECKING
     replied(bench, "61 B2 02 00", "41 B2 02 00 00 00 00 02", idle)
     replied(bench, "10 E4 00 00", "20 E4 00 00 00 00 00 00", idle)
+    replied(bench, "13 70 00 00", "13 70 00 00 00 00 00 00", idle)
     assert bench.core.status().settings is SettingsState.CHECKED
     assert bench.out()[24:29] == "00 00"
 
@@ -264,7 +267,7 @@ def test_imo_asks_for_source_and_maximum_after_its_maps() -> None:
 )
 def test_the_active_map_of_the_simulated_keb(index: str, value: str) -> None:
     """sy.16, sy.17, sy.18, sy.20 and sy.26 of the map as delivered: 0033h and 0035h in, 0032h and 0034h out, -1 off."""
-    bench = DeviceBench(KEB.device("PCH+4/4"), KEB.telegram("PCH+4/4").config.hex())
+    bench = DeviceBench(KEB.simulated("PCH+4/4", {}, {}), KEB.telegram("PCH+4/4").config.hex())
     request = f"71 01 20 {index} 00 00 00 00"
     assert bench.send(f"{request} 00 00 00 00", 20)[:23] == f"41 01 20 {index} {value}"
 
@@ -285,7 +288,7 @@ def test_the_reference_of_the_simulated_demag(order: str, reply: str) -> None:
 def test_keb_reads_its_active_map_by_index() -> None:
     """sy.24, sy.26, sy.28 (definitions of the outputs), sy.25, sy.27 (their sets), the inputs', both enables, oP.00."""
     options = {"check_settings": True, "control_bits": "enable=0 run=2", "status_bits": "run=2", "rpm_per_count": 1.0}
-    bench = PairBench(KEB.core("saw", "PCH+4/4", options), KEB.device("PCH+4/4"))
+    bench = PairBench(KEB.core("saw", "PCH+4/4", options), KEB.simulated("PCH+4/4", {}, {}))
     seen: list[str] = []
     for _ in range(2000):
         request = bench.run()[:4]
