@@ -64,12 +64,11 @@ def test_f2_s5_is_told_apart_by_ones_own_command() -> None:
 
 
 def test_f9_alarm_names() -> None:
-    assert t.alarm_text(0x7511) == "Er5 field bus communications error"
-    assert "OH1" in t.alarm_text(0x4310)
-    assert "OH4" in t.alarm_text(0x4310)
-    assert "Er2" in t.alarm_text(0x7520)
-    assert "ErP" in t.alarm_text(0x7520)
-    assert t.alarm_text(0x1234) == "1234"
+    (only,) = t.alarms(0x7511)
+    assert only.text == "Er5 field bus communications error"
+    assert [alarm.keypad for alarm in t.alarms(0x4310)] == ["OH1", "OH4"]
+    assert [alarm.keypad for alarm in t.alarms(0x7520)] == ["Er2", "ErP"]
+    assert t.alarms(0x1234) == []
 
 
 def test_f13_addresses() -> None:

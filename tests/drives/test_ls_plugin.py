@@ -205,7 +205,7 @@ def test_a_drive_that_stays_in_s1_is_told_with_what_to_look_at() -> None:
     bench.run(600)
     assert "stays in S1" in bench.text(token)
     assert "set dr-06 (command source) to 4" in bench.text(token)
-    device = DRIVE.device("PPO1", {"dr-06": 1})
+    device = DRIVE.simulated("PPO1", {}, {"dr-06": 1})
     kind, why = PairBench(DRIVE.core("pump", "PPO1"), device).refused("start")
     assert kind == "fault"
     assert why.startswith("dr-06 is 1: the drive stays in S1")
@@ -225,7 +225,7 @@ def test_a_drive_that_stays_in_s1_is_told_with_what_to_look_at() -> None:
     ],
 )
 def test_the_same_words_for_every_profile(telegram: str, options: dict[str, object]) -> None:
-    bench = PairBench(DRIVE.core("pump", telegram, options), DRIVE.device(telegram, options))
+    bench = PairBench(DRIVE.core("pump", telegram, options), DRIVE.simulated(telegram, {}, options))
     for speed in (0.5, -0.25):
         bench.ok("speed", value=speed)
         assert bench.ok("start", timeout_s=3) == "running"
@@ -243,7 +243,7 @@ def test_the_same_words_for_every_profile(telegram: str, options: dict[str, obje
 
 
 def test_read_map_and_write_map() -> None:
-    bench = PairBench(DRIVE.core("pump", "PPO2"), DRIVE.device("PPO2"))
+    bench = PairBench(DRIVE.core("pump", "PPO2"), DRIVE.simulated("PPO2", {}, {}))
     assert bench.ok("read_map") == {"inputs": "000A 000E 000F", "outputs": "0005 0006"}
     assert bench.ok("write_map", inputs="dr-03 dr-04", outputs="dr-03") == {"inputs": "1103 1104", "outputs": "1103"}
     bench.ok("output", number="dr-03", value=3.0)

@@ -41,9 +41,10 @@ DRIVE: Final = DriveProfile(
             default="inverter", choices=("inverter", OWN_SUPPLY), text="what feeds the option: the inverter or 24 V"
         ),
     },
+    ready={"y98": 3},
     notes=(
         "the manual has no GSD file: ident number and identifier octets are made up, use the user's",
-        "y98 is 0 at the factory (the simulated drive: 3): only 3 lets the bus run it",
+        "y98 is 0 at the factory: only 3 lets the bus run it",
         "o30 chooses the PPO type, from power-on; another configuration is refused",
     ),
 )

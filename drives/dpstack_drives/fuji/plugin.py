@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from typing import Final
 
@@ -32,6 +33,8 @@ from dpstack_drives.fuji.pcd import PcdMap
 
 _REMOTE: Final = t.STATUS.mask("remote")
 _REVERSE: Final = t.CONTROL.mask("reverse")
+#: of y98: run and frequency command
+_FROM_BUS: Final = 3
 #: OFF1 (ramp down) with bit 10 set: zeros would be ignored and leave the drive running
 _SAFE: Final = 0x047E
 #: how long the drive may take to react is not in the manual; waits reckon with this
@@ -89,7 +92,7 @@ class FujiCore(MappedCore[PcdMap]):
     def fault_texts(self) -> tuple[str, ...] | None:
         """By name where there is a parameter channel; STW alone does not tell."""
         if (alarm := self._alarm.value) is not None:
-            return (t.alarm_text(alarm),)
+            return (alarm,)
         if self.access is not None:
             return None
         return ("without a name: PPO3 and PPO4 do not carry it, the keypad shows it",)
@@ -103,7 +106,10 @@ class FujiCore(MappedCore[PcdMap]):
         if not self.status_word:
             return "STW is 0000: only the option is on the bus (its own 24 V), the inverter has no power"
         if not self.status_word & _REMOTE:
-            return "STW bit 9 is 0: neither run nor frequency command comes from the bus; set y98 to 3"
+            return (
+                "STW bit 9 is 0: neither run nor frequency command comes from the bus; set y98 to 3, and see to "
+                "terminals LE and LOC and to y99, which go before it"
+            )
         if self.raw_state is State.SWITCH_ON_INHIBITED:
             return (
                 "the drive stays in S1 and does not obey CTW: set y98 to 3 "
@@ -121,7 +127,10 @@ class FujiCore(MappedCore[PcdMap]):
         why = self.obstacle() or ""
         if self.access is not None and self.status_word:
             outcome = yield from self.access.read(ParamKey("y98"), deadline)
-            why = f"y98 is {outcome['value']}: {why}"
+            if outcome["value"] == _FROM_BUS:
+                why = "STW bit 9 is 0 although y98 is 3: terminal LE is off, LOC is on, or y99 is not 0; they go first"
+            else:
+                why = f"y98 is {outcome['value']}: {why}"
         raise CommandError("fault", why)
 
     def settings(self) -> Sequence[Setting]:
@@ -129,7 +138,7 @@ class FujiCore(MappedCore[PcdMap]):
         hz = self.reference_hz
         found = [
             equal("F03", hz, f"set F03 = {hz:g} or the option reference_hz = {{}}", unit="Hz"),
-            equal("y98", 3, "set y98 = 3 (run and frequency command from PROFIBUS)"),
+            equal("y98", _FROM_BUS, "set y98 = 3 (run and frequency command from PROFIBUS)"),
         ]
         if self.rest and not self.writes_later:
             found += [
@@ -170,9 +179,15 @@ class FujiCore(MappedCore[PcdMap]):
     def _remote(self) -> bool:
         return bool(self.status_word & _REMOTE)
 
-    def _ask(self, deadline: int) -> Steps[int]:
+    def _ask(self, deadline: int) -> Steps[str]:
+        """PNU 947, and M16 where that stands for two alarms."""
         assert self.access is not None
-        return (yield from self.access.read_raw(ParamKey(t.PNU_ALARMS, index=1), deadline))
+        found = t.alarms(malfunction := (yield from self.access.read_raw(ParamKey(t.PNU_ALARMS, index=1), deadline)))
+        if len(found) > 1:
+            with contextlib.suppress(CommandError):  # then both names are shown
+                code = yield from self.access.read_raw(ParamKey("M16"), deadline)
+                found = [alarm for alarm in found if alarm.code == code] or found
+        return " or ".join(alarm.text for alarm in found) or f"{malfunction:04X}"
 
     def resolve(self, key: ParamKey) -> ParamRef:
         name, index = key.name, key.place

@@ -27,21 +27,27 @@ from dpstack_drives.fuji.option import OptionCard
 
 #: the option has a 24 V supply of its own
 OWN_SUPPLY: Final = "24v"
+#: bits of y98 and y99
+_FREQUENCY, _RUN = 1, 2
+#: ramp down, all other bits as they must be to run
+_OFF1: Final = 0x047E
 _COMMAND: Final = struct.Struct(">HH")
 
 
 class FujiDevice(DriveDevice):
     """Options: ``load``, ``switches``, ``supply``; function codes by name.
 
-    ``y98`` is 3 here (0 at the factory), ``o30`` follows the telegram. ``release off`` takes the inverter's power
+    ``o30`` follows the telegram. ``release off`` takes the inverter's power
     and leaves the option on the bus; with ``supply`` = ``24v`` ``power-off`` takes the option's only.
 
     The PPO type is the drive's own setting at power-on: another configuration is refused. Readings: a communications
     error is the end of data exchange by the watchdog only; b4 = 0 takes the frequency to 0 at once; without the
-    inverter all words are 0; with o31 beyond 125 it trips Er5 and stays at the address it has. F01 has no effect.
+    inverter all words are 0; the terminal LE is on unless it is switched off; a drive whose run command leaves the bus
+    stops by F08; with o31 beyond 125 it trips Er5 and stays at the address it has. F01 has no effect.
     """
 
     parameter_table = t.PARAMETERS
+    contacts = (t.LE, t.LOC)
     dialect = t.PKW
     trips: Mapping[int, str] = {alarm.code: alarm.keypad for alarm in t.ALARMS}
     unknown_trip = f"no alarm; known: {', '.join(trips.values())}"
@@ -53,9 +59,10 @@ class FujiDevice(DriveDevice):
     def __init__(
         self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
-        super().__init__(profile, telegram, options, {"y98": 3, "o30": t.O30[telegram.name], **presets})
+        super().__init__(profile, telegram, options, {"o30": t.O30[telegram.name], **presets})
         self._use_own_telegram()
         self._own_supply = options["supply"] == OWN_SUPPLY
+        self._closed = self._wired = frozenset({t.LE})
         if float(options["switches"]) != int(float(options["switches"])):
             raise ConfigError(f"{self.title}: switches must be a whole number, -1 or 00..99")
         self.option = OptionCard(self, int(float(options["switches"])), self._live)
@@ -152,7 +159,7 @@ class FujiDevice(DriveDevice):
         """Obey CTW where y98 allows it, move the motor, report."""
         if not self.released:
             return self._unpowered()
-        source = int(self.store.value("y98"))
+        source = self._source()
         machine, motor = self.machine, self.motor
         trip = self.take_trip()
         if trip is not None:
@@ -163,9 +170,13 @@ class FujiDevice(DriveDevice):
             if still:
                 self._forced = False
                 self._fail(t.ER5)
-        elif source in (2, 3):
+        elif source & _RUN:
             machine.step(self._control, still=still)
-        reference = SPEED.decode(self._mrv) if source in (1, 3) else 0.0
+        elif machine.powered:
+            machine.step(_OFF1, still=still)
+        elif machine.state is not State.FAULT:
+            machine.state = State.SWITCH_ON_INHIBITED
+        reference = SPEED.decode(self._mrv) if source & _FREQUENCY else 0.0
         if self._control & 0x0800:
             reference = -reference
         self._drive(reference)
@@ -174,6 +185,12 @@ class FujiDevice(DriveDevice):
             self.option.write_words(words[2:])
         extra = self.option.read_words()[: self.telegram.inputs // 2 - 2]
         return (self._status, SPEED.nearest(motor.frequency), *extra)
+
+    def _source(self) -> int:
+        """The commands that the bus has, as the bits of y98: y99 and the terminals go first."""
+        if t.LE not in self._closed or t.LOC in self._closed:
+            return 0
+        return int(self.store.value("y98")) & ~int(self.store.value("y99"))
 
     def _unpowered(self) -> tuple[int, ...]:
         """Only the option is on the bus."""
@@ -217,7 +234,7 @@ class FujiDevice(DriveDevice):
 
     def _word(self, source: int, reference: float) -> int:
         motor, state = self.motor, self.machine.state
-        copied = self._control if source in (2, 3) else 0
+        copied = self._control if source & _RUN else 0
         status = self.machine.SHOWN[state]
         status |= 0x0010 if copied & 0x02 else 0
         status |= 0x0020 if copied & 0x04 else 0
@@ -235,6 +252,9 @@ class FujiDevice(DriveDevice):
             self.alarms = [code, *self.alarms][: len(t.ALARM_INDEXES)]
             self.machine.state = State.FAULT
             self._forced = False
+
+    def reset_fault(self) -> None:
+        self.machine.state = State.SWITCH_ON_INHIBITED
 
     def carry_out(self, order: Pkw) -> tuple[int, int]:
         return self.option.order(order)

@@ -164,9 +164,9 @@ ALARMS: Final = (
 ER4, ER5 = 34, 35
 
 
-def alarm_text(malfunction: int) -> str:
-    """The names behind a malfunction code of PNU 947, which three times stands for two alarms."""
-    return " or ".join(alarm.text for alarm in ALARMS if alarm.malfunction == malfunction) or f"{malfunction:04X}"
+def alarms(malfunction: int) -> list[Alarm]:
+    """The alarms behind a malfunction code of PNU 947, which three times stands for two of them."""
+    return [alarm for alarm in ALARMS if alarm.malfunction == malfunction]
 
 
 #: PNUs (table 8.11)
@@ -188,6 +188,10 @@ MOST_ADDRESS: Final = 125
 MOST_SWITCHES: Final = 99
 #: the inverter misses its option after about this time (4.4), in s
 OPTION_OFF_S: Final = 1.0
+#: error 11 (table 8.10); which ones is in the inverter's manual: a reading
+STANDSTILL_ONLY: Final = frozenset({"F01", "F03", "H03", "initialise"})
+#: terminals that go before the bus (11, no. 6): LE off or LOC on, and it has no command
+LE, LOC = "LE", "LOC"
 #: indexes of PNU 947 that hold an alarm, latest first; the others are 0
 ALARM_INDEXES: Final = (1, 9, 17, 25)
 
@@ -224,6 +228,7 @@ PARAMETERS: Final = ParamTable(
         *(_row(f"o{48 + n}", f"Read assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0) for n in range(4)),
         _row("W90", "Software version of the option", 0, "", 0, 9999, 123, made_up=True, read_only=True),
         _row("y98", "Run and frequency command source", 0, "", 0, 3, 0),
+        _row("y99", "Commands of the loader: 1 frequency, 2 run, 3 both", 0, "", 0, 3, 0, made_up=True),
         ParamSpec(number=PNU_PCD_WRITE, name="pcd_write", title="Write assignments of PCD1 to PCD4"),
         ParamSpec(number=PNU_PCD_READ, name="pcd_read", title="Read assignments of PCD1 to PCD4"),
         ParamSpec(number=PNU_ADDRESS, name="node_address", title="Node address", high=MOST_ADDRESS, read_only=True),

@@ -58,6 +58,7 @@ DRIVE: Final = DriveProfile(
         "quick_stop_s": OptionSpec(default=0.5, low=0, high=600, text="ramp of OFF3 (made up)"),
         "load": OptionSpec(default=0.2, low=0, high=2, text="load torque of the rated one"),
     },
+    ready=t.FIELD_BUS,
     notes=(
         "the manual has no GSD file: identifier octets and user parameters are made up, use the user's",
         "the bus runs it with dr-06 = 4 and dr-07 = 8 (field bus), which stand in the inverter's manual",

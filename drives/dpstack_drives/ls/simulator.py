@@ -64,6 +64,10 @@ class LsDevice(DriveDevice):
         profile_of(telegram, str(options["profile"]))
         own = settings.presets(options, presets, f"simulated {profile.name}")
         super().__init__(profile, telegram, options, own)
+        if self.legacy:  # its own configuration, which Get_Cfg shows, is one that it accepts
+            if telegrams.number_of(telegram) != telegrams.VENDOR:
+                self.telegram = telegrams.vendor(*(int(self.store.value(count)) for count in ("COM-50", "COM-30")))
+            self.configs = (self.telegram.config,)
         self.machine = profidrive_states.ProfidriveMachine()
         self.runner = LsMachine()
         self._reference_rpm = float(options["reference_rpm"])
@@ -234,7 +238,7 @@ class LsDevice(DriveDevice):
         elif before is not State.FAULT:
             machine.state = State.SWITCH_ON_INHIBITED
         if before is State.FAULT and machine.state is not before:
-            self._acknowledged()
+            self.reset_fault()
         state = machine.state
         reference = self._fraction(self._reference) if self._bus_commands("dr-07") else 0.0
         if not control & 0x10 or not control & 0x40:
@@ -269,7 +273,7 @@ class LsDevice(DriveDevice):
         faulted = runner.fault
         runner.step(0 if keypad else control | stops)
         if faulted and not runner.fault:
-            self._acknowledged()
+            self.reset_fault()
         granted = bool(control & t.LS_CONTROL.mask("ramp_authority")) and self._bus_commands("dr-07")
         reference = min(hundredths / 100 / self.store.value("dr-20"), 1.0) if granted else 0.0
         direction = runner.direction
@@ -306,7 +310,7 @@ class LsDevice(DriveDevice):
             setpoint = self._loss.instead
         motor.setpoint = 0.0 if self._loss.forced else min(max(setpoint, -1.0), 1.0)
 
-    def _acknowledged(self) -> None:
+    def reset_fault(self) -> None:
         self.module.acknowledged()
         self.diagnosis_alarm(records.SLOT, False)
         self.machine.state = State.SWITCH_ON_INHIBITED
@@ -349,6 +353,8 @@ class LsDevice(DriveDevice):
                 return telegrams.number_of(self.telegram)
             case t.PNU_PROFILE:
                 return t.PNU_930[self.kind]
+            case t.PROFILE:
+                return self.kind
             case t.PNU_WARNING | t.WARNING:
                 return self.warning_mask
             case t.PNU_BAUD:

@@ -156,6 +156,8 @@ def ls_table(authority: int) -> ControlTable:
 OUTPUT_VOLTAGE, OUTPUT_POWER = 0x000B, 0x0316
 #: COM-09 (4.2.3). Conflict: the prose has the order "from right to left", its example CPU at the right: the example
 LEDS: Final = 0x1709
+#: COM-11 (4.2.11): a display of the profile in force; what is written to it counts from COM-94 = 1
+PROFILE: Final = 0x170B
 LED_CPU, LED_ERROR, LED_ONLINE = 0x0001, 0x0002, 0x0004
 FREQUENCY, OPERATION, OUTPUT_FREQUENCY, RUN_STATUS, TRIP, WARNING = 0x0005, 0x0006, 0x000A, 0x000E, 0x000F, 0x0334
 #: 5.1: not to be used beside a drive profile
@@ -300,8 +302,8 @@ PARAMETERS: Final = ParamTable(
         _row("dr-01", "Command frequency", 0, 40_000, 0, made_up=True),
         _row("dr-03", "Acceleration time", 0, 600, 1, 1, "s", made_up=True),
         _row("dr-04", "Deceleration time", 0, 600, 1, 1, "s", made_up=True),
-        _row("dr-06", "Command source, 4: field bus", 0, 5, 4, made_up=True),
-        _row("dr-07", "Frequency source, 8: field bus", 0, 12, 8, made_up=True),
+        _row("dr-06", "Command source, 4: field bus", 0, 5, 1, made_up=True),
+        _row("dr-07", "Frequency source, 8: field bus", 0, 12, 0, made_up=True),
         _row("dr-20", "Maximum frequency", 40, 400, 60, 2, "Hz"),
         _row("dr-11", "Jog frequency", 0, 400, 10, 2, "Hz", made_up=True),
         _row("Ad-08", "Stop mode: 0 ramp, 1 DC brake, 2 coast", 0, 4, 0, made_up=True),
