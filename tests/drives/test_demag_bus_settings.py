@@ -5,6 +5,7 @@ Both ends alone, against literal octets.
 
 from __future__ import annotations
 
+import demag_kit
 import pytest
 from demag_kit import START, ZERO, DemagBench, enable, pkw, plugin, sim
 from drive_bench import MS, S
@@ -226,7 +227,7 @@ def test_d19_set_slave_add_is_kept_as_391() -> None:
 
 def test_d22_each_further_sync_passes_the_outputs_on() -> None:
     """By the standard; the manual has only UNSYNC do that."""
-    device = DRIVE.device("PPO3", {"412": 1})
+    device = demag_kit.device("PPO3")
     app = SlaveApp(device, address=SLAVE)
     bench = Bench(device, app)
     bench.prm(bytes.fromhex("B0 01 01 0B 06 96 01") + bytes(16))  # lock, sync, freeze

@@ -251,7 +251,7 @@ def test_a_contact_that_keeps_it_running_is_seen_over_the_channel() -> None:
 
 
 def test_set_412_takes_it_from_the_contacts() -> None:
-    device = DRIVE.device("PPO1", {"412": 2})
+    device = DRIVE.simulated("PPO1", {}, {"412": 2})
     bench = PairBench(DRIVE.core("hoist", "PPO1", {"set_412": True}), device)
     assert bench.ok("start") == "running"
     assert any("412 was 2: set to 1 in data set 1 (RAM only)" in notice for notice in bench.notices())

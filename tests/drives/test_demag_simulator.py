@@ -79,7 +79,7 @@ def test_d18_412_is_44_at_the_factory_and_nothing_is_obeyed() -> None:
 
 
 def test_412_set_over_the_bus() -> None:
-    bench = DeviceBench(DRIVE.device(), "F3 71")
+    bench = DeviceBench(DRIVE.simulated(None, {}, {"412": 44}), "F3 71")
     assert pkw(bench, "61 9C 00 00 00 00 00 00") == "41 9C 00 00 00 00 00 2C"
     assert pkw(bench, "71 9C 00 00 00 00 00 01") == "41 9C 00 00 00 00 00 01"
     assert bench.send(ZERO + "00 00 00 00") == ZERO + "02 40 00 00"

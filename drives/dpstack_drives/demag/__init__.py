@@ -1,4 +1,4 @@
-"""Demag Dedrive Compact with CM-PDP-24, ``demag-dedrive``: control by the DRIVECOM state machine (412 = 1)."""
+"""Demag Dedrive Compact with CM-PDP-24, ``demag-dedrive``: control by state machine (412 = 1) or contacts (2)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Final
 
 from dpstack.profile import NS_PER_US, DriveProfile, OptionSpec
 from dpstack_drives.demag import table as t
-from dpstack_drives.demag.plugin import DemagCore
+from dpstack_drives.demag.plugin import MODES, DemagCore
 from dpstack_drives.demag.simulator import OWN_SUPPLY, DemagDevice
 
 DRIVE: Final = DriveProfile(
@@ -22,7 +22,10 @@ DRIVE: Final = DriveProfile(
     fail_safe=True,
     reference_hz=50.0,
     gsd="dpstack_drives.demag:demag-dedrive.gsd",
-    on_loss="trips F2062 and coasts when its watchdog ends data exchange while it runs; Clear lets it coast",
+    on_loss=(
+        "trips F2062 and coasts when its watchdog ends data exchange while it runs; Clear lets it coast, and "
+        "where 880 = 1 and it lasts longer than 881 it trips F2100, which is locked for 15 s"
+    ),
     core_factory=DemagCore,
     device_factory=DemagDevice,
     core_options={
@@ -39,7 +42,12 @@ DRIVE: Final = DriveProfile(
             high=10_000,
             text="the drive's scaling current in A, for current, torque; 0: not known",
         ),
-        "set_412": OptionSpec(default=False, text="start() may set 412 = 1 (control by the bus) itself, in RAM"),
+        "control": OptionSpec(
+            default="state-machine",
+            choices=tuple(MODES),
+            text="control by the state machine (412 = 1) or by the contacts S1IND to S8IND (412 = 2)",
+        ),
+        "set_412": OptionSpec(default=False, text="start() may set 412 (control by the bus) itself, in RAM"),
     },
     device_options={
         "f_max": OptionSpec(default=60.0, low=0, high=1000, text="highest frequency in Hz (made up)"),
@@ -58,8 +66,10 @@ DRIVE: Final = DriveProfile(
             text="what feeds the Profibus module: the inverter or 24 V (manual 4.1)",
         ),
     },
+    ready={"412": 1},
+    left_open={"412": 44},  # one of two bus modes: the user chooses, and start() can set it (set_412)
     notes=(
-        "412 is 44 at the factory: only 412 = 1 lets the bus control it; PPO3 and PPO4 cannot set it",
+        "412 is 44 at the factory: only 1 and 2 let the bus control it; PPO3 and PPO4 cannot set it",
         "a fault can be acknowledged 15 s after it came",
         "inputs change every 32 ms, with PPO3 every 16 ms",
     ),

@@ -15,6 +15,7 @@ from dpstack.profile import (
     NS_PER_S,
     Args,
     CommandError,
+    ControlTable,
     DriveProfile,
     Goal,
     ListedParam,
@@ -48,15 +49,40 @@ _TOGGLE: Final = drivecom_states.STATUS.mask("toggle")
 _WARNING_AGE: Final = NS_PER_S
 #: numbers of EEPROM writes of one parameter at which the user gets a notice
 _TELL_WRITES: Final = frozenset({10, 100, 1000, 10_000, 100_000})
-_NO_RELEASE: Final = "no hardware release: switch on S1 and one of S2 and S3"
-
 #: 412 of control by the state machine and by remote contacts (11.2.1)
 _STATE_MACHINE, _REMOTE_CONTACTS = 1, 2
-#: The words while 412 is not known to be 1. In mode 2 bits 0 to 7 are contacts: zeros open all of them, S1 (release)
-#: too. Bit 7 alone (S8IND) releases nothing, so a fault that hides the mode can be acknowledged.
+#: the option ``control`` and the value of 412 that it needs
+MODES: Final = {"state-machine": _STATE_MACHINE, "remote-contacts": _REMOTE_CONTACTS}
+_NO_RELEASE: Final = {
+    _STATE_MACHINE: "no hardware release: switch on S1 and one of S2 and S3",
+    _REMOTE_CONTACTS: "no hardware release: switch on S1",
+}
+#: The words while 412 is not known to be that of the option. In mode 2 bits 0 to 7 are contacts: zeros open all of
+#: them, S1 (release) too. Bit 7 alone (S8IND) releases nothing, so a fault that hides the mode can be acknowledged.
 _SILENT: Final = structs.replace(
     drivecom_states.TABLE, run={}, steady={**dict.fromkeys(Goal, 0x0000), Goal.ACK_HIGH: 0x0080}
 )
+_TO_START: Final = (State.READY, State.RUNNING)
+
+
+def _contacts(start: str) -> ControlTable:
+    """The words of control by remote contacts (11.2.1.3): S1 releases, S2 starts clockwise, S3 anticlockwise.
+
+    Without S2 and S3 the drive stops by its ramp, without S1 it coasts. A state is shown by 0x23, 0x27 or 0x08.
+    """
+    run = t.CONTACTS.mask("s1", start)
+    return structs.replace(
+        drivecom_states.TABLE,
+        control=t.CONTACTS,
+        run=dict.fromkeys(_TO_START, run),
+        steady={**dict.fromkeys(Goal, 0x0000), Goal.STOP: t.CONTACTS.mask("s1")},
+        released_mask=run,
+    )
+
+
+_CLOCKWISE, _ANTICLOCKWISE = _contacts("s2"), _contacts("s3")
+#: as _SILENT; S1 is what both directions have set
+_OPEN: Final = structs.replace(_SILENT, released_mask=t.CONTACTS.mask("s1"))
 #: states that only control by the state machine has; the other modes show 0x23, 0x27 and 0x08 (11.2.1.1 to 11.2.1.3)
 _OF_STATE_MACHINE: Final = frozenset(
     {State.SWITCH_ON_INHIBITED, State.READY_TO_SWITCH_ON, State.QUICK_STOP, State.FAULT_REACTION}
@@ -73,11 +99,13 @@ _SLOWER_NS: Final = 3 * NS_PER_S
 class DemagCore(MappedCore[OutMap]):
     """PZD2 reports the frequency; in PPO1 and PPO3 bits 12-14 fetch warning and fault words through it when needed.
 
-    The words of the state machine are sent only while 412 is known to be 1 in the active data set: by reading 249 and
-    412 where the telegram has a parameter channel, otherwise by the status word. In every other mode the control word
-    is 0. Control by remote contacts (412 = 2) is refused: what S2IND to S6IND do is set in the drive.
+    The words of the option ``control`` are sent only while 412 is known to be that of the option in the active data
+    set: by reading 249 and 412 where the telegram has a parameter channel, otherwise by the status word. In every other
+    mode the control word is 0. ``state-machine``: 412 = 1. ``remote-contacts``: 412 = 2, bits 0 to 7 are S1IND to
+    S8IND; the sign of the speed chooses S2 or S3, the set point is its amount; there is no quick stop and no
+    acknowledgement.
 
-    Options: ``reference_hz`` (390, or 375 where 390 is 0), ``set_412``: start() may set 412 = 1 in RAM itself;
+    Options: ``reference_hz`` (390, or 375 where 390 is 0), ``control``, ``set_412``: start() may set 412 in RAM itself;
     ``map_outputs``: what PZD3 to PZD6 of PPO2 and PPO4 mean (:mod:`~dpstack_drives.demag.outpzd`), and
     ``scaling_current``.
 
@@ -117,6 +145,7 @@ class DemagCore(MappedCore[OutMap]):
         self._mode_at = 0
         self._asking = self._watching = False
         self._set_412 = bool(options["set_412"])
+        self._wanted_mode = MODES[str(options["control"])]
         if telegram.channel:
             self.lookups = (self._toggle_time,)
 
@@ -126,7 +155,7 @@ class DemagCore(MappedCore[OutMap]):
     def received(self) -> None:
         """Take the actual value for what ZSW bits 12-14 say it is (11.2.3), or all of them (11.2.4)."""
         words = self.words
-        if self.access is None and self._mode != _STATE_MACHINE and self.raw_state in _OF_STATE_MACHINE:
+        if self.access is None and self._mode != _STATE_MACHINE and self._shows_state_machine:
             self._set_mode(_STATE_MACHINE)
         self._toggles |= bool(words[0] & _TOGGLE)
         if self._wide:
@@ -180,93 +209,137 @@ class DemagCore(MappedCore[OutMap]):
 
     def obstacle(self) -> str | None:
         """Bit 9 tells whether the bus controls the drive at all, and 412 how."""
-        if self._mode not in (None, _STATE_MACHINE):
+        wanted = self._wanted_mode
+        if self._mode not in (None, wanted):
             return self._wrong_mode()
         if self.status_word & _REMOTE:
             return None
-        return f"remote (bit 9) is 0: 412 is not 1 in the active data set, or {_NO_RELEASE}"
+        return f"remote (bit 9) is 0: 412 is not {wanted} in the active data set, or {_NO_RELEASE[wanted]}"
+
+    def cannot(self, op: str) -> str | None:
+        """Contacts have no quick stop; what acknowledges is set in the drive."""
+        if self._wanted_mode == _STATE_MACHINE or op not in ("quick_stop", "acknowledge"):
+            return super().cannot(op)
+        how = {"quick_stop": "stop() takes the ramp, coast() opens S1", "acknowledge": "acknowledge at the drive"}
+        return f"{op}: control by remote contacts (412 = 2) has no word for it: {how[op]}"
 
     def prepare(self, deadline: int) -> Steps[None]:
-        """A start needs 412 = 1 and the hardware release. Raises CommandError that names the missing one."""
+        """A start needs 412 and the hardware release. Raises CommandError that names the missing one."""
         if self.access is None:
             yield from self._mode_by_status(deadline)
         else:
             yield from self._mode_by_channel(deadline)
         yield from settled(self, self._remote, deadline)
         if not self._remote():
-            raise CommandError("fault", _NO_RELEASE)
+            raise CommandError("fault", _NO_RELEASE[self._wanted_mode])
 
     # -- 412: who controls the drive ----------------------------------------------------------------------------------
 
     def _set_mode(self, mode: int | None) -> None:
         self._mode = mode
-        table = drivecom_states.TABLE if mode == _STATE_MACHINE else _SILENT
-        if table is not self.table:
-            self.table = table
+        if self._table() is not self.table:
             self.update()
 
+    def _table(self) -> ControlTable:
+        """The words of the mode, in which the direction of contacts is that of the set point."""
+        known = self._mode == self._wanted_mode
+        if self._wanted_mode == _STATE_MACHINE:
+            return drivecom_states.TABLE if known else _SILENT
+        if not known:
+            return _OPEN
+        return _ANTICLOCKWISE if self.setpoint < 0 else _CLOCKWISE
+
+    def update(self) -> None:
+        before, self.table = self.table, self._table()
+        if self.table is not before and self.table.run and before.run:
+            # the contact of the word that is out now starts no longer, which is no reason to give up
+            self._control, self._dirty = self.table.word(self.goal, self.raw_state), True
+        super().update()
+
+    def setpoint_word(self, fraction: float) -> int:
+        """PZD2; contacts have the direction (11.2.1), so it is without a sign there."""
+        word = super().setpoint_word(fraction)
+        return word if self._wanted_mode == _STATE_MACHINE else self.scale.encode(abs(fraction))
+
+    def decode(self, process: bytes) -> tuple[int | None, float | None]:
+        """Control word and set point, with the direction of S3."""
+        control, setpoint = super().decode(process)
+        turned = self._wanted_mode == _REMOTE_CONTACTS and control is not None and t.CONTACTS.is_set(control, "s3")
+        return control, -setpoint if turned and setpoint else setpoint
+
+    @property
+    def _shows_state_machine(self) -> bool:
+        return self.raw_state in _OF_STATE_MACHINE
+
+    def _shown_mode(self) -> int | None:
+        """412 as far as the status word proves it while the control word is 0: with it the state machine never shows
+        0x23, and without 412 = 1 or 2 remote (bit 9) is 0."""
+        if self._shows_state_machine:
+            return _STATE_MACHINE
+        return _REMOTE_CONTACTS if self._remote() and self.raw_state is State.READY else None
+
     def _mode_by_status(self, deadline: int) -> Steps[None]:
-        """Without a parameter channel: with the control word 0 the state machine never shows 0x23."""
-        if self._mode == _STATE_MACHINE and self.goal is not Goal.IDLE:
+        """Without a parameter channel: by the status word at the control word 0."""
+        wanted = self._wanted_mode
+        if self._mode == wanted and self.goal is not Goal.IDLE:
             return  # it obeys its words, and is watched
         self.set_goal(Goal.IDLE)
-        yield from settled(self, lambda: self.raw_state in _OF_STATE_MACHINE, deadline)
-        if self.raw_state in _OF_STATE_MACHINE:
-            self._set_mode(_STATE_MACHINE)
+        yield from settled(self, lambda: self._shows_state_machine, deadline)
+        self._set_mode(self._shown_mode())
+        if self._mode == wanted:
             return
         where = f"{self.telegram.name} has no parameter channel to read or set 412"
+        if self._mode is not None:
+            raise CommandError("fault", f"{self._wrong_mode()}; {where}: do it at the keypad or over PPO1 or PPO2")
         if not self._remote():
-            self._set_mode(None)
             raise CommandError(
                 "fault",
-                f"remote (bit 9) is 0, and {where}: "
-                f"set 412 = 1 at the keypad or over PPO1 or PPO2 (factory setting 44); if it is 1, {_NO_RELEASE}",
+                f"remote (bit 9) is 0, and {where}: set 412 = {wanted} at the keypad or over PPO1 or PPO2 (factory "
+                f"setting 44); if it is {wanted}, {_NO_RELEASE[wanted]}",
             )
-        if self.raw_state is State.READY:
-            self._set_mode(_REMOTE_CONTACTS)
-            raise CommandError("fault", f"{self._wrong_mode()}; {where}: do it at the keypad or over PPO1 or PPO2")
-        self._set_mode(None)
         raise CommandError(
             "fault",
-            f"the status word ({self.status_word:04X}) does not tell whether 412 is 1, and {where}: "
-            "set 412 = 1 at the keypad or over PPO1 or PPO2",
+            f"the status word ({self.status_word:04X}) does not tell whether 412 is {wanted}, and {where}: "
+            f"set 412 = {wanted} at the keypad or over PPO1 or PPO2",
         )
 
     def _mode_by_channel(self, deadline: int) -> Steps[None]:
         assert self.access is not None
         yield from self._known_mode(deadline)
-        mode, active = self._mode, self._data_set
-        if mode != _STATE_MACHINE and self._set_412:
-            yield from self.access.write(ParamKey(412, active, ram=True), _STATE_MACHINE, deadline)
-            self.notice(f"412 was {mode}: set to 1 in data set {active} (RAM only)")
-            self._set_mode(_STATE_MACHINE)
-        elif mode != _STATE_MACHINE:
+        mode, active, wanted = self._mode, self._data_set, self._wanted_mode
+        if mode != wanted and self._set_412:
+            yield from self.access.write(ParamKey(412, active, ram=True), wanted, deadline)
+            self.notice(f"412 was {mode}: set to {wanted} in data set {active} (RAM only)")
+            self._set_mode(wanted)
+        elif mode != wanted:
             raise CommandError(
                 "fault",
-                f"{self._wrong_mode()} (over the bus: `write 412 1`), or let start do it in RAM: "
+                f"{self._wrong_mode()} (over the bus: `write 412 {wanted}`), or let start do it in RAM: "
                 f"write set_412 = true into the configuration file, table [slave.options] below the [[slave]] table "
                 f'with name = "{self.name}"',
             )
 
     def _known_mode(self, deadline: int) -> Steps[None]:
-        """Read 249 and 412 unless that was done just now; without an answer the status word may prove mode 1."""
+        """Read 249 and 412 unless that was done just now; without an answer the status word may prove the mode."""
         until = self.answers_until(deadline)
         while self._asking and self.now < until:
             yield
-        proven = self.goal is not Goal.IDLE or self.raw_state in _OF_STATE_MACHINE
-        if self._mode is not None and self.now < self._mode_at + _MODE_AGE and (proven or self._mode != _STATE_MACHINE):
+        proven = self.goal is not Goal.IDLE or (self._mode == _STATE_MACHINE) == self._shows_state_machine
+        if self._mode is not None and self.now < self._mode_at + _MODE_AGE and proven:
             return
         try:
             yield from self._ask_mode(until)
         except CommandError as error:
             if error.kind not in ("timeout", "parameter"):
                 raise
-            if self.raw_state not in _OF_STATE_MACHINE:
+            shown = self._shown_mode() if self.goal is Goal.IDLE or self._shows_state_machine else None
+            if shown != self._wanted_mode and shown != _STATE_MACHINE:
                 self._set_mode(None)
                 raise CommandError(
-                    error.kind, f"nobody knows whether 412 is 1, so nothing is sent to the drive: {error.text}"
+                    error.kind,
+                    f"nobody knows whether 412 is {self._wanted_mode}, so nothing is sent to the drive: {error.text}",
                 ) from None
-            self._set_mode(_STATE_MACHINE)
+            self._set_mode(shown)
 
     def _ask_mode(self, deadline: int) -> Steps[None]:
         self._asking = True
@@ -283,17 +356,21 @@ class DemagCore(MappedCore[OutMap]):
 
     def _wrong_mode(self) -> str:
         which = "" if self._data_set is None else f" ({self._data_set})"
+        write = f"write 412 = {self._wanted_mode} in the active data set{which}"
         if self._mode == _REMOTE_CONTACTS:
             return (
-                "412 is 2: the control word drives contacts (S1IND to S8IND), whose meaning is set in the drive; "
-                f"write 412 = 1 in the active data set{which}"
+                "412 is 2: the control word drives contacts (S1IND to S8IND), whose meaning is set in the drive: "
+                f"use the option control = 'remote-contacts', or {write}"
             )
-        return f"412 is {self._mode}: control not by the bus; write 412 = 1 in the active data set{which}"
+        if self._mode == _STATE_MACHINE:
+            return f"412 is 1: control by the state machine; {write}, or leave out the option control"
+        return f"412 is {self._mode}: control not by the bus; {write}"
 
     def set_goal(self, goal: Goal) -> None:
         """412 may change with the data set: a command is given on a proof of now, and watched as long as it stands."""
         commands = goal in _COMMANDS
-        if commands and self.goal is Goal.IDLE and goal is not Goal.RUN and self.raw_state not in _OF_STATE_MACHINE:
+        by_words = self._wanted_mode == _STATE_MACHINE and not self._shows_state_machine
+        if commands and self.goal is Goal.IDLE and goal is not Goal.RUN and by_words:
             self._set_mode(None)  # with the control word 0 the state machine would show another state
         super().set_goal(goal)
         if commands and not self._watching:
@@ -308,14 +385,14 @@ class DemagCore(MappedCore[OutMap]):
                 yield from self._ask_mode(self.now + NS_PER_S)
             except CommandError:
                 return obstacle
-            if self._mode != _STATE_MACHINE:
+            if self._mode != self._wanted_mode:
                 return self._wrong_mode()
         return obstacle
 
     def halted(self, deadline: int) -> Steps[None]:
         """Back to the control word 0, in which the status word tells the mode."""
         self.set_goal(Goal.IDLE)
-        yield from settled(self, lambda: self.raw_state in _OF_STATE_MACHINE, deadline)
+        yield from settled(self, lambda: self._shown_mode() is not None, deadline)
 
     def before_acknowledge(self, deadline: int) -> Steps[None]:
         """Bit 7 acknowledges in mode 1 only, in mode 2 it is the contact S8IND."""
@@ -350,7 +427,7 @@ class DemagCore(MappedCore[OutMap]):
                     with contextlib.suppress(CommandError):  # without an answer it is asked again
                         yield from self._ask_mode(self.now + 5 * _MODE_AGE)
                     due = self.now + _MODE_AGE
-                    if self._mode != _STATE_MACHINE:
+                    if self._mode != self._wanted_mode:
                         self._give_up(self._wrong_mode())
         finally:
             self._watching = False
@@ -364,8 +441,8 @@ class DemagCore(MappedCore[OutMap]):
         if self.now >= mark[0] + _SLOWER_NS:
             self._set_mode(None)
             self._give_up(
-                f"it was told to stop and has not slowed down for {_SLOWER_NS // NS_PER_S} s: is 412 = 1 in the active "
-                "data set?"
+                f"it was told to stop and has not slowed down for {_SLOWER_NS // NS_PER_S} s: is "
+                f"412 = {self._wanted_mode} in the active data set?"
             )
         return mark
 
@@ -391,6 +468,7 @@ class DemagCore(MappedCore[OutMap]):
             ),
             Setting(wanted="434 = 2 or 3", keys=(ramp,), differs=_without_line),
             Setting(wanted="228 = 0 Hz where 434 is 3", keys=(ramp, ParamKey(228)), differs=_added, refuse=False),
+            Setting(wanted="880 other than 1", keys=(ParamKey(880),), differs=_trips_in_clear, refuse=False),
         )
 
     def _other_reference(self, values: Sequence[float]) -> str | None:
@@ -495,6 +573,15 @@ def _added(values: Sequence[float]) -> str | None:
     if how != 3 or same(internal, 0):
         return None
     return f"434 is 3: the drive adds its internal set point ({internal:g} Hz by 228) to that of the bus; set 434 = 2"
+
+
+def _trips_in_clear(values: Sequence[float]) -> str | None:
+    if values[0] != 1:
+        return None
+    return (
+        "880 is 1: every Clear longer than 881, also the one at the end of the program, trips F2100, which is locked "
+        f"for {t.FAULT_LOCK_S} s; 880 = 2 switches off instead, without a fault"
+    )
 
 
 class _Watched(PkwAccess):

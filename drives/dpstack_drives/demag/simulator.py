@@ -1,4 +1,4 @@
-"""The simulated Demag Dedrive Compact: control modes 1 and 2 of 412, parameters, faults, a motor."""
+"""The simulated Demag Dedrive Compact: control modes 0 to 2 of 412, contacts, parameters, faults, a motor."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from dpstack_drives.demag import table as t
 _WORDS: Final = frozenset({TaskId.WRITE_WORD, TaskId.WRITE_ARRAY_WORD})
 _LONGS: Final = frozenset({TaskId.WRITE_LONG, TaskId.WRITE_ARRAY_LONG})
 _ARRAYS: Final = frozenset({TaskId.READ_ARRAY, TaskId.WRITE_ARRAY_WORD, TaskId.WRITE_ARRAY_LONG})
-_STATE_MACHINE, _REMOTE_CONTACTS = 1, 2
+_CONTACTS, _STATE_MACHINE, _REMOTE_CONTACTS = 0, 1, 2
 #: of 392
 _DC_BRAKE: Final = 1
 _QUICK_STOP: Final = 0x0002
@@ -36,9 +36,13 @@ _POWERED: Final = frozenset({State.RUNNING, State.QUICK_STOP})
 
 #: the module has a 24 V supply of its own (4.1)
 OWN_SUPPLY: Final = "24v"
-_S1, _S2, _S3 = 0x0001, 0x0002, 0x0004
+_S1, _S2, _S3, _S4, _S5 = 0x0001, 0x0002, 0x0004, 0x0008, 0x0010
+_START: Final = _S2 | _S3
+_CHOICE: Final = _S4 | _S5
 #: S1IND to S8IND
-_CONTACTS: Final = 0x00FF
+_ALL: Final = 0x00FF
+#: closed where the drive is ready: the release of mode 1
+_WIRED: Final = frozenset({"S1", "S2"})
 
 
 class _Settings(NamedTuple):
@@ -48,6 +52,7 @@ class _Settings(NamedTuple):
     rated_hz: float  # 375
     reference_hz: float  # of 100 %
     ramp_source: int  # 434
+    internal_hz: float  # 228
     toggle_reaction: int  # 880
     toggle_ms: float  # 881
     stop: int  # 392
@@ -62,7 +67,11 @@ class DemagDevice(DriveDevice):
 
     ``application``: of the configurations that 392 depends on (``vf``, ``speed``, ``torque``).
 
-    Readings: modes of 412 other than 1 and 2 leave the drive off (its contacts are not wired for a start); entering
+    Contacts: S1 releases, S2 and S3 start (clockwise, anticlockwise), S4 and S5 are the bits of the data set where 414
+    is 0; in mode 2 the control word has their places, S1 beside the hardware's.
+
+    Readings: modes of 412 above 2 leave the drive off; S2 and S3 start by an edge; S4 and S5 count from data set 1 in
+    binary; the toggle bit is of the modes 1 and 2; of the parameters 371 and 375 are locked in operation; entering
     mode 1 begins in switch-on inhibit; F2062 comes only when the bus has the power stage on, F2065 with every wrong
     Chk_Cfg; a write of 391 (6) resets the drive at once and is answered, then the module restarts at the new address;
     in mode 2 S3 turns the ramp's reference round, whatever its sign is; without the inverter's power all words are 0
@@ -72,6 +81,7 @@ class DemagDevice(DriveDevice):
     parameter_table = t.PARAMETERS
     data_sets = t.SETS
     dialect = t.PKW
+    contacts = tuple(f"S{number}" for number in range(1, 7))
     parameter_errors: Mapping[int, str] = {number: t.PKW.errors[number] for number in t.STATE_ERRORS}
     read_errors = t.READ_ERRORS
     write_errors = t.WRITE_ERRORS
@@ -97,8 +107,12 @@ class DemagDevice(DriveDevice):
         self.fault = 0
         self._locked_until = 0
         self._own_supply = options["supply"] == OWN_SUPPLY
-        self._control = 0  # the control word as it came
-        self._anticlockwise = False  # mode 2: started by S3
+        if options["ready"]:
+            self._closed = self._wired = _WIRED
+        self._inputs_on = 0  # contacts as they count, bits as in mode 2
+        self._wire()
+        self._started_by = 0  # S2 and S3 of the last scan
+        self._anticlockwise = False  # started by S3
         self._mode = -1
         self.toggle = toggle.Toggle()
         self._words: tuple[int, ...] | None = None
@@ -108,8 +122,8 @@ class DemagDevice(DriveDevice):
         self._bus_hz = 0.0
         self._ramp_hz = 0.0
         self._wanted_hz = 0.0
+        self._settings_of = (self.store.changes, 0)
         self._settings = self._read_settings()
-        self._settings_of = self.store.changes
 
     # -- conditions -----------------------------------------------------------------------------------------------
 
@@ -123,12 +137,48 @@ class DemagDevice(DriveDevice):
 
     @property
     def active_set(self) -> int:
-        """414, or data set 1 where the contacts choose (none of them is on)."""
-        return int(self.store.value("data_set_selection")) or 1
+        """414, or by the contacts where that is 0."""
+        contacts = self._inputs_on
+        return int(self.store.value("data_set_selection")) or 1 + bool(contacts & _S4) + 2 * bool(contacts & _S5)
 
     @property
     def faulted(self) -> bool:
         return bool(self.fault)
+
+    def reset_fault(self) -> None:
+        """At the keypad. Raises ValueError in the first 15 s of the fault (11.2.1)."""
+        left = self._locked_until - (self.seen_until or 0)
+        if left > 0:
+            raise ValueError(
+                f"a fault can be acknowledged {t.FAULT_LOCK_S} s after it came: {left / NS_PER_S:.1f} s are left"
+            )
+        self.fault = 0
+        self.machine.enter(State.SWITCH_ON_INHIBITED if self._mode == _STATE_MACHINE else State.READY)
+
+    def contact(self, name: str, on: bool) -> None:
+        super().contact(name, on)
+        self._wire()
+
+    def _wire(self) -> None:
+        """The contacts have changed: bits S1 to S6, and the release by mode."""
+        closed = self._closed
+        self._hardware = sum(1 << int(name[1:]) - 1 for name in closed)
+        self.released = "S1" in closed
+        self._release = {
+            _STATE_MACHINE: self.released and not closed.isdisjoint(("S2", "S3")),
+            _REMOTE_CONTACTS: self.released,
+        }
+
+    def release(self, on: bool) -> None:
+        """S1."""
+        self.contact("S1", on)
+
+    def set_point(self, hertz: float) -> None:
+        """228, that of the reference frequency channel. Raises ValueError beyond its limits."""
+        spec = t.PARAMETERS.get(228)
+        assert spec is not None
+        spec.to_raw(hertz)
+        self.store.install(spec.name, hertz)
 
     def fault_code(self, code: str) -> int:
         """``F2100`` or ``2100``. Raises ValueError."""
@@ -152,8 +202,9 @@ class DemagDevice(DriveDevice):
         return outpzd.source(number, words or (0,) * 6, self._reference(self.active_set))
 
     def inherit(self, before: DriveDevice) -> None:
-        """The parameters; with a supply of its own the module was off under a live inverter: F2061 (13.2)."""
+        """Parameters and contacts; with a supply of its own the module was off under a live inverter: F2061 (13.2)."""
         super().inherit(before)
+        self._wire()
         if isinstance(before, DemagDevice):
             self.unpowered = before.unpowered
             if self._own_supply and not self.unpowered:
@@ -174,8 +225,10 @@ class DemagDevice(DriveDevice):
 
     @property
     def injected(self) -> tuple[str, ...]:
-        """The conditions of every drive, and the mains of the inverter."""
-        return super().injected + (("mains off",) if self.unpowered else ())
+        """The conditions of every drive, and the mains of the inverter. S1 is the release where it was wired."""
+        other = "contact S1 off" if "S1" in self._wired else "release off"
+        found = tuple(text for text in super().injected if text != other)
+        return found + (("mains off",) if self.unpowered else ())
 
     def check_cfg(self, config: bytes) -> str | None:
         """A wrong configuration is F2065 (13.2)."""
@@ -199,14 +252,15 @@ class DemagDevice(DriveDevice):
         """Commands, set points, motor; then status and actual values."""
         self._words = words
         control, line = (words[0], words[1]) if words is not None else (0, 0)
-        self._control = control
         if self.unpowered:
             self.pending_trip = None
             self.motor.switch(False)
             return (0,) * (self.telegram.inputs // 2)
-        if self._settings_of != self.store.changes:
+        contacts = self._hardware if self._mode != _REMOTE_CONTACTS else self._contacts_on(control)
+        self._inputs_on = contacts
+        if self._settings_of != (of := (self.store.changes, contacts & _CHOICE)):
             self._settings = self._read_settings()
-            self._settings_of = self.store.changes
+            self._settings_of = of
         settings = self._settings
         mode = settings.mode
         machine = self.machine
@@ -215,22 +269,30 @@ class DemagDevice(DriveDevice):
             self._fail(trip, now)
         if mode != self._mode:
             self._mode = mode
+            self._inputs_on = contacts = self._hardware if mode != _REMOTE_CONTACTS else self._contacts_on(control)
+            self._started_by = contacts & _START
             self._anticlockwise = False
             if machine.state is not State.FAULT:
                 machine.enter(State.SWITCH_ON_INHIBITED if mode == _STATE_MACHINE else State.READY)
-        released = self.released and mode in (_STATE_MACHINE, _REMOTE_CONTACTS)
+        remote = mode in self._release and self._release[mode]
         obeyed = self._answered(control, settings, now)
         if mode == _STATE_MACHINE:
-            self._obey(obeyed, settings, now)
+            self._obey(obeyed, settings, now, released=remote)
+        elif mode == _REMOTE_CONTACTS:
+            self._start_and_stop(self._contacts_on(obeyed), now)
         else:
-            self._contacts(obeyed if released else 0, now)
+            self._start_and_stop(contacts if mode == _CONTACTS else 0, now)
         if machine.state is not State.FAULT:
             self.fault = 0
         reference = settings.reference_hz
         self._bus_hz = SPEED.decode(line) * reference
         additional_hz = SPEED.decode(words[2]) * reference if words and len(words) == 6 else 0.0
         self._drive(additional_hz, settings, now)
-        return self._report(control, released, settings)
+        return self._report(control, remote, settings)
+
+    def _contacts_on(self, control: int) -> int:
+        """S1 to S8 of the control word in mode 2: S1 only with the hardware's."""
+        return control & (_ALL if self.released else _ALL & ~_S1)
 
     def _read_settings(self) -> _Settings:
         value, active = self.store.value, self.active_set
@@ -239,6 +301,7 @@ class DemagDevice(DriveDevice):
             rated_hz=value("rated_frequency", active),
             reference_hz=self._reference(active),
             ramp_source=int(value("ramp_set_point", active)),
+            internal_hz=value("internal_reference_frequency"),
             toggle_reaction=int(value("toggle_bit_reaction")),
             toggle_ms=value("toggle_bit_time"),
             stop=int(value("state_transition_5")),
@@ -248,7 +311,8 @@ class DemagDevice(DriveDevice):
 
     def _answered(self, control: int, settings: _Settings, now: int) -> int:
         """The control word, or what stands for it while the toggle bit is not answered (8)."""
-        reaction = settings.toggle_reaction
+        by_bus = settings.mode in (_STATE_MACHINE, _REMOTE_CONTACTS)
+        reaction = settings.toggle_reaction if by_bus else toggle.OFF
         late = self.toggle.step(
             control,
             now,
@@ -264,9 +328,9 @@ class DemagDevice(DriveDevice):
         stops = reaction == toggle.QUICK_STOP and settings.mode == _STATE_MACHINE
         return acknowledge | (_QUICK_STOP if stops else 0)
 
-    def _obey(self, control: int, settings: _Settings, now: int) -> None:
+    def _obey(self, control: int, settings: _Settings, now: int, *, released: bool) -> None:
         machine = self.machine
-        if not self.released:
+        if not released:
             # without the release the control word is not obeyed; a running drive coasts (11.2.1.2)
             if machine.state in _POWERED:
                 machine.enter(State.READY)
@@ -291,17 +355,18 @@ class DemagDevice(DriveDevice):
         """The DC brake of transition 5 is on."""
         return self._braking_until is not None and self.machine.state is State.RUNNING
 
-    def _contacts(self, control: int, now: int) -> None:
-        """Mode 2: S1 releases, S2 and S3 start (clockwise, anticlockwise); in other modes nothing is wired."""
+    def _start_and_stop(self, contacts: int, now: int) -> None:
+        """Modes 0 and 2: S1 releases, S2 and S3 start (clockwise, anticlockwise)."""
         machine = self.machine
+        before, self._started_by = self._started_by, contacts & _START
         if machine.state is State.FAULT:
             return
-        start = bool(control & _S1) and bool(control & _S2) != bool(control & _S3)
-        if start:
+        start = bool(contacts & _S1) and contacts & _START in (_S2, _S3)
+        if start and (machine.state is State.RUNNING or contacts & _START != before):
             machine.enter(State.RUNNING)
-            self._anticlockwise = bool(control & _S3)
+            self._anticlockwise = bool(contacts & _S3)
         elif machine.state is State.RUNNING:
-            machine.stopping = bool(control & _S1)
+            machine.stopping = bool(contacts & _S1)
             if not machine.stopping or self._still(now):
                 machine.enter(State.READY)
         else:
@@ -309,7 +374,7 @@ class DemagDevice(DriveDevice):
 
     def _drive(self, additional_hz: float, settings: _Settings, now: int) -> None:
         machine, motor, rated = self.machine, self.motor, settings.rated_hz
-        self._ramp_hz = self._combined(self._bus_hz, settings.ramp_source)
+        self._ramp_hz = self._combined(self._bus_hz, settings)
         if self._anticlockwise:
             self._ramp_hz = -self._ramp_hz
         wanted = min(max(self._ramp_hz + additional_hz, -self.f_max), self.f_max)
@@ -334,15 +399,17 @@ class DemagDevice(DriveDevice):
         """The frequency of 100 % in Hz: 390, or 375 where that is 0."""
         return self.store.value("profibus_reference", active) or self.store.value("rated_frequency", active)
 
-    def _combined(self, line: float, how: int) -> float:
-        """434: 1 internal (0 here), 2 line, limited to fmin, 3 their sum."""
+    def _combined(self, line: float, settings: _Settings) -> float:
+        """434: 1 internal, 2 line, limited to fmin, 3 their sum."""
         if line:
             self._sign = 1 if line > 0 else -1
-        if how == 1:
-            return 0.0
-        if how == 2 and abs(line) < self.f_min:
-            return self._sign * self.f_min
-        return line
+        match settings.ramp_source:
+            case 1:
+                return settings.internal_hz
+            case 2:
+                return self._sign * self.f_min if abs(line) < self.f_min else line
+            case _:
+                return settings.internal_hz + line
 
     def _still(self, now: int) -> bool:
         """Below 637 for 638's time."""
@@ -410,6 +477,8 @@ class DemagDevice(DriveDevice):
                 return ReplyId.ERROR, 2
             if spec.number == 392 and raw == _DC_BRAKE and not self._vf:
                 return ReplyId.ERROR, 2  # a reading: the value is not offered there
+            if spec.number in t.STANDSTILL_ONLY and self.machine.state in _POWERED:
+                return ReplyId.ERROR, 106
             self.store.write(spec, raw, data_set, ram_only=order.ind >= t.RAM_ONLY)
             if spec.name == self.address_parameter:
                 self._reset()
@@ -438,9 +507,7 @@ class DemagDevice(DriveDevice):
             case 249:
                 return self.active_set
             case 250:
-                if self._mode == _REMOTE_CONTACTS:  # 11.2.1.3: S1 only with the hardware release
-                    return self._control & (_CONTACTS if self.released else _CONTACTS & ~_S1)
-                return _S1 | _S2 if self.released else _S2  # S1 is the release, S2 is wired on
+                return self._inputs_on
             case 270:
                 return self.warning_mask
             case 282:

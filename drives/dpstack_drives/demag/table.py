@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
-from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec
+from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Word, drivecom_states
 
 IDENT: Final = 0x0696
 
@@ -76,6 +76,16 @@ WRITE_ERRORS: Final = frozenset({104, 106})
 SETS: Final = 4
 #: IND of data set n for RAM only is n + 5 (11.1.4)
 RAM_ONLY: Final = 5
+#: 11.2.1.3, the control word of control by remote contacts; S7 and S8 are reserved
+CONTACTS: Final = Word(
+    "control word",
+    {
+        **{f"s{number}": number - 1 for number in range(1, 9)},
+        **{name: bit for name, bit in drivecom_states.CONTROL.bits.items() if bit >= 8},
+    },
+)
+#: 12: not to be written in operation. The marks of the list are lost in the text form: a reading, the motor's data
+STANDSTILL_ONLY: Final = frozenset({371, 375})
 #: fault acknowledgement is locked for this long (11.2.1), in s
 FAULT_LOCK_S: Final = 15
 
