@@ -377,6 +377,12 @@ class DriveCore:
         if self.online:
             self._tell_status()
 
+    def change_words(self, table: ControlTable) -> None:
+        """Use the words of ``table``; the control word that is out is replaced, and not judged by them."""
+        self.table = table
+        self._control = table.word(self.goal, self.raw_state) | self.control_bits()
+        self.dirty = True
+
     def notice(self, text: str) -> None:
         """Report ``text`` to the application, one line."""
         self._orders.tell({"type": "notice", "text": text})

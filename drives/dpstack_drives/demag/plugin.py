@@ -250,10 +250,10 @@ class DemagCore(MappedCore[OutMap]):
         return _ANTICLOCKWISE if self.setpoint < 0 else _CLOCKWISE
 
     def update(self) -> None:
-        before, self.table = self.table, self._table()
-        if self.table is not before and self.table.run and before.run:
-            # the contact of the word that is out now starts no longer, which is no reason to give up
-            self._control, self._dirty = self.table.word(self.goal, self.raw_state), True
+        table = self._table()
+        if table is not self.table and table.run and self.table.run:  # the other direction
+            self.change_words(table)
+        self.table = table
         super().update()
 
     def setpoint_word(self, fraction: float) -> int:

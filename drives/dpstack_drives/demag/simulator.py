@@ -108,7 +108,7 @@ class DemagDevice(DriveDevice):
         self._locked_until = 0
         self._own_supply = options["supply"] == OWN_SUPPLY
         if options["ready"]:
-            self._closed = self._wired = _WIRED
+            self.contacts_on = self.contacts_wired = _WIRED
         self._inputs_on = 0  # contacts as they count, bits as in mode 2
         self._wire()
         self._started_by = 0  # S2 and S3 of the last scan
@@ -161,7 +161,7 @@ class DemagDevice(DriveDevice):
 
     def _wire(self) -> None:
         """The contacts have changed: bits S1 to S6, and the release by mode."""
-        closed = self._closed
+        closed = self.contacts_on
         self._hardware = sum(1 << int(name[1:]) - 1 for name in closed)
         self.released = "S1" in closed
         self._release = {
@@ -226,7 +226,7 @@ class DemagDevice(DriveDevice):
     @property
     def injected(self) -> tuple[str, ...]:
         """The conditions of every drive, and the mains of the inverter. S1 is the release where it was wired."""
-        other = "contact S1 off" if "S1" in self._wired else "release off"
+        other = "contact S1 off" if "S1" in self.contacts_wired else "release off"
         found = tuple(text for text in super().injected if text != other)
         return found + (("mains off",) if self.unpowered else ())
 

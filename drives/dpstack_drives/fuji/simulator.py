@@ -62,7 +62,7 @@ class FujiDevice(DriveDevice):
         super().__init__(profile, telegram, options, {"o30": t.O30[telegram.name], **presets})
         self._use_own_telegram()
         self._own_supply = options["supply"] == OWN_SUPPLY
-        self._closed = self._wired = frozenset({t.LE})
+        self.contacts_on = self.contacts_wired = frozenset({t.LE})
         if float(options["switches"]) != int(float(options["switches"])):
             raise ConfigError(f"{self.title}: switches must be a whole number, -1 or 00..99")
         self.option = OptionCard(self, int(float(options["switches"])), self._live)
@@ -188,7 +188,7 @@ class FujiDevice(DriveDevice):
 
     def _source(self) -> int:
         """The commands that the bus has, as the bits of y98: y99 and the terminals go first."""
-        if t.LE not in self._closed or t.LOC in self._closed:
+        if t.LE not in self.contacts_on or t.LOC in self.contacts_on:
             return 0
         return int(self.store.value("y98")) & ~int(self.store.value("y99"))
 

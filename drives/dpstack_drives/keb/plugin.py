@@ -134,7 +134,7 @@ class KebCore(MappedCore[PdMap]):
         return configured if self._held else super().safe(configured)
 
     def received(self) -> None:
-        self._dirty |= self._held
+        self.dirty |= self._held
 
     def lost(self, now: int) -> None:
         self._held = self.access is not None
@@ -341,7 +341,7 @@ class KebCore(MappedCore[PdMap]):
         ours = (inputs, outputs) == self.present_maps() and not (self.writes_later or self._pending_map)
         if ours and (yield from self._in_force(inputs, outputs, deadline)):
             return value
-        self._held = self._dirty = self._pending_map = True
+        self._held = self.dirty = self._pending_map = True
         try:
             at_once = yield from self._write_records((inputs, outputs), deadline)
         except BaseException:
