@@ -41,14 +41,14 @@ if TYPE_CHECKING:
     from dpstack.profile.channel.stored_writes import StoredWrites
     from dpstack.profile.drive_profile import DriveProfile, OptionSpec, RateSetting
     from dpstack.profile.master.core import DriveCore, Lookup, settled
-    from dpstack.profile.master.mapped_core import MAP_OPS, MappedCore
+    from dpstack.profile.master.mapped_core import MAP_OPS, MapCodes, MappedCore
     from dpstack.profile.master.settings import Setting, equal, same
     from dpstack.profile.model import drivecom_states, process_data_map, profidrive_states
     from dpstack.profile.model.drive_type import CHANNEL_LEN, Options, TelegramFamily, TelegramSpec
     from dpstack.profile.model.jobs import Args, CommandError, Steps
     from dpstack.profile.model.param_errors import PARAMETER_ERRORS, error_text
     from dpstack.profile.model.param_store import ParamStore
-    from dpstack.profile.model.params import ListedParam, ParamSpec, ParamTable, count_of, listing
+    from dpstack.profile.model.params import POWER_ON, ListedParam, ParamSpec, ParamTable, Use, count_of, listing
     from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
     from dpstack.profile.model.status import DriveStatus, SettingsState
     from dpstack.profile.model.words import SPEED, Scale, Word, signed16
@@ -69,6 +69,7 @@ __all__ = [
     "NS_PER_S",
     "NS_PER_US",
     "PARAMETER_ERRORS",
+    "POWER_ON",
     "RETRY_NS",
     "SPEED",
     "Args",
@@ -87,6 +88,7 @@ __all__ = [
     "Leave",
     "ListedParam",
     "Lookup",
+    "MapCodes",
     "MappedCore",
     "Motor",
     "OptionSpec",
@@ -115,6 +117,7 @@ __all__ = [
     "TaskId",
     "TelegramFamily",
     "TelegramSpec",
+    "Use",
     "Word",
     "broken",
     "count_of",
@@ -146,7 +149,7 @@ channel.pkw RETRY_NS ParamRef Pkw PkwAccess PkwChannel PkwDialect PkwServer Repl
 channel.stored_writes StoredWrites
 drive_profile DriveProfile OptionSpec RateSetting
 master.core DriveCore Lookup settled
-master.mapped_core MAP_OPS MappedCore
+master.mapped_core MAP_OPS MapCodes MappedCore
 master.settings Setting equal same
 model.drivecom_states
 model.process_data_map
@@ -155,7 +158,7 @@ model.drive_type CHANNEL_LEN Options TelegramFamily TelegramSpec
 model.jobs Args CommandError Steps
 model.param_errors PARAMETER_ERRORS error_text
 model.param_store ParamStore
-model.params ListedParam ParamSpec ParamTable count_of listing
+model.params POWER_ON ListedParam ParamSpec ParamTable Use count_of listing
 model.states FAULTED MOVING ControlTable Goal State StateRow StateTable
 model.status DriveStatus SettingsState
 model.words SPEED Scale Word signed16

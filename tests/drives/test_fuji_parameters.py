@@ -129,18 +129,24 @@ def test_f5_maps_that_cannot_be(telegram: str, options: dict[str, object], says:
 
 
 def test_f5_write_map_on_the_wire() -> None:
-    """PNU 916, then 915, indexes 1 to 4."""
+    """F26 has the drive's value (2); PNU 916, then 915, indexes 1 to 4; then both are read back, the outputs first."""
     bench = plugin("PPO2", IDLE + WIDE)
     token = bench.order("write_map", inputs="M16", outputs="S06 F26")
     seen: list[str] = []
-    for _ in range(120):
+    stored = {"01 04 1A": "00 00 00 02"}
+    for _ in range(250):
         order = bench.out()[:23]
-        if order != ZERO.strip() and (not seen or seen[-1] != order):
-            seen.append(order)
-            bench.inputs = bytes.fromhex("4" + order[1:] + " 02 40 00 00" + WIDE)
-        elif order == ZERO.strip():
+        if order == ZERO.strip():
             bench.inputs = bytes.fromhex(IDLE + WIDE)
+        elif not seen or seen[-1] != order:
+            seen.append(order)
+            place = f"0{order[1:8]}"
+            if order[0] == "7":
+                stored[place] = order[12:]
+            head = "1" if order[0] == "1" else "4"
+            bench.inputs = bytes.fromhex(f"{head}{order[1:12]}{stored[place]} 02 40 00 00" + WIDE)
     assert seen == [
+        "11 04 1A 00 00 00 00 00",
         "73 94 01 00 00 00 03 10",
         "73 94 02 00 00 00 00 00",
         "73 94 03 00 00 00 00 00",
@@ -149,6 +155,8 @@ def test_f5_write_map_on_the_wire() -> None:
         "73 93 02 00 00 00 04 1A",
         "73 93 03 00 00 00 00 00",
         "73 93 04 00 00 00 00 00",
+        *(f"63 93 0{index} 00 00 00 00 00" for index in range(1, 5)),
+        *(f"63 94 0{index} 00 00 00 00 00" for index in range(1, 5)),
     ]
     result = bench.done(token)
     assert (result["value"], result["acts"]) == ({"inputs": "M16", "outputs": "S06 F26"}, "after power-on")
@@ -214,14 +222,21 @@ def test_f7_f8_f11_f13_reads_of_the_plugin(args: dict[str, object], order: str, 
         ({"number": "o27", "value": 3}, "21 0A 1B 00 00 00 00 03"),
         ({"number": "o28", "value": 10}, "21 0A 1C 00 00 00 00 64"),
         ({"number": "o31", "value": 99}, "21 0A 1F 00 00 00 00 63"),
-        ({"number": 916, "index": 4, "value": 0x310}, "73 94 04 00 00 00 03 10"),
+        ({"number": "o41", "value": 0x310}, None),
+        ({"number": 0x10A, "index": 51, "value": 0x310}, None),
+        ({"number": 915, "index": 4, "value": 0x310}, None),
+        ({"number": 916, "index": 4, "value": 0x310}, None),
     ],
 )
-def test_f7_f8_f11_writes_of_the_plugin(args: dict[str, object], order: str) -> None:
+def test_f7_f8_f11_writes_of_the_plugin(args: dict[str, object], order: str | None) -> None:
+    """Codes of the map are for write_map."""
     bench = plugin("PPO1", IDLE)
-    bench.order("write", **args)
+    if order is None:
+        assert "use write_map" in bench.misuse("write", **args)
+    else:
+        bench.order("write", **args)
     bench.run()
-    assert bench.out().startswith(order)
+    assert bench.out().startswith(order or ZERO)
 
 
 @pytest.mark.parametrize(

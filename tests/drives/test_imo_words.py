@@ -122,6 +122,6 @@ def test_i4_a_map_is_read_and_only_what_differs_is_written() -> None:
     bench.seen.clear()
     bench.ok("write_map", outputs="set_frequency torque", inputs="frequency rpm - - - - - - - power")
     writes = [request for request in bench.seen if request.startswith("00 04")]
-    assert writes == ["00 04 0F 03 00 00 00 04", "00 04 0F 0E 00 00 00 08"]
+    assert writes == ["00 04 0F 0E 00 00 00 08", "00 04 0F 03 00 00 00 04"]
     assert "not in the output map (set_frequency torque)" in bench.misuse("output", number="ao1", value=0)
     assert "written by speed" in bench.misuse("output", number="set_frequency", value=0)

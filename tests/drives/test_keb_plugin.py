@@ -52,7 +52,7 @@ def test_k8_the_words_by_the_users_bits() -> None:
     assert status.bits == ("run", "reached", "brake_open")
     assert status.frequency_hz == pytest.approx(12.5)
     assert status.words == (0x0860, 0x05DC)
-    assert status.remote
+    assert status.remote is None, "no bit of the F5 tells it"
     bench.order("stop")
     assert bench.out() == "00 02 05 DC"
     assert bench.core.status().state is State.STOPPING

@@ -208,7 +208,7 @@ def test_a_drive_that_stays_in_s1_is_told_with_what_to_look_at() -> None:
     device = DRIVE.simulated("PPO1", {}, {"dr-06": 1})
     kind, why = PairBench(DRIVE.core("pump", "PPO1"), device).refused("start")
     assert kind == "fault"
-    assert why.startswith("dr-06 is 1: the drive stays in S1")
+    assert why.startswith("dr-06 is 1, not 4: set dr-06 (command source) to 4, field bus")
 
 
 # -- with the simulated drive --------------------------------------------------------------------------------------

@@ -85,16 +85,19 @@ def test_l7_addresses_that_are_advised_against() -> None:
 
 
 def test_l7_write_map_on_the_wire() -> None:
-    """COM-31.. and COM-30, COM-51.. and COM-50, then COM-94 = 1."""
+    """COM-31.. and COM-30, COM-51.. and COM-50, then COM-94 = 1; then all is read back."""
     bench = plugin(ZERO + S2 + " 00" * 8, "PPO2", para_status="000E", para_control="dr-04=2")
     token = bench.order("write_map", inputs="dr-03 In-90", outputs="")
     sent = []
-    for _ in range(60):
+    stored: dict[str, str] = {}
+    for _ in range(120):
         out = bench.out()[:23]
         if not out.startswith("00"):
             if out not in sent:
                 sent.append(out)
-            bench.see(f"1{out[1:]} {S2}" + " 00" * 8)
+            if out[0] == "2":
+                stored[out[1:8]] = out[12:]
+            bench.see(f"1{out[1:12]}{stored[out[1:8]]} {S2}" + " 00" * 8)
         else:
             bench.see(ZERO + S2 + " 00" * 8)
     assert sent == [
@@ -104,6 +107,11 @@ def test_l7_write_map_on_the_wire() -> None:
         "20 17 33 00 00 00 00 00",
         "20 17 32 00 00 00 00 01",
         "20 17 5E 00 00 00 00 01",
+        "10 17 32 00 00 00 00 00",
+        "10 17 33 00 00 00 00 00",
+        "10 17 1E 00 00 00 00 00",
+        "10 17 1F 00 00 00 00 00",
+        "10 17 20 00 00 00 00 00",
     ]
     assert bench.value(token) == {"inputs": "1103 155A", "outputs": ""}
     assert "room for 4" in bench.misuse("write_map", inputs="dr-03 " * 5)

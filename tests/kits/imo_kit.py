@@ -43,7 +43,10 @@ class Card(PluginBench):
     def do(self, op: str, **args: object) -> dict[str, object]:
         """An order and its result."""
         token = self.order(op, **args)
-        self.show(self._process[:2].hex(), self._process[2:].hex())
+        for _ in range(5):
+            self.show(self._process[:2].hex(), self._process[2:].hex())
+            if self.result(token) is not None:
+                break
         return self.done(token)
 
 

@@ -31,7 +31,7 @@ class Status(TypedDict):
     state: str
     running: bool
     reached: bool
-    remote: bool
+    remote: bool | None
     setpoint: float
     speed: float | None
     frequency_hz: float | None

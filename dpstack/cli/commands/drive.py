@@ -421,7 +421,7 @@ def _show_status(answer: Mapping[str, Any]) -> None:
         if status[name] is not None:
             rows[name] = f"{status[name]:.2%} of the rated one"
     rows |= {
-        "the bus has the control": "yes" if status["remote"] else "no",
+        "the bus has the control": {True: "yes", False: "no"}.get(status["remote"], "the drive does not tell"),
         "faults": ", ".join(status["faults"]) or "none",
         "warnings": ", ".join(status["warnings"]) or "none",
         "status bits": ", ".join(status["bits"]) or "none",

@@ -1,6 +1,7 @@
 """Master side of a drive: state machine, orders, process data maps, comparison of settings.
 
 - ``core``: Master side of one drive, called once a rotation: state machine, set point, orders, status events
+- ``guarded_writes``: Writes to parameters that the plugin relies on: refused while the motor may turn, read again
 - ``mapped_core``: Master side of a drive with process data maps: orders to read and write maps and values
 - ``new_address``: A new station address that the drive got over its plugin
 - ``settings``: Comparison of the settings that a plugin relies on with those in the drive

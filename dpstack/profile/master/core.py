@@ -7,18 +7,20 @@ comes in as ``now`` in ns; nothing here blocks or reads a clock.
 
 from __future__ import annotations
 
+import contextlib
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, Generic, TypeVar
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile.channel.base import ParameterChannel, ParamKey
 from dpstack.profile.channel.pkw import PLAIN_PKW, ParamRef, PkwAccess, PkwDialect, plain_ref
+from dpstack.profile.master.guarded_writes import guarded_write
 from dpstack.profile.master.new_address import NewAddress
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, CHECK_SETTINGS, DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, DriveJob, DriveJobs, Steps
-from dpstack.profile.model.params import ListedParam, ParamSpec, ParamTable, listing
+from dpstack.profile.model.params import ListedParam, ParamSpec, ParamTable, Use, listing
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State
 from dpstack.profile.model.status import DriveStatus
 from dpstack.profile.model.words import SPEED, Scale
@@ -30,6 +32,8 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 _MOTION: Final = ("start", "stop", "quick_stop", "coast", "acknowledge")
 _GOALS: Final = {"stop": Goal.STOP, "quick_stop": Goal.QUICK_STOP, "coast": Goal.COAST}
 _STOPPING: Final = frozenset(_GOALS.values())
+#: of the reference: below it the actual speed counts as 0
+_STILL: Final = 0.005
 #: states in which a stop that was ordered may not be over
 _MAY_TURN: Final = MOVING | {State.OFFLINE, State.UNKNOWN}
 _PARAMETERS: Final = ("read_many", "read", "write")
@@ -140,6 +144,8 @@ class DriveCore:
     address_parameter: str = ""
     address_acts: str = "when it is switched off and on"
     address_trigger: str = ""
+    #: the outputs while they are :attr:`held`, for people
+    held_hint: str = "its set point is 0 until then"
     #: orders beyond those of every drive, see :meth:`order`
     own_ops: tuple[str, ...] = ()
 
@@ -178,6 +184,10 @@ class DriveCore:
         self.setpoint = 0.0
         self.setpoint_at = 0
         self._setpoint_word = 0
+        #: the process data are those of :meth:`encode_held`: nobody knows whether the drive would understand others
+        self.held = False
+        #: jobs during which no start begins, for people
+        self._no_start: list[str] = []
         self._control = self.table.word(Goal.IDLE, State.OFFLINE)
         self._achieved = False
         #: the outputs are built again in this rotation
@@ -199,7 +209,7 @@ class DriveCore:
         self._new_address = NewAddress(self.address_parameter, label, self.address_acts, self.address_trigger)
         self._last_event: tuple[object, ...] = ()  # key of the last status event
         bits = self.table.status.bits
-        self._event_mask = self.table.status.mask(*(n for n in ("reached", "remote", "warning") if n in bits))
+        self._event_mask = self.table.status.mask(*(n for n in ("reached", "remote", "keypad", "warning") if n in bits))
 
     # -- CyclicPlugin -----------------------------------------------------------------------------------------------
 
@@ -283,13 +293,15 @@ class DriveCore:
     def status(self) -> DriveStatus:
         online = self.online
         speed, current, torque = self.measured() if online else (None, None, None)
+        if self.settings_check.differs(Use.SCALE) is not None:
+            speed = None
         word = self.status_word if online else 0
         bits = self.table.status
         return DriveStatus(
             state=self.state,
             running=self.state is State.RUNNING,
             reached=bits.is_set(word, "reached") if "reached" in bits.bits else _near(self, speed),
-            remote="remote" not in bits.bits or bits.is_set(word, "remote"),
+            remote=self.remote(word),
             setpoint=self.setpoint,
             speed=speed,
             frequency_hz=None if speed is None else speed * self.reference_hz,
@@ -324,6 +336,68 @@ class DriveCore:
         return (NOT_NAMED,) if texts is None else texts
 
     # -- for jobs and plugins -------------------------------------------------------------------------------------
+
+    def may_turn(self) -> str | None:
+        """Why the motor may turn, or be about to, for people; None where it stands and nothing starts it."""
+        if self.goal is Goal.RUN or self._orders.runs("start"):
+            return "a start was ordered"
+        if self.state in MOVING:
+            return f"the drive is {self.state}"
+        if self.state in (State.UNKNOWN, State.OFFLINE):
+            return "nobody knows whether the motor turns"
+        speed = self.measured()[0]
+        return None if speed is None or abs(speed) <= _STILL else f"the motor turns at {speed:.1%}"
+
+    @contextlib.contextmanager
+    def without_start(self, what: str) -> Iterator[None]:
+        """A start that is ordered meanwhile waits until ``what`` is over."""
+        self._no_start.append(what)
+        try:
+            yield
+        finally:
+            self._no_start.remove(what)
+
+    def in_data_exchange(self, deadline: int) -> Steps[None]:
+        """Wait for data exchange. Raises CommandError."""
+        return _online(self, deadline)
+
+    def free_to_start(self, deadline: int) -> Steps[None]:
+        """Wait until no job keeps a start from beginning. Raises CommandError."""
+        while self._no_start:
+            if self.now >= deadline:
+                raise CommandError("timeout", f"{self._no_start[0]} is not over")
+            yield
+
+    def label_of(self, key: ParamKey) -> str:
+        """The parameter for people."""
+        spec = self._spec(key)
+        return f"parameter {key.name}" if spec is None else spec.label
+
+    def use_of(self, key: ParamKey) -> Use:
+        """What the parameter is to the plugin, by its table or by a setting that refuses a start."""
+        spec = self._spec(key)
+        if spec is not None and spec.use is not Use.NONE:
+            return spec.use
+        keys = (one for setting in self.all_settings() if setting.refuse for one in setting.keys)
+        return Use.SETTING if any(self.same_parameter(key, one) for one in keys) else Use.NONE
+
+    def acts_of(self, key: ParamKey) -> str:
+        """When a write counts, see :class:`ParamSpec`."""
+        spec = self._spec(key)
+        return "" if spec is None else spec.acts
+
+    def applier_of(self, key: ParamKey) -> str | None:
+        """The name of the parameter where a write of it makes others count, else None."""
+        spec, table = self._spec(key), self.parameter_table
+        return spec.name if spec is not None and table is not None and spec.name in table.applies else None
+
+    def same_parameter(self, one: ParamKey, other: ParamKey) -> bool:
+        """Data sets and elements aside."""
+        return self.place_of(one) == self.place_of(other)
+
+    def _spec(self, key: ParamKey) -> ParamSpec | None:
+        table = self.parameter_table
+        return None if table is None else table.get(*self.place_of(key))
 
     @property
     def settle_ns(self) -> int:
@@ -408,6 +482,14 @@ class DriveCore:
         self.dirty = True
         self.update()
 
+    def stand_still(self, deadline: int) -> Steps[None]:
+        """Send the idle control word and the set point 0, until the drive has seen them."""
+        self.set_goal(Goal.IDLE)
+        self.setpoint, self._setpoint_word = 0.0, 0
+        self.setpoint_at = self.now
+        self.dirty = True
+        yield from settled(self, lambda: False, deadline)
+
     # -- hooks for a plugin -------------------------------------------------------------------------------------
 
     def cannot(self, op: str) -> str | None:
@@ -453,6 +535,11 @@ class DriveCore:
         """The set point of ``fraction`` of the reference as its word. Raises ValueError with the range."""
         return self.scale.encode(fraction)
 
+    def remote(self, word: int) -> bool | None:
+        """Whether the drive follows the bus by its status word; None where no bit tells it."""
+        status = self.table.status
+        return status.is_set(word, "remote") if "remote" in status.bits else None
+
     def word(self, name: str) -> int | None:
         """The word of the process data called ``name`` in ``inputs``; None where the telegram does not reach it."""
         place = self._places.get(name)
@@ -494,8 +581,19 @@ class DriveCore:
         assert self.parameter_table is not None
         return plain_ref(key, self.parameter_table, self.drive)
 
+    def place_of(self, key: ParamKey) -> tuple[int, int]:
+        """Number and index of the parameter that a user has named, as ``parameter_table`` has them. Raises
+        CommandError."""
+        assert self.parameter_table is not None
+        spec = key.spec_in(self.parameter_table)
+        return (int(key.name), 0) if spec is None else (spec.number, spec.index)
+
     def written(self, ref: ParamRef) -> None:
         """The drive has taken a write over the parameter channel."""
+
+    def before_applied(self, name: str, deadline: int) -> Steps[None]:
+        """Before the parameter ``name`` is written, which makes others count. Raises CommandError."""
+        yield from ()
 
     def parameters(self) -> tuple[ListedParam, ...]:
         """The drive's parameters in the order of its table: what a dump reads (see ``listing``)."""
@@ -530,6 +628,21 @@ class DriveCore:
         """The settings of the drive that the plugin relies on, with its present options and maps."""
         return ()
 
+    def all_settings(self) -> Sequence[Setting]:
+        """:meth:`settings`, and those of a common base of plugins."""
+        return self.settings()
+
+    def settings_judged(self) -> None:
+        """The settings were compared, as far as they could be read."""
+
+    def refuses_setpoint(self) -> str | None:
+        """Why no set point is accepted now, nor a start; or None."""
+        return None
+
+    def encode_held(self) -> bytes:
+        """The process data to send while they are :attr:`held`."""
+        return self.encode(self._control, 0)
+
     def before_settings(self, deadline: int) -> Steps[None]:
         """Before the settings are read: find out where they are (the active data set). Raises CommandError."""
         yield from ()
@@ -538,7 +651,7 @@ class DriveCore:
 
     def _build(self) -> None:
         self.dirty = False
-        data = self.encode(self._control, self._setpoint_word)
+        data = self.encode_held() if self.held else self.encode(self._control, self._setpoint_word)
         access = self.access
         if access is not None:
             data = access.octets + data
@@ -594,6 +707,8 @@ class DriveCore:
 
     def _speed(self, fraction: float) -> Steps[dict[str, object]]:
         yield from ()
+        if fraction and (why := self.refuses_setpoint()) is not None:
+            raise CommandError("fault", why)
         self.set_speed(fraction)
         return {"value": fraction, "frequency_hz": fraction * self.reference_hz}
 
@@ -603,12 +718,16 @@ def _start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
     """Walk to RUNNING. On any failure the goal falls back to IDLE: a drive never starts later by surprise."""
     try:
         yield from _online(core, deadline)
+        yield from core.free_to_start(deadline)
         yield from settled(core, lambda: core.raw_state not in FAULTED, deadline)
         if core.raw_state in FAULTED:
             text = yield from _fault_text(core, deadline)
             raise CommandError("fault", f"{text}; acknowledge it first")
         yield from core.prepare(deadline)
         yield from core.settings_check.known(deadline)
+        if core.held:
+            why = f"the drive has not yet told its process data map: {core.held_hint}; give start more time"
+            raise CommandError("timeout", why)
         # a status word that says running already may be older than our last stop
         trust = core.now + (core.settle_ns if core.raw_state in MOVING else 0)
         core.set_goal(Goal.RUN)
@@ -687,6 +806,8 @@ def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[d
             raise CommandError("fault", (yield from _fault_text(core, deadline)))
         if core.state is not State.RUNNING and core.goal is not Goal.RUN:
             raise CommandError("usage", f"the drive is not running (it reports {core.state}): start it first")
+        if (other := core.settings_check.differs(Use.SCALE)) is not None:
+            raise CommandError("fault", f"nobody knows whether it is reached: {other}")
         status = core.status()
         speed = status.speed
         off = None if speed is None else abs(speed - core.wanted_speed())
@@ -773,12 +894,11 @@ def _parameter_steps(core: DriveCore, op: str, args: Args, deadline: int) -> Ste
     if op == "read":
         return access.read(ParamKey(number, data_set, index), deadline)
     key = ParamKey(number, data_set, index, args.flag("ram"))
-    return _written(core, access.write(key, args.number("value"), deadline))
+    return _written(core, guarded_write(core, access, key, args.number("value"), deadline))
 
 
 def _written(core: DriveCore, writing: Steps[dict[str, object]]) -> Steps[dict[str, object]]:
     outcome = yield from writing
-    core.settings_check.changed()
     core._new_address.written(outcome)
     return outcome
 

@@ -178,6 +178,10 @@ class DriveJobs:
                 self._resume(job)
         self.due_ns = min((job.due_ns for job in self.jobs), default=0)
 
+    def runs(self, op: str) -> bool:
+        """Whether an order ``op`` is under way."""
+        return any(job.op == op for job in self.jobs)
+
     def end(self, error: CommandError) -> None:
         """End all jobs, as failed."""
         jobs, self.jobs = self.jobs, []

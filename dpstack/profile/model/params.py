@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
+from enum import StrEnum
 from typing import Final
 
 from dpstack.profile.model.param_errors import LIMITS, READ_ONLY
@@ -41,6 +42,20 @@ def _shown(value: float) -> str:
     return short if math.isclose(float(short), value, rel_tol=1e-15) else repr(value)
 
 
+class Use(StrEnum):
+    """What a parameter is to the plugin. The values are those of a table's column ``use``."""
+
+    NONE = ""
+    SCALE = "scale"  # of set point and actual speed
+    SOURCE = "source"  # of commands or set point
+    SETTING = "setting"  # another one that the plugin relies on
+    MAP = "map"  # a code of the process data maps: only ``write_map`` writes it
+
+
+#: in the column ``acts``: a write counts from the drive's next power-on
+POWER_ON: Final = "power-on"
+
+
 @dataclass(frozen=True, slots=True)
 class ParamSpec:
     """A parameter. ``low``, ``high`` and ``factory`` are in ``unit``; on the wire stands value x 10^decimals.
@@ -48,7 +63,8 @@ class ParamSpec:
     ``per_unit`` instead of ``decimals`` where that is no power of ten. ``index``: a fixed subindex that belongs to the
     number. ``by_name``: people know it by its name. ``per_set``: exists once in every data set. ``read_only``.
     ``text``: a string, which the parameter channel cannot carry. ``made_up``: limits or factory value are ours.
-    ``volatile``: the drive never stores it in its EEPROM.
+    ``volatile``: the drive never stores it in its EEPROM. ``use``: what it is to the plugin. ``acts``: when a write
+    counts: at once (empty), from :data:`POWER_ON`, or with a write of the parameter of this name.
     """
 
     number: int
@@ -69,6 +85,8 @@ class ParamSpec:
     made_up: bool = False
     by_name: bool = False
     volatile: bool = False
+    use: Use = Use.NONE
+    acts: str = ""
 
     def to_raw(self, value: float) -> int:
         """The integer on the wire. Raises ValueError with the limits, or with the step where it lies between two."""
@@ -121,7 +139,7 @@ class ParamSpec:
 class ParamTable:
     """The parameters of a drive, found by name or by number (and index). Numbers and names must be unique."""
 
-    __slots__ = ("_by_key", "_by_name")
+    __slots__ = ("_by_key", "_by_name", "applies")
 
     def __init__(self, specs: Iterable[ParamSpec]) -> None:
         self._by_key: dict[tuple[int, int], ParamSpec] = {}
@@ -131,6 +149,8 @@ class ParamTable:
                 raise ValueError(f"parameter {spec.label} is declared twice")
             self._by_key[spec.number, spec.index] = spec
             self._by_name[spec.name.lower()] = spec
+        #: names of the parameters whose write makes others count
+        self.applies = frozenset(spec.acts for spec in self._by_key.values()) - {"", POWER_ON}
 
     def __iter__(self) -> Iterator[ParamSpec]:
         return iter(self._by_key.values())

@@ -47,6 +47,14 @@ class DataMap(Protocol):
         """None for a word that carries nothing."""
 
 
+def used(codes: Sequence[int], room: int | None = None) -> tuple[int, ...]:
+    """``codes`` without the empty ones at the end, of the first ``room`` words only."""
+    found = tuple(codes if room is None else codes[:room])
+    while found and not found[-1]:
+        found = found[:-1]
+    return found
+
+
 def places(fields: Sequence[Field | None]) -> Iterator[tuple[int, Field]]:
     """Every field with the word at which it begins."""
     at = 0

@@ -25,15 +25,16 @@ class DriveStatus:
 
     ``speed``, ``setpoint``: of the reference (1.0 = 100 %); ``current`` and ``torque``: of the rated current. What
     the telegram does not carry is None. ``reached``: as the drive tells it; where it has no bit for it, running within
-    1 % of the reference around the set point. ``remote`` is True for a drive that does not tell it. ``words``: the
-    process data as received. ``bits``: names of the status bits set. ``settings``: how the drive's settings compare
-    with those that its plugin relies on; ``settings_texts``: what differs or was not checked.
+    1 % of the reference around the set point. ``remote``: the drive follows the bus; None where no bit tells it.
+    ``words``: the process data as received. ``bits``: names of the status bits set. ``settings``: how the drive's
+    settings compare with those that its plugin relies on; ``settings_texts``: what differs, was not checked, or was
+    written and does not yet act. ``speed`` and ``frequency_hz`` are None while the drive has another scale.
     """
 
     state: State
     running: bool
     reached: bool
-    remote: bool
+    remote: bool | None
     setpoint: float
     speed: float | None
     frequency_hz: float | None

@@ -344,8 +344,8 @@ class DemagCore(MappedCore[OutMap]):
     def _ask_mode(self, deadline: int) -> Steps[None]:
         self._asking = True
         try:
-            active = yield from self._read(249, None, deadline)
-            mode = yield from self._read(412, active, deadline)
+            active = yield from self._raw(249, None, deadline)
+            mode = yield from self._raw(412, active, deadline)
         finally:
             self._asking = False
         if self._data_set not in (None, active):
@@ -460,7 +460,9 @@ class DemagCore(MappedCore[OutMap]):
         """390 or 375 (scale) and 434 (source of the set point) of the active data set."""
         active = self._data_set
         ramp = ParamKey(434, active)
+        mode = Setting(wanted=f"412 = {self._wanted_mode}", keys=(), differs=lambda _: self._other_mode())
         return (
+            *(() if self._set_412 else (mode,)),
             Setting(
                 wanted=f"390 (375 where 390 is 0) = {self.reference_hz:g} Hz",
                 keys=(ParamKey(390, active), ParamKey(375, active)),
@@ -470,6 +472,12 @@ class DemagCore(MappedCore[OutMap]):
             Setting(wanted="228 = 0 Hz where 434 is 3", keys=(ramp, ParamKey(228)), differs=_added, refuse=False),
             Setting(wanted="880 other than 1", keys=(ParamKey(880),), differs=_trips_in_clear, refuse=False),
         )
+
+    def _other_mode(self) -> str | None:
+        """412, as it was read with 249."""
+        if self._mode in (None, self._wanted_mode):
+            return None
+        return f"{self._wrong_mode()}, or set the option set_412 = true"
 
     def _other_reference(self, values: Sequence[float]) -> str | None:
         reference, rated = values
@@ -492,7 +500,7 @@ class DemagCore(MappedCore[OutMap]):
     def _remote(self) -> bool:
         return bool(self.status_word & _REMOTE)
 
-    def _read(self, number: int, data_set: int | None, deadline: int) -> Steps[int]:
+    def _raw(self, number: int, data_set: int | None, deadline: int) -> Steps[int]:
         assert self.access is not None
         return (yield from self.access.read_raw(ParamKey(number, data_set), deadline))
 
@@ -514,7 +522,7 @@ class DemagCore(MappedCore[OutMap]):
         yield
         yield
         rotations = self.now - began
-        limit = yield from self._read(881, None, deadline)
+        limit = yield from self._raw(881, None, deadline)
         needed = 2 * t.scan_ms(self.telegram) + -(-rotations // NS_PER_MS)
         if limit < needed:
             self.notice(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
-from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Word, drivecom_states
+from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Use, Word, drivecom_states
 
 IDENT: Final = 0x0696
 
@@ -107,13 +107,13 @@ PARAMETERS: Final = ParamTable(
         ParamSpec(
             371, "rated_current", "Rated current", 0.1, 1000, 4, unit="A", decimals=1, per_set=True, made_up=True
         ),
-        _frequency(375, "rated_frequency", "Rated frequency", 10, 1000, 50, per_set=True),
-        _frequency(390, "profibus_reference", "Profibus Reference", 0, 999.99, per_set=True),
+        _frequency(375, "rated_frequency", "Rated frequency", 10, 1000, 50, per_set=True, use=Use.SCALE),
+        _frequency(390, "profibus_reference", "Profibus Reference", 0, 999.99, per_set=True, use=Use.SCALE),
         ParamSpec(391, "node_id", "Profibus Node-ID", 0, 126, 126),
         ParamSpec(392, "state_transition_5", "State transition 5", 0, 2, 2),
         ParamSpec(400, "switching_frequency", "Switching frequency", 1, 8, 2, unit="kHz"),
-        ParamSpec(412, "local_remote", "Local/Remote", 0, 44, 44, per_set=True),
-        ParamSpec(414, "data_set_selection", "Data set selection", 0, 4),
+        ParamSpec(412, "local_remote", "Local/Remote", 0, 44, 44, per_set=True, use=Use.SOURCE),
+        ParamSpec(414, "data_set_selection", "Data set selection", 0, 4, use=Use.SETTING),
         _frequency(
             424, "emergency_stop_clockwise", "Emergency stop clockwise", 0.01, 9999.99, 100, unit="Hz/s", made_up=True
         ),
@@ -127,7 +127,7 @@ PARAMETERS: Final = ParamTable(
             unit="Hz/s",
             made_up=True,
         ),
-        ParamSpec(434, "ramp_set_point", "Ramp set point", 1, 3, 3, per_set=True),
+        ParamSpec(434, "ramp_set_point", "Ramp set point", 1, 3, 3, per_set=True, use=Use.SOURCE),
         _frequency(480, "fixed_frequency_1", "Fixed frequency 1", -999, 999, 5, per_set=True),
         ParamSpec(
             549, "max_control_deviation", "max. Control deviation", 0.01, 20, 1, unit="%", decimals=2, made_up=True

@@ -11,14 +11,17 @@ from typing import ClassVar, Final
 
 from msgspec import Struct
 
-from dpstack.profile import ParameterChannel, ParamKey, Steps
+from dpstack.profile import MapCodes, ParamKey
 from dpstack_drives.fuji import table as t
 
 COUNT: Final = 4
 EMPTY: Final = "-"
 _BARE: Final = re.compile(r"[0-9A-Fa-f]{4}")
-#: PNU of the assignments by direction
-_PNUS: Final = (("inputs", t.PNU_PCD_READ), ("outputs", t.PNU_PCD_WRITE))
+#: the assignments of inputs and outputs
+CODES: Final = (
+    MapCodes(tuple(ParamKey(t.PNU_PCD_READ, index=index) for index in t.ARRAYS[t.PNU_PCD_READ])),
+    MapCodes(tuple(ParamKey(t.PNU_PCD_WRITE, index=index) for index in t.ARRAYS[t.PNU_PCD_WRITE])),
+)
 
 
 class PcdWord(Struct, frozen=True):
@@ -89,22 +92,3 @@ def parse(text: str, *, outputs: bool) -> PcdMap:
             raise ValueError(f"{t.code_of(entry)} twice: only the first one would count")
         entries.append(entry)
     return PcdMap((*entries, *(0,) * (COUNT - len(entries))))
-
-
-def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
-    """The assignments as they are stored; they act from power-on."""
-    value: dict[str, object] = {}
-    for name, pnu in _PNUS:
-        entries: tuple[int, ...] = ()
-        for index in range(1, COUNT + 1):
-            entries += ((yield from access.read_raw(ParamKey(pnu, index=index), deadline)),)
-        value[name] = str(PcdMap(entries))
-    return {"value": value}
-
-
-def write(access: ParameterChannel, inputs: PcdMap, outputs: PcdMap, deadline: int) -> Steps[dict[str, object]]:
-    for (_, pnu), one in zip(_PNUS, (inputs, outputs), strict=True):
-        entries = (*one.entries, *(0,) * (COUNT - len(one.entries)))
-        for index, entry in enumerate(entries, 1):
-            yield from access.write(ParamKey(pnu, index=index), entry, deadline)
-    return {"value": {"inputs": str(inputs), "outputs": str(outputs)}, "acts": "after power-on"}

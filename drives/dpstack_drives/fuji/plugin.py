@@ -25,6 +25,7 @@ from dpstack.profile import (
     TelegramSpec,
     equal,
     listing,
+    process_data_map,
     settled,
 )
 from dpstack_drives.fuji import pcd
@@ -60,6 +61,7 @@ class FujiCore(MappedCore[PcdMap]):
     address_acts = "when it is switched off and on with its address switches at 00"
     channel_hint = ": take PPO2"
     inputs_at = outputs_at = 2  # PCD1 stands behind STW and MAV
+    map_codes = pcd.CODES
     inputs_map: PcdMap
     outputs_map: PcdMap
 
@@ -67,6 +69,7 @@ class FujiCore(MappedCore[PcdMap]):
         super().__init__(profile, name, telegram, options)
         self._by_bit = options["reverse"] == "bit"
         self._alarm = Lookup(lambda: self.raw_state in FAULTED, self._ask)
+        self.holds_outputs = bool(self.rest) and self.access is not None
         self.inputs_map, self.outputs_map = self.maps_of_options(options)
         self.refuse_zeros()
         if telegram.channel:
@@ -103,18 +106,24 @@ class FujiCore(MappedCore[PcdMap]):
 
     def obstacle(self) -> str | None:
         """STW bit 9, then the state that a CTW which is not obeyed leaves behind."""
+        if (why := self.refused_in_clear()) is not None:
+            return why
+        if self.raw_state is State.SWITCH_ON_INHIBITED:
+            return (
+                "the drive stays in S1 and does not obey CTW: set y98 to 3 "
+                "(with 1 only the frequency comes from the bus), and see to terminals LE and LOC and to y99, "
+                "which go before the bus"
+            )
+        return None
+
+    def refused_in_clear(self) -> str | None:
+        """STW bit 9; S1 says nothing while CTW is 0."""
         if not self.status_word:
             return "STW is 0000: only the option is on the bus (its own 24 V), the inverter has no power"
         if not self.status_word & _REMOTE:
             return (
                 "STW bit 9 is 0: neither run nor frequency command comes from the bus; set y98 to 3, and see to "
                 "terminals LE and LOC and to y99, which go before it"
-            )
-        if self.raw_state is State.SWITCH_ON_INHIBITED:
-            return (
-                "the drive stays in S1 and does not obey CTW: set y98 to 3 "
-                "(with 1 only the frequency comes from the bus), and see to terminals LE and LOC and to y99, "
-                "which go before the bus"
             )
         return None
 
@@ -140,7 +149,7 @@ class FujiCore(MappedCore[PcdMap]):
             equal("F03", hz, f"set F03 = {hz:g} or the option reference_hz = {{}}", unit="Hz"),
             equal("y98", _FROM_BUS, "set y98 = 3 (run and frequency command from PROFIBUS)"),
         ]
-        if self.rest and not self.writes_later:
+        if self.rest and self.pending is None:
             found += [
                 _assigned("map_outputs", self.outputs_map, t.PNU_PCD_WRITE, "o40 to o43"),
                 _assigned("map_inputs", self.inputs_map, t.PNU_PCD_READ, "o48 to o51"),
@@ -159,17 +168,15 @@ class FujiCore(MappedCore[PcdMap]):
             raise ValueError(f"{self.telegram.name} has no PCD1 to PCD4; take PPO2 or PPO4")
         return pcd.parse(text, outputs=outputs)
 
-    def read_map(self, deadline: int) -> Steps[dict[str, object]]:
-        """PNU 915 and 916."""
-        assert self.access is not None
-        return pcd.read(self.access, deadline)
+    def map_of(self, codes: tuple[int, ...], *, outputs: bool) -> PcdMap:
+        return PcdMap(codes)
 
-    def write_map(self, inputs: PcdMap, outputs: PcdMap, deadline: int) -> Steps[dict[str, object]]:
-        """The maps act after power-on; then the options of the plugin must name them."""
-        assert self.access is not None
-        outcome = yield from pcd.write(self.access, inputs, outputs, deadline)
-        self.notice("the assignments of PCD1 to PCD4 act after the next power-on of the drive")
-        return outcome
+    def codes_of(self, one: PcdMap) -> tuple[int, ...]:
+        return (*one.entries, *(0,) * (pcd.COUNT - len(one.entries)))
+
+    def read_by(self, field: process_data_map.Field) -> ParamKey | None:
+        """Its function code, where the group is known."""
+        return ParamKey(field.name) if t.address(field.name) is not None else None
 
     def called(self, name: str | int) -> str | int:
         """A function code in any writing."""
@@ -188,6 +195,11 @@ class FujiCore(MappedCore[PcdMap]):
                 code = yield from self.access.read_raw(ParamKey("M16"), deadline)
                 found = [alarm for alarm in found if alarm.code == code] or found
         return " or ".join(alarm.text for alarm in found) or f"{malfunction:04X}"
+
+    def place_of(self, key: ParamKey) -> tuple[int, int]:
+        """A function code by its PNU and number, an array by its PNU."""
+        ref = self.resolve(key)
+        return ref.pnu, 0 if ref.array and ref.pnu in t.ARRAYS else ref.ind
 
     def resolve(self, key: ParamKey) -> ParamRef:
         name, index = key.name, key.place

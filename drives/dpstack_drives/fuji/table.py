@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import Final, NamedTuple
 
-from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Word, profidrive_states
+from dpstack.profile import POWER_ON, ParamSpec, ParamTable, PkwDialect, TelegramSpec, Use, Word, profidrive_states
 
 IDENT: Final = 0xDD04
 
@@ -197,12 +197,34 @@ ALARM_INDEXES: Final = (1, 9, 17, 25)
 
 
 def _row(
-    code: str, title: str, decimals: int, unit: str, low: float, high: float, factory: float, **more: bool
+    code: str,
+    title: str,
+    decimals: int,
+    unit: str,
+    low: float,
+    high: float,
+    factory: float,
+    use: Use = Use.NONE,
+    acts: str = "",
+    **more: bool,
 ) -> ParamSpec:
     found = address(code)
     assert found is not None
     number, index = found
-    return ParamSpec(number, code, title, low, high, factory, index=index, decimals=decimals, unit=unit, **more)
+    return ParamSpec(
+        number,
+        code,
+        title,
+        low,
+        high,
+        factory,
+        index=index,
+        decimals=decimals,
+        unit=unit,
+        use=use,
+        acts=acts,
+        **more,
+    )
 
 
 # Formats of the function codes are in MEH448, which we do not have: decimals of F03, F07, F08, E31, H56 are made up.
@@ -213,27 +235,47 @@ PARAMETERS: Final = ParamTable(
         _row("S06", "Operation command", 0, "", 0, 0xFFFF, 0, made_up=True, volatile=True),
         *(_row(f"M{16 + n}", f"Alarm code, {n} before the latest", 0, "", 0, 254, 0, read_only=True) for n in range(4)),
         _row("F01", "Frequency command source", 0, "", 0, 10, 0, made_up=True),
-        _row("F03", "Maximum frequency", 1, "Hz", 25, 400, 60, made_up=True),
+        _row("F03", "Maximum frequency", 1, "Hz", 25, 400, 60, Use.SCALE, made_up=True),
         _row("F07", "Acceleration time", 1, "s", 0, 3600, 1, made_up=True),
         _row("F08", "Deceleration time", 1, "s", 0, 3600, 1, made_up=True),
         _row("F26", "Motor sound", 0, "", 0, 15, 2, made_up=True),
         _row("E31", "Frequency detection level, 0: never", 1, "Hz", 0, 400, 0, made_up=True),
-        _row("H03", "Data initialisation", 0, "", 0, 1, 0, made_up=True),
+        _row("H03", "Data initialisation", 0, "", 0, 1, 0, Use.SETTING, made_up=True),
         _row("H56", "Deceleration time for a forced stop", 1, "s", 0, 3600, 0.5, made_up=True),
         _row("o27", "Reaction to a communications error", 0, "", 0, 15, 0),
         _row("o28", "Timer for communications errors", 1, "s", 0, 60, 0),
-        _row("o30", "PPO type", 0, "", 0, 255, 0),
+        _row("o30", "PPO type", 0, "", 0, 255, 0, Use.SETTING, POWER_ON),
         _row("o31", "Station address", 0, "", 0, 255, 0),
-        *(_row(f"o{40 + n}", f"Write assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0) for n in range(4)),
-        *(_row(f"o{48 + n}", f"Read assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0) for n in range(4)),
+        *(
+            _row(f"o{40 + n}", f"Write assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0, Use.MAP, POWER_ON)
+            for n in range(4)
+        ),
+        *(
+            _row(f"o{48 + n}", f"Read assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0, Use.MAP, POWER_ON)
+            for n in range(4)
+        ),
         _row("W90", "Software version of the option", 0, "", 0, 9999, 123, made_up=True, read_only=True),
-        _row("y98", "Run and frequency command source", 0, "", 0, 3, 0),
-        _row("y99", "Commands of the loader: 1 frequency, 2 run, 3 both", 0, "", 0, 3, 0, made_up=True),
-        ParamSpec(number=PNU_PCD_WRITE, name="pcd_write", title="Write assignments of PCD1 to PCD4"),
-        ParamSpec(number=PNU_PCD_READ, name="pcd_read", title="Read assignments of PCD1 to PCD4"),
+        _row("y98", "Run and frequency command source", 0, "", 0, 3, 0, Use.SOURCE),
+        _row("y99", "Commands of the loader: 1 frequency, 2 run, 3 both", 0, "", 0, 3, 0, Use.SOURCE, made_up=True),
+        ParamSpec(
+            number=PNU_PCD_WRITE,
+            name="pcd_write",
+            title="Write assignments of PCD1 to PCD4",
+            use=Use.MAP,
+            acts=POWER_ON,
+        ),
+        ParamSpec(
+            number=PNU_PCD_READ, name="pcd_read", title="Read assignments of PCD1 to PCD4", use=Use.MAP, acts=POWER_ON
+        ),
         ParamSpec(number=PNU_ADDRESS, name="node_address", title="Node address", high=MOST_ADDRESS, read_only=True),
         ParamSpec(number=PNU_BAUD, name="baud_rate", title="Baud rate by its index", high=10, read_only=True),
-        ParamSpec(number=PNU_INITIALISE, name="initialise", title="Initialise the inverter, 1 to 0", high=1),
+        ParamSpec(
+            number=PNU_INITIALISE,
+            name="initialise",
+            title="Initialise the inverter, 1 to 0",
+            high=1,
+            use=Use.SETTING,
+        ),
         ParamSpec(number=PNU_ACCESS, name="access_permission", title="Write access over PCV", high=1, factory=1),
         ParamSpec(number=PNU_ALARMS, name="malfunctions", title="Malfunction history", read_only=True),
         ParamSpec(number=PNU_PROFILE, name="profile_version", title="PROFIdrive version", factory=2, read_only=True),

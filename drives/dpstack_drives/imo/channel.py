@@ -110,13 +110,13 @@ class ImoAccess(PkwChannel, ParameterChannel):
         return self.octets[1] == Request.WORD
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        number = _address(key)
+        number = address_of(key)
         reply = yield from self._exchange(ImoPkw(Request.READ, number), deadline)
         return _outcome(number, reply)
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter of one word to RAM and EEPROM."""
-        number = _address(key)
+        number = address_of(key)
         if key.ram:
             raise CommandError("usage", _NO_RAM)
         raw = _raw(number, t.known(number), value)
@@ -150,7 +150,7 @@ class ImoAccess(PkwChannel, ParameterChannel):
         return reply
 
 
-def _address(key: ParamKey) -> int:
+def address_of(key: ParamKey) -> int:
     """PKW2 of what a user named. Raises CommandError."""
     name = key.name
     number = t.address(name) if isinstance(name, str) else name

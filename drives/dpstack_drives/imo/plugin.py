@@ -29,7 +29,7 @@ from dpstack.profile import (
 )
 from dpstack_drives.imo import pzd
 from dpstack_drives.imo import table as t
-from dpstack_drives.imo.channel import ImoAccess
+from dpstack_drives.imo.channel import ImoAccess, address_of
 from dpstack_drives.imo.pzd import PzdMap
 
 #: how long the drive may take to react is not in the manual; waits reckon with this
@@ -65,6 +65,7 @@ class ImoCore(MappedCore[PzdMap]):
     parameter_table = t.PARAMETERS
     inputs_at = outputs_at = 1  # behind SW and CW
     address_parameter = t.name_of(t.ADDRESS)
+    map_codes = t.MAP_CODES
     own_ops = (*MAP_OPS, "inch", "pre_excite", "control")
     start_hint = "; does the inverter take run command and frequency from the communication card?"
 
@@ -91,6 +92,8 @@ class ImoCore(MappedCore[PzdMap]):
         self._chosen = 0
         self._learning = False
         self._online_at = 0
+        self._source_seen: t.Source | None = None
+        self._maps_now: tuple[PzdMap, PzdMap] | None = None
         #: as the drive has them; None until they were read
         self.inputs_map: PzdMap | None = None
         self.outputs_map: PzdMap | None = None
@@ -108,6 +111,9 @@ class ImoCore(MappedCore[PzdMap]):
         """
         if self.raw_state in FAULTED or self.obstacle() is not None:
             self.table = t.TABLE
+        if self._source_seen not in (None, source := self._source()):
+            self.settings_check.changed()
+        self._source_seen = source
         if self.inputs_map is None and not self._learning and not self._online_at:
             self._online_at = self.now
             self._learning = True
@@ -121,6 +127,7 @@ class ImoCore(MappedCore[PzdMap]):
         self.dirty = True
         self._learning = False
         self._online_at = 0
+        self._source_seen = None
 
     def set_goal(self, goal: Goal) -> None:
         """Any order that moves the drive ends inching and pre-excitation."""
@@ -201,6 +208,15 @@ class ImoCore(MappedCore[PzdMap]):
 
     # -- what keeps it from running -------------------------------------------------------------------------------
 
+    def place_of(self, key: ParamKey) -> tuple[int, int]:
+        return address_of(key), 0
+
+    def may_turn(self) -> str | None:
+        """Inching and pre-excitation are no run."""
+        if self.table is not t.TABLE or self.status_word & t.CODE == t.Running.PRE_EXCITED:
+            return "it inches, or is pre-excited"
+        return super().may_turn()
+
     def cannot(self, op: str) -> str | None:
         """Quick stop: the drive has no ramp of its own for an emergency."""
         if op == "quick_stop":
@@ -213,17 +229,42 @@ class ImoCore(MappedCore[PzdMap]):
 
     def obstacle(self) -> str | None:
         """SW bits 13-14, then the voltage."""
-        source = t.Source(self.status_word >> t.SOURCE_SHIFT & 3)
-        if source is not t.Source.COMMUNICATION:
-            return (
-                f"SW bits 13-14 are {int(source)}: {_SOURCES[source]} commands the drive, not the bus; set the run "
-                "command channel to communication (2), a parameter of the inverter's manual"
-            )
+        if (why := self._other_source()) is not None:
+            return why
         if self.status_word & t.CODE == t.Running.POFF:
             return "the drive reports POFF: its mains are off"
         if not t.STATUS.is_set(self.status_word, "bus_voltage"):
             return "SW bit 8 is 0: the bus voltage is not established, not ready to run; see to the mains"
         return None
+
+    def _other_source(self) -> str | None:
+        source = self._source()
+        if source is t.Source.COMMUNICATION:
+            return None
+        return (
+            f"SW bits 13-14 are {int(source)}: {_SOURCES[source]} commands the drive, not the bus; set the run "
+            "command channel to communication (2), a parameter of the inverter's manual"
+        )
+
+    def _source(self) -> t.Source:
+        return t.Source(self.status_word >> t.SOURCE_SHIFT & 3)
+
+    def _other_map(self) -> str | None:
+        now = self._maps_now
+        if now is None or self.are_maps(now, self.inputs_map, self.outputs_map):
+            return None
+        return (
+            f"the map was changed at the drive: it has inputs '{now[0]}' and outputs '{now[1]}' now, not "
+            f"'{self.inputs_map}' and '{self.outputs_map}': order read_map to use it, or write_map"
+        )
+
+    def _no_frequency(self) -> str | None:
+        if self._frequency_at() is not None:
+            return None
+        return (
+            "no received PZD carries the set frequency: of P15.02 to P15.12 none is 1; set P15.02 to 1, by "
+            "write_map(outputs='set_frequency') or the option set_map = true"
+        )
 
     def prepare(self, deadline: int) -> Steps[None]:
         """A start needs commands from the bus, the bus voltage, and a PZD with the set frequency."""
@@ -232,13 +273,9 @@ class ImoCore(MappedCore[PzdMap]):
             raise CommandError("fault", why)
         yield from self.known(deadline)
         if self._frequency_at() is None and self._set_map:
-            yield from self.write_map(*self._wanted_maps, deadline)
-        if self._frequency_at() is None:
-            raise CommandError(
-                "fault",
-                "no received PZD carries the set frequency: of P15.02 to P15.12 none is 1; set P15.02 to 1, by "
-                "write_map(outputs='set_frequency') or the option set_map = true",
-            )
+            yield from self.change_maps(*self._wanted_maps, dict(self.plant.values), deadline)
+        if (why := self._no_frequency()) is not None:
+            raise CommandError("fault", why)
         yield from super().prepare(deadline)
 
     def _frequency_at(self) -> int | None:
@@ -247,13 +284,25 @@ class ImoCore(MappedCore[PzdMap]):
     # -- the settings that the plugin relies on -----------------------------------------------------------------------
 
     def before_settings(self, deadline: int) -> Steps[None]:
-        """Wait for the maps of the drive."""
+        """Wait for the maps of the drive, or read them again: a keypad may have changed them."""
+        self._maps_now = None
+        learns = self._learning
         while self._learning:
             yield
+        if not learns and self.inputs_map is not None:
+            self._maps_now = yield from self.read_maps(self.now + _LEARN_NS)
 
     def settings(self) -> Sequence[Setting]:
-        """Source and limit of the set frequency; who commands stands in SW, and the maps are learned."""
-        found = []
+        """Source of the commands, which stands in SW; set frequency in the maps, which are learned; source and limit
+        of the set frequency."""
+        found = [
+            Setting(wanted="SW bits 13-14 = 2", keys=(), differs=lambda _: self._other_source()),
+            Setting(wanted="P15.02 to P15.23 as they were learned", keys=(), differs=lambda _: self._other_map()),
+        ]
+        if not self._set_map:
+            found.append(
+                Setting(wanted="a set frequency in P15.02 to P15.12", keys=(), differs=lambda _: self._no_frequency())
+            )
         if self._frequency_source is not None:
             number, value = self._frequency_source
             name = t.name_of(number)
@@ -309,36 +358,20 @@ class ImoCore(MappedCore[PzdMap]):
             yield from self._learn(deadline)
 
     def _learn(self, deadline: int) -> Steps[None]:
-        outputs = yield from self._ask(t.RECEIVED, deadline)
-        inputs = yield from self._ask(t.TRANSMITTED, deadline)
-        self._use_maps(PzdMap(inputs, pzd.FROM_DRIVE), PzdMap(outputs, self._functions))
-
-    def _ask(self, numbers: tuple[int, ...], deadline: int) -> Steps[tuple[int, ...]]:
-        found: tuple[int, ...] = ()
-        for number in numbers:
-            found += ((yield from self._channel.get(number, deadline)),)
-        return found
-
-    def _use_maps(self, inputs: PzdMap, outputs: PzdMap) -> None:
-        self.inputs_map, self.outputs_map = inputs, outputs
+        self.inputs_map, self.outputs_map = yield from self.read_maps(deadline)
+        self._maps_now = None
         self.dirty = True
         self.update()
 
-    def write_map(self, inputs: PzdMap, outputs: PzdMap, deadline: int) -> Steps[dict[str, object]]:
-        """Write the functions that differ from those of the drive, to RAM and EEPROM."""
-        yield from self.known(deadline)
-        assert self.inputs_map is not None
-        assert self.outputs_map is not None
-        for wanted, had, numbers in (
-            (outputs, self.outputs_map, t.RECEIVED),
-            (inputs, self.inputs_map, t.TRANSMITTED),
-        ):
-            for number, new, old in zip(numbers, wanted.numbers, had.numbers, strict=True):
-                if new != old:
-                    yield from self._channel.put(number, new, deadline)
-        self.values = {number: raw for number, raw in self.values.items() if number in outputs.numbers}
-        self._use_maps(inputs, outputs)
-        return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
+    def map_of(self, codes: tuple[int, ...], *, outputs: bool) -> PzdMap:
+        return PzdMap(codes, self._functions if outputs else pzd.FROM_DRIVE)
+
+    def codes_of(self, one: PzdMap) -> tuple[int, ...]:
+        return one.numbers
+
+    def maps_unknown(self) -> None:
+        """They are asked for before the next start."""
+        self.inputs_map = None
 
     def read_map(self, deadline: int) -> Steps[dict[str, object]]:
         """P15.02 to P15.23."""
@@ -346,6 +379,7 @@ class ImoCore(MappedCore[PzdMap]):
             yield from self.known(deadline)
         else:
             yield from self._learn(deadline)
+            self.settings_check.changed()
         return {"value": {"inputs": str(self.inputs_map), "outputs": str(self.outputs_map)}}
 
     def parse_map(self, text: str, *, outputs: bool) -> PzdMap:
@@ -382,6 +416,8 @@ class ImoCore(MappedCore[PzdMap]):
         """A command that lasts until another one: not a run, so it ends with the goal it began in."""
         yield from settled(self, lambda: self.obstacle() is None, deadline)
         if (why := self.obstacle()) is not None:
+            raise CommandError("fault", why)
+        if (why := self.refuses_setpoint()) is not None:
             raise CommandError("fault", why)
         if self.goal is Goal.RUN:
             raise CommandError("usage", f"{command.name.lower()}: the drive is running; stop() it first")

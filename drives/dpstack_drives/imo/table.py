@@ -15,6 +15,8 @@ from typing import Final
 from dpstack.profile import (
     ControlTable,
     Goal,
+    MapCodes,
+    ParamKey,
     ParamSpec,
     ParamTable,
     RateSetting,
@@ -22,6 +24,7 @@ from dpstack.profile import (
     StateRow,
     StateTable,
     TelegramSpec,
+    Use,
     Word,
 )
 
@@ -235,6 +238,8 @@ ADDRESS: Final = 0x0F01
 RECEIVED: Final = tuple(range(0x0F02, 0x0F02 + PZDS))
 TRANSMITTED: Final = tuple(range(0x0F0D, 0x0F0D + PZDS))
 MOST_RECEIVED, MOST_TRANSMITTED = 18, 26
+#: of inputs and outputs
+MAP_CODES: Final = (MapCodes(tuple(map(ParamKey, TRANSMITTED))), MapCodes(tuple(map(ParamKey, RECEIVED))))
 #: made up: parameters of the inverter in the simulated drive
 SOURCE, MAXIMUM_HZ, ACCELERATION, DECELERATION = "P00.01", "P00.03", "P00.11", "P00.12"
 #: Of the inverter, which has a manual of its own: a reading, from the numbering of the inverters of this family
@@ -247,16 +252,36 @@ STANDSTILL_ONLY: Final = frozenset({ADDRESS, 0x0003})
 
 
 def _row(
-    number: int, title: str, high: float, factory: float, decimals: int = 0, unit: str = "", **more: bool
+    number: int,
+    title: str,
+    high: float,
+    factory: float,
+    decimals: int = 0,
+    unit: str = "",
+    use: Use = Use.NONE,
+    **more: bool,
 ) -> ParamSpec:
     name = name_of(number)
-    return ParamSpec(number, name, title, 0, high, factory, by_name=True, decimals=decimals, unit=unit, **more)
+    return ParamSpec(
+        number,
+        name,
+        title,
+        0,
+        high,
+        factory,
+        by_name=True,
+        decimals=decimals,
+        unit=unit,
+        use=use,
+        acts="",
+        **more,
+    )
 
 
 #: the simulated drive's; the plugin knows those that are not made up
 PARAMETERS: Final = ParamTable(
     (
-        _row(0x0001, "Run command channel", 2, Source.KEYPAD, made_up=True),
+        _row(0x0001, "Run command channel", 2, Source.KEYPAD, use=Use.SOURCE, made_up=True),
         _row(0x0003, "Maximum frequency", 400, 50, 2, "Hz", made_up=True),
         _row(0x0006, "Source of the set frequency", 15, 0, made_up=True),
         _row(KEYPAD_FREQUENCY, "Frequency set by keypad", 400, 50, 2, "Hz"),
@@ -264,9 +289,12 @@ PARAMETERS: Final = ParamTable(
         _row(0x000C, "Deceleration time", 3600, 1, 1, "s", made_up=True),
         _row(0x0F00, "Module type", 0xFFFF, 0, read_only=True),
         _row(ADDRESS, "Node address", 125, 2),
-        *(_row(number, f"Received PZD{at}", MOST_RECEIVED, 0) for at, number in enumerate(RECEIVED, FIRST_PZD)),
         *(
-            _row(number, f"Transmitted PZD{at}", MOST_TRANSMITTED, 0)
+            _row(number, f"Received PZD{at}", MOST_RECEIVED, 0, use=Use.MAP)
+            for at, number in enumerate(RECEIVED, FIRST_PZD)
+        ),
+        *(
+            _row(number, f"Transmitted PZD{at}", MOST_TRANSMITTED, 0, use=Use.MAP)
             for at, number in enumerate(TRANSMITTED, FIRST_PZD)
         ),
     )

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from msgspec import structs
-
 from dpstack.profile import (
     FAULTED,
     NS_PER_MS,
@@ -22,19 +20,21 @@ from dpstack.profile import (
     ParamKey,
     Scale,
     Setting,
-    SettingsState,
     State,
     StateRow,
     StateTable,
     Steps,
     TelegramSpec,
+    Use,
     Word,
     equal,
     listing,
+    process_data_map,
+    settled,
 )
 from dpstack_drives.keb import pdmap
 from dpstack_drives.keb import table as t
-from dpstack_drives.keb.channel import KebChannel, Target
+from dpstack_drives.keb.channel import KebChannel, Target, find
 from dpstack_drives.keb.pdmap import Entry, PdMap
 
 #: names of control bits with a meaning here, and of status bits
@@ -79,6 +79,7 @@ class KebCore(MappedCore[PdMap]):
     outputs_map: PdMap
     channel_hint = ": take PCH+..."
     address_parameter = t.name_of(t.ADDRESS)
+    held_hint = "its outputs are 0 until then"
     start_hint = f"; does it obey the control word? {t.RECIPE}"
 
     def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
@@ -96,11 +97,11 @@ class KebCore(MappedCore[PdMap]):
         if self._rpm_per_count:
             self.scale = Scale("speed", full=1, span=self._rpm_per_count / float(options["reference_rpm"]))
         self._ours = str(options["status_bits"]).strip() == t.SIMULATED_BITS
+        self.holds_outputs = self.access is not None
         self.inputs_map, self.outputs_map = self.maps_of_options(options)
         self.refuse_zeros()
-        self._held = self.access is not None
-        self._wrong_maps: set[str] = set()  # settings of the map that differ, by what is wanted
-        self._pending_map = False  # a map was written that is not in force
+        #: indexes of block 2, given by the options
+        self._second_indexes = frozenset(index for both in self._second if both is not None for index in both)
         self._state_number = Lookup(lambda: self.raw_state in FAULTED, self._ask)
         if isinstance(self.access, KebChannel):
             self._channel = self.access
@@ -117,11 +118,7 @@ class KebCore(MappedCore[PdMap]):
         return 0 if at is None else int.from_bytes(process[at : at + 2], "big")
 
     def encode(self, control: int, setpoint: int) -> bytes:
-        """sy.50 and sy.52 where the map has them, the user's values for the others; zeros until the map is known."""
-        if self._held:
-            self._held = self._map_unknown()
-        if self._held:
-            return bytes(self.telegram.outputs)
+        """sy.50 and sy.52 where the map has them, the user's values for the others."""
         values = dict(self.values)
         if self._bits:
             values[t.CONTROL_WORD] = control
@@ -129,17 +126,13 @@ class KebCore(MappedCore[PdMap]):
             values[t.SET_SPEED] = setpoint
         return self.outputs_map.put(values, self.telegram.outputs)
 
+    def encode_held(self) -> bytes:
+        """Zeros, as in Clear: the control word may stand in any place."""
+        return bytes(self.telegram.outputs)
+
     def safe(self, configured: bytes) -> bytes:
         """Without the values of parameters while their places are not known."""
-        return configured if self._held else super().safe(configured)
-
-    def received(self) -> None:
-        self.dirty |= self._held
-
-    def lost(self, now: int) -> None:
-        self._held = self.access is not None
-        self._pending_map = False
-        super().lost(now)
+        return configured if self.held else super().safe(configured)
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
         """sy.50 and sy.52 where the map has them and their meaning is known."""
@@ -182,7 +175,12 @@ class KebCore(MappedCore[PdMap]):
 
     def parameters(self) -> tuple[ListedParam, ...]:
         """By name, so far as the index of its group is in the manual."""
-        return listing(t.PARAMETERS, data_sets=range(t.SETS), why_not=t.why_not_read)
+        return listing(
+            t.PARAMETERS,
+            data_sets=range(t.SETS),
+            known=lambda spec: spec.number not in t.RECORDS,
+            why_not=t.why_not_read,
+        )
 
     def fault_texts(self) -> tuple[str, ...] | None:
         """The number in ru.00; its texts are in the application manual."""
@@ -212,25 +210,6 @@ class KebCore(MappedCore[PdMap]):
                     )
         return None
 
-    def obstacle(self) -> str | None:
-        """The map that the drive has not yet told."""
-        if not self._held:
-            return None
-        return (
-            "the drive has not yet told its process data map (sy.16 to sy.31): the outputs are 0 until then; a slow "
-            "bus needs a longer timeout"
-        )
-
-    def prepare(self, deadline: int) -> Steps[None]:
-        """Refuse a start while a map that was written is not in force."""
-        yield from super().prepare(deadline)
-        if self._pending_map:
-            raise CommandError(
-                "fault",
-                "a process data map was written that acts after the next power-on of the drive; until then it takes no "
-                "outputs: end the bus and switch the drive off and on",
-            )
-
     def settings(self) -> Sequence[Setting]:
         """The active map (first: outputs wait for it), the source of the set point, the direction."""
         found = [equal("oP.00", 5, "the set point is not sy.52: set oP.00 = 5")] if self._rpm_per_count else []
@@ -245,9 +224,9 @@ class KebCore(MappedCore[PdMap]):
         elif self._bits:
             remedy = "the direction may not come from sy.50: set oP.01 = 9"
             found.append(equal("oP.01", 9, remedy, refuse=False))
-        if self.writes_later:
+        if self.pending is not None:
             return found
-        return [*map(self._judged, self._map_settings(self.inputs_map, self.outputs_map)), *found]
+        return [*self._map_settings(self.inputs_map, self.outputs_map), *found]
 
     def _map_settings(self, inputs: PdMap, outputs: PdMap) -> list[Setting]:
         """What the inverter shows of its map (sy.16 to sy.31, sy.58 to sy.73), and the enables."""
@@ -262,22 +241,6 @@ class KebCore(MappedCore[PdMap]):
         """Indexes of the enables of both blocks, of the inputs (0) or outputs (1)."""
         second = self._second[number]
         return _FIRST[number][1], None if second is None else second[1]
-
-    def _judged(self, setting: Setting) -> Setting:
-        """The same setting of the map, with its result kept for :meth:`_map_unknown`."""
-
-        def differs(values: Sequence[float]) -> str | None:
-            text = setting.differs(values)
-            (self._wrong_maps.discard if text is None else self._wrong_maps.add)(setting.wanted)
-            return text
-
-        return structs.replace(setting, differs=differs)
-
-    def _map_unknown(self) -> bool:
-        """The drive's map is not compared yet, or another one, or a parameter in it has no value."""
-        compared = self.settings_check.state not in (SettingsState.NONE, SettingsState.CHECKING)
-        written = self._pending_map or self.writes_later
-        return not compared or written or bool(self._wrong_maps or self.missing())
 
     def _ask(self, deadline: int) -> Steps[int]:
         return self._channel.get(Target(t.INVERTER_STATE, 1, "ru.00"), deadline)
@@ -301,6 +264,31 @@ class KebCore(MappedCore[PdMap]):
         """The rule of docs/reference/drives/keb-f5.md#process-data-map for which the drive would not confirm the
         maps."""
         return pdmap.check(inputs, outputs)
+
+    def read_by(self, field: process_data_map.Field) -> ParamKey:
+        """The parameter in its sets."""
+        assert isinstance(field, Entry)
+        return ParamKey(field.index, index=field.sets)
+
+    def place_of(self, key: ParamKey) -> tuple[int, int]:
+        return find(key).index, 0
+
+    def use_of(self, key: ParamKey) -> Use:
+        """With record and enable of block 2, whose indexes the options give."""
+        return Use.MAP if self.place_of(key)[0] in self._second_indexes else super().use_of(key)
+
+    def may_turn(self) -> str | None:
+        """Without names of status bits: by the control word that the user gives."""
+        if "run" in self.table.status.bits:
+            return super().may_turn()
+        return "the control word is not 0" if self.values.get(t.CONTROL_WORD) and not self.held else None
+
+    def cannot_write(self, inputs: PdMap, outputs: PdMap) -> str | None:
+        """Block 2 needs its indexes."""
+        for number, one in enumerate((inputs, outputs)):
+            if one.block(1) and self._second[number] is None:
+                return _no_block2(_NAMES[number])
+        return None
 
     def called(self, name: str | int) -> str | int:
         """``sy.50`` in any writing."""
@@ -330,35 +318,30 @@ class KebCore(MappedCore[PdMap]):
             value[f"{name}_enable"] = yield from self._get(enable, 0, deadline)
         return {"value": value}
 
-    def write_map(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[dict[str, object]]:
-        """Write both records (checked before), enable them, and see whether the drive confirms the enable.
+    def has_maps(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[bool]:
+        """By what the inverter shows. A map that is in force is not written again: that would stop the outputs."""
+        if self.pending is not None or (inputs, outputs) != self.present_maps():
+            return False
+        return (yield from self._in_force(inputs, outputs, deadline))
 
-        From the first record on the drive takes no outputs. The enable acts at once, or it is answered by an error that
-        tells it acts after power-on; which one is not in the manual, so any that is not about the access itself is
-        taken for it, and the enable read back decides. Without the error the map counts when the inverter shows it.
+    def store_maps(self, inputs: PdMap, outputs: PdMap, values: dict[int, int], deadline: int) -> Steps[bool]:
+        """Write both records, enable them, and see whether the drive confirms the enable.
+
+        From the first record on the drive takes no outputs; they are zeros from here on. The enable acts at once, or it
+        is answered by an error that tells it acts after power-on; which one is not in the manual, so any that is not
+        about the access itself is taken for it, and the enable read back decides. Without the error the map counts when
+        the inverter shows it.
         """
-        value: dict[str, object] = {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
-        ours = (inputs, outputs) == self.present_maps() and not (self.writes_later or self._pending_map)
-        if ours and (yield from self._in_force(inputs, outputs, deadline)):
-            return value
-        self._held = self.dirty = self._pending_map = True
-        try:
-            at_once = yield from self._write_records((inputs, outputs), deadline)
-        except BaseException:
-            self._pending_map = False
-            self.settings_check.begin()
-            raise
-        if at_once and (yield from self._in_force(inputs, outputs, deadline)):
-            self.inputs_map, self.outputs_map = inputs, outputs
-            self._pending_map = False
-            self._wrong_maps.clear()
-        else:
-            self.notice(
-                "the process data map acts after the next power-on of the drive, which takes no outputs until then"
-            )
-            value["acts"] = "after power-on"
+        self.held = True
+        self.dirty = True
+        yield from settled(self, lambda: False, deadline)
+        at_once = yield from self._write_records((inputs, outputs), deadline)
         self._notice_of_lengths(inputs, outputs)
-        return value
+        return at_once and (yield from self._in_force(inputs, outputs, deadline))
+
+    def verify_maps(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[None]:
+        """The enables were read back, and the settings are compared."""
+        yield from ()
 
     def _write_records(self, maps: Sequence[PdMap], deadline: int) -> Steps[bool]:
         """Returns whether the drive confirmed the enables without an error."""
@@ -416,11 +399,7 @@ class KebCore(MappedCore[PdMap]):
     def _block2(self, number: int) -> tuple[int, int]:
         found = self._second[number]
         if found is None:
-            raise CommandError(
-                "usage",
-                f"{_NAMES[number]}: more than {pdmap.BLOCK} octets need block 2, whose indexes on the bus are not in "
-                f"the manual: give the option block2_{_NAMES[number]} (record and enable in hex)",
-            )
+            raise CommandError("usage", _no_block2(_NAMES[number]))
         return found
 
     def _get(self, index: int, subindex: int, deadline: int) -> Steps[int]:
@@ -428,6 +407,13 @@ class KebCore(MappedCore[PdMap]):
 
     def _target(self, index: int, subindex: int) -> Target:
         return Target(index, subindex, f"{index:04X}h:{subindex}")
+
+
+def _no_block2(name: str) -> str:
+    return (
+        f"{name}: more than {pdmap.BLOCK} octets need block 2, whose indexes on the bus are not in the manual: give "
+        f"the option block2_{name} (record and enable in hex)"
+    )
 
 
 def _absolute(rotation: float) -> str | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from typing import Final, NamedTuple
 
-from dpstack.profile import ParamSpec, ParamTable
+from dpstack.profile import ParamSpec, ParamTable, Use
 
 #: a guess from the name of the GSD file, keb305EB.gsd
 IDENT: Final = 0x05EB
@@ -51,6 +51,12 @@ OFF: Final = 0xFFFF
 MAP_INPUTS, MAP_OUTPUTS = 0x6000, 0x6001
 ENABLE_INPUTS, ENABLE_OUTPUTS = 0x5FF8, 0x6002
 ENABLED: Final = 0xFF
+RECORDS: Final = {
+    MAP_INPUTS: "process data map of the inputs",
+    MAP_OUTPUTS: "process data map of the outputs",
+    ENABLE_INPUTS: "enable of the inputs",
+    ENABLE_OUTPUTS: "enable of the outputs",
+}
 #: the manual's two readings: when a new map acts
 AT_POWER_ON, WITH_ENABLE = "power-on", "enable"
 
@@ -188,6 +194,7 @@ def _row(
     factory: float = 0,
     per_unit: float = 1,
     unit: str = "",
+    use: Use = Use.NONE,
     **more: bool,
 ) -> ParamSpec:
     """80 per Hz of oP.3 by arithmetic (docs/reference/drives/keb-f5.md#example-of-the-parameter-channel). Limits and
@@ -195,7 +202,7 @@ def _row(
     index = _index(name, {**GROUPS, **GROUPS_MADE_UP})
     number = _FB + int(name[3:]) if index is None else index
     flags = {"made_up": True, "by_name": True, **more}
-    return ParamSpec(number, name, title, low, high, factory, per_unit=per_unit, unit=unit, **flags)
+    return ParamSpec(number, name, title, low, high, factory, per_unit=per_unit, unit=unit, use=use, acts="", **flags)
 
 
 _ANY: Final = 0x7FFF_FFFF
@@ -215,6 +222,7 @@ PARAMETERS: Final = ParamTable(
                 factory=low,
                 read_only=True,
                 made_up=False,
+                use=Use.MAP,
             )
             for first, way, at in ((16, "read", 1), (24, "write", 1), (58, "read", 5), (66, "write", 5))
             for n in range(BLOCK_VALUES)
@@ -229,8 +237,8 @@ PARAMETERS: Final = ParamTable(
         _row("ru.00", "inverter state", read_only=True),
         _row("ru.12", "actual torque display", -_ANY, _ANY, long=True, read_only=True),
         _row("ru.39", "OL counter display", read_only=True),
-        _row("oP.00", "reference source", high=10),
-        _row("oP.01", "rotation source", high=10, factory=2),
+        _row("oP.00", "reference source", high=10, use=Use.SOURCE),
+        _row("oP.01", "rotation source", high=10, factory=2, use=Use.SOURCE),
         _row("oP.03", "digital setpoint setting", -400, 400, per_unit=80, unit="Hz", per_set=True),
         _row("oP.10", "max reference forward", 0, 400, 70, per_unit=80, unit="Hz", per_set=True),
         _row("oP.28", "acceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
@@ -253,6 +261,7 @@ PARAMETERS: Final = ParamTable(
         _row("Fb.38", "Master_PDOUT_Len", read_only=True),
         _row("Fb.39", "watchdog activation", high=3, made_up=False),
         _row("Fb.40", "watchdog inhibit", high=7, factory=7, made_up=False),
+        *(ParamSpec(index, f"{index:04X}h", title, use=Use.MAP, by_name=True) for index, title in RECORDS.items()),
     )
 )
 #: counts per unit that the manual shows (oP.3: 0640h is 20 Hz); everything else goes as the integer on the wire

@@ -8,7 +8,7 @@ from typing import ClassVar, Final
 
 from msgspec import Struct
 
-from dpstack.profile import ParameterChannel, ParamKey, Steps
+from dpstack.profile import MapCodes, ParamKey
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls import telegrams
 
@@ -88,34 +88,9 @@ class ParaMap(Struct, frozen=True):
         return " ".join(f"{entry:04X}" for entry in self.entries)
 
 
-_PLACES: Final = (("inputs", t.STATUS_COUNT, t.PARA_STATUS), ("outputs", t.CONTROL_COUNT, t.PARA_CONTROL))
+def _codes(count: int, first: int) -> MapCodes:
+    return MapCodes(tuple(ParamKey(first + place) for place in range(telegrams.MOST)), ParamKey(count))
 
 
-def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
-    """The maps as the drive has them."""
-    found: dict[str, object] = {}
-    for name, count_at, first in _PLACES:
-        count = yield from access.read_raw(ParamKey(count_at), deadline)
-        entries: tuple[int, ...] = ()
-        for place in range(min(count, telegrams.MOST)):
-            entry = yield from access.read_raw(ParamKey(first + place), deadline)
-            entries += (entry,)
-        found[name] = str(ParaMap(entries))
-    return {"value": found}
-
-
-def write(access: ParameterChannel, status: ParaMap, control: ParaMap, deadline: int) -> Steps[None]:
-    """Addresses and their numbers, then COM-94 = 1, which applies them (4.2.8)."""
-    for (_, count_at, first), one in zip(_PLACES, (status, control), strict=True):
-        some = one.entries or (0,)  # the number is 1 at least
-        for place, where in enumerate(some):
-            yield from access.write(ParamKey(first + place), where, deadline)
-        yield from access.write(ParamKey(count_at), len(some), deadline)
-    yield from access.write(ParamKey(t.UPDATE), 1, deadline)
-
-
-def clear_control(access: ParameterChannel, deadline: int) -> Steps[None]:
-    """Empty the map of the outputs: one address, 0000."""
-    yield from access.write(ParamKey(t.PARA_CONTROL), 0, deadline)
-    yield from access.write(ParamKey(t.CONTROL_COUNT), 1, deadline)
-    yield from access.write(ParamKey(t.UPDATE), 1, deadline)
+#: of inputs and outputs: addresses and their number (4.2.8)
+CODES: Final = (_codes(t.STATUS_COUNT, t.PARA_STATUS), _codes(t.CONTROL_COUNT, t.PARA_CONTROL))

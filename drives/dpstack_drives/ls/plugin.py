@@ -77,6 +77,7 @@ class LsCore(MappedCore[ParaMap]):
     address_trigger = "COM-94"
     inputs_map: ParaMap
     outputs_map: ParaMap
+    map_codes = paramap.CODES
     map_options = ("para_status", "para_control")
     outputs_name = "para_control"
     start_hint = f"; {_SOURCE}"
@@ -97,6 +98,7 @@ class LsCore(MappedCore[ParaMap]):
         self.octet_order = "little" if options["swap"] else "big"
         self.unpack = struct.Struct(f"{order}{telegram.inputs // 2}H").unpack_from
         self._words_out = struct.Struct(f"{order}{telegram.outputs // 2}H")
+        self.holds_outputs = self._io
         self.inputs_map, self.outputs_map = self.maps_of_options(options)
         self.refuse_zeros()
         self._trips = Lookup(lambda: self.raw_state in FAULTED, self._ask_trips)
@@ -111,14 +113,14 @@ class LsCore(MappedCore[ParaMap]):
             self.lookups = (self._trips, self._warning)
         self._advise_maps()
 
-    def _room(self, *, outputs: bool) -> int:
+    def room(self, *, outputs: bool) -> int:
         """Words of the telegram that a map fills."""
         octets = self.telegram.outputs if outputs else self.telegram.inputs
         return min(max(octets // 2 - self.inputs_at, 0), telegrams.MOST)
 
     def option_map(self, text: str, *, outputs: bool) -> ParaMap:
         """As much of the drive's default map as the telegram takes where the option is empty."""
-        room = self._room(outputs=outputs)
+        room = self.room(outputs=outputs)
         if not text.strip():
             return ParaMap((paramap.DEFAULT_CONTROL if outputs else paramap.DEFAULT_STATUS)[:room])
         given = self.parse_map(text, outputs=outputs)
@@ -250,6 +252,14 @@ class LsCore(MappedCore[ParaMap]):
     def parameters(self) -> tuple[ListedParam, ...]:
         return references.LISTED
 
+    def place_of(self, key: ParamKey) -> tuple[int, int]:
+        ref, where = references.resolve(key, self.drive)
+        return (ref.pnu, 0) if where is None else (where >> 8, where & 0xFF)
+
+    def remote(self, word: int) -> bool | None:
+        """ZSW1 bit 9 repeats one's own bit 10; the LS status word has who controls the drive."""
+        return None if self._profile == t.PROFIDRIVE else not self.table.status.is_set(word, "keypad")
+
     def obstacle(self) -> str | None:
         """The source of commands that is not the bus."""
         if self._profile == t.PROFIDRIVE:
@@ -306,9 +316,10 @@ class LsCore(MappedCore[ParaMap]):
             unit = "rpm" if self._rpm else "percent"
             remedy = f"set COM-14 = {int(self._rpm)} and COM-94 = 1, or the option speed_unit (now {unit!r})"
             found.append(equal("COM-14", int(self._rpm), remedy))
+        found.append(equal("dr-06", t.FIELD_BUS["dr-06"], _SOURCE))
         for option, own, room, count, refuse in (
-            ("para_control", self.outputs_map, self._room(outputs=True), t.CONTROL_COUNT, True),
-            ("para_status", self.inputs_map, self._room(outputs=False), t.STATUS_COUNT, self._io),
+            ("para_control", self.outputs_map, self.room(outputs=True), t.CONTROL_COUNT, True),
+            ("para_status", self.inputs_map, self.room(outputs=False), t.STATUS_COUNT, self._io),
         ):
             if room:
                 found.append(_mapped(option, own, room, count, refuse=refuse))
@@ -374,31 +385,18 @@ class LsCore(MappedCore[ParaMap]):
     def check_maps(self, inputs: ParaMap, outputs: ParaMap) -> str | None:
         """Room, doubled and read-only words."""
         for what, entries, written in (("inputs", inputs.entries, False), ("outputs", outputs.entries, True)):
-            if (wrong := paramap.check(entries, self._room(outputs=written), written=written)) is not None:
+            if (wrong := paramap.check(entries, self.room(outputs=written), written=written)) is not None:
                 return f"{what}: {wrong}"
         return None
 
-    def read_map(self, deadline: int) -> Steps[dict[str, object]]:
-        """COM-30 and COM-50 with what follows them."""
-        assert self.access is not None
-        return paramap.read(self.access, deadline)
+    def map_of(self, codes: tuple[int, ...], *, outputs: bool) -> ParaMap:
+        return ParaMap(codes)
 
-    def write_map(self, inputs: ParaMap, outputs: ParaMap, deadline: int) -> Steps[dict[str, object]]:
-        """The maps act at once (COM-94).
+    def codes_of(self, one: ParaMap) -> tuple[int, ...]:
+        return one.entries
 
-        The words of the new map never stand under the old one, nor the other way round: the drive's is emptied first.
-        """
-        access = self.access
-        assert access is not None
-        if outputs != self.outputs_map and any(outputs.entries):
-            yield from paramap.clear_control(access, deadline)
-        self.outputs_map = outputs
-        self.dirty = True
-        yield from paramap.write(access, inputs, outputs, deadline)
-        self.inputs_map = inputs
-        self.dirty = True
+    def maps_changed(self) -> None:
         self._advise_maps()
-        return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
 
     def read_by(self, field: process_data_map.Field) -> ParamKey:
         return ParamKey(field.key)
@@ -423,7 +421,7 @@ def _mapped(option: str, own: ParaMap, room: int, count: int, *, refuse: bool) -
     def differs(values: Sequence[float]) -> str | None:
         number, *entries = (int(value) for value in values)
         found = ParaMap(tuple(entries[:number]))
-        if _filled(found) == _filled(own):
+        if process_data_map.used(found.entries) == process_data_map.used(own.entries):
             return None
         first = t.code_of(count + 1)
         return (
@@ -432,11 +430,3 @@ def _mapped(option: str, own: ParaMap, room: int, count: int, *, refuse: bool) -
         )
 
     return Setting(wanted=f"{t.code_of(count + 1)}.. = {own}", keys=keys, differs=differs, refuse=refuse)
-
-
-def _filled(one: ParaMap) -> tuple[int, ...]:
-    """Without the empty words at its end."""
-    entries = one.entries
-    while entries and not entries[-1]:
-        entries = entries[:-1]
-    return entries

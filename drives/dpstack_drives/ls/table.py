@@ -22,6 +22,7 @@ from dpstack.profile import (
     State,
     StateRow,
     StateTable,
+    Use,
     Word,
     profidrive_states,
 )
@@ -281,12 +282,38 @@ _PNUS: Final = (
 
 
 def _row(
-    code: str, title: str, low: float, high: float, factory: float, decimals: int = 0, unit: str = "", **more: bool
+    code: str,
+    title: str,
+    low: float,
+    high: float,
+    factory: float,
+    decimals: int = 0,
+    unit: str = "",
+    use: Use = Use.NONE,
+    acts: str = "",
+    **more: bool,
 ) -> ParamSpec:
     where = address(code)
     assert where is not None
     name, index = code_of(where), where & 0xFF
-    return ParamSpec(where >> 8, name, title, low, high, factory, index=index, decimals=decimals, unit=unit, **more)
+    return ParamSpec(
+        where >> 8,
+        name,
+        title,
+        low,
+        high,
+        factory,
+        index=index,
+        decimals=decimals,
+        unit=unit,
+        use=use,
+        acts=acts,
+        **more,
+    )
+
+
+#: 4.2.8: with 1 the communication parameters act
+_UPDATE: Final = "COM-94"
 
 
 PARAMETERS: Final = ParamTable(
@@ -302,9 +329,9 @@ PARAMETERS: Final = ParamTable(
         _row("dr-01", "Command frequency", 0, 40_000, 0, made_up=True),
         _row("dr-03", "Acceleration time", 0, 600, 1, 1, "s", made_up=True),
         _row("dr-04", "Deceleration time", 0, 600, 1, 1, "s", made_up=True),
-        _row("dr-06", "Command source, 4: field bus", 0, 5, 1, made_up=True),
-        _row("dr-07", "Frequency source, 8: field bus", 0, 12, 0, made_up=True),
-        _row("dr-20", "Maximum frequency", 40, 400, 60, 2, "Hz"),
+        _row("dr-06", "Command source, 4: field bus", 0, 5, 1, use=Use.SOURCE, made_up=True),
+        _row("dr-07", "Frequency source, 8: field bus", 0, 12, 0, use=Use.SOURCE, made_up=True),
+        _row("dr-20", "Maximum frequency", 40, 400, 60, 2, "Hz", Use.SCALE),
         _row("dr-11", "Jog frequency", 0, 400, 10, 2, "Hz", made_up=True),
         _row("Ad-08", "Stop mode: 0 ramp, 1 DC brake, 2 coast", 0, 4, 0, made_up=True),
         _row("Ad-15", "DC brake time", 0, 60, 1, 2, "s", made_up=True),
@@ -316,22 +343,22 @@ PARAMETERS: Final = ParamTable(
         _row("COM-07", "FBus ID", 1, 125, 1),
         _row("COM-09", "FBus LED", 0, 0xFFFF, 0, read_only=True),
         _row("COM-10", "Telegram type", 1, 106, 1, read_only=True),
-        _row("COM-11", "Profile", 0, 2, 1),
+        _row("COM-11", "Profile", 0, 2, 1, use=Use.SCALE, acts=_UPDATE),
         _row("COM-12", "Baud rate", 0, INVALID_BAUD, INVALID_BAUD, read_only=True),
         _row("COM-13", "Module reset", 0, 1, 0),
-        _row("COM-14", "PROFIdrive value: 0 standard, 1 rpm", 0, 1, 0),
-        _row("COM-30", "Para Status number", 1, 8, 3),
+        _row("COM-14", "PROFIdrive value: 0 standard, 1 rpm", 0, 1, 0, use=Use.SCALE, acts=_UPDATE),
+        _row("COM-30", "Para Status number", 1, 8, 3, use=Use.MAP, acts=_UPDATE),
         *(
-            _row(f"COM-{31 + n}", f"Para Status-{1 + n}", 0, 0xFFFF, (0x000A, 0x000E, 0x000F, 0, 0, 0, 0, 0)[n])
-            for n in range(8)
+            _row(f"COM-{31 + n}", f"Para Status-{1 + n}", 0, 0xFFFF, factory, use=Use.MAP, acts=_UPDATE)
+            for n, factory in enumerate((0x000A, 0x000E, 0x000F, 0, 0, 0, 0, 0))
         ),
-        _row("COM-50", "Para Control number", 1, 8, 2),
+        _row("COM-50", "Para Control number", 1, 8, 2, use=Use.MAP, acts=_UPDATE),
         *(
-            _row(f"COM-{51 + n}", f"Para Control-{1 + n}", 0, 0xFFFF, (0x0005, 0x0006, 0, 0, 0, 0, 0, 0)[n])
-            for n in range(8)
+            _row(f"COM-{51 + n}", f"Para Control-{1 + n}", 0, 0xFFFF, factory, use=Use.MAP, acts=_UPDATE)
+            for n, factory in enumerate((0x0005, 0x0006, 0, 0, 0, 0, 0, 0))
         ),
-        _row("COM-68", "FBus swap", 0, 1, 0),
-        _row("COM-94", "Comm update", 0, 1, 0),
+        _row("COM-68", "FBus swap", 0, 1, 0, use=Use.SCALE, acts=_UPDATE),
+        _row(_UPDATE, "Comm update", 0, 1, 0),
         _row(
             "PRT-12",
             "Lost command: 0 none, 1 coast, 2 ramp, 3 hold input, 4 hold output, 5 preset",
@@ -342,7 +369,16 @@ PARAMETERS: Final = ParamTable(
         ),
         _row("PRT-13", "Lost command time", 0.1, 120, 1, 1, "s", made_up=True),
         _row("PRT-14", "Lost command frequency", 0, 400, 0, 2, "Hz", made_up=True),
-        *(ParamSpec(number=number, name=name, title=title, read_only=True) for number, name, title in _PNUS),
+        *(
+            ParamSpec(
+                number=number,
+                name=name,
+                title=title,
+                read_only=True,
+                use=Use.SCALE if number == PNU_PROFILE else Use.NONE,
+            )
+            for number, name, title in _PNUS
+        ),
         ParamSpec(number=PNU_RESET, name="module_reset", title="Reset of 944, 947 and 953", high=1),
     )
 )

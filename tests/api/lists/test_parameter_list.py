@@ -50,7 +50,7 @@ LIST = ParameterList(
 DRIVES = {
     "demag-dedrive": (44, "fixed_frequency_1", 7.25, 1),
     "fuji-frenic": (49, "F26", 15, None),
-    "imo-hd2": (25, "P15.14", 8, None),
+    "imo-hd2": (25, "P00.10", 30.5, None),
     "keb-f5": (115, "oP.03", 20.5, 0),
     "ls-s100": (133, "dr-03", 2.5, None),
 }

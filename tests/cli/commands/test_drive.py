@@ -176,10 +176,16 @@ def test_parameters_for_people(drive: Drive) -> None:
     ],
 )
 def test_an_order_that_cannot_be_done_is_one_line(drive: Drive, words: str, code: int, says: str) -> None:
+    """A notice of the drive (412 is 44 as delivered) is another line."""
     out, err = drive(*words.split(), code=code)
     assert out == []
+    err = without_notices(err)
     assert len(err) == 1
     assert says in err[0]
+
+
+def without_notices(lines: list[str]) -> list[str]:
+    return [line for line in lines if not line.endswith("start is refused until then")]
 
 
 @pytest.mark.parametrize(
@@ -218,7 +224,7 @@ def test_all_orders_are_judged_before_the_first_goes_out(
 @pytest.mark.usefixtures("fast")
 def test_a_file_that_an_earlier_order_makes_is_not_looked_for(drive: Drive) -> None:
     out, err = drive("hoist", "dump", "new.toml", "compare", "new.toml")
-    assert err == []
+    assert without_notices(err) == []
     assert out[-1].endswith("parameters are as in new.toml, 0 differ")
 
 

@@ -108,14 +108,16 @@ def test_a_new_map_begins_with_the_present_value_of_the_drive() -> None:
     bench = PluginBench(LS.core("pump", "PPO2", ALONE), ZERO + S2 + " 00" * 8)
     token = bench.order("write_map", inputs="000E", outputs="dr-04")
     sent: list[tuple[str, str]] = []
-    for _ in range(80):
+    stored = {"0 11 04": "00 19"}
+    for _ in range(160):
         out = bench.out()
         request, word = out[:23], out[36:41]
         if not request.startswith("00"):
             if (request, word) not in sent:
                 sent.append((request, word))
-            value = "00 19" if request.startswith("1") else request[18:]
-            bench.see(f"1{request[1:18]}{value} {S2}" + " 00" * 8)
+            if request.startswith("2"):
+                stored[request[1:8]] = request[18:]
+            bench.see(f"1{request[1:18]}{stored[request[1:8]]} {S2}" + " 00" * 8)
         else:
             bench.see(ZERO + S2 + " 00" * 8)
     assert sent == [
@@ -128,6 +130,10 @@ def test_a_new_map_begins_with_the_present_value_of_the_drive() -> None:
         ("20 17 33 00 00 00 11 04", "00 19"),
         ("20 17 32 00 00 00 00 01", "00 19"),
         ("20 17 5E 00 00 00 00 01", "00 19"),
+        ("10 17 32 00 00 00 00 00", "00 19"),
+        ("10 17 33 00 00 00 00 00", "00 19"),
+        ("10 17 1E 00 00 00 00 00", "00 19"),
+        ("10 17 1F 00 00 00 00 00", "00 19"),
     ]
     assert bench.value(token) == {"inputs": "000E", "outputs": "1104"}
     assert bench.core.safe(bench.core.safe_outputs)[8:].hex(" ").upper() == "04 7E 00 00 00 19 00 00 00 00 00 00"
@@ -163,8 +169,14 @@ def test_a_ramp_time_is_never_0_on_the_way_to_its_map(outputs: str, values: set[
 
 
 def test_start_is_refused_for_a_limit_without_a_value() -> None:
-    bench = PairBench(IMO.core("pump"), IMO.simulated(None, {}, {}))
-    bench.ok("write_map", outputs="set_frequency forward_limit braking_torque_limit=120", inputs="frequency")
+    """A keypad wrote the map; ``write_map`` takes none without a value."""
+    maps = {"P15.02": 1, "P15.03": 5, "P15.04": 8, "P15.13": 1}
+    bench = PairBench(
+        IMO.core("pump", options={"map_outputs": "braking_torque_limit=120"}), IMO.simulated(None, {}, maps)
+    )
+    assert "would be written with 0: give it a value, motoring_torque_limit=VALUE" in bench.misuse(
+        "write_map", outputs="set_frequency motoring_torque_limit"
+    )
     bench.ok("speed", value=0.5)
     assert bench.refused("start") == (
         "fault",
@@ -229,16 +241,27 @@ def test_maps_that_act_later_are_needed_as_options_before_the_drive_runs_again()
     maps = {"inputs": "ru.12:long sy.51 sy.53", "outputs": "cS.19:long sy.50 sy.52"}
     bench.ok("write_map", **maps)
     needed = "map_inputs = '220C:long 2033 2035' and map_outputs = '2F13:long 2032 2034' (with cS.19=VALUE)"
-    assert any(needed in text and "end the bus before the drive is switched off" in text for text in bench.notices())
-    bench.ok("speed", value=0.5)
-    assert "takes no outputs" in bench.refused("start")[1]
-    bench.core.lost(bench.now)
-    kind, text = bench.refused("start")
-    assert kind == "fault"
-    assert "it was away since" in text
-    assert needed in text
+    told = [text for text in bench.notices() if needed in text]
+    assert told[0].startswith(
+        "other maps were written to the drive, which act from its next power-on: end the bus, set "
+    )
+    for _ in range(2):
+        assert bench.refused("speed", value=0.5) == ("fault", told[0])
+        assert bench.refused("start") == ("fault", told[0])
+        bench.run(2)
+        assert bench.core.status().settings_texts[:1] == tuple(told[:1])
+        bench.core.lost(bench.now)
+        bench.pass_time(500)
     known = {"map_inputs": maps["inputs"], "map_outputs": "cS.19:long=100 sy.50 sy.52"}
-    bench = PairBench(KEB.core("saw", telegram, known, simulated=True), KEB.simulated(telegram, {}, {}))
+    drive = KEB.simulated(telegram, {}, {})
+    bench = PairBench(KEB.core("saw", telegram, known, simulated=True), drive)
     bench.ok("write_map")
+    assert "act from the drive's next power-on: switch it off and on" in bench.refused("start")[1]
     bench.core.lost(bench.now)
-    assert not [text for text in bench.notices() if "end the bus" in text]
+    after = KEB.simulated(telegram, {}, {})
+    after.inherit(drive)
+    after.enter(bench.core.telegram.config, bench.now)
+    after.operate(bench.now)
+    bench.device = after
+    bench.pass_time(1000)
+    bench.ok("start")
