@@ -31,6 +31,9 @@ class CyclicPlugin(Protocol):
 
     Its methods must return quickly, must not block, and get the time as an argument. If a method raises an exception,
     the master sets the slave's outputs to their safe values and reports a fault of kind PLUGIN; the bus goes on.
+
+    A plugin may have a method ``watch(inputs, now)``: the master calls it in Clear, where no outputs of a plugin go
+    out, before each Data_Exchange; ``inputs`` as those of :meth:`cyclic`.
     """
 
     def cyclic(self, inputs: bytes, now: int) -> bytes:

@@ -199,6 +199,7 @@ class Round:
         if self._operating and context.mode is _OPERATE:
             return handler.plugin_host.outputs(now) if context.operates else handler.plugin_host.safe_outputs()
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/reference/protocol.md#clear)
+        handler.plugin_host.watch(now)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
     def _service(self, now: int, *, room: bool = True) -> Request | None:

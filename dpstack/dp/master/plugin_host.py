@@ -47,6 +47,14 @@ class PluginHost:
                 self._fail(plugin, error, now)
         return image.next_outputs
 
+    def watch(self, now: int) -> None:
+        """In Clear: show the plugin the inputs, where it wants to see them (see :class:`CyclicPlugin`)."""
+        image = self._image
+        plugin = image.plugin
+        watch = getattr(plugin, "watch", None)
+        if plugin is not None and watch is not None and self.fault is None:
+            self._call(plugin, now, watch, image.inputs if image.valid else b"", now)
+
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
         """Hand an order to the plugin. Without a plugin, or after its failure, report an event with the error."""
         plugin = self._image.plugin

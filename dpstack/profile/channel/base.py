@@ -77,6 +77,11 @@ class ParameterChannel(abc.ABC):
         """Parameters of one request."""
         return 1
 
+    @property
+    def needs_outputs(self) -> bool:
+        """Whether its octets stand in the outputs, so that it is silent in Clear."""
+        return True
+
     @abc.abstractmethod
     def step(self, inputs: bytes, now: int) -> None:
         """Process the channel's octets in ``inputs`` (the first ones); never raises."""

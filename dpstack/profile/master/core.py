@@ -59,6 +59,8 @@ _BELIEVED: Final = 0.02
 #: a fault whose name the plugin is asking for
 NOT_NAMED: Final = "not yet named"
 _LEAST_NS: Final = 20 * NS_PER_MS
+#: in Clear: a drive that has just come up has shown its status after this time
+_CLEAR_NS: Final = NS_PER_S
 T = TypeVar("T")
 
 
@@ -186,6 +188,9 @@ class DriveCore:
         self._setpoint_word = 0
         #: the process data are those of :meth:`encode_held`: nobody knows whether the drive would understand others
         self.held = False
+        #: in Clear: since when there are inputs, and what is read once
+        self._watched_from: int | None = None
+        self._clear_job: Steps[None] | None = None
         #: jobs during which no start begins, for people
         self._no_start: list[str] = []
         self._control = self.table.word(Goal.IDLE, State.OFFLINE)
@@ -246,6 +251,29 @@ class DriveCore:
             self._build()
         return self.last_outputs
 
+    def watch(self, inputs: bytes, now: int) -> None:
+        """Called in Clear before each Data_Exchange, where no outputs go out: report what would refuse a start, as far
+        as the status word tells it, or record 47, which needs no outputs.
+        """
+        self.now = now
+        if len(inputs) != self.telegram.input_octets:
+            self._watched_from, self._clear_job = None, None
+        elif self._watched_from is None:
+            self._watched_from = now
+        elif self._clear_job is None and now >= self._watched_from + _CLEAR_NS:
+            self._clear_job = self._look_in_clear(inputs)
+        if self._clear_job is not None:
+            next(self._clear_job, None)
+
+    def _look_in_clear(self, inputs: bytes) -> Steps[None]:
+        self.words = self.unpack(inputs, self.offset)
+        self.status_word = self.status_of(inputs[self.offset :])
+        if (why := self.refused_in_clear()) is not None:
+            self.notice(f"{why}; start is refused until then")
+        comparison = self.settings_check.in_clear()
+        if comparison is not None:
+            yield from comparison
+
     def lost(self, now: int) -> None:
         """The slave left data exchange, or outputs went to their safe values: pending orders end with a reason.
 
@@ -254,6 +282,7 @@ class DriveCore:
         self.now = now
         self.online = False
         self._called_at = None
+        self._watched_from, self._clear_job = None, None
         self._orders.end(CommandError("lost", "the drive left data exchange"))
         if self.access is not None:
             self.access.reset()
@@ -601,6 +630,10 @@ class DriveCore:
 
     def obstacle(self) -> str | None:
         """The reason in the status word why the drive cannot run, with the remedy; or None."""
+        return None
+
+    def refused_in_clear(self) -> str | None:
+        """:meth:`obstacle` as far as the status word has it while all outputs are 0; or None."""
         return None
 
     def why_left(self) -> Steps[str | None]:

@@ -141,6 +141,22 @@ class SettingsCheck:
             self._busy = True
             core.spawn("settings", self._compare(self._turn))
 
+    def in_clear(self) -> Steps[dict[str, object]] | None:
+        """The comparison in Clear, for the caller to step; None where nothing can be read there, which is reported."""
+        core = self._core
+        settings = core.all_settings()
+        if not settings or not self._enabled:
+            return None
+        if core.access is None or core.access.needs_outputs:
+            name = core.telegram.name
+            why = f"{name} has no parameter channel"
+            if core.access is not None:
+                why = f"the parameter channel of {name} is silent in Clear, they are compared in Operate"
+            self._report(_not_checked(why, settings))
+            return None
+        self._restart()
+        return self._compare(self._turn)
+
     def changed(self) -> None:
         """A parameter was written, or another data set is active: read again at once."""
         if self._core.online:

@@ -122,6 +122,10 @@ class AcyclicAccess(ParameterChannel):
         return self.client.limits.parameters
 
     @property
+    def needs_outputs(self) -> bool:
+        return self._absent
+
+    @property
     def busy(self) -> bool:
         return self.cyclic is not None and self.cyclic.busy
 

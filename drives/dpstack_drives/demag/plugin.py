@@ -223,6 +223,9 @@ class DemagCore(MappedCore[OutMap]):
         how = {"quick_stop": "stop() takes the ramp, coast() opens S1", "acknowledge": "acknowledge at the drive"}
         return f"{op}: control by remote contacts (412 = 2) has no word for it: {how[op]}"
 
+    def refused_in_clear(self) -> str | None:
+        return self.obstacle()
+
     def prepare(self, deadline: int) -> Steps[None]:
         """A start needs 412 and the hardware release. Raises CommandError that names the missing one."""
         if self.access is None:

@@ -237,6 +237,9 @@ class ImoCore(MappedCore[PzdMap]):
             return "SW bit 8 is 0: the bus voltage is not established, not ready to run; see to the mains"
         return None
 
+    def refused_in_clear(self) -> str | None:
+        return self.obstacle()
+
     def _other_source(self) -> str | None:
         source = self._source()
         if source is t.Source.COMMUNICATION:
