@@ -57,7 +57,8 @@ _REST: Final = (
     "| octet 4 | Master_Add | slave | another master's slave is never parameterised (fault `locked`) | the same | "
     "own address + 128 and the address of the asking master are tolerated | is owned by master 7 |",
     "| octets 5, 6 | Ident | slave | another device is never parameterised (fault `wrong_ident`) | the same | "
-    '`ident = "ask"` accepts the ident number found | is another device: ident 0x1234 instead of 0x0696 |',
+    '`ident = "ask"` accepts the ident number found; `ident = { configured, adapts }` is for devices that take over '
+    "the number in Set_Prm | is another device: ident 0x1234 instead of 0x0696 |",
 )
 
 

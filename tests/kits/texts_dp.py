@@ -9,7 +9,7 @@ from typing import Any
 
 import texts_transcripts
 from bus_kit import setup
-from texts_snapshot import Case, Group, attempt, interface
+from texts_snapshot import Case, Group, attempt
 
 from dpstack.dp.error_origin import error_text
 from dpstack.dp.master import fault_texts
@@ -431,7 +431,6 @@ def _slave_events() -> Iterator[Case]:
 
 PLAIN: dict[str, Group] = {
     "slave_events": _slave_events,
-    "interface": lambda: interface("dpstack.dp"),
     "pdus": _pdus,
     "diag_blocks": _diag_blocks,
     "diagnoses": _diagnoses,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import texts_transcripts
-from texts_snapshot import Case, Group, aliases, attempt, interface
+from texts_snapshot import Case, Group, attempt
 
 from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.prm_blocks import PrmBlock
@@ -277,8 +277,6 @@ def _told(file: bytes) -> str:
 
 #: cases that are one call each
 PLAIN: dict[str, Group] = {
-    "interface": lambda: interface("dpstack.dpv1"),
-    "aliases": lambda: aliases("dpstack.dpv1"),
     "codes": _codes,
     "records": _records,
     "connections": _connections,

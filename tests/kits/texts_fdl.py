@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import product
 
 from msgspec.structs import replace
-from texts_snapshot import Case, Group, attempt, interface
+from texts_snapshot import Case, Group, attempt
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.active.services import SERVICES
@@ -128,8 +128,9 @@ def _refusals() -> Iterator[Case]:
         yield f"t_sdr {t_sdr}", attempt(PassiveStation, 3, None, _PARAMS, t_sdr=t_sdr)[1]
     stations = [PassiveStation(address, _Silent(), _PARAMS) for address in (3, 5)]
     line = Multidrop(stations, _PARAMS)
+    absent = PassiveStation(4, _Silent(), _PARAMS)
     for call in (line.remove, line.silence, line.resume, line.silent_until):
-        yield attempt(call, 4)
+        yield f"{call.__name__} of an absent station", attempt(call, absent)[1]
     for other in (PassiveStation(5, _Silent(), _PARAMS), PassiveStation(6, _Silent(), BusParams.preset(9_600))):
         yield f"add {other!r}", attempt(line.add, other)[1]
     for station in (stations[0], line, ActiveStation(_PARAMS, []), AutoBaud(0)):
@@ -148,8 +149,6 @@ def _chosen_baud(rates: tuple[int, ...]) -> str:
 
 
 GROUPS: dict[str, Group] = {
-    "interface_fdl": lambda: interface("dpstack.fdl"),
-    "interface_phy": lambda: interface("dpstack.phy"),
     "states": _states,
     "services": _services,
     "events": _events,

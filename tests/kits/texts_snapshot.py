@@ -6,17 +6,10 @@ and :mod:`texts_dpv1` have the cases, :mod:`texts_transcripts` the cases that ru
 
 from __future__ import annotations
 
-import contextlib
-import importlib
-import inspect
 import json
-import pkgutil
-import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from enum import Enum
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
 SNAPSHOTS = Path(__file__).parents[1] / "snapshots"
@@ -40,66 +33,6 @@ def _shown(value: object) -> str:
     if isinstance(value, bytes | bytearray):
         return f"<{value.hex(' ')}>" if len(value) < 16 else f"<{len(value)} octets from {value[:4].hex(' ')}>"
     return repr(value)
-
-
-def interface(package: str) -> Iterator[Case]:
-    """Members of enums, defaults of arguments and fields, plain attributes of the public classes and functions.
-
-    All modules of ``package`` are searched. A name of ``__all__`` that its module does not have is a case too.
-    """
-    found = importlib.import_module(package)
-    modules = [package, *(info.name for info in pkgutil.walk_packages(found.__path__, f"{package}."))]
-    for module in map(importlib.import_module, modules):
-        missing = [name for name in getattr(module, "__all__", ()) if not hasattr(module, name)]
-        if missing:
-            yield module.__name__, f"__all__ names {missing}"
-        for name, made in vars(module).items():
-            if getattr(made, "__module__", "") == module.__name__ and not name.startswith("_"):
-                yield from _defaults(f"{module.__name__}.{name}", made)
-
-
-def aliases(package: str) -> Iterator[Case]:
-    """The types that the modules of ``package`` give names to: ``OnRead = Callable[...]``."""
-    found = importlib.import_module(package)
-    for module in (importlib.import_module(info.name) for info in pkgutil.walk_packages(found.__path__, f"{package}.")):
-        source = inspect.getsource(module)
-        for name in re.findall(
-            r"^([A-Z]\w*[a-z]\w*) = (?:Callable|Iterable|Mapping|[A-Z]\w* \|)", source, re.MULTILINE
-        ):
-            yield f"{module.__name__}.{name}", str(getattr(module, name))
-
-
-def _defaults(name: str, made: Any) -> Iterator[Case]:
-    if isinstance(made, type) and issubclass(made, Enum):
-        yield name, ", ".join(f"{key} = {member.value!r}" for key, member in made.__members__.items())
-        return
-    if isinstance(made, type):
-        plain = {
-            key: value
-            for key, value in vars(made).items()
-            if isinstance(value, bool | int | str | bytes) and not key.startswith("_")
-        }
-        if plain:
-            yield f"{name}, attributes", ", ".join(f"{key} = {value!r}" for key, value in plain.items())
-    functions = {name: made}
-    if isinstance(made, type):
-        functions |= {
-            f"{name}.{key}": getattr(value, "__func__", value)
-            for key, value in vars(made).items()
-            if not key.startswith("_") and callable(getattr(value, "__func__", value))
-        }
-    for called, function in functions.items():
-        if isinstance(function, type | FunctionType):
-            with contextlib.suppress(ValueError):  # a class without a signature of its own
-                given = inspect.signature(function).parameters.values()
-                defaults = [
-                    f"{one.name} = {one.default!r}"
-                    for one in given
-                    if one.default is not one.empty and one.name != "wall_ns"
-                ]
-                defaults = [default for default in defaults if " at 0x" not in default]
-                if defaults:
-                    yield called, ", ".join(defaults)
 
 
 def lines_of(groups: Mapping[str, Group]) -> list[str]:
