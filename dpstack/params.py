@@ -23,6 +23,8 @@ MAX_STATION: Final = 125
 MAX_T_SL: Final = 16_383
 UNADDRESSED: Final = 126
 BROADCAST: Final = 127
+#: octets of DPV1_Status at the beginning of the user parameters
+DPV1_STATUS_LEN: Final = 3
 
 
 #: bus parameter -> lowest value, highest value, text for messages

@@ -36,7 +36,7 @@ MAY: dict[str, set[str]] = {
     "boottime": {"units"},
     "phy": PARAMS,
     "fdl": PHY | {"machine", "stats"},
-    "gsd": PURE_BASE | {"namespaces"},
+    "gsd": PARAMS | {"namespaces"},
     "tcp_address": {"errors"},
     "live": {"trace"},
     "capture": PHY | {"fdl", "machine"},

@@ -50,8 +50,9 @@ from dpstack.fdl.telegram import (
     SSAP_MS2,
     Telegram,
 )
-from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, DPV1_STATUS_LEN
+from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
 from dpstack.gsd.identifiers import parse_identifiers
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.units import ns_to_s
 
 Fields = dict[str, object]

@@ -13,9 +13,8 @@ from dpstack.dp.pdu.dpv1_status import FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.diag_texts import DiagTexts
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
-from dpstack.params import UNADDRESSED
+from dpstack.params import DPV1_STATUS_LEN, UNADDRESSED
 from dpstack.text import octets_text
 from dpstack.units import NS_PER_MS, NS_PER_US
 

@@ -8,8 +8,6 @@ from typing import Final
 
 from dpstack.units import NS_PER_MS
 
-#: octets of DPV1_Status at the beginning of the user parameters
-DPV1_STATUS_LEN: Final = 3
 #: kinds of alarms of DP-V1: the name in configurations, and the keyword without _supp and _required
 ALARM_KEYWORDS: Final = {
     "pull_plug": "Pull_Plug_Alarm",

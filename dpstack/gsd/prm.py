@@ -16,10 +16,10 @@ from enum import Enum
 from typing import Final
 
 from dpstack.errors import GsdError
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import MAX_USER_PRM
 from dpstack.gsd.joining import reach_of
 from dpstack.gsd.model import Device, Module, Parameter, PrmBlock, PrmKind, PrmType, folded, ranges_text
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import octets_text, shortened
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from dpstack.dp.pdu.requests import SET_PRM_LEN
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import GsdError
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.model import in_ranges
 from dpstack.gsd.prm import UserPrm
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.why.evidence import Evidence
 
 #: parameters named in a story at most

@@ -12,7 +12,8 @@ from dpstack.api.config.table import Gsd, Key, Table, as_given, keys_of
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS, DPV1_ENABLE, Dpv1
 from dpstack.dp.pdu.layouts import MAX_RECORD, Layout
 from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
-from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, DPV1_STATUS_LEN, alarm_kinds
+from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, alarm_kinds
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import brief
 from dpstack.units import NS_PER_MS
 

@@ -15,9 +15,9 @@ from dpstack.dp.slave_params import INTERVAL_UNIT, SlaveParams
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.errors import GsdError
 from dpstack.gsd.configuration import Configuration, configure
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.model import Device
 from dpstack.gsd.prm import MAY_REFUSE, Reading, UserPrm
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import brief, octets_text
 
 _OTHER: Final = {Reading.REFS: Reading.CONST, Reading.CONST: Reading.REFS}

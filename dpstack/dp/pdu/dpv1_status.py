@@ -15,7 +15,7 @@ from msgspec import Struct
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.pdu.prm_blocks import BlockType, PrmBlock, parse_blocks
 from dpstack.errors import ConfigError, PduError
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
+from dpstack.params import DPV1_STATUS_LEN
 
 #: DPV1_Status_1
 DPV1_ENABLE: Final = 0x80

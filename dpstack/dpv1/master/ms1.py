@@ -41,7 +41,7 @@ from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT, service_timeout
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SAP_MS1, Req, Telegram
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_S, ns_to_s
 

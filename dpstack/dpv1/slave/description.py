@@ -21,8 +21,8 @@ from dpstack.dpv1.slave.alarms import AlarmSupport
 from dpstack.dpv1.slave.resource_manager import check_ms2
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import MAX_USER_PRM, config_for, io_lengths
+from dpstack.params import DPV1_STATUS_LEN
 
 if TYPE_CHECKING:
     from dpstack.gsd.model import DiagText

@@ -15,9 +15,10 @@ from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.configuration import Configuration, fixed_modules, is_fixed, plug
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN, alarm_kinds
+from dpstack.gsd.dpv1_keywords import alarm_kinds
 from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
 from dpstack.gsd.model import Device, Module, PrmBlock
+from dpstack.params import DPV1_STATUS_LEN
 
 #: what stands for an empty slot of a modular station
 EMPTY_SLOT: Final = SlaveModule("empty slot", b"\0")

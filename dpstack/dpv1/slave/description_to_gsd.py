@@ -20,10 +20,11 @@ from dpstack.dpv1.slave.description_from_gsd import EMPTY_SLOT
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.blocks import prm_type_of
-from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, DPV1_STATUS_LEN
+from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
 from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
 from dpstack.gsd.model import DiagText, in_ranges, ranges_text
 from dpstack.gsd.settings import RATES
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import octets_text, shortened
 
 #: MaxTsdr in bit times where the description says none: the standard's values for all slaves

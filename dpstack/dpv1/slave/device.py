@@ -19,7 +19,7 @@ from dpstack.dpv1.slave.record_requests import AcyclicDevice, Asker, RecordReque
 from dpstack.dpv1.slave.resource_manager import Ms2Server, check_ms2
 from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, Resp, Telegram
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
+from dpstack.params import DPV1_STATUS_LEN
 
 
 class AlarmAcknowledged(SlaveAppEvent):

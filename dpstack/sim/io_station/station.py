@@ -45,8 +45,8 @@ from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import AlarmError, ConfigError
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import io_lengths
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named
 from dpstack.text import brief
 

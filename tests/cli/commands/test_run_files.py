@@ -60,7 +60,7 @@ def test_a_run_with_files(plant: Path, cli: Cli) -> None:
         (["--record", "p.txt"], "p.txt: the suffix says the kind of recording; end the name in .csv, .jsonl"),
         (["--record", "no/p.csv"], "no/p.csv: cannot be written (No such file or directory); name a file in a"),
         (["--record", "p.csv", "--read-only"], "--record on a read-only bus: it reads no process data; leave one"),
-        (["--log", "."], ".: cannot be written (is no ordinary file); name a file in a directory of yours"),
+        (["--log", "."], ".: cannot be written (Is a directory); name a file in a directory of yours"),
     ],
 )
 def test_a_recording_or_log_that_cannot_be_made_is_one_line(words: list[str], line: str, plant: Path, cli: Cli) -> None:

@@ -204,6 +204,7 @@ NAMES = [
     ["fleet", "--mqtt", "mqtts://localhost", "--ca", EVIL],
     ["fleet", "--mqtt", "mqtt://localhost", "--user", "x", "--password-env", EVIL],
     ["completion", EVIL],
+    ["drives", EVIL],
     ["ctl", EVIL, EVIL, EVIL],
     ["drive", EVIL, "x", "status"],
     ["drive", "CONFIG", EVIL, "status"],

@@ -253,7 +253,7 @@ async def test_a_port_that_cannot_be_opened_raises_as_with_the_asyncio_driver(tm
 
 async def test_the_end_of_a_bus_that_was_never_opened() -> None:
     bus = bus_on("/dev/nowhere", "process", VALVES)
-    assert bus.stats.slaves[4].outputs == b"\xa5\x5a"
+    assert bus.stats.slaves[4].held == b"\xa5\x5a"
     await bus.close()
     with pytest.raises(UsageError):
         await bus.operate()

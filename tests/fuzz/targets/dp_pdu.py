@@ -11,9 +11,8 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.pdu.requests import MAX_REM_SLAVE_DATA, GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.errors import ConfigError, PduError
-from dpstack.gsd.dpv1_keywords import DPV1_STATUS_LEN
 from dpstack.gsd.identifiers import MAX_IO, agree, config_for, io_lengths, parse_identifiers
-from dpstack.params import MAX_STATION
+from dpstack.params import DPV1_STATUS_LEN, MAX_STATION
 from tests.fuzz.frame import Target, assert_plain, parsed
 
 
