@@ -391,6 +391,21 @@ def test_the_syntax_of_the_commands_names_options_that_they_have() -> None:
         assert set(re.findall(r"--[\w-]+", line)) <= options, line
 
 
+def test_readme_and_purpose_say_where_to_begin_alike() -> None:
+    """The README's table has all rows of the page about the purpose, with its own way to the pages."""
+    rows = [
+        {
+            (wish, link.removeprefix("docs/").removeprefix("../"))
+            for wish, link in re.findall(
+                r"^\| ([^|]+) \| \[[^\]]+\]\(([^)]+)\) \|$", page.read_text("utf-8"), re.MULTILINE
+            )
+        }
+        for page in (ROOT / "docs" / "explanation" / "purpose.md", ROOT / "README.md")
+    ]
+    assert len(rows[0]) > 5
+    assert rows[0] <= rows[1]
+
+
 def test_every_control_command_is_documented() -> None:
     from dpstack.api.control.commands import KINDS
 
