@@ -30,6 +30,7 @@ modules = ["8 DI", "8 DO"]
 name = "pump"
 address = 3
 drive = "demag-dedrive"
+simulated = { ready = true }
 """
 IM0 = ["acyclic", "PLANT", "8", "im", "2"]
 COMMANDS = [IM0, [*IM0, "--class", "2"], ["drive", "PLANT", "pump", "status"]]
