@@ -39,6 +39,7 @@ MAY: dict[str, set[str]] = {
     "gsd": PARAMS | {"namespaces"},
     "tcp_address": {"errors"},
     "live": {"trace"},
+    "plant": set(),
     "capture": PHY | {"fdl", "machine"},
     "decode": DP | {"capture", "namespaces"},
     "monitor": DP | {"capture", "decode"},
@@ -61,6 +62,7 @@ MAY: dict[str, set[str]] = {
         "monitor",
         "record",
         "live",
+        "plant",
         "tcp_address",
         "why",
         "bridge",
@@ -71,7 +73,7 @@ MAY: dict[str, set[str]] = {
     "logs": {"text"},
     "web": {"api", "live", "ports", "record", "tcp_address"} | PURE_BASE,
     "screen": {"api", "live", "ports", "why"} | PURE_BASE,
-    "bridge": {"boottime", "live", "monitor", "record", "tcp_address"} | PURE_BASE,
+    "bridge": {"boottime", "live", "monitor", "plant", "record", "tcp_address"} | PURE_BASE,
     "cli": {
         "api",
         "boottime",
@@ -79,6 +81,7 @@ MAY: dict[str, set[str]] = {
         "capture",
         "decode",
         "monitor",
+        "plant",
         "why",
         "record",
         "screen",
@@ -117,7 +120,7 @@ MAY: dict[str, set[str]] = {
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("live", "service"),
+    ("live", "plant", "service"),
     ("phy",),
     ("gsd",),
     ("fdl",),

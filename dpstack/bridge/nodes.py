@@ -12,6 +12,7 @@ from enum import StrEnum
 from typing import Any, Final
 
 from dpstack.bridge.quality import BOOL, BYTES, COUNT, FLOAT, LIMITS, TEXT, TYPES, Value, clean, value_of
+from dpstack.plant.orders import Argument, DriveOrder, Operation, SetOutputs
 
 #: named values of one slave: its 244 octets of inputs and of outputs have so many bits
 MOST_FIELDS: Final = 2 * 244 * 8
@@ -41,31 +42,34 @@ class Source(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """An order that a face may give to the run. ``name``: ``SLAVE.NAME``, as ``allow_commands`` lists it; ``type``: of
-    its argument, None: it has none. ``command``: words for the control socket, the argument comes behind them."""
+    """An order that a face may give to the run: it sets ``output``, a named output of ``slave``, or is an ``operation``
+    of its drive. ``name``: ``SLAVE.NAME``, as ``allow_commands`` lists it; ``type``: of its
+    argument, None: it has none."""
 
     name: str
     slave: int
-    command: tuple[str, ...]
+    output: str = ""
+    operation: Operation | None = None
     type: str | None = None
 
-    def words(self, value: Value = None) -> tuple[str, ...]:
-        """Command and arguments for the control socket. Raises ValueError where ``value`` has another type; an order
-        without an argument takes None and True."""
+    def argument(self, value: Value) -> Argument | None:
+        """``value`` as an argument of this order. Raises ValueError if it has another type; an order without an
+        argument takes None and True."""
         if self.type is None:
             if value is not None and value is not True:
                 raise ValueError(f"{self.name} takes true, not {clean(repr(value))}")
-            return self.command
-        given = value_of(value.hex() if isinstance(value, bytes) else value, self.type)
-        if given is None:
+            return None
+        given = value_of(value, self.type)
+        if given is None or isinstance(given, str):
             raise ValueError(f"{self.name} takes {self.type}, not {clean(repr(value))}")
-        if isinstance(given, bool):
-            text = "on" if given else "off"
-        else:
-            text = given.hex() if isinstance(given, bytes) else str(given)
-        if self.command[0] == "set":
-            return (self.command[0], f"{self.command[1]}={text}")
-        return (*self.command, text)
+        return given
+
+    def typed(self, argument: Argument | None = None) -> SetOutputs | DriveOrder:
+        """This order with a result of :meth:`argument`."""
+        if self.operation is not None:
+            return DriveOrder(self.slave, self.operation, argument)
+        assert argument is not None, "an output has a value"
+        return SetOutputs(self.slave, {self.output: argument})
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +137,7 @@ _DRIVE: Final[Sequence[tuple[str, str, str, float, str]]] = (
     ("settings", TEXT, "", 0, "comparison of the drive's settings with those that its plugin relies on"),
 )
 #: orders to a drive, with the type of their argument
-_DRIVE_ORDERS: Final[Sequence[tuple[str, str | None]]] = (
+_DRIVE_ORDERS: Final[Sequence[tuple[Operation, str | None]]] = (
     ("start", None),
     ("stop", None),
     ("quick_stop", None),
@@ -210,9 +214,7 @@ def slave_of(address: int, plant: Mapping[str, Any], *, writable: bool, room: in
     if drive is not None:
         nodes += _drive_nodes(own, address)
         if writable:
-            orders += (
-                Order(f"{name}.{word}", address, ("drive", str(address), word), type_) for word, type_ in _DRIVE_ORDERS
-            )
+            orders += (Order(f"{name}.{word}", address, operation=word, type=type_) for word, type_ in _DRIVE_ORDERS)
     about = {key: clean(plant.get(key)) for key in ("ident", "vendor", "model", "gsd")}
     if isinstance(drive, Mapping):
         about |= {key: clean(drive.get(key)) for key in ("profile", "telegram")}
@@ -276,7 +278,7 @@ def _field_node(
     type_ = FLOAT if scaled and raw not in (BOOL, BYTES, TEXT) else raw
     order = None
     if writable and source is Source.OUTPUT and raw != TEXT and not set(name) & _NOT_IN_ORDERS:
-        order = Order(f"{slave}.{clean(name)}", address, ("set", f"{address}.{name}"), type_)
+        order = Order(f"{slave}.{clean(name)}", address, output=name, type=type_)
     return Node(
         f"{own}/{source}/{name}",
         Kind.VALUE,

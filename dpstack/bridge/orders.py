@@ -9,13 +9,14 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import Enum, auto
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, cast
 
 from dpstack.bridge.face import Tell
 from dpstack.bridge.nodes import Order
 from dpstack.bridge.quality import Value, clean
 from dpstack.bridge.tree import PlantTree
 from dpstack.errors import ConfigError, DpError, SlaveError
+from dpstack.plant.orders import HALTS, Argument, DriveOrder, SetOutputs
 from dpstack.trace import Severity
 
 #: age of an order in s, as long as the configuration does not say otherwise
@@ -28,8 +29,6 @@ _MOST_KNOWN: Final = 1000
 _LONGEST_S: Final = 90.0
 #: s between two remarks about orders that were refused
 _REMARK_S: Final = 1.0
-#: orders that switch a motor off: they wait for no other order, and none that waits is carried out after them
-_HALTS: Final = frozenset({"stop", "quick_stop", "coast"})
 
 
 class Refusal(Enum):
@@ -93,16 +92,17 @@ class _ChangedError(_RefusedError):
 
 
 class Orders:
-    """Gives orders of ``tree`` to the run: ``carry_out(*words)`` with the words of its control socket.
+    """Gives orders of ``tree`` to the run, which has ``carry_out``.
 
-    ``allow``: names of orders (``valves.lamp``, ``hoist.start``), or all of a slave (``hoist.*``); see
+    An order of :data:`~dpstack.plant.orders.HALTS` waits for no other order, and none that waits is carried out after
+    it. ``allow``: names of orders (``valves.lamp``, ``hoist.start``), or all of a slave (``hoist.*``); see
     :func:`check_allowed`. ``now``: the clock of the computer in s since 1970. ``tell`` takes a remark about each order.
     """
 
     def __init__(
         self,
         tree: PlantTree,
-        carry_out: Callable[..., Awaitable[object]],
+        carry_out: Callable[[SetOutputs | DriveOrder], Awaitable[object]],
         allow: Sequence[str],
         *,
         now: Callable[[], float] = time.time,
@@ -127,7 +127,7 @@ class Orders:
     def sets_output(self, name: str) -> bool:
         """Whether :meth:`give_outputs` takes the order ``name``."""
         order = self._tree.orders.get(name)
-        return order is not None and order.command[0] == "set"
+        return order is not None and bool(order.output)
 
     @property
     def takes_any(self) -> bool:
@@ -149,39 +149,40 @@ class Orders:
 
     async def give(
         self,
-        name: str,
+        wanted: str | Order,
         value: object = None,
         *,
         made_at: float | None,
         late_s: float | None = None,
         batch: Batch | None = None,
     ) -> OrderResult:
-        """Carry out the order ``name`` (``SLAVE.NAME``) with its argument ``value``, and wait for the result.
+        """Carry out the order ``wanted`` with its argument ``value``, and wait for the result. ``wanted`` is the name
+        of the order (``SLAVE.NAME``), or an order of :attr:`allowed` whose caller has checked the type of ``value``.
 
         ``made_at``: the time of its sender in s since 1970; None where it has none. ``late_s``: the s that its
         connection has delivered it late, for one without ``made_at``. Its age (see :class:`_Age`) is judged when it
         comes and once more right before it is carried out. Raises nothing but the cancellation of its caller, which
         ends the order as far as the run can take it back; a halt that has begun goes on.
         """
-        name = clean(name)
+        name = _name(wanted)
         batch = batch or self.batch()
         age = _Age(batch.came, made_at, late_s)
         try:
-            order, words = self._judge(name, value, age)
-            if _halts_drive(order):
+            order, argument = self._judge(wanted, value, age)
+            if order.operation in HALTS:
                 self._halts[order.slave] += 1
                 batch.halts[order.slave] += 1  # a start behind a stop of the same message is meant
                 with self._counted(order.slave, spare=MOST_OF_A_SLAVE):
-                    await self._carry_on(words)
+                    await self._carry_on(order.typed(argument))
             else:
-                await self._carry_in_turn([order], words, age, batch)
+                await self._carry_in_turn([order], order.typed(argument), age, batch)
         except Exception as error:  # whatever the run does: the sender gets a result
             return self._told(_refused(name, error))
         return self._told(OrderResult(name, "done"))
 
     async def give_outputs(
         self,
-        given: Sequence[tuple[str, object]],
+        given: Sequence[tuple[str | Order, object]],
         *,
         made_at: float | None,
         late_s: float | None = None,
@@ -195,41 +196,48 @@ class Orders:
         age = _Age(batch.came, made_at, late_s)
         results: list[OrderResult | None] = []
         orders: list[Order] = []
-        words = ["set"]
-        for name, value in given:
+        values: dict[str, Argument] = {}
+        for wanted, value in given:
             try:
-                order, (command, *arguments) = self._judge(clean(name), value, age)
-                if command != "set" or (orders and order.slave != orders[0].slave):
+                order, argument = self._judge(wanted, value, age)
+                if not order.output or argument is None or (orders and order.slave != orders[0].slave):
                     raise _ChangedError
+                values[order.output] = argument
             except Exception as error:
-                results.append(self._told(_refused(clean(name), error)))
+                results.append(self._told(_refused(_name(wanted), error)))
             else:
                 orders.append(order)
-                words += arguments
                 results.append(None)
         failed: Exception | None = None
         try:
             if orders:
-                await self._carry_in_turn(orders, words, age, batch)
+                await self._carry_in_turn(orders, SetOutputs(orders[0].slave, values), age, batch)
         except Exception as error:
             failed = error
         rest = iter(OrderResult(one.name, "done") if failed is None else _refused(one.name, failed) for one in orders)
         return [self._told(next(rest)) if one is None else one for one in results]
 
-    def _judge(self, name: str, value: object, age: _Age) -> tuple[Order, tuple[str, ...]]:
-        """An order that comes, and its words. Raises _RefusedError."""
-        order = self._find(name)
+    def _judge(self, wanted: str | Order, value: object, age: _Age) -> tuple[Order, Argument | None]:
+        """An order that comes, and its argument. Raises _RefusedError."""
+        order = self._find(_name(wanted))
         self._judge_slave(order)
         self._judge_age(age)
-        try:
-            words = order.words(_plain(value))
-        except ValueError as error:
-            raise _RefusedError(str(error), Refusal.TYPE) from None
-        self._refuse_twice(name, age.made_at, halts_drive=_halts_drive(order))
-        return order, words
+        if isinstance(wanted, str):
+            try:
+                argument = order.argument(_plain(value))
+            except ValueError as error:
+                raise _RefusedError(str(error), Refusal.TYPE) from None
+        elif wanted == order:
+            argument = cast("Argument | None", value)  # of the type of the order, see `give`
+        else:
+            raise _ChangedError
+        self._refuse_twice(order.name, age.made_at, halts_drive=order.operation in HALTS)
+        return order, argument
 
-    async def _carry_in_turn(self, orders: Sequence[Order], words: Sequence[str], age: _Age, batch: Batch) -> None:
-        """Carry out ``words``, which are those of ``orders`` to one slave, when its turn has come."""
+    async def _carry_in_turn(
+        self, orders: Sequence[Order], typed: SetOutputs | DriveOrder, age: _Age, batch: Batch
+    ) -> None:
+        """Carry out ``typed``, which stands for ``orders`` to one slave, when its turn has come."""
         slave = orders[0].slave
         with self._counted(slave):
             async with self._turns.setdefault(slave, asyncio.Lock()):
@@ -239,11 +247,11 @@ class Orders:
                     raise _RefusedError("a later order has stopped the drive meanwhile")
                 self._judge_slave(orders[0])
                 self._judge_age(age)
-                await self._carry(words)
+                await self._carry(typed)
 
-    async def _carry_on(self, words: Sequence[str]) -> None:
+    async def _carry_on(self, typed: SetOutputs | DriveOrder) -> None:
         """Carry out a halt to its end, also where its sender has gone meanwhile."""
-        task = asyncio.ensure_future(self._carry(words))
+        task = asyncio.ensure_future(self._carry(typed))
         self._halting.add(task)
         task.add_done_callback(self._halted)
         await asyncio.shield(task)
@@ -253,10 +261,10 @@ class Orders:
         if not task.cancelled():
             task.exception()  # asyncio reports one that nobody has asked for
 
-    async def _carry(self, words: Sequence[str]) -> None:
+    async def _carry(self, typed: SetOutputs | DriveOrder) -> None:
         try:
             async with asyncio.timeout(_LONGEST_S) as limit:
-                await self._carry_out(*words)
+                await self._carry_out(typed)
         except TimeoutError:
             if not limit.expired():
                 raise
@@ -279,7 +287,7 @@ class Orders:
     def _judge_slave(self, order: Order) -> None:
         """Raises _RefusedError where the slave is not in data exchange: it would get the order when it is back,
         whenever that is. A halt goes to the run, which keeps it for that moment: else the drive would go on then."""
-        if not (_halts_drive(order) or self._tree.is_alive(order.slave)):
+        if order.operation not in HALTS and not self._tree.is_alive(order.slave):
             raise _RefusedError("the slave is not in data exchange", Refusal.NO_EXCHANGE)
 
     def _judge_age(self, age: _Age) -> None:
@@ -351,8 +359,8 @@ class Orders:
         self._tell(f"order {result.name} refused: {result.reason}{more}", Severity.WARNING)
 
 
-def _halts_drive(order: Order) -> bool:
-    return order.command[-1] in _HALTS
+def _name(wanted: str | Order) -> str:
+    return clean(wanted) if isinstance(wanted, str) else wanted.name
 
 
 def _refused(name: str, error: Exception) -> OrderResult:

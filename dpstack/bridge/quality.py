@@ -110,7 +110,8 @@ def clean(text: object) -> str:
 
 
 def value_of(given: object, type_: str) -> Value:
-    """``given``, of an item of the stream, as a value of ``type_``; None where it is none. Octets are given as hex."""
+    """``given``, of an item of the stream or of an order, as a value of ``type_``; None if it is no such value. Octets
+    are given as they are, or as hex."""
     if type_ == BOOL:
         return given if isinstance(given, bool) else None
     if type_ == TEXT:
@@ -132,6 +133,8 @@ def value_of(given: object, type_: str) -> Value:
 
 
 def _octets(given: object) -> bytes | None:
+    if isinstance(given, bytes):
+        return given if len(given) <= _MOST_OCTETS else None
     if not isinstance(given, str) or len(given) > 2 * _MOST_OCTETS:
         return None
     try:

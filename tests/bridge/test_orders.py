@@ -12,6 +12,7 @@ from api_kit import in_virtual_time
 from dpstack.bridge.orders import MOST_OF_A_SLAVE, Orders, Refusal, check_allowed, is_allowed
 from dpstack.bridge.tree import PlantTree
 from dpstack.errors import ConfigError, SlaveError, UsageError
+from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.trace import Severity
 
 NOW = 1_700_000_000.0
@@ -42,7 +43,7 @@ class Run:
         self.tree.apply(plant(read_only=read_only), 0.0)
         self.tree.apply(snapshot(), 0.0)
         self.seconds = seconds
-        self.carried: list[tuple[str, ...]] = []
+        self.carried: list[SetOutputs | DriveOrder] = []
         self.at_once = self.most_at_once = 0
         self.told: list[tuple[str, Severity]] = []
         self.begun = asyncio.get_running_loop().time()
@@ -57,20 +58,20 @@ class Run:
     def now(self) -> float:
         return NOW + asyncio.get_running_loop().time() - self.begun
 
-    async def carry_out(self, *words: str) -> None:
+    async def carry_out(self, order: SetOutputs | DriveOrder) -> None:
         self.at_once += 1
         self.most_at_once = max(self.most_at_once, self.at_once)
         try:
             await asyncio.sleep(self.seconds)
-            if "8.speed=200" in words:
+            if isinstance(order, SetOutputs) and order.values.get("speed") == 200:
                 raise UsageError("valves: speed = 200 is outside 0..100")
-            if words == ("set", "8.speed=202"):
+            if order == SetOutputs(8, {"speed": 202}):
                 raise SlaveError(8, "slave 8 is not in data exchange: it is in diagnosis")
-            if words == ("set", "8.speed=201"):
+            if order == SetOutputs(8, {"speed": 201}):
                 raise ZeroDivisionError("\x1b[2J")
         finally:
             self.at_once -= 1
-        self.carried.append(words)
+        self.carried.append(order)
 
     async def reason(self, name: str, value: object = None, *, made_at: float | None = None) -> str:
         result = await self.orders.give(name, value, made_at=made_at)
@@ -90,7 +91,7 @@ async def test_only_what_is_listed_is_carried_out() -> None:
     assert await run.reason("valves.lamp", True) == ""
     assert await run.reason("hoist.start") == ""
     assert await run.reason("hoist.speed", 0.5) == ""
-    assert run.carried == [("set", "8.lamp=on"), ("drive", "3", "start"), ("drive", "3", "speed", "0.5")]
+    assert run.carried == [SetOutputs(8, {"lamp": True}), DriveOrder(3, "start"), DriveOrder(3, "speed", 0.5)]
     for name in ("valves.speed", "valves.*", "hoist", "valves", "", "valves.lamp.on", "\x1b[2J.start"):
         assert await run.reason(name, 1) == "it is not in allow_commands"
     assert await run.reason("hoist.level", 1) == "the plant has no such order"
@@ -113,7 +114,7 @@ async def test_types_and_ranges_are_judged_by_plant_and_run() -> None:
     # a face writes a value to an order without an argument: nothing starts because of false
     assert await run.reason("hoist.start", False) == "hoist.start takes true, not False"
     assert await run.reason("hoist.start", True) == ""
-    assert run.carried == [("drive", "3", "start")]
+    assert run.carried == [DriveOrder(3, "start")]
 
 
 @in_virtual_time
@@ -132,7 +133,7 @@ async def test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come() -> N
     third = asyncio.ensure_future(run.reason("valves.speed", 3, made_at=NOW + 0.2))
     assert (await first, await second) == ("", "")
     assert await third == "it is 2.8 s old by the clock of this computer; 2 s are allowed"
-    assert run.carried == [("set", "8.speed=1"), ("set", "8.speed=2")]
+    assert run.carried == [SetOutputs(8, {"speed": 1}), SetOutputs(8, {"speed": 2})]
     assert run.most_at_once == 1
 
 
@@ -143,7 +144,7 @@ async def test_a_sender_whose_clock_is_ahead_may_not_wait_for_longer_than_others
     outputs = asyncio.ensure_future(run.orders.give_outputs([("valves.lamp", True)], made_at=NOW + 1.9))
     assert [await one for one in given] == ["", "", "it has been on its way for 3.0 s; 2 s are allowed"]
     assert [one.reason for one in await outputs] == ["it has been on its way for 3.0 s; 2 s are allowed"]
-    assert run.carried == [("set", "8.speed=0"), ("set", "8.speed=1")]
+    assert run.carried == [SetOutputs(8, {"speed": 0}), SetOutputs(8, {"speed": 1})]
 
 
 @in_virtual_time
@@ -190,7 +191,7 @@ async def test_outputs_of_one_message_are_one_order() -> None:
 
     assert [run.orders.sets_output(one) for one in ("valves.lamp", "hoist.start", "x")] == [True, False, False]
     assert await given(("valves.lamp", True), ("valves.speed", 7)) == ["", ""]
-    assert run.carried == [("set", "8.lamp=on", "8.speed=7")]
+    assert run.carried == [SetOutputs(8, {"lamp": True, "speed": 7})]
     # those that are refused before the run sees them leave the others
     known = "an order with this name and time was given already"
     assert await given(("valves.lamp", True), ("valves.speed", -1), made_at=NOW) == [
@@ -208,14 +209,14 @@ async def test_outputs_of_one_message_are_one_order() -> None:
     reasons = ["", "valves.speed takes u8, not 'x'", "", known, "hoist.start takes true, not 1"]
     assert await given(*others, made_at=now) == reasons
     assert await given(("valves.lamp", True), ("hoist.start", True), made_at=now + 1) == ["", changed]
-    assert run.carried[1:] == [("set", "8.lamp=off", "8.speed=8"), ("set", "8.lamp=on")]
+    assert run.carried[1:] == [SetOutputs(8, {"lamp": False, "speed": 8}), SetOutputs(8, {"lamp": True})]
     # the run takes all of them or none, and each is told
     outside = "valves: speed = 200 is outside 0..100"
     assert await given(("valves.lamp", True), ("valves.speed", 200), made_at=run.now()) == [outside, outside]
     late = asyncio.ensure_future(given(("valves.lamp", True), ("valves.speed", 9), made_at=run.now() - 1.5))
     assert len(run.carried) == 3
     assert await run.reason("valves.lamp", True) == ""
-    assert run.carried[3:] == [("set", "8.lamp=on")]
+    assert run.carried[3:] == [SetOutputs(8, {"lamp": True})]
     assert ["s old by the clock" in one for one in await late] == [True, True]
 
 
@@ -236,7 +237,7 @@ async def test_a_stop_waits_for_nobody_and_nothing_that_waits_comes_after_it() -
         "",
         "",
     ]
-    assert run.carried == [("drive", "3", "start"), ("set", "8.lamp=on"), ("drive", "3", "stop")]
+    assert run.carried == [DriveOrder(3, "start"), SetOutputs(8, {"lamp": True}), DriveOrder(3, "stop")]
 
 
 @in_virtual_time
@@ -258,7 +259,7 @@ async def test_orders_of_one_message_age_from_its_coming_and_end_by_a_stop_of_an
     batch = run.orders.batch()
     assert await run.reason("hoist.stop") == ""
     assert await reason("hoist.start") == "a later order has stopped the drive meanwhile"
-    assert run.carried[2:] == [("drive", "3", "stop"), ("drive", "3", "start"), ("drive", "3", "stop")]
+    assert run.carried[2:] == [DriveOrder(3, "stop"), DriveOrder(3, "start"), DriveOrder(3, "stop")]
 
 
 @in_virtual_time
@@ -288,7 +289,7 @@ async def test_an_order_whose_sender_has_gone_is_taken_back() -> None:
     given[0].cancel()
     given[1].cancel()
     assert await given[2] == ""
-    assert run.carried == [("set", "8.speed=2")]
+    assert run.carried == [SetOutputs(8, {"speed": 2})]
 
 
 @in_virtual_time
@@ -301,7 +302,7 @@ async def test_a_stop_whose_sender_has_gone_is_carried_out() -> None:
         with pytest.raises(asyncio.CancelledError):
             await given
     await asyncio.sleep(5)
-    assert run.carried == [("drive", "3", "stop")]
+    assert run.carried == [DriveOrder(3, "stop")]
 
 
 @in_virtual_time
@@ -318,7 +319,8 @@ async def test_an_absent_slave_gets_no_order_but_a_stop() -> None:
     assert (result.reason, result.kind) == (why, Refusal.NO_EXCHANGE)
     for word in ("stop", "quick_stop", "coast"):
         assert await run.reason(f"hoist.{word}") == ""
-    assert run.carried == [("set", "8.lamp=on"), *(("drive", "3", word) for word in ("stop", "quick_stop", "coast"))]
+    halts = [DriveOrder(3, word) for word in ("stop", "quick_stop", "coast")]
+    assert run.carried == [SetOutputs(8, {"lamp": True}), *halts]
 
 
 @in_virtual_time
@@ -334,7 +336,21 @@ async def test_a_configuration_that_changes_meanwhile_is_judged_again() -> None:
     run.tree.apply(changed, 1.0)
     assert await first == ""
     assert await second == "the configuration of the bus has changed meanwhile"
-    assert run.carried == [("set", "8.lamp=on")]
+    assert run.carried == [SetOutputs(8, {"lamp": True})]
+
+
+@in_virtual_time
+async def test_a_connector_that_knows_an_earlier_plant_gives_no_order() -> None:
+    """OPC UA checks the type by the order of its node; meanwhile the output of that name may have another type."""
+    run = Run("valves.*")
+    known = run.tree.orders["valves.speed"]
+    assert (await run.orders.give(known, 7, made_at=None)).reason == ""
+    for earlier in (dataclasses.replace(known, type="u16"), dataclasses.replace(known, slave=3)):
+        results = [await run.orders.give(earlier, 7, made_at=None)]
+        results += await run.orders.give_outputs([(earlier, 7), (known, 8)], made_at=None)
+        changed = "the configuration of the bus has changed meanwhile"
+        assert [one.reason for one in results] == [changed, changed, ""]
+    assert run.carried == [SetOutputs(8, {"speed": value}) for value in (7, 8, 8)]
 
 
 @in_virtual_time

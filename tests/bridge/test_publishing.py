@@ -20,7 +20,7 @@ from support import WorldFactory
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import parse_config
-from dpstack.api.control.handlers import carry_out_order
+from dpstack.api.control.orders import carry_out
 from dpstack.api.faces.kinds import KINDS, FaceKind
 from dpstack.api.faces.publishing import Publishing
 from dpstack.bridge.nodes import Kind, slave_of
@@ -30,6 +30,7 @@ from dpstack.dp.master.commands import Mode
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import BusError, ConfigError, PortError, SlaveError, UsageError
+from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.sim.world import World
 from dpstack.trace import Notice
 
@@ -288,7 +289,7 @@ async def test_an_output_that_cannot_reach_its_slave_now_is_refused_and_never_ac
         w.remove(plant.station)
         await bus.until(lambda: not bus.slave(9).ready_now)
         with pytest.raises(SlaveError, match=r"^slave 9 is not in data exchange: "):
-            await carry_out_order(bus, ("set", "9.target=7.5"))
+            await carry_out(bus, SetOutputs(9, {"target": 7.5}), now=True)
         assert bus.slave(9)["target"] == 8.0
 
 
@@ -452,4 +453,4 @@ def test_drives_and_their_outputs() -> None:
     """The outputs of a drive are made by its plugin: its orders stand for them."""
     hoist: dict[str, Any] = {"name": "hoist", "outputs": [{"name": "speed", "type": "i16", "at": "i16@0"}], "drive": {}}
     found = slave_of(3, hoist, writable=True)
-    assert [one.command for one in found.orders if one.name == "hoist.speed"] == [("drive", "3", "speed")]
+    assert [one.typed(0.5) for one in found.orders if one.name == "hoist.speed"] == [DriveOrder(3, "speed", 0.5)]

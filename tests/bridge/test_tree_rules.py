@@ -17,6 +17,7 @@ from dpstack.bridge.conditions import MOST_OF_A_SLAVE, Condition
 from dpstack.bridge.nodes import Kind, Node, Source
 from dpstack.bridge.quality import Quality, Reading, Reason, value_of
 from dpstack.bridge.tree import SILENT_S, STATISTICS_S, Born, Change, Changed, Died, NodesChanged, PlantTree, Remark
+from dpstack.plant.orders import DriveOrder, SetOutputs
 
 IDENT = copy.deepcopy(PLANT) | {"slaves": {"3": PLANT["slaves"]["3"] | {"ident": "0x1234"}, "8": PLANT["slaves"]["8"]}}
 LONELY = PLANT | {"slaves": {"8": PLANT["slaves"]["8"]}}
@@ -467,12 +468,13 @@ def test_orders() -> None:
         "valves.lamp",
         "valves.speed",
     }
-    assert tree.orders["valves.lamp"].words(True) == ("set", "8.lamp=on")
-    assert tree.orders["hoist.speed"].words(0.5) == ("drive", "3", "speed", "0.5")
-    assert tree.orders["hoist.stop"].words() == ("drive", "3", "stop")
+    assert tree.orders["valves.lamp"].typed(True) == SetOutputs(8, {"lamp": True})
+    assert tree.orders["hoist.speed"].typed(0.5) == DriveOrder(3, "speed", 0.5)
+    assert tree.orders["hoist.stop"].typed() == DriveOrder(3, "stop")
+    assert (tree.orders["valves.lamp"].argument(True), tree.orders["hoist.stop"].argument(True)) == (True, None)
     for wrong in ("on", 1, None, 0.0):
         with pytest.raises(ValueError, match=r"valves\.lamp takes bool"):
-            tree.orders["valves.lamp"].words(wrong)
+            tree.orders["valves.lamp"].argument(wrong)
 
 
 def test_a_run_that_only_reads_takes_no_orders() -> None:

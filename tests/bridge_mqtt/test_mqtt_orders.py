@@ -23,14 +23,15 @@ from dpstack.bridge.mqtt.connection import Inbox
 from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
+from dpstack.plant.orders import DriveOrder, SetOutputs
 
 
 async def test_outputs_of_one_command_change_together(tmp_path: Path) -> None:
-    carried: list[tuple[str, ...]] = []
+    carried: list[SetOutputs | DriveOrder] = []
     tree = PlantTree()
 
-    async def carry_out(*words: str) -> None:
-        carried.append(words)
+    async def carry_out(order: SetOutputs | DriveOrder) -> None:
+        carried.append(order)
 
     async with FakeBroker() as broker:
         face = MqttFace(
@@ -59,7 +60,7 @@ async def test_outputs_of_one_command_change_together(tmp_path: Path) -> None:
         with suppress(asyncio.CancelledError):
             await serving
         face.close()
-    assert carried == [("set", "8.lamp=on", "8.speed=7")]
+    assert carried == [SetOutputs(8, {"lamp": True, "speed": 7})]
 
 
 async def test_messages_that_came_too_fast_are_counted_and_told_while_the_connection_stands(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from dpstack.bridge.opcua.server import MOST_QUEUE
 from dpstack.bridge.opcua.space import DRIVE_STATES, Space
 from dpstack.bridge.orders import Orders
 from dpstack.errors import ConfigError, PortError
+from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.profile.model.states import State
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -146,12 +147,12 @@ async def test_orders_need_the_list_the_user_and_the_type(rig: Rig) -> None:
         assert reason == "the run refuses 4000"
         assert rig.given == []
         assert await write(anna, lamp, True, boolean) == GOOD
-        assert rig.given == [("set", "8.lamp=on")]
+        assert rig.given == [SetOutputs(8, {"lamp": True})]
         for age_s in (60.0, -60.0):
             assert await write(anna, lamp, False, boolean, age_s) == 0x80230000  # BadInvalidTimestamp
             assert "set the clocks" in await anna.get_node(id_of("last/Reason")).read_value() or age_s > 0
         assert await write(anna, lamp, False, boolean, 0.0) == GOOD
-        assert rig.given == [("set", "8.lamp=on"), ("set", "8.lamp=off")]
+        assert rig.given == [SetOutputs(8, {"lamp": True}), SetOutputs(8, {"lamp": False})]
         access = [(await one.get_node(id_of(lamp)).read_attribute(ua.AttributeIds.UserAccessLevel)).Value.Value & 2
                   for one in (anonymous, bob, anna)]  # fmt: skip
         assert access == [0, 0, 2]
@@ -173,7 +174,7 @@ async def test_outputs_of_one_slave_in_a_write_are_one_order(rig: Rig) -> None:
     async with rig.connected(ANNA) as anna:
         mixed = (("flow", 9, u16), ("horn", True, boolean), ("lamp", 7, u16), ("lamp", True, boolean))
         assert await written(anna, *mixed) == [GOOD, BAD_NOT_WRITABLE, BAD_TYPE, GOOD]
-        assert rig.given == [("set", "8.flow=9", "8.lamp=on")]
+        assert rig.given == [SetOutputs(8, {"flow": 9, "lamp": True})]
         # the run takes all or none
         assert await written(anna, ("lamp", False, boolean), ("flow", 4000, u16)) == [BAD_STATE] * 2
         assert await anna.get_node(id_of("last/Reason")).read_value() == "the run refuses 4000"
@@ -208,7 +209,7 @@ async def test_a_stop_overtakes_starts_that_take_long(rig: Rig) -> None:
         rig.slow.set()
         assert await asyncio.gather(*starting) == [GOOD] + [BAD_STATE] * 11
         assert await call(anna, drive, method("speed"), ua.Variant(0.5)) == GOOD
-        assert rig.given == [("drive", "9", "stop"), ("drive", "9", "start"), ("drive", "9", "speed", "0.5")]
+        assert rig.given == [DriveOrder(9, "stop"), DriveOrder(9, "start"), DriveOrder(9, "speed", 0.5)]
         assert await call(anna, drive, id_of("type/DriveType/stop")) == GOOD  # by the method of the type
         assert await call(anna, id_of("slave/8"), id_of("type/DriveType/stop")) == 0x80750000  # BadMethodInvalid
         rig.given.clear()
@@ -234,7 +235,7 @@ async def test_a_stop_ends_the_orders_behind_it_in_the_request_of_another(rig: R
         assert await call(other, drive, stop) == GOOD
         rig.slow.set()
         assert [result.StatusCode.value for result in await calling] == [GOOD, BAD_STATE]
-    assert rig.given == [("drive", "9", "stop"), ("drive", "9", "start")]
+    assert rig.given == [DriveOrder(9, "stop"), DriveOrder(9, "start")]
 
 
 async def test_requests_that_name_much_search_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:

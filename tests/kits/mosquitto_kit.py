@@ -24,6 +24,7 @@ from dpstack.bridge.mqtt.client import MqttFace
 from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
+from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.trace import Severity
 
 LONGEST_S = 30.0
@@ -157,7 +158,7 @@ class Plant:
         self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
         self.plant = PLANT | {"started": time.time()}
         self.tree = PlantTree()
-        self.carried_out: list[tuple[str, ...]] = []
+        self.carried_out: list[SetOutputs | DriveOrder] = []
         tell: Tell = self.tell
         self.face = MqttFace(
             self.tree,
@@ -174,9 +175,9 @@ class Plant:
     def tell(self, text: str, severity: Severity) -> None:
         self.told.append(text)
 
-    async def carry_out(self, *words: str) -> None:
-        self.carried_out.append(words)
-        if words[1] == "8.lamp=on":
+    async def carry_out(self, order: SetOutputs | DriveOrder) -> None:
+        self.carried_out.append(order)
+        if order == SetOutputs(8, {"lamp": True}):
             self.values["8"]["fields"]["lamp"] = True
 
     async def feed(self) -> None:

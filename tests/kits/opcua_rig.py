@@ -21,6 +21,7 @@ from dpstack.bridge.opcua.users import hash_password
 from dpstack.bridge.orders import Orders
 from dpstack.bridge.tree import PlantTree
 from dpstack.errors import UsageError
+from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.trace import Severity
 
 ANNA, BOB = ("anna", "secret of anna"), ("bob", "secret of bob")
@@ -39,7 +40,7 @@ class Rig:
                                  for (name, password), right in ((ANNA, "control"), (BOB, "read"))))  # fmt: skip
         users.chmod(0o600)
         self.folder = folder
-        self.given: list[tuple[str, ...]] = []
+        self.given: list[SetOutputs | DriveOrder] = []
         self.told: list[str] = []
         self.tree = PlantTree()
         orders = Orders(self.tree, self._carry_out, ALLOWED)
@@ -59,14 +60,14 @@ class Rig:
     def _tell(self, text: str, severity: Severity) -> None:
         self.told.append(text)
 
-    async def _carry_out(self, *words: str) -> None:
-        if words[-1] == "start":
+    async def _carry_out(self, order: SetOutputs | DriveOrder) -> None:
+        if isinstance(order, DriveOrder) and order.operation == "start":
             self.starting = True
             await self.slow.wait()
             self.starting = False
-        if words[-1] == "8.flow=4000":
+        if isinstance(order, SetOutputs) and order.values.get("flow") == 4000:
             raise UsageError("the run refuses 4000")
-        self.given.append(words)
+        self.given.append(order)
 
     def plant(self) -> None:
         plant = {"started": 1_700_000_000.0, "baud": 500_000, "port": "virtual", "read_only": False}

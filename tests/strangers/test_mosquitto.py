@@ -24,6 +24,7 @@ from mosquitto_kit import LONGEST_S, Mosquitto, Plant, following, plain, plant_f
 from sparkplug_host import tag
 
 from dpstack.bridge.mqtt.broker import Broker
+from dpstack.plant.orders import SetOutputs
 
 pytestmark = pytest.mark.strangers
 
@@ -205,7 +206,7 @@ async def test_commands(tmp_path: Path, broker: Mosquitto) -> None:
         await command(broker, "valves", metric("Outputs/lamp", boolean=True))
         await plant.until(lambda: host.metric("Outputs/lamp", "valves").value is True)
         await plant.until(lambda: host.metric("Last command/result").value == "done")
-        assert plant.carried_out == [("set", "8.lamp=on")]
+        assert plant.carried_out == [SetOutputs(8, {"lamp": True})]
         await command(broker, "valves", metric("Outputs/speed", whole=256))
         await result("valves.speed", "valves.speed takes u8, not 256")
         await command(broker, "valves", metric("Outputs/speed", text="fast"))
@@ -223,7 +224,7 @@ async def test_commands(tmp_path: Path, broker: Mosquitto) -> None:
         topic = f"spBv1.0/{GROUP}/DCMD/{NODE}/valves"
         await run(broker.clients("mosquitto_pub", "-q", "1", "-t", topic, "-f", str(path)))
         await result("valves.speed", "an order with this name and time was given already")
-        assert plant.carried_out == [("set", "8.lamp=on"), ("set", "8.speed=7")]
+        assert plant.carried_out == [SetOutputs(8, {"lamp": True}), SetOutputs(8, {"speed": 7})]
         path.write_bytes(bytes(1_000_000))
         await run(broker.clients("mosquitto_pub", "-t", topic, "-f", str(path)))
         path.write_bytes(b"\xff" * 100)

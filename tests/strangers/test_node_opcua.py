@@ -14,6 +14,8 @@ import pytest
 from opcua_rig import Rig
 from stranger_kit import HANGS_S, program
 
+from dpstack.plant.orders import DriveOrder, SetOutputs
+
 pytestmark = pytest.mark.strangers
 
 VERSION: Final = "2.186.4"
@@ -106,4 +108,4 @@ async def test_a_foreign_client_browses_subscribes_calls_and_is_refused(folder: 
         "anonymous": "BadUserAccessDenied",
         "without security": "refused",
     }
-    assert rig.given == [("set", "8.lamp=on"), ("drive", "9", "stop"), ("drive", "9", "speed", "0.5")]
+    assert rig.given == [SetOutputs(8, {"lamp": True}), DriveOrder(9, "stop"), DriveOrder(9, "speed", 0.5)]

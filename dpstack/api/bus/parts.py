@@ -178,6 +178,8 @@ class BusBase:
 
     def slave(self, which: str | int) -> Slave:
         """A slave by name or address. Raises UsageError, which lists the slaves."""
+        if type(which) is int and which in self._slaves:
+            return self._slaves[which]
         for slave in self._slaves.values():
             if which in (slave.name, slave.address):
                 return slave

@@ -9,24 +9,20 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from dpstack.api.bus.bus import Bus
-from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.control import errors
 from dpstack.api.control.commands import NOW, Arguments, Order, Spec, find_word
-from dpstack.api.control.held import refuse_held
+from dpstack.api.control.orders import drive_for, perform
 from dpstack.api.control.server import LongCommand, kept_alive
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue
 from dpstack.api.slave.drive import Drive
-from dpstack.errors import BusError, ParameterError, UsageError
+from dpstack.errors import ParameterError, UsageError
+from dpstack.plant.orders import HALTS
 from dpstack.text import number_or_name, shortened
 
 START: Final = "start"
 #: for programs; people use dump, which writes a file
 PARAMETERS: Final = "parameters"
 READ_MANY: Final = "read_many"
-#: orders that switch the motor off
-HALTS: Final = frozenset({"stop", "quick_stop", "coast"})
-#: orders whose effect lasts only as long as a master sends it
-LASTING: Final = frozenset({START, "speed", "frequency"})
 
 WORDS: Final = (
     Spec("status", "", "what the drive tells at this moment", ""),
@@ -77,21 +73,11 @@ def drive_order(bus: Bus, args: list[str]) -> LongCommand:
 
 
 def find_order(bus: Bus, args: Sequence[str]) -> tuple[Drive, Order]:
-    """The drive and the order of ``[now] NAME ORDER [ARG]...``. Raises UsageError, and BusError while it is not known.
-
-    With ``now``: raises as :func:`~dpstack.api.control.held.refuse_held` for an order of :data:`LASTING`. (A drive may
-    have that name: then an order stands behind it.)
-    """
-    if bus.searching:
-        raise BusError(f"{SEARCHING}: the drives are known once it is found")
-    if bus.config.bus.read_only:
-        raise BusError("this run is read only: it gives no drive an order; end it and run without read_only")
+    """The drive and the order of ``[now] NAME ORDER [ARG]...``. (A drive may be called "now": then an order stands
+    behind it.) Raises UsageError, and as :func:`~dpstack.api.control.orders.drive_for`."""
     now = len(args) > 2 and args[0] == NOW and all(args[1] != spec.name for spec in WORDS)
     name, word, *texts = args[1:] if now else args
-    drive, order = bus.drive(number_or_name(name)), parse_order(word, texts)
-    if now and order.word in LASTING:
-        refuse_held(bus, [drive.slave])
-    return drive, order
+    return drive_for(bus, number_or_name(name), word, now=now), parse_order(word, texts)
 
 
 async def carry_out(drive: Drive, order: Order) -> dict[str, Any]:
@@ -107,12 +93,10 @@ async def carry_out(drive: Drive, order: Order) -> dict[str, Any]:
             return {**answer, "per_request": drive.per_request, "parameters": listed}
         case "read_many":
             return {**answer, "parameters": [_entry(one) for one in await drive.read_many(**values)]}
-        case "speed" | "frequency":
-            await drive.order(word, **values)
         case "status":
             pass
         case _:
-            await getattr(drive, word)(**values)
+            await perform(drive, word, values)
     return {**answer, "status": drive.status.as_dict()}
 
 

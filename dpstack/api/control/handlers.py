@@ -18,7 +18,7 @@ from dpstack.api.bus.statistics import clear_since, diagnosis_dict, drive_dict, 
 from dpstack.api.control import arguments
 from dpstack.api.control.arguments import PTY, address_of
 from dpstack.api.control.commands import KINDS, NOW, SLAVES
-from dpstack.api.control.held import held_answer, refuse_held
+from dpstack.api.control.orders import carry_out, octets_of, put_out
 from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.slave.slave import Slave
@@ -27,7 +27,8 @@ from dpstack.dp.master.scanner import Found
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import UNADDRESSED
-from dpstack.text import number_or_name, octets_text
+from dpstack.plant.orders import ModeOrder, SetOctets, SetOutputs
+from dpstack.text import number_or_name
 
 #: addresses that a scan asks in one go; its progress counts them
 _SCAN_PART: Final = 16
@@ -54,8 +55,8 @@ def control_run(
         "status": lambda _: run_status(bus),
         "outputs": lambda args: _outputs(bus, args),
         "set": lambda args: _set(bus, args),
-        "operate": lambda _: bus.operate(),
-        "clear": lambda _: bus.clear(),
+        "operate": lambda _: carry_out(bus, ModeOrder("operate")),
+        "clear": lambda _: carry_out(bus, ModeOrder("clear")),
         "stop": end,
         "drive": _by_need("drive_orders", "drive_order", bus),
         "acyclic": _by_need("record_orders", "acyclic_order", bus),
@@ -88,21 +89,6 @@ def _by_need(module: str, name: str, bus: Bus, **options: bool) -> Handler:
         return result
 
     return carry_out
-
-
-async def carry_out_order(bus: Bus, words: Sequence[str]) -> None:
-    """Carry out an order of a face, ``set`` or ``drive`` with its arguments, as the control server does with ``now``.
-    Raises UsageError, and the errors of the order."""
-    command, *args = words
-    if command == "set":
-        await _set(bus, (NOW, *args))
-        return
-    if command != "drive":
-        raise UsageError(f"a face gives no order {command!r}")
-    place = f"{__package__}.drive_orders"
-    await load_beside(place)
-    orders = sys.modules[place]
-    await orders.carry_out(*orders.find_order(bus, (NOW, *args)))
 
 
 def run_feed(bus: Bus) -> TapFeed:
@@ -160,19 +146,18 @@ def run_status(bus: Bus) -> dict[str, object]:
 
 
 async def _outputs(bus: Bus, args: Sequence[str]) -> object:
-    """Set output octets. Parses all arguments before the first one takes effect. Returns as :func:`_put_out`."""
+    """Set output octets. Parses all arguments before the first one takes effect. Returns as
+    :func:`~dpstack.api.control.orders.put_out`."""
     now, args = _split_now(args)
-    wanted = {_slave_of(bus, where): octets for where, octets in map(arguments.octets, args)}
-    if now:
-        refuse_held(bus, wanted)
-    return await _put_out(bus, wanted)
+    wanted = [SetOctets(_slave_of(bus, where).address, octets) for where, octets in map(arguments.octets, args)]
+    return await put_out(bus, octets_of(bus, wanted, now=now))
 
 
 async def _set(bus: Bus, args: Sequence[str]) -> object:
     """Set named outputs, and named inputs of simulated slaves. Parses all arguments before the first takes effect.
-    Returns as :func:`_put_out`."""
+    Returns as :func:`~dpstack.api.control.orders.put_out`."""
     now, args = _split_now(args)
-    wanted: dict[Slave, bytes] = {}
+    wanted: list[SetOutputs] = []
     inputs: list[str] = []
     core = core_of(bus)
     for text in args:
@@ -181,40 +166,21 @@ async def _set(bus: Bus, args: Sequence[str]) -> object:
         if core.bench is not None and name in slave.config.input_fields:
             inputs.append(text)
             continue
-        found = slave.output_field(name)
         try:
-            wanted[slave] = found.put(wanted.get(slave, slave.outputs_held), found.read(value))
+            wanted.append(SetOutputs(slave.address, {name: slave.output_field(name).read(value)}))
         except ValueError as error:
             raise UsageError(f"{slave.who}: {error}") from None
-    if now:
-        refuse_held(bus, wanted)
+    octets = octets_of(bus, wanted, now=now)
     if core.bench is not None and inputs:
         from dpstack.api.control.simulation_handlers import set_inputs
 
         set_inputs(core.bench, core, inputs)
-    return await _put_out(bus, wanted) if wanted else None
+    return await put_out(bus, octets) if octets else None
 
 
 def _split_now(args: Sequence[str]) -> tuple[bool, Sequence[str]]:
     """Whether :data:`NOW` stands in front, and the arguments behind it."""
     return (True, args[1:]) if args[0] == NOW and len(args) > 1 else (False, args)
-
-
-async def _put_out(bus: Bus, wanted: dict[Slave, bytes]) -> object:
-    """Set outputs, and wait until the master has them. Raises OrderDropped where it does not take them in time.
-
-    Returns as :func:`held_answer`.
-    """
-    for slave, octets in wanted.items():
-        if any(drive.slave is slave for drive in bus.drives):
-            raise UsageError(f"{slave.who}: its drive plugin makes the outputs")
-        length = len(slave.outputs_held)
-        if len(octets) != length:
-            raise UsageError(f"{slave.who} has {octets_text(length)} of outputs, {octets_text(len(octets))} given")
-    for slave, octets in wanted.items():
-        slave.outputs = octets
-    await bus.outputs_taken()
-    return held_answer(bus, wanted)
 
 
 def _diag(bus: Bus, where: str) -> LongCommand:

@@ -18,7 +18,7 @@ from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.live import LiveStream, named_values
 from dpstack.api.config.faces import FaceConfig, read_faces
 from dpstack.api.config.table import Source
-from dpstack.api.control.handlers import carry_out_order
+from dpstack.api.control.orders import carry_out
 from dpstack.api.faces.kinds import KINDS, FaceKind, Parts
 from dpstack.api.streams import LEVELS, load_beside
 from dpstack.bridge.face import Face, FaceState, Teller
@@ -286,7 +286,5 @@ class Publishing:
             allow, (order.name for at, plant in plants for order in slave_of(at, plant, writable=True).orders)
         )
 
-        async def carry_out(*words: str) -> None:
-            await carry_out_order(bus, words)
-
-        return Orders(self._tree, carry_out, allow, max_age_s=max_age_s, tell=tell)
+        # whoever gives an order by a connector does not stand beside the plant
+        return Orders(self._tree, partial(carry_out, bus, now=True), allow, max_age_s=max_age_s, tell=tell)

@@ -20,14 +20,13 @@ from dpstack.argcheck import Sealed, is_number
 from dpstack.dp.master.commands import DriveCommand
 from dpstack.dp.master.events import FaultKind
 from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, ParameterError, UsageError
+from dpstack.plant.orders import HALTS
 from dpstack.profile import DriveCore, DriveStatus, ListedParam
 from dpstack.profile.model.jobs import LARGEST
 from dpstack.text import brief
 
 #: seconds: the plugin checks time-outs once a rotation; after this time its answer is late
 _GRACE: Final = 0.25
-#: orders that go out although the plugin has refused a set point before
-_STOPS: Final = ("stop", "quick_stop", "coast")
 #: most notices that a Drive keeps
 _NOTICES: Final = 5
 _tokens = itertools.count(1)
@@ -354,7 +353,7 @@ class Drive(Sealed, Readable):
             raise UsageError(f"drive {self.name}: {op}: timeout must be a number of seconds, not {timeout!r}")
         token = next(_tokens)
         refused, self._refused = self._refused, None
-        if refused is not None and op not in _STOPS:
+        if refused is not None and op not in HALTS:
             raise refused
         given = {key: value for key, value in args.items() if value is not None}
         future: asyncio.Future[dict[str, object]] = asyncio.get_running_loop().create_future()
@@ -362,7 +361,7 @@ class Drive(Sealed, Readable):
         try:
             await self._bus.order(DriveCommand(self.slave.address, op, {**given, "timeout_s": timeout}, token))
             async with asyncio.timeout(timeout + _GRACE + self._bus.rotation_limit_s):
-                if op in _STOPS:
+                if op in HALTS:
                     await self._bus.until(lambda: future.done() or self._gets_no_outputs)
                     if self._gets_no_outputs:
                         raise self._not_stopped(op)
@@ -374,7 +373,7 @@ class Drive(Sealed, Readable):
         finally:
             if future.done() and not future.cancelled():
                 future.exception()  # asyncio reports one that nobody has asked for
-            if self._pending.pop(token, None) is not None and not self._over and op not in _STOPS:
+            if self._pending.pop(token, None) is not None and not self._over and op not in HALTS:
                 # the caller was cancelled or its time is over: the plugin must not start the motor later
                 with contextlib.suppress(UsageError, BusError):
                     self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(_tokens)))

@@ -282,7 +282,7 @@ class Slave(Sealed, RecordAccess):
         if self._bus.view.read_only:
             why = "this bus is read-only; leave read_only out"
         elif self._has_plugin:
-            why = "its drive plugin makes the outputs; use bus.drive()"
+            why = "its drive plugin makes the outputs; give the drive an order (bus.drive())"
         elif len(octets) != length:
             why = f"{octets_text(len(octets))} of outputs given, the slave's configuration has {length}"
         if why:
@@ -326,13 +326,7 @@ class Slave(Sealed, RecordAccess):
 
         Raises UsageError for a name that is no output, a value that does not fit, and as :attr:`outputs` does.
         """
-        octets = self.outputs
-        for name, value in values.items():
-            try:
-                octets = self.output_field(name).put(octets, value)
-            except ValueError as error:
-                raise UsageError(f"{self.who}: {error}") from None
-        self.outputs = octets
+        self.outputs = put_values(self, self.outputs, values)
 
     def value(self, name: str, kind: type[T]) -> T:
         """A named input or output as ``kind``: bool, int, float (also of a whole number), bytes.
@@ -593,3 +587,13 @@ async def all_ready(bus: Host, slaves: Collection[Slave], timeout: float | None)
             if not slave.ready_now:
                 raise slave._late("data exchange", timeout) from None
         raise
+
+
+def put_values(slave: Slave, octets: bytes, values: Mapping[str, object]) -> bytes:
+    """The outputs ``octets`` of ``slave`` with the named ``values`` in them. Raises UsageError as ``Slave.update``."""
+    for name, value in values.items():
+        try:
+            octets = slave.output_field(name).put(octets, value)
+        except ValueError as error:
+            raise UsageError(f"{slave.who}: {error}") from None
+    return octets

@@ -260,9 +260,9 @@ class EdgeNode(PlantNode):
 
     def _add_order(self, order: Order, before: Mapping[str, int]) -> None:
         """An order without a node of its own: it sets the node that shows it, or gets a metric."""
-        if order.command[0] != "drive":
+        word = order.operation
+        if word is None:
             return
-        word = order.command[-1]
         shown = f"slave/{order.slave}/drive/{_SHOWN_BY.get(word)}"
         if shown in self._kinds:
             self._orders[shown] = order

@@ -190,8 +190,8 @@ class JsonNode(PlantNode):
                 if node.order is not None and key.slave is not None and allowed.get(node.order.name) == node.order:
                     self._orders[folders[key.slave], name] = node.order
         for order in allowed.values():
-            if order.command[0] == "drive":
-                self._orders[folders[order.slave], order.command[-1]] = order
+            if order.operation is not None:
+                self._orders[folders[order.slave], order.operation] = order
         for key, sent in list(self._sent.items()):
             if self._topic(key) != sent.topic:
                 self._forget(key)

@@ -334,7 +334,7 @@ class OpcUaFace(Face):
         the same time are one order."""
         batch = self._orders.batch()
         found = [ua.StatusCode()] * len(values)
-        together: dict[tuple[int, float | None], list[tuple[int, str, Value]]] = {}
+        together: dict[tuple[int, float | None], list[tuple[int, Order, Value]]] = {}
         for number, one in enumerate(values):
             try:
                 order, value = self._judge_write(one, who)
@@ -342,11 +342,11 @@ class OpcUaFace(Face):
                 found[number] = ua.StatusCode(error.code)
             else:
                 made_at = seconds_of(one.Value.SourceTimestamp)
-                together.setdefault((order.slave, made_at), []).append((number, order.name, value))
+                together.setdefault((order.slave, made_at), []).append((number, order, value))
             if number % _OPERATIONS_AT_ONCE == 0:
                 await asyncio.sleep(0)
         for (_, made_at), outputs in together.items():
-            given = [(name, value) for _, name, value in outputs]
+            given = [(order, value) for _, order, value in outputs]
             results = await self._orders.give_outputs(given, made_at=made_at, late_s=LATE_S.get(), batch=batch)
             for (number, *_), result in zip(outputs, results, strict=True):
                 found[number] = _status_of(result, _S.BadNotWritable)
@@ -407,7 +407,7 @@ class OpcUaFace(Face):
         except ua.UaStatusCodeError as error:
             status = ua.StatusCode(error.code)
         else:
-            done = await self._orders.give(order.name, value, made_at=None, late_s=LATE_S.get(), batch=batch)
+            done = await self._orders.give(order, value, made_at=None, late_s=LATE_S.get(), batch=batch)
             await self._show_last(done)
             status = _status_of(done, _S.BadNotExecutable)
         result = ua.CallMethodResult(status)
@@ -506,7 +506,8 @@ class OpcUaFace(Face):
 def _judge_value(
     order: Order, given: ua.Variant | None, who: Account | None, low: float | None, high: float | None
 ) -> Value:
-    """The value of an order by ``who``; ``low`` and ``high``: its range. Raises UaStatusCodeError."""
+    """The value of an order by ``who``, of the type of the order; ``low`` and ``high``: its range. Raises
+    UaStatusCodeError."""
     if who is None or not who.control:
         raise ua.UaStatusCodeError(_S.BadUserAccessDenied)
     if order.type is None:

@@ -303,8 +303,8 @@ class Space:
     ) -> Iterator[ua.NodeId]:
         yield from self._state_machine(f"{own}/drive", drive)
         for order in described.orders:
-            word = order.command[-1]
-            if order.command[0] != "drive" or word not in METHODS:
+            word = order.operation
+            if word is None or word not in METHODS:
                 continue
             method = self.node(f"{own}/drive/method/{word}")
             self._method(method, drive, METHODS[word], executable=order.name in allowed)

@@ -16,6 +16,7 @@ from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control import drive_orders as words
 from dpstack.api.control.commands import Order, Spec, find_word
+from dpstack.api.control.orders import LASTING
 from dpstack.api.control.remote import RemoteDrive, find_drive
 from dpstack.api.lists.parameter_list import (
     OnParameter,
@@ -36,6 +37,7 @@ from dpstack.cli.terminal.drawing import progress_bar
 from dpstack.cli.terminal.nonblocking_stdout import reader_watched, run_unhurried
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import DpError, DriveError, DriveFault, SlaveFault, UsageError
+from dpstack.plant.orders import HALTS
 from dpstack.profile import MOVING, DriveCore, ListedParam
 
 DUMP_AND_COMPARE: Final = (
@@ -136,7 +138,7 @@ class _Command:
             work = _Orders(master.drive, partial(words.carry_out, master.drive), self.orders, "master", args.json)
             if not await work.are_done(stop):
                 return work.code
-            if _last_motion(self.orders) in words.LASTING:
+            if _last_motion(self.orders) in LASTING:
                 await stop.or_done(master.held(args.seconds))
         if master.unstopped is not None and not stop.hurried:
             output.warn(f"{master.unstopped}; its outputs went to their safe values")
@@ -237,8 +239,8 @@ def _last_motion(orders: Sequence[Order]) -> str:
     """The last order that starts, holds or stops the drive; a set point after a start leaves it started."""
     last = ""
     for order in orders:
-        is_kept = last == words.START and order.word in words.LASTING
-        if order.word in words.HALTS | words.LASTING and not is_kept:
+        is_kept = last == words.START and order.word in LASTING
+        if order.word in HALTS | LASTING and not is_kept:
             last = order.word
     return last
 

@@ -174,7 +174,7 @@ def test_simulated_slaves_are_silenced_and_switched(tmp_path: Path) -> None:
         (("silence", "3", "0s"), "'0s' is no time"),
         (("outputs", "9"), "'9' is not SLAVE=HEX"),
         (("outputs", "9=5"), "write it as 9=00FF"),
-        (("outputs", "9=0102"), "slave 9 (raw) has 1 octet of outputs, 2 octets given"),
+        (("outputs", "9=0102"), "slave 9 (raw): 2 octets of outputs given, the slave's configuration has 1"),
         (("outputs", "9=01", "3=00"), "slave 3 (hoist): its drive plugin makes the outputs"),
         (("outputs", "5=01"), "no slave '5' here"),
     ],
