@@ -134,7 +134,7 @@ def test_three_gateways(tmp_path: Path, broker: Mosquitto, starter: Starter, mon
         ctl = [sys.executable, "-m", "dpstack.cli.main", "ctl", "virtual", "power-off", "4"]
         subprocess.run(ctl, check=True, timeout=LONGEST_S, capture_output=True)
         wait_for(lambda: state_of(fleet, "north") == ("lost_slaves", ["fan"]))
-        shown(screen, lambda text: "1 lost slaves" in text and "4 fan" in text)
+        shown(screen, lambda text: "1 lost slaves" in text and "fan (4, offline)" in text)
 
         gateways["south"].end(signal.SIGKILL)
         wait_for(lambda: state_of(fleet, "south")[0] == "dead")

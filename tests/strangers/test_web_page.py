@@ -294,7 +294,7 @@ def test_the_secret_leaves_the_address_bar_and_orders_need_a_confirmation(browse
     browser.sees("The set point of hoist becomes 12.5% of the reference", "#confirm")
     browser.click("#confirm-yes")
     browser.until(lambda: len(shown.called) == before + 3)
-    assert shown.called[before + 1 :] == [("set", "8.limit=on"), ("drive", "hoist", "speed", "12.5%")]
+    assert shown.called[before + 1 :] == [("set", "now", "8.limit=on"), ("drive", "now", "hoist", "speed", "12.5%")]
 
 
 def test_without_the_secret_there_are_no_orders(browser: Browser, shown: ShownPlant) -> None:

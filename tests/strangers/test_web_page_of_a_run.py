@@ -231,7 +231,7 @@ def test_a_slave_without_power_and_back(page: Browser, plant: Plant) -> None:
     plant.ctl("power-off", "12")
     page.until(lambda: "Data exchange" not in page.text("#row-12"), "the loss")
     page.sees("inputs not valid", "#row-12")
-    assert page.count(".line a.station.good") == 5
+    assert page.count(".line a.station.bad") == 1
     page.sees("5 of 6", ".tiles")
     page.go("slave/12")
     page.click("[aria-labelledby=h-why] button")
@@ -315,7 +315,7 @@ def test_start_operate_and_stop_on_the_page(browser: Browser, start: Starter, tm
     """Without a run nothing is live; start leads to Clear, operate is another order, stop ends the run."""
     file = tmp_path / "plant.toml"
     plant = PLANT.read_text(encoding="utf-8")
-    file.write_text(plant.partition("simulate")[0] + plant.partition("repeat = true }\n")[2], encoding="utf-8")
+    file.write_text(plant.partition("simulate = ")[0] + plant.partition("repeat = true }\n")[2], encoding="utf-8")
     web = start("web", str(file), "--json", "--listen", "127.0.0.1:0", "--control")
     web.wait_for('"listening"')
     browser.open(web.lines[0]["url"])
