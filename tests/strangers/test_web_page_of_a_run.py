@@ -231,7 +231,7 @@ def test_a_slave_without_power_and_back(page: Browser, plant: Plant) -> None:
     plant.ctl("power-off", "12")
     page.until(lambda: "Data exchange" not in page.text("#row-12"), "the loss")
     page.sees("inputs not valid", "#row-12")
-    assert page.count(".line a.station.bad") == 1
+    assert page.count(".line a.station.bad[href='#/slave/12']") == 1
     page.sees("5 of 6", ".tiles")
     page.go("slave/12")
     page.click("[aria-labelledby=h-why] button")
