@@ -1,4 +1,4 @@
-"""Messages of a page: ``hello``, ``ask`` and ``order``, checked; and the texts that are sent to it.
+"""Messages of a page: ``hello``, ``ask`` and ``order``, decoded by type; and the texts that are sent to it.
 
 A page is a stranger: it may send anything. :func:`parse` either returns a message whose every part has its type and its
 bounds, or raises :class:`MessageError` with one line for that page.
@@ -6,24 +6,29 @@ bounds, or raises :class:`MessageError` with one line for that page.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from math import isfinite
-from typing import Any, Final, NoReturn
+from typing import Annotated, Any, Final, TypeVar
+
+import msgspec
+from msgspec import UNSET, Meta, Raw, Struct, UnsetType
 
 from dpstack.text import json_text, printable, shortened
 
+_T = TypeVar("_T")
 #: octets of a message of a page
 MOST_OCTETS: Final = 262_144
-#: nested brackets in it
-_MOST_LEVELS: Final = 12
-#: arguments of an ask or an order, and characters of one of an order; an ask may have a whole configuration
-_MOST_ARGS: Final = 64
-_LONGEST_ARG: Final = 4_096
-#: the largest whole number that JavaScript keeps exactly
-_MOST_ID: Final = 2**53 - 1
-_LONGEST_TOKEN: Final = 1_024
+#: nested lists and objects in the arguments of an ask
+_MOST_LEVELS: Final = 8
+#: characters of the reason in an error, which may name a key of the page
+_MOST_OF_A_REASON: Final = 120
+
+#: the number of an ask or order: up to the largest whole number that JavaScript keeps exactly
+Id = Annotated[int, Meta(ge=0, le=2**53 - 1)]
+_Token = Annotated[str, Meta(max_length=1_024)]
+_Args = Annotated[tuple[Any, ...], Meta(max_length=64)]
+_Text = Annotated[str, Meta(max_length=4_096)]
+_Texts = Annotated[tuple[_Text, ...], Meta(max_length=64)]
 
 
 class MessageError(Exception):
@@ -34,30 +39,27 @@ class MessageError(Exception):
         self.id = id
 
 
-@dataclass(frozen=True, slots=True)
-class Hello:
+class Hello(Struct, frozen=True):
     """The first message. ``token``: None where the page has none."""
 
-    token: str | None
+    token: _Token | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Ask:
-    """A read. ``args``: JSON values."""
+class Ask(Struct, frozen=True):
+    """A read. ``args``: JSON values; a whole configuration may be among them."""
 
-    id: int
+    id: Id
     what: str
-    args: tuple[Any, ...]
+    args: _Args = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
+class Order(Struct, frozen=True):
     """Something that changes the plant. ``confirmed``: the person at the page has confirmed it there."""
 
-    id: int
+    id: Id
     command: str
-    args: tuple[str, ...]
-    confirmed: bool
+    args: _Texts = ()
+    confirmed: bool = False
 
     @property
     def text(self) -> str:
@@ -65,28 +67,69 @@ class Order:
         return printable(" ".join((self.command, *self.args)))
 
 
+class _Envelope(Struct, forbid_unknown_fields=True):
+    """A message before the body is decoded: an error of an ask or order goes to its ``id``."""
+
+    hello: Raw | UnsetType = UNSET
+    ask: Raw | UnsetType = UNSET
+    order: Raw | UnsetType = UNSET
+
+
+class _Numbered(Struct):
+    id: Id
+
+
+#: type of the body of each message, and an example
+_KINDS: Final[dict[str, tuple[type[Hello | Ask | Order], str]]] = {
+    "hello": (Hello, '{"hello":{"token":null}}'),
+    "ask": (Ask, '{"ask":{"id":1,"what":"why","args":["valves"]}}'),
+    "order": (Order, '{"order":{"id":1,"command":"set","args":["valves.limit=on"],"confirmed":true}}'),
+}
+
+
 def parse(text: str) -> Hello | Ask | Order:
     """The message in ``text``. Raises MessageError."""
     try:
-        size = len(text.encode())
+        octets = text.encode()
     except UnicodeEncodeError:
         raise MessageError("the message is no valid UTF-8") from None
-    if size > MOST_OCTETS:
-        raise MessageError(f"the message has {size} octets, a message at most {MOST_OCTETS}")
-    if _levels(text) > _MOST_LEVELS:
-        raise MessageError(f"the message has more than {_MOST_LEVELS} nested brackets")
-    try:
-        message = json.loads(text, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError):
-        raise MessageError('the message is no JSON; send for instance {"hello":{"token":null}}') from None
-    if not isinstance(message, dict) or len(message) != 1:
+    if len(octets) > MOST_OCTETS:
+        raise MessageError(f"the message has {len(octets)} octets, a message at most {MOST_OCTETS}")
+    envelope = _decoded(octets, _Envelope, "message", _KINDS["hello"][1])
+    bodies = {kind: getattr(envelope, kind) for kind in _KINDS if getattr(envelope, kind) is not UNSET}
+    if len(bodies) != 1:
         raise MessageError("a message is an object with one key: hello, ask or order")
-    (kind, body), *_ = message.items()
-    if kind not in _KINDS:
-        raise MessageError(f"a message is hello, ask or order, not {shortened(kind)!r}")
-    if not isinstance(body, dict):
-        raise MessageError(f"{kind} is an object")
-    return _KINDS[kind](body)
+    ((kind, body),) = bodies.items()
+    type_, example = _KINDS[kind]
+    message = _decoded(body, type_, kind, example)
+    if isinstance(message, Ask) and not _is_flat(message.args, _MOST_LEVELS):
+        raise MessageError(f"ask: more than {_MOST_LEVELS} nested lists and objects among the arguments", message.id)
+    return message
+
+
+def _decoded(octets: bytes | Raw, type_: type[_T], what: str, example: str) -> _T:
+    """``octets``, the JSON of ``what``, as a ``type_``. Raises MessageError."""
+    try:
+        return msgspec.json.decode(octets, type=type_)
+    except RecursionError:
+        reason = "it has too many nested brackets"
+    except msgspec.ValidationError as error:
+        reason = shortened(str(error), _MOST_OF_A_REASON)
+    except msgspec.DecodeError:  # half of a surrogate pair, too
+        reason = "it is no JSON"
+    try:
+        id = msgspec.json.decode(octets, type=_Numbered).id
+    except (msgspec.DecodeError, RecursionError):
+        id = None
+    raise MessageError(f"{what}: {reason}; send for instance {example}", id)
+
+
+def _is_flat(value: object, levels: int) -> bool:
+    """Whether ``value`` has at most ``levels`` lists and objects within one another."""
+    if not isinstance(value, (list, tuple, dict)):
+        return True
+    inner = value.values() if isinstance(value, dict) else value
+    return levels > 0 and all(_is_flat(one, levels - 1) for one in inner)
 
 
 def answer(id: int | None, result: object = None, *, error: str | None = None) -> str:
@@ -114,95 +157,3 @@ def _finite(value: object) -> object:
         case float() if not isfinite(value):
             return None
     return value
-
-
-def _hello(body: dict[str, Any]) -> Hello:
-    token = body.get("token")
-    if token is not None and not (isinstance(token, str) and len(token) <= _LONGEST_TOKEN and _is_text(token)):
-        raise MessageError(f"the token is null, or a text of up to {_LONGEST_TOKEN} characters")
-    return Hello(token)
-
-
-def _ask(body: dict[str, Any]) -> Ask:
-    id = _id_of(body, "ask")
-    what = body.get("what")
-    if not isinstance(what, str) or not _is_text(what):
-        raise MessageError('an ask has "what", for instance "why"', id)
-    return Ask(id, what, _args_of(body, id, MOST_OCTETS))
-
-
-def _order(body: dict[str, Any]) -> Order:
-    id = _id_of(body, "order")
-    command = body.get("command")
-    if not isinstance(command, str) or not _is_text(command):
-        raise MessageError('an order has "command", for instance "operate"', id)
-    args = _args_of(body, id, _LONGEST_ARG)
-    if not all(isinstance(one, str) for one in args):
-        raise MessageError('the arguments of an order are texts, for instance ["valves.limit=on"]', id)
-    if not isinstance(body.get("confirmed", False), bool):
-        raise MessageError('"confirmed" is true or false', id)
-    return Order(id, command, args, body.get("confirmed", False))
-
-
-_KINDS: Final[dict[str, Callable[[dict[str, Any]], Hello | Ask | Order]]] = {
-    "hello": _hello,
-    "ask": _ask,
-    "order": _order,
-}
-
-
-def _id_of(body: dict[str, Any], kind: str) -> int:
-    id = body.get("id")
-    if isinstance(id, bool) or not isinstance(id, int) or not 0 <= id <= _MOST_ID:
-        raise MessageError(f'{kind} has no "id", a whole number from 0 to {_MOST_ID}')
-    return id
-
-
-def _args_of(body: dict[str, Any], id: int, longest: int) -> tuple[Any, ...]:
-    args = body.get("args", [])
-    if not isinstance(args, list) or len(args) > _MOST_ARGS:
-        raise MessageError(f'"args" is a list of up to {_MOST_ARGS} values', id)
-    left: list[object] = list(args)
-    while left:
-        one = left.pop()
-        if isinstance(one, dict):
-            left += [*one, *one.values()]
-        elif isinstance(one, list):
-            left += one
-        elif isinstance(one, str) and not (len(one) <= longest and _is_text(one)):
-            raise MessageError(f"a text among the arguments is longer than {longest} characters, or no text", id)
-    return tuple(args)
-
-
-def _is_text(text: str) -> bool:
-    """False with a lone surrogate, which JSON can write and UTF-8 cannot."""
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def _levels(text: str) -> int:
-    """The number of nested brackets in JSON ``text``, those in its strings left out."""
-    level = most = 0
-    quoted = escaped = False
-    for letter in text:
-        if escaped:
-            escaped = False
-        elif quoted:
-            escaped = letter == "\\"
-            quoted = letter != '"'
-        elif letter == '"':
-            quoted = True
-        elif letter in "[{":
-            level += 1
-            most = max(most, level)
-        elif letter in "]}":
-            level -= 1
-    return most
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    """NaN and Infinity, which JSON does not have."""
-    raise ValueError(name)

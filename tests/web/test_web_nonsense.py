@@ -91,23 +91,24 @@ def test_a_server_answers_each_message_and_goes_on(messages: list[str | bytes]) 
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("[" * 100_000, "nested"),
-        ('{"ask":' * 13 + "1" + "}" * 13, "nested"),
+        ("[" * 100_000, "message: Expected `object`, got `array`"),
+        ('{"ask":' * 13 + "1" + "}" * 13, "ask: Object missing required field `id`"),
         ('{"ask":{"id":1,"what":"x","args":["' + "x" * MOST_OCTETS + '"]}}', "at most"),
-        ('{"order":{"id":1,"command":"set","args":["' + "x" * 5_000 + '"]}}', "4096"),
-        ('{"ask":{"id":' + "9" * 5_000 + ',"what":"x"}}', "JSON"),
-        ('{"ask":{"id":9007199254740992,"what":"x"}}', "whole number"),
-        ('{"ask":{"id":true,"what":"x"}}', "whole number"),
-        ('{"ask":{"id":1.0,"what":"x"}}', "whole number"),
-        ('{"ask":{"id":1,"what":"x","args":[NaN]}}', "JSON"),
-        ('{"ask":{"id":1,"what":"\\ud800"}}', "what"),
-        ('{"ask":{"id":1,"what":"x","args":[{"\\udfff":1}]}}', "no text"),
-        ('{"hello":{"token":"\\ud800"}}', "token"),
+        ('{"ask":{"id":' + "9" * 5_000 + ',"what":"x"}}', "ask: Integer value out of range"),
+        ('{"ask":{"id":9007199254740992,"what":"x"}}', "Expected `int` <= 9007199254740991 - at `$.id`"),
+        ('{"ask":{"id":-1,"what":"x"}}', "Expected `int` >= 0 - at `$.id`"),
+        ('{"ask":{"id":true,"what":"x"}}', "Expected `int`, got `bool` - at `$.id`"),
+        ('{"ask":{"id":1.0,"what":"x"}}', "Expected `int`, got `float` - at `$.id`"),
+        ('{"ask":{"id":1,"what":"x","args":[NaN]}}', "message: it is no JSON; send for instance {"),
+        ('{"ask":{"id":1,"what":"\\ud800"}}', "no JSON"),
+        ('{"ask":{"id":1,"what":"x","args":[{"\\udfff":1}]}}', "no JSON"),
+        ('{"hello":{"token":"\\ud800"}}', "no JSON"),
+        ('{"hello":{"token":"' + "x" * 1_025 + '"}}', "hello: Expected `str` of length <= 1024 - at `$.token`"),
         ('{"hello":{},"ask":{}}', "one key"),
-        ('{"__proto__":{}}', "not '__proto__'"),
-        ('{"order":{"id":1,"command":"set","args":[1],"confirmed":true}}', "texts"),
-        ('{"order":{"id":1,"command":"set","args":{"0":"x"}}}', "list"),
-        ('{"order":{"id":1,"command":"set","args":' + json.dumps(["x"] * 65) + "}}", "64"),
+        ("{}", "one key"),
+        ('{"hello":1}', "hello: Expected `object`, got `int`"),
+        ('{"__proto__":{}}', "unknown field `__proto__`"),
+        ('{"' + "x" * 10_000 + '":{}}', "unknown field `xxx"),
         ("\ud800", "UTF-8"),
     ],
 )
@@ -115,6 +116,42 @@ def test_refused(text: str, why: str) -> None:
     with pytest.raises(MessageError) as error:
         parse(text)
     assert why in str(error.value)
+    assert error.value.id is None
+    assert len(str(error.value)) < 300
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        ('"command":"set","args":["' + "x" * 5_000 + '"]', "Expected `str` of length <= 4096 - at `$.args[0]`"),
+        ('"command":"set","args":[1],"confirmed":true', "order: Expected `str`, got `int` - at `$.args[0]`"),
+        ('"command":"set","args":{"0":"x"}', "order: Expected `array`, got `object` - at `$.args`"),
+        ('"command":"set","args":' + json.dumps(["x"] * 65), "of length <= 64 - at `$.args`"),
+        ('"command":"set","confirmed":1', "Expected `bool`, got `int` - at `$.confirmed`; send for instance {"),
+        ('"args":[]', "order: Object missing required field `command`"),
+    ],
+)
+def test_the_error_of_a_wrong_order_goes_to_its_number(body: str, why: str) -> None:
+    with pytest.raises(MessageError) as error:
+        parse('{"order":{"id":7,' + body + "}}")
+    assert why in str(error.value)
+    assert error.value.id == 7
+
+
+@pytest.mark.parametrize(("levels", "is_taken"), [(8, True), (9, False), (500, False), (100_000, False)])
+def test_arguments_have_at_most_eight_levels(levels: int, is_taken: bool) -> None:
+    text = '{"ask":{"id":1,"what":"x","args":' + "[" * levels + "]" * levels + "}}"
+    if is_taken:
+        assert parse(text).id == 1  # type: ignore[union-attr]
+    else:
+        with pytest.raises(MessageError, match="nested"):
+            parse(text)
+
+
+def test_a_number_beyond_all_limits_is_no_argument() -> None:
+    with pytest.raises(MessageError, match="out of range") as error:
+        parse('{"ask":{"id":1,"what":"check","args":[{"speed":1e999}]}}')
+    assert error.value.id == 1
 
 
 def test_brackets_in_texts_are_no_levels() -> None:

@@ -103,7 +103,7 @@ async def test_no_order_without_confirmation_or_without_rights(monkeypatch: pyte
             await page.send({"order": {"id": 3, "command": command}})
             assert "not confirmed" in (await page.until("answer"))["error"]
             await page.send({"order": {"id": 3, "command": command, "confirmed": 1}})
-            assert "true or false" in (await page.until("answer"))["error"]
+            assert "Expected `bool`, got `int` - at `$.confirmed`" in (await page.until("answer"))["error"]
     async with serve(run, log=log.append) as server, page_of(server, TOKEN) as page:
         for command in ORDERS:
             assert "--control" in (await page.order(command))["error"]
