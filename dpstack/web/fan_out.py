@@ -109,8 +109,8 @@ class FanOut:
         self._judged_here: set[str] = set()
 
     def put(self, item: Item) -> None:
-        """The next item of the source, or an event of the server. Raises ValueError where it is none."""
-        self.state.apply(item)
+        """The next item of the source, which has checked it, or an event of the server."""
+        self.state.apply_checked(item)
         if "plant" in item:
             self._judged_here.clear()
         self._new.put(self._judged(item) if "snapshot" in item else dict(item))

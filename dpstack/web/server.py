@@ -96,7 +96,6 @@ class WebServer:
         self._pages: set[_Page] = set()
         self._strangers: Counter[str] = Counter()  # by network
         self._handshakes = 0
-        self._strange = ""  # the last error of an item
         self._tasks: set[asyncio.Task[None]] = set()
         self._runner: web.AppRunner | None = None
         #: what the clock of the stream is ahead of the time of the loop, in s; None: there is no stream
@@ -189,13 +188,8 @@ class WebServer:
         elif "note" in item:
             self.tell(item["note"]["text"], item["note"]["severity"])
         else:
-            try:
-                self.fan_out.put(item)
-                self._set_clock(item)
-            except ValueError as error:
-                if str(error) != self._strange:
-                    self._strange = str(error)
-                    self.tell(self._strange, "error")
+            self.fan_out.put(item)
+            self._set_clock(item)
 
     def _set_clock(self, item: Item) -> None:
         state = self.fan_out.state

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from dpstack.errors import UsageError
+from dpstack.live.items import check_item
 from dpstack.record.reader import Recording
 from dpstack.record.replay import replay_items
 from dpstack.web.fan_out import Item
@@ -27,7 +28,7 @@ class Source:
     kind: Kind = "none"
 
     def items(self) -> AsyncGenerator[Item]:
-        """The items, until the source has no more."""
+        """The items, until the source has no more. A source checks those of another program or of a file, once."""
         raise NotImplementedError
 
     async def call(self, command: str, *args: str) -> object:
@@ -78,8 +79,16 @@ class ReplaySource(Source):
         self._recording = Recording(path)
 
     async def items(self) -> AsyncGenerator[Item]:
+        reported = ""
         async for item in replay_items(self._path):
-            yield item
+            try:
+                check_item(item)
+            except ValueError as error:  # a header that somebody else has written
+                if str(error) != reported:
+                    reported = str(error)
+                    yield {"note": {"text": reported, "severity": "error"}}
+            else:
+                yield item
 
     async def recording(self) -> object:
         """``{"file": NAME, "seconds": its length, "started": s since 1970, "columns": [...]}``."""

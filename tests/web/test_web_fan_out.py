@@ -111,17 +111,6 @@ async def test_items_behind_an_answer_are_not_merged_with_those_before_it() -> N
     assert all('"t":0.3' in text for text in (first, second, third))
 
 
-async def test_something_else_than_an_item_is_told_once_and_ends_nothing() -> None:
-    source = GivenItems([PLANT, WHOLE])
-    async with serve(source) as server, page_of(server) as page:
-        await page.until("snapshot")
-        for _ in range(3):
-            source.put({"snapshot": {"t": 1}})
-        source.put(delta(2, "set_prm"))
-        assert "another version" in (await page.until("event"))["text"]
-        assert (await page.item())["snapshot"]["slaves"]["3"]["state"] == "set_prm"
-
-
 async def test_twenty_pages_read_one_stream() -> None:
     class Counted(GivenItems):
         reads = 0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from web_kit import page_of
+from web_kit import PLANT, page_of
 
 from dpstack.cli.main import main
+from dpstack.web import source
 from dpstack.web.server import serve
 from dpstack.web.source import ReplaySource
 
@@ -40,6 +42,26 @@ async def test_a_recording_is_shown_to_its_end_and_described(tmp_path: Path) -> 
         async with page_of(server) as late:  # the last values stay, marked as ended
             assert (await late.until("snapshot"))["whole"] is True
             await late.until("end")
+
+
+async def test_an_invalid_item_of_a_recording_is_left_out_and_reported_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "plant.csv"
+    path.write_text(LINES, encoding="utf-8")
+
+    async def replayed(_: Path) -> AsyncIterator[dict[str, object]]:
+        for item in [{"plant": {"slaves": {}, "baud": "fast"}}, {"plant": {"slaves": {}, "baud": "fast"}}, PLANT]:
+            yield item
+
+    monkeypatch.setattr(source, "replay_items", replayed)
+    log: list[str] = []
+    async with serve(ReplaySource(path), log=log.append) as server, page_of(server) as page:
+        assert await page.until("plant") == PLANT["plant"]
+    assert [line.partition(" ")[2] for line in log] == [
+        "this is no item of the stream: Expected `int | null`, got `str` - at `$.plant.baud`; "
+        "is the other program another version?"
+    ]
 
 
 @pytest.mark.parametrize(("text", "why"), [(None, "plant.csv"), ("no recording", "plant.csv")])

@@ -9,9 +9,10 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from far_ends import until
-from web_kit import PLANT, WHOLE, Page, delta, page_of
+from web_kit import PLANT, WHOLE, Page, delta, event, page_of
 
 import dpstack
 from dpstack.api.config.config import load_config
@@ -20,6 +21,7 @@ from dpstack.api.control.client import ControlClient
 from dpstack.api.control.commands import KINDS
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.server import ControlServer, Handler
+from dpstack.live import items
 from dpstack.web import run_source
 from dpstack.web.child import Child
 from dpstack.web.rights import Rights
@@ -260,6 +262,29 @@ async def test_a_run_that_sends_something_else_than_items_is_told_and_followed(t
         while "snapshot" not in (item := await page.item()):
             assert "welcome" not in item
         assert item == delta(1, "set_prm")
+
+
+async def test_an_item_of_a_run_is_checked_once_on_its_way_to_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked: list[object] = []
+    convert = msgspec.convert
+
+    def counted(value: Any, kind: Any) -> Any:
+        if kind is items.AnyItem:
+            checked.append(value)
+        return convert(value, kind)
+
+    monkeypatch.setattr(msgspec, "convert", counted)
+    file = plant_file(tmp_path)
+    async with FakeRun(file) as run, serve(source_of(file, Children())) as server, page_of(server) as page:
+        await page.until("snapshot")
+        sent = [delta(0.2, "set_prm"), event("hello"), {"lost": 3}]
+        for one in sent:
+            run.more.put_nowait(one)
+        assert await page.until("lost") == 3
+        assert [next(iter(one)) for one in checked] == ["plant", "snapshot", "snapshot", "event", "lost"]  # type: ignore[call-overload]
+        assert checked[1:] == [WHOLE, *sent]
 
 
 async def test_a_run_that_is_stopped_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

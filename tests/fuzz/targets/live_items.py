@@ -159,12 +159,8 @@ def run(octets: bytes) -> None:
             assert picture(view.state) == before
         else:
             before = picture(view.state)
-        try:
-            fan_out.put(item)
-            assert taken
-        except ValueError:
-            assert not taken
         if taken:
+            fan_out.put(item)
             pending.put(item)
         if head & 1:
             while (found := pending.take()) is not None:
