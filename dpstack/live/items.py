@@ -82,6 +82,8 @@ class SlavePlant(TypedDict, total=False):
 
 
 class PlantBody(TypedDict, total=False):
+    whole: bool
+    more: bool
     started: float
     port: str | None
     ctl: str | None

@@ -6,10 +6,14 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from dpstack.live.state import DEPTH, Item, merge
+from dpstack.live.state import DEPTH, Item, begins_plant, merge, merged_plant
 
-#: slaves in one snapshot of :func:`portions`: with 244 octets of inputs and outputs each a line has some 40 KB
+#: slaves in one item of :func:`portions`: with 244 octets of inputs and outputs each a snapshot has some 40 KB
 SLAVES_A_PORTION: Final = 24
+#: named values in it: one has some 110 octets in a plant, and 15 in a snapshot. A slave may have more, and stays whole
+_VALUES_A_PORTION: Final = {"plant": 500, "snapshot": 3_000}
+#: keys of a slave with its named values
+_VALUES: Final = {"plant": ("inputs", "outputs"), "snapshot": ("fields", "held_fields")}
 
 
 class Pending:
@@ -34,7 +38,10 @@ class Pending:
             self._lost += len(self._events) == self._events.maxlen
             self._events.append(item)
         elif "plant" in item:
-            self._plant, self._snapshot, self._end = item, None, None  # a bus that runs again has not ended
+            if begins_plant(item):
+                self._snapshot, self._end = None, None  # a bus that runs again has not ended
+            waiting = None if self._plant is None else self._plant["plant"]
+            self._plant = {"plant": merged_plant(waiting, item["plant"])}
         elif "lost" in item:
             self._lost += item["lost"]
         elif "end" in item:
@@ -67,18 +74,36 @@ class Pending:
 
 
 def portions(item: Item, most: int = SLAVES_A_PORTION) -> Iterator[Item]:
-    """``item``, a snapshot of more than ``most`` slaves as several: the first one is whole if it was."""
-    snapshot: Mapping[str, Any] | None = item.get("snapshot")
-    if snapshot is None or len(snapshot["slaves"]) <= most:
+    """``item``, a plant or snapshot of many slaves or named values, as several with at most ``most`` slaves each.
+
+    The first one is whole if it was, and has all that belongs to the bus.
+    """
+    kind = next((one for one in _VALUES if one in item), None)
+    steps = [] if kind is None else list(_steps(kind, item[kind]["slaves"], most))
+    if kind is None or len(steps) < 2:
         yield item
         return
-    slaves = list(snapshot["slaves"].items())
-    for first in range(0, len(slaves), most):
-        yield {
-            "snapshot": {
-                "t": snapshot["t"],
-                "whole": snapshot["whole"] and not first,
-                "bus": {} if first else snapshot["bus"],
-                "slaves": dict(slaves[first : first + most]),
-            }
-        }
+    body: Mapping[str, Any] = item[kind]
+    later = {key: body[key] for key in ("t", "more") if key in body} | {"whole": False}
+    if kind == "snapshot":
+        later["bus"] = {}
+    for number, step in enumerate(steps, 1):
+        part = {**(body if number == 1 else later), "slaves": step}
+        if kind == "plant" and number < len(steps):
+            part["more"] = True
+        yield {kind: part}
+
+
+def _steps(kind: str, slaves: Mapping[str, Mapping[str, Any]], most: int) -> Iterator[dict[str, Any]]:
+    """``slaves`` of a plant or snapshot, in steps that are small enough."""
+    step: dict[str, Any] = {}
+    values = 0
+    for address, slave in slaves.items():
+        own = sum(len(slave.get(key) or ()) for key in _VALUES[kind])
+        if step and (len(step) == most or values + own > _VALUES_A_PORTION[kind]):
+            yield step
+            step, values = {}, 0
+        step[address] = slave
+        values += own
+    if step:
+        yield step

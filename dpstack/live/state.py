@@ -2,7 +2,8 @@
 
 Items of the stream, each a dict with one key (docs/reference/live.md):
 
-- ``plant``: the bus and its slaves as configured; first, and again when the configuration of the running bus changes
+- ``plant``: the bus and its slaves as configured; first, and again when the configuration of the running bus changes.
+  One of many slaves may come in several: all but the first have ``whole`` false, all but the last ``more``
 - ``snapshot``: state and values; whole after ``plant``, later only the keys that have changed
 - ``event``: an event as a line of ``dpstack run --json``, with wall clock, severity and text
 - ``lost``: the number of events that this reader missed
@@ -45,6 +46,22 @@ def merge(into: dict[str, Any], snapshot: Mapping[str, Any]) -> None:
         into["slaves"].setdefault(address, {}).update(values)
 
 
+def begins_plant(item: Mapping[str, Any]) -> bool:
+    """Whether ``item`` is a plant, and not a later part of one, with ``whole`` false."""
+    return "plant" in item and item["plant"].get("whole") is not False
+
+
+def merged_plant(known: Mapping[str, Any] | None, later: Mapping[str, Any]) -> dict[str, Any]:
+    """The plant after ``later``, which has further slaves of ``known`` or is a new plant. It has ``more`` while further
+    slaves follow."""
+    if known is None or later.get("whole") is not False:
+        return dict(later)
+    merged = {**known, "slaves": {**known["slaves"], **later["slaves"]}, "more": later.get("more") is True}
+    if not merged["more"]:
+        del merged["more"]
+    return merged
+
+
 class LiveState:
     """``plant``: None before the first one. ``bus`` and ``slaves`` (by address as text): the merged snapshots, ``t``
     their time in s since the start, -1 before the first. ``events``: the last ones, oldest first. ``lost``: events that
@@ -69,8 +86,10 @@ class LiveState:
     def apply_checked(self, item: Mapping[str, Any]) -> None:
         """Take the next item, which :func:`~dpstack.live.items.check_item` has judged."""
         if "plant" in item:
-            self.plant, self.end, self.failed = dict(item["plant"]), None, False
-            self.t, self.bus, self.slaves = -1.0, {}, {}
+            self.plant = merged_plant(self.plant, item["plant"])
+            if begins_plant(item):
+                self.end, self.failed = None, False
+                self.t, self.bus, self.slaves = -1.0, {}, {}
         elif "snapshot" in item:
             snapshot = item["snapshot"]
             now: dict[str, Any] = {"t": self.t, "whole": False, "bus": self.bus, "slaves": self.slaves}

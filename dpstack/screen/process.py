@@ -22,7 +22,7 @@ from dpstack.live.state import Item
 from dpstack.ports.posix import termios
 from dpstack.text import json_text
 
-#: octets of the longest line to the screen: the plant of 125 slaves has some 4 MB
+#: octets of the longest line to the screen
 LONGEST: Final = 64 << 20
 #: exit code of a screen whose terminal is lost
 GONE: Final = 3

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from dpstack.live.judge import JUDGED, judge
 from dpstack.live.pending import Pending, portions
-from dpstack.live.state import LiveState, difference
+from dpstack.live.state import LiveState, begins_plant, difference
 from dpstack.web.messages import encode
 
 Item = Mapping[str, Any]
@@ -111,7 +111,7 @@ class FanOut:
     def put(self, item: Item) -> None:
         """The next item of the source, which has checked it, or an event of the server."""
         self.state.apply_checked(item)
-        if "plant" in item:
+        if begins_plant(item):
             self._judged_here.clear()
         self._new.put(self._judged(item) if "snapshot" in item else dict(item))
 

@@ -19,6 +19,7 @@ from dpstack.api.config.config import Config, file_digest
 from dpstack.api.control.client import ControlClient, connect, find_run
 from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.live.items import check_item
+from dpstack.live.state import begins_plant
 from dpstack.web.child import Child
 from dpstack.web.fan_out import Item
 from dpstack.web.run_link import Find, RunLink
@@ -182,7 +183,7 @@ class RunSource(Source):
                     if kind is None:
                         continue
                     item = {kind: item[kind]}  # other keys are none of the source's own items
-                    if "plant" in item:
+                    if begins_plant(item):
                         self._set_kind(_kind_of(link, item))
                         self._read = item["plant"].get("config"), item["plant"].get("config_digest")
                     if "end" in item:

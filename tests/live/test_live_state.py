@@ -7,9 +7,11 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 
 from dpstack.live.pending import SLAVES_A_PORTION, Pending, portions
 from dpstack.live.state import LiveState, difference, end_of
+from dpstack.text import json_text
 
 values = st.dictionaries(st.sampled_from(["exchanges", "telegrams", "retries", "late"]), st.integers(0, 3), max_size=4)
 slaves = st.dictionaries(st.sampled_from(["3", "4", "8"]), values, max_size=3)
@@ -102,10 +104,69 @@ def test_a_snapshot_of_many_slaves_comes_in_portions() -> None:
     assert state.bus == {"mode": "operate"}
 
 
+def large_plant() -> list[dict[str, Any]]:
+    """Plant and whole snapshot of 123 slaves with 224 named values each, as ``bus.live()`` makes them."""
+
+    def field(name: str, number: int) -> dict[str, Any]:
+        rest = dict.fromkeys(("scale", "offset", "unit", "dead_band"))
+        return {"name": f"{name}{number}", "type": "u16", "at": f"u16@{2 * number}", **rest}
+
+    values = {f"{name}{number}": 40_000 + number for name in ("speed", "wish") for number in range(112)}
+    addresses = [str(address) for address in range(3, 126)]
+    slave = {"inputs": [field("speed", n) for n in range(112)], "outputs": [field("wish", n) for n in range(112)]}
+    now = {"state": "data_exchange", "inputs": "9c40" * 112, "outputs": "9c40" * 112, "fields": values}
+    return [
+        {"plant": {"port": "COM1", "slaves": {address: {"name": f"s{address}", **slave} for address in addresses}}},
+        {"snapshot": {"t": 1.0, "whole": True, "bus": {"mode": "operate"}, "slaves": dict.fromkeys(addresses, now)}},
+    ]
+
+
+def test_the_welcome_of_a_large_plant_comes_in_parts_of_bounded_length() -> None:
+    """The plant was one message of 2.5 million octets, of which a page had nothing until it had all."""
+    plant, whole = large_plant()
+    state = LiveState()
+    state.apply(plant)
+    state.apply(whole)
+    parts = [part for item in state.whole() for part in portions(item)]
+    assert max(len(json_text(part).encode()) for part in parts) < 66_000
+    plants = [part["plant"] for part in parts if "plant" in part]
+    assert [part.get("whole") for part in plants] == [None, *[False] * (len(plants) - 1)]
+    assert [part.get("more") for part in plants] == [*[True] * (len(plants) - 1), None]
+    assert [len(part["slaves"]) for part in plants] == [2] * 61 + [1]
+    late = LiveState()
+    for part in parts:
+        late.apply(part)
+    assert (late.plant, late.slaves, late.bus) == (plant["plant"], whole["snapshot"]["slaves"], {"mode": "operate"})
+
+
+@given(st.lists(st.booleans(), min_size=70, max_size=70))
+@examples(5)
+def test_a_reader_that_comes_late_in_the_middle_of_a_plant_gets_it_whole(reads: list[bool]) -> None:
+    """Parts are merged while they wait, and divided again: the last one alone ends the plant."""
+    plant, whole = large_plant()
+    pending, late, more = Pending(), LiveState(), list[object]()
+
+    def read() -> None:
+        while (found := pending.take()) is not None:
+            for part in portions(found):
+                late.apply(part)
+                more.extend([part["plant"].get("more")] if "plant" in part else [])
+
+    for part, is_read in zip(portions(plant), reads, strict=False):
+        pending.put(part)
+        if is_read:
+            read()
+    pending.put(whole)
+    read()
+    assert (late.plant, late.slaves) == (plant["plant"], whole["snapshot"]["slaves"])
+    assert more == [*[True] * (len(more) - 1), None]
+
+
 @pytest.mark.parametrize(
     "item",
     [
         {"plant": {}},
+        {"plant": {"slaves": {}, "whole": 0}},
         {"plant": []},
         {"plant": {"slaves": []}},
         {"snapshot": {}},

@@ -35,21 +35,28 @@ def live_items(bus: Bus, args: list[str]) -> LongCommand:
 
 
 async def _send(stream: LiveStream, sender: Sender) -> None:
-    unread = deaf = 0
     while True:
-        sender.check()
-        if sender.unread > _MOST_UNREAD:
-            deaf = deaf + 1 if sender.unread >= unread else 0
-            unread = sender.unread
-            if deaf >= _PATIENCE:
-                sender.give_up()
-            await asyncio.sleep(_PAUSE_S)
-            continue
+        await _wait_for_room(sender)
         item = stream.take()
         if item is None:
             await stream.wait()
             continue
         for portion in portions(item):
+            await _wait_for_room(sender)  # in a long item, too: beyond its limit a sender drops lines
             sender.offer(json_text({"item": portion}).encode() + b"\n")
+            await asyncio.sleep(0)  # the bus has its turn
         if "end" in item:
             return
+
+
+async def _wait_for_room(sender: Sender) -> None:
+    """Wait until the client has read enough. Raises where it has gone, or does not read."""
+    sender.check()
+    unread = deaf = 0
+    while sender.unread > _MOST_UNREAD:
+        deaf = deaf + 1 if sender.unread >= unread else 0
+        unread = sender.unread
+        if deaf >= _PATIENCE:
+            sender.give_up()
+        await asyncio.sleep(_PAUSE_S)
+        sender.check()

@@ -21,7 +21,10 @@ export class Live {
   /** Returns the kind of item: "plant", "snapshot", "event", "lost", "end"; null for anything else. */
   apply(item) {
     if (item.plant) {
-      this.plant = { ...item.plant, slaves: item.plant.slaves ?? {} };
+      // a large plant comes in several items: all but the first have `whole` false, all but the last `more`
+      const known = item.plant.whole === false ? this.plant : null;
+      this.plant = { ...(known ?? item.plant), slaves: { ...known?.slaves, ...item.plant.slaves } };
+      if (item.plant.more) return null;
       const there = new Set(Object.keys(this.plant.slaves).map(Number));
       for (const address of this.slaves.keys()) if (!there.has(address)) this.slaves.delete(address);
       for (const address of there) if (!this.slaves.has(address)) this.slaves.set(address, {});
