@@ -248,9 +248,11 @@ def test_a_flood_waits_and_gets_old_texts(monkeypatch: pytest.MonkeyPatch) -> No
         made = count_pages(face)
         loop = asyncio.get_running_loop()
         began = loop.time()
-        answers = await asyncio.gather(*(ask(port, request(path)) for path in ("/metrics", "/nothing") * 7))
+        asked = [request("/metrics")] * 7 + [request("/nothing")] * 4 + [b"GET /metrics\r\n\r\n"] * 3
+        answers = await asyncio.gather(*(ask(port, octets) for octets in asked))
         took_s = loop.time() - began
-        assert sorted(map(status_of, answers)) == [200] * 7 + [404] * 7
+        assert sorted(map(status_of, answers)) == [200] * 7 + [400] * 3 + [404] * 4
+        assert face.collector.requests == {200: 7, 400: 3, 404: 4}
         assert took_s > (14 - 10) / 10 - 0.01
         assert len(made) <= 1 + took_s
 

@@ -3,6 +3,13 @@
 It has no thread, reads no body, and keeps no connection: the answer to the first request ends it. So a client costs a
 place for ten seconds at most, and what it sends besides is thrown away. The answers of a second are bounded, for
 the sake of a bus on the same computer: a client that asks without a pause waits.
+
+aiohttp 3.14, the server of the page, was tried in its place. It took a head of 880 927 octets, as its limits are those
+of one line and of the number of lines. It answered 2000 wrong requests a second before any handler of ours was asked,
+so they were neither counted nor slowed down, with octets of the client in the answer. It closed the connection with
+octets unread behind the request, so that the client lost the answer; it gave none to a client that had ended its
+sending; one that read nothing kept its place. The process took 12 MB more. A protocol in front of aiohttp would have
+to do all that stands here, but for parsing the head and writing that of the answer.
 """
 
 from __future__ import annotations
