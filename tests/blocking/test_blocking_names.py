@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 
 import pytest
-from blocking_kit import interrupted, target_of, waits
 from process_kit import LAMPS, LAMPS_SPEC, SPEC, UNHURRIED, VALVES, eventually, octet_slaves
 from support_responder import Responder
 
@@ -20,6 +19,7 @@ from dpstack import blocking
 from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.statistics import BusStats
 from dpstack.trace import Event
+from tests.blocking.blocking_kit import interrupted, target_of, waits
 from tools import make_blocking_stub
 
 

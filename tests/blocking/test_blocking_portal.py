@@ -12,13 +12,13 @@ import traceback
 
 import pytest
 from api_kit import RAW
-from blocking_kit import interrupted
 from process_kit import eventually
 
 from dpstack import blocking
 from dpstack.blocking import portal as portals
 from dpstack.blocking.portal import the_portal
 from dpstack.errors import UsageError
+from tests.blocking.blocking_kit import interrupted
 
 
 class WorkError(Exception):

@@ -8,13 +8,13 @@ from typing import Any
 
 import probe_face
 import pytest
-from blocking_kit import target_of
 from probe_face import ProbeFace
 from process_kit import eventually
 
 import dpstack
 from dpstack import blocking
 from dpstack.errors import PortError, UsageError
+from tests.blocking.blocking_kit import target_of
 
 FAN: dict[str, Any] = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
 

@@ -9,7 +9,6 @@ import pytest
 from alarm_kit import AlarmBus, block
 from ms1_kit import MS, Ms1Bus, answer
 from ms2_kit import connected
-from ms2_slave_kit import TIMEOUT, Later, Slave, reach
 from octet_class2 import ABORT, ABORT_TIMEOUT, IDLE, RS, SC
 from octet_slave import SC as SC_OCTET
 from order_bus import OrderBus
@@ -36,6 +35,7 @@ from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Kind, Req, Telegram
 from dpstack.gsd.model import DiagText
+from tests.dpv1.ms2_slave_kit import TIMEOUT, Later, Slave, reach
 
 ProviderT = TypeVar("ProviderT", bound=Provider)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import driver_rig
 import pytest
+
+from tests.drivers import driver_rig
 
 
 @pytest.fixture(params=driver_rig.DRIVERS)

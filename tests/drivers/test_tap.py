@@ -8,7 +8,6 @@ from types import CodeType, FrameType
 
 import pytest
 from bus_kit import SimBus
-from driver_rig import REQUEST, TOKEN, Rig
 from far_ends import until
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,6 +19,7 @@ from dpstack.drivers.tap import Tap, Tapped, TapStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import WireEntry
+from tests.drivers.driver_rig import REQUEST, TOKEN, Rig
 
 # --- the ring ---
 

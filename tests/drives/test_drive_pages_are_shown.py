@@ -39,6 +39,12 @@ _NAMED: Final = re.compile(r"test_((?:[dkilf]\d+_)+)")
 _OCTETS: Final = re.compile(r"\b[0-9A-Fa-f]{2}(?: [0-9A-Fa-f]{2})+\b")
 
 
+def kit_file(module: str) -> Path:
+    """A kit is in ``tests/kits``, or beside these tests."""
+    beside = module.removeprefix("tests.drives.")
+    return (TESTS / "kits" / f"{module}.py") if beside == module else Path(__file__).parent / f"{beside}.py"
+
+
 @cache
 def definitions(path: Path) -> dict[str, ast.AST]:
     """The definitions at the top of a module, and those that it imports from kits, by name."""
@@ -49,8 +55,8 @@ def definitions(path: Path) -> dict[str, ast.AST]:
                 found[name] = node
             case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
                 found[name] = node
-            case ast.ImportFrom(module=str(module), names=names) if (TESTS / "kits" / f"{module}.py").exists():
-                kit = definitions(TESTS / "kits" / f"{module}.py")
+            case ast.ImportFrom(module=str(module), names=names) if (path_of_kit := kit_file(module)).exists():
+                kit = definitions(path_of_kit)
                 found |= {(one.asname or one.name): kit[one.name] for one in names if one.name in kit}
     return found
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from fuji_kit import IDLE, WIDE, ZERO, again, pkw, plugin, sim
 
 from dpstack.errors import ConfigError
 from dpstack_drives.fuji import DRIVE
+from tests.drives.fuji_kit import IDLE, WIDE, ZERO, again, pkw, plugin, sim
 
 REPLIES = [
     ("21 04 1A 00 00 00 00 0F", "11 04 1A 00 00 00 00 0F"),

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from fuji_kit import IDLE, WIDE, ZERO, plugin, sim
 
 from dpstack.profile import State
+from tests.drives.fuji_kit import IDLE, WIDE, ZERO, plugin, sim
 
 
 def test_f3_worked_run_of_the_master() -> None:

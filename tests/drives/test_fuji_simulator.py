@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from drive_bench import MS, S
-from fuji_kit import WIDE, ZERO, FujiBench, again, pkw, running, sim
 
 from dpstack.errors import ConfigError
 from dpstack.profile import Leave
 from dpstack_drives.fuji import DRIVE
+from tests.drives.fuji_kit import WIDE, ZERO, FujiBench, again, pkw, running, sim
 
 
 def test_f3_worked_run_of_the_drive() -> None:

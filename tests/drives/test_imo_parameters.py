@@ -6,10 +6,10 @@ import re
 
 import pytest
 from drive_bench import PluginBench
-from imo_kit import NOTHING, READY, RUNS, Card
 
 from dpstack.errors import ConfigError
 from dpstack_drives.imo import DRIVE
+from tests.drives.imo_kit import NOTHING, READY, RUNS, Card
 
 # -- PKW -----------------------------------------------------------------------------------------------------------
 

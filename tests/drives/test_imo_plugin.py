@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import pytest
 from drive_bench import PluginBench
-from imo_kit import NOTHING, READY, RUNS, Card
 
 from dpstack.profile import State
 from dpstack_drives.imo import DRIVE
+from tests.drives.imo_kit import NOTHING, READY, RUNS, Card
 
 
 def test_i1_one_frame_of_sixteen_words() -> None:

@@ -6,7 +6,8 @@ from __future__ import annotations
 import re
 
 import pytest
-from imo_kit import READY, RUNS, Card
+
+from tests.drives.imo_kit import READY, RUNS, Card
 
 # -- PZD -----------------------------------------------------------------------------------------------------------
 

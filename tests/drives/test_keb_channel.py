@@ -9,12 +9,12 @@ import pytest
 from drive_bench import MS, PluginBench, Times
 from hypothesis import given
 from hypothesis import strategies as st
-from keb_kit import IDLE, ZERO, KebBench, device, plugin, sim
 
 from dpstack.profile import CommandError, ParamKey
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import KebChannel, KebServer
+from tests.drives.keb_kit import IDLE, ZERO, KebBench, device, plugin, sim
 
 WRITE_20_HZ = "72 01 23 03 00 00 06 40"  # oP.3 := 20 Hz with four octets
 CONFIRMED = "42 01 23 03 00 00 06 40"

@@ -7,7 +7,6 @@ from importlib import resources
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keb_kit import device
 
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
@@ -18,6 +17,7 @@ from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb import table as t
 from dpstack_drives.ls import DRIVE as LS
+from tests.drives.keb_kit import device
 
 
 def test_k2_gsd_facts() -> None:

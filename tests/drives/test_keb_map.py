@@ -10,12 +10,12 @@ import pytest
 from drive_bench import DeviceBench, PairBench, PluginBench
 from hypothesis import given
 from hypothesis import strategies as st
-from keb_kit import NONE, ZERO, again, device, plugin
 
 from dpstack.profile import process_data_map
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb.pdmap import DEFAULT_INPUTS, DEFAULT_OUTPUTS, Entry, PdMap, check
 from dpstack_drives.keb.simulator import KebDevice
+from tests.drives.keb_kit import NONE, ZERO, again, device, plugin
 
 #: the manual's example 1 of 6000h and of 6001h, and example 2
 EXAMPLE_1_IN = [4, 0x2033, 1, 0, 0, 0x2035, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]

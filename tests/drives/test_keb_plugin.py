@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import keb_kit
 import pytest
 from drive_bench import ALONE, PluginBench
 
 from dpstack.profile import State
 from dpstack_drives.keb import DRIVE
+from tests.drives import keb_kit
 
 #: bits of nobody's manual: what a user might have found in his
 BITS = {

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import pytest
 from drive_bench import MS, START, DeviceBench, S
-from keb_kit import IDLE, NONE, KebBench, again, device, sim
 from slave_kit import Bench
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
@@ -16,6 +15,7 @@ from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Resp
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb.watchdog import Life, Watchdog
+from tests.drives.keb_kit import IDLE, NONE, KebBench, again, device, sim
 
 #: enable and run of the simulated drive's own bits; 1500 rpm are 05DC
 RUN = "00 05 05 DC"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 from drive_bench import DeviceBench
-from ls_kit import NONE, ZERO, LsBench, pkw, running, sim
 
 from dpstack.errors import ConfigError
 from dpstack_drives.ls import DRIVE
+from tests.drives.ls_kit import NONE, ZERO, LsBench, pkw, running, sim
 
 # -- parameter channel ---------------------------------------------------------------------------------------------
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from drive_bench import PairBench
-from ls_kit import S2, ZERO, plugin
 
 from dpstack.errors import ConfigError
 from dpstack.profile import State
 from dpstack_drives.ls import DRIVE
+from tests.drives.ls_kit import S2, ZERO, plugin
 
 # -- PROFIdrive ----------------------------------------------------------------------------------------------------
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import pytest
 from acyclic_kit import octets, outcome
 from drive_bench import ALONE, PluginBench
-from ls_kit import ZERO, LsBench, sim
 
 from dpstack.dpv1.master.plugin_queue import ServiceFailure
 from dpstack.dpv1.pdu.read_write import parse_request
@@ -14,6 +13,7 @@ from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.profile.record47 import RecordQueue, Refused, WriteReq
 from dpstack_drives.ls import DRIVE
 from dpstack_drives.ls.simulator import LsDevice
+from tests.drives.ls_kit import ZERO, LsBench, sim
 
 BUSY = "DE 80 B5 00"
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from drive_bench import MS, S
-from ls_kit import NO_OPTIONS, ZERO, pkw, running, sim
 
 from dpstack_drives.ls import DRIVE
+from tests.drives.ls_kit import NO_OPTIONS, ZERO, pkw, running, sim
 
 # -- PROFIdrive ----------------------------------------------------------------------------------------------------
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from ls_kit import S2, ZERO, plugin
 
 from dpstack.errors import ConfigError
 from dpstack_drives.ls import DRIVE
+from tests.drives.ls_kit import S2, ZERO, plugin
 
 # -- vendor telegram and maps --------------------------------------------------------------------------------------
 

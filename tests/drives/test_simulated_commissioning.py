@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import ls_kit
 import pytest
 from drive_bench import DeviceBench, PairBench
-from fuji_kit import ZERO, pkw, plugin, running, sim
 from slave_kit import Bench
 
 from dpstack.dp.slave.application import SlaveApp
@@ -20,6 +18,8 @@ from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 from dpstack_drives.ls import DRIVE as LS
+from tests.drives import ls_kit
+from tests.drives.fuji_kit import ZERO, pkw, plugin, running, sim
 
 NONE: Mapping[str, Any] = {}
 SETTINGS: list[tuple[DriveProfile, dict[str, float], str]] = [

@@ -10,14 +10,6 @@ from demag_kit import device as demag_device
 from demag_kit import pkw as demag_pkw
 from demag_kit import sim as demag
 from drive_bench import ALONE, MS, DeviceBench, PairBench
-from fuji_kit import device as fuji_device
-from fuji_kit import pkw as fuji_pkw
-from fuji_kit import sim as fuji
-from imo_kit import RUNS, Card
-from keb_kit import sim as keb
-from ls_kit import LsBench
-from ls_kit import pkw as ls_pkw
-from ls_kit import sim as ls
 from slave_alarm_kit import OctetMaster
 from slave_kit import SLAVE, Bench
 
@@ -31,6 +23,14 @@ from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 from dpstack_drives.ls import DRIVE as LS
+from tests.drives.fuji_kit import device as fuji_device
+from tests.drives.fuji_kit import pkw as fuji_pkw
+from tests.drives.fuji_kit import sim as fuji
+from tests.drives.imo_kit import RUNS, Card
+from tests.drives.keb_kit import sim as keb
+from tests.drives.ls_kit import LsBench
+from tests.drives.ls_kit import pkw as ls_pkw
+from tests.drives.ls_kit import sim as ls
 
 # -- KEB -----------------------------------------------------------------------------------------------------------
 

@@ -6,17 +6,17 @@ import pytest
 from acyclic_kit import outcome
 from demag_kit import ZERO, ppo1
 from drive_bench import Times
-from fuji_kit import IDLE
-from fuji_kit import plugin as fuji
-from imo_kit import RUNS, Card
-from keb_kit import plugin as keb
-from ls_kit import ZERO as LS_ZERO
-from ls_kit import plugin as ls
 
 from dpstack.errors import ConfigError
 from dpstack.profile import CommandError, ParamKey, ParamSpec, ParamTable, count_of
 from dpstack.profile.record47 import AcyclicAccess, ParameterClient, RecordQueue, WriteReq, plain_places
 from dpstack_drives.demag import DRIVE as DEMAG
+from tests.drives.fuji_kit import IDLE
+from tests.drives.fuji_kit import plugin as fuji
+from tests.drives.imo_kit import RUNS, Card
+from tests.drives.keb_kit import plugin as keb
+from tests.drives.ls_kit import ZERO as LS_ZERO
+from tests.drives.ls_kit import plugin as ls
 
 REFUSED = [
     (lambda: fuji("PPO1", IDLE), "F26", 2.5, "the step is 1: give 2 or 3"),

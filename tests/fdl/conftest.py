@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from passive_kit import HOWS
+
+from tests.fdl.passive_kit import HOWS
 
 
 @pytest.fixture(params=HOWS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from fc_octets import REQUEST_FCS
 
 from dpstack.fdl.codec import (
     SC_OCTETS,
@@ -19,6 +18,7 @@ from dpstack.fdl.codec import (
     request_octets,
 )
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Resp, StationType, Telegram, token
+from tests.fdl.fc_octets import REQUEST_FCS
 
 # Bus logs (docs/reference/protocol.md#known-telegrams) and what they say, by hand.
 VECTORS: list[tuple[str, Telegram]] = [

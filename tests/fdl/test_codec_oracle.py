@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import construct as c
-from fc_octets import REQUEST_FCS
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,6 +16,7 @@ from dpstack.fdl.codec import (
     plain_frame_of,
 )
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram, token
+from tests.fdl.fc_octets import REQUEST_FCS
 
 
 # --- construct as the oracle ------------------------------------------------------------------------------------------

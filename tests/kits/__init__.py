@@ -1,17 +1,18 @@
-"""Builders and helpers of the tests. This folder is on the path: ``from bus_kit import SimBus``.
+"""Builders and helpers of tests in more than one folder. This folder is on the path: ``from bus_kit import SimBus``.
+
+If only the tests of one folder use a helper, it stands beside them: ``from tests.drives.keb_kit import sim``.
 
 Buses, all in virtual time:
 
 - ``support``: worlds with a referee (fixture ``world``), the decoded wire log, dummy stations.
-- ``bus_kit``: a station in a world (``add_station``), a master with mirror slaves (``SimBus``). On it: ``cycle_kit``
-  (fixed cycle, every transmission kept), ``planned_bus`` (undisturbed rounds), ``fire_kit`` (token ring of several
-  masters).
+- ``bus_kit``: a station in a world (``add_station``), a master with mirror slaves (``SimBus``). On it: ``planned_bus``
+  (undisturbed rounds), ``fire_kit`` (token ring of several masters).
 - ``fault_matrix``: faults x baud rates x stations as lines of figures; ``fault_matrix_plant`` (its buses),
   ``fault_matrix_truth`` (what was on the wire), ``fault_matrix_wire`` and ``fault_matrix_stations`` (faults),
   ``fault_matrix_rows`` (all of them).
 - ``ring_bus``: a wire of literal octets without ``World``; slaves are functions from octets to octets. On it:
-  ``exchange_kit`` (one station, one slave), ``order_bus`` (a station with acyclic services, orders and their ends),
-  and on that ``class2_kit``, ``ms1_kit``, ``alarm_kit`` (with a DP master), ``ms2_kit``.
+  ``order_bus`` (a station with acyclic services, orders and their ends), and on that ``class2_kit``, ``ms1_kit``,
+  ``alarm_kit`` (with a DP master), ``ms2_kit``.
 - ``scripted_link``: a DP master without link layer, its slaves answer by script.
 - ``api_kit``: configured slaves, buses of the public API and slaves of the program in virtual time; ``virtual_kit``:
   the loop of virtual time.
@@ -20,30 +21,27 @@ Buses, all in virtual time:
 One end alone, the other in literal octets:
 
 - ``octet_slave``: DP slave as a function of octets, and SD1 and SD2 by hand. ``octet_wire``: a line to one slave of
-  dpstack. On it: ``octet_class2`` (master of class 2), ``asked_slave`` (``DpSlave``), ``ms2_slave_kit``
-  (connections).
+  dpstack. On it: ``octet_class2`` (master of class 2).
 - ``slave_kit``: requests to the DP slave as telegrams, a device that records its calls; on it ``slave_alarm_kit``.
-- ``passive_kit``: a passive station; ``foreign_master``: a master that is not ours in a world; ``asker_kit``: a link
-  user that asks one slave; ``faulty_slaves``: slaves that misbehave; ``patient_kit``: a device that answers late.
+- ``foreign_master``: a master that is not ours in a world; ``faulty_slaves``: slaves that misbehave.
 - ``support_responder``: slaves of octets as a program, also for the benchmarks; ``recordings``: octets of real
   devices.
 
 Drivers, ports, programs:
 
-- ``driver_rig``: a scripted machine under each driver; ``memory_port``: two ports joined in memory; ``kernel_kit``:
-  drivers on a clock and a line of the test; ``far_ends``: other ends of ports; ``fake_adapter``: serial driver and
-  sysfs in memory; ``baud_rig``: traffic behind a UART.
+- ``memory_port``: two ports joined in memory; ``kernel_kit``: drivers on a clock and a line of the test;
+  ``far_ends``: other ends of ports; ``fake_adapter``: serial driver and sysfs in memory; ``baud_rig``: traffic behind a
+  UART.
 - ``programs``: ``dpstack`` as a program; ``control_kit``: control sockets and a client of octets; ``cli_kit``:
   commands in the process of the test; ``ends_programs``, ``ends_run``, ``ends_kit``: programs that end a bus in every
   way, and the last telegrams to a slave.
 
-Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``, ``fuji_kit``, ``keb_kit``, ``imo_kit``,
-``ls_kit``; ``acyclic_kit`` (record 47).
+Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``; ``acyclic_kit`` (record 47).
 
 Plants with faults: ``fault_table`` (25 faults, healthy plants, pairs, each with seeds) on ``fault_plants`` (a plant and
 ``bring``, which runs it) and ``fault_devices``; ``fault_proofs``: the facts that prove each trouble; ``fault_score``:
 right and wrong causes, also as a program.
 
-Others: ``gsd_kit`` (GSD files), ``fc_octets`` (FC octets by hand), ``fault_steps`` (random trouble on a bus),
-``linear_kit`` (linear time and memory), ``property_kit`` (number of examples of hypothesis).
+Others: ``gsd_kit`` (GSD files), ``linear_kit`` (linear time and memory), ``property_kit`` (number of examples of
+hypothesis).
 """

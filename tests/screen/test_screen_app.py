@@ -8,11 +8,11 @@ from collections.abc import Callable
 from typing import Any
 
 from far_ends import HANG_S
-from screen_kit import plant, slave_plant, snapshot, some_plant, values
 from textual import events
 from textual.widgets import Input
 
 from dpstack.screen.app import Events, Help, Lines, OneSlave, Overview, Plant, Question
+from tests.screen.screen_kit import plant, slave_plant, snapshot, some_plant, values
 
 
 def seen(app: Plant, selector: str = "#slaves") -> str:

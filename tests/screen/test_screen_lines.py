@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
-from screen_kit import LONG, event, field, judged, plant, slave_plant, snapshot, some_plant
 
 from dpstack.live.state import Item
 from dpstack.screen.lines import STYLES, Line, cut, padded, width_of, wrapped
 from dpstack.screen.one_slave import page
 from dpstack.screen.overview import bars, event_line, head, notices, slave_line, slaves_head
 from dpstack.screen.view import View
+from tests.screen.screen_kit import LONG, event, field, judged, plant, slave_plant, snapshot, some_plant
 
 
 def view_of(items: list[Item], now: float = 10.0) -> View:

@@ -11,10 +11,9 @@ import termios
 from collections.abc import Mapping
 from typing import Any
 
-from screen_kit import Item, plant, slave_plant, snapshot, values
-
 from dpstack.live.pending import Pending
 from dpstack.screen.process import ScreenProcess, Terminal
+from tests.screen.screen_kit import Item, plant, slave_plant, snapshot, values
 
 
 class Stream:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from mosquitto_kit import Mosquitto
+    from tests.strangers.mosquitto_kit import Mosquitto
 
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[Mosquitto]:
-    from mosquitto_kit import Mosquitto  # needs the extra mqtt
+    from tests.strangers.mosquitto_kit import Mosquitto  # needs the extra mqtt
 
     made = Mosquitto(tmp_path)
     yield made

@@ -16,10 +16,10 @@ from typing import Final
 
 import pytest
 from far_ends import HANG_S
-from stranger_kit import program, run_program
 
 from dpstack.cli.commands.completion import SHELLS, parsers_below, script
 from dpstack.cli.main import build_parser
+from tests.strangers.stranger_kit import program, run_program
 
 pytestmark = pytest.mark.strangers
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from stranger_kit import environment
+
+from tests.strangers.stranger_kit import environment
 
 pytestmark = pytest.mark.strangers
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from stranger_kit import program
 
 from bench.plant import fleet
+from tests.strangers.stranger_kit import program
 
 pytestmark = pytest.mark.strangers
 

@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mosquitto_kit import LONGEST_S, Mosquitto, wait_for
 from programs import Program, Starter
+
+from tests.strangers.mosquitto_kit import LONGEST_S, Mosquitto, wait_for
 
 pytestmark = pytest.mark.strangers
 

@@ -17,8 +17,9 @@ from typing import Final
 import pytest
 from far_ends import HANG_S
 from process_kit import octet_slaves
-from stranger_kit import program
 from support_responder import Responder
+
+from tests.strangers.stranger_kit import program
 
 pytestmark = pytest.mark.strangers
 

@@ -20,11 +20,11 @@ from typing import Any
 
 import pytest
 from edge_node_rig import GROUP, NODE, metric
-from mosquitto_kit import LONGEST_S, Mosquitto, Plant, following, plain, plant_file, run, until
 from sparkplug_host import tag
 
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.plant.orders import SetOutputs
+from tests.strangers.mosquitto_kit import LONGEST_S, Mosquitto, Plant, following, plain, plant_file, run, until
 
 pytestmark = pytest.mark.strangers
 
@@ -56,7 +56,7 @@ KILLED = """
 import asyncio, sys
 from pathlib import Path
 sys.path[:0] = {path!r}
-from mosquitto_kit import Plant
+from tests.strangers.mosquitto_kit import Plant
 from dpstack.bridge.mqtt.broker import Broker
 async def main():
     plant = Plant(Path({folder!r}), Broker(url={url!r}, keepalive_s=2))

@@ -14,8 +14,9 @@ from typing import Final
 import pytest
 from edge_node_rig import GROUP, NODE
 from history_rig import COUNTER
-from mosquitto_kit import Mosquitto, Plant, following, plain, plant_file, run, until
 from sparkplug_host import Host
+
+from tests.strangers.mosquitto_kit import Mosquitto, Plant, following, plain, plant_file, run, until
 
 pytestmark = pytest.mark.strangers
 

@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import pytest
 from opcua_rig import Rig
-from stranger_kit import HANGS_S, program
 
 from dpstack.plant.orders import DriveOrder, SetOutputs
+from tests.strangers.stranger_kit import HANGS_S, program
 
 pytestmark = pytest.mark.strangers
 

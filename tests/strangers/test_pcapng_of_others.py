@@ -16,13 +16,13 @@ from typing import Any, Final, NamedTuple
 
 import pytest
 from programs import Starter, wait_for_socket
-from stranger_kit import program, run_program
 
 from bench.listen import traffic
 from dpstack.capture.pcapng import USER0, Reader, Writer
 from dpstack.capture.recording import PortAbout, Recording
 from dpstack.capture.timing import ADAPTER
 from dpstack.capture.transmission import Damage, Transmission
+from tests.strangers.stranger_kit import program, run_program
 
 pytestmark = [pytest.mark.strangers, pytest.mark.filterwarnings("ignore:Field type should not be")]
 

@@ -19,7 +19,8 @@ from typing import Any, Final
 
 import pytest
 from prometheus_expressions import FOLDER, expressions
-from stranger_kit import HANGS_S, program, run_program
+
+from tests.strangers.stranger_kit import HANGS_S, program, run_program
 
 pytestmark = pytest.mark.strangers
 

@@ -21,13 +21,13 @@ from api_kit import bench_of
 from foreign_master import ForeignMaster, fdl_status
 from probe_face import ProbeFace
 from prometheus_expressions import FOLDER, expressions
-from promtool_kit import STEP_S, Recording
 
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.bridge.metrics.face import MetricsFace
 from dpstack.sim.world import World
 from dpstack.testing.faults import Faults
+from tests.strangers.promtool_kit import STEP_S, Recording
 
 pytestmark = pytest.mark.strangers
 

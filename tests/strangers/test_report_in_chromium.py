@@ -12,8 +12,9 @@ from typing import Any, Final
 
 import pytest
 from report_kit import Happened, Heard
-from stranger_kit import HANGS_S, program, run_program
 from support import S
+
+from tests.strangers.stranger_kit import HANGS_S, program, run_program
 
 pytestmark = pytest.mark.strangers
 

@@ -16,13 +16,13 @@ from typing import Any
 import pytest
 from api_kit import bench_of
 from pictures_kit import copy_plant, picture_folder, shows_no_place
-from svg_pictures import box, render
 from textual.pilot import Pilot
 
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.screen.app import Plant
+from tests.strangers.svg_pictures import box, render
 
 pytestmark = pytest.mark.strangers
 

@@ -11,10 +11,10 @@ from typing import Any, Final
 import pytest
 from edge_node_rig import GROUP, NODE, Rig
 from history_rig import HistoryRig
-from stranger_kit import program
 
 from dpstack.bridge.mqtt.payload import DATA_TYPES, DataType, MetricKind, Sample, birth, read_command, value_given
 from dpstack.bridge.quality import LIMITS, Reading, Reason, Value
+from tests.strangers.stranger_kit import program
 
 pytestmark = pytest.mark.strangers
 

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from browser_kit import Browser
 from pictures_kit import picture_folder, shows_no_place
 from programs import Starter
-from svg_pictures import render
 
 import dpstack
 from dpstack.screen.app import Plant
+from tests.strangers.browser_kit import Browser
+from tests.strangers.svg_pictures import render
 
 pytestmark = pytest.mark.strangers
 

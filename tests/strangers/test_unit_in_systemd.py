@@ -7,9 +7,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from stranger_kit import run_program
 
 from dpstack.service import host_setup
+from tests.strangers.stranger_kit import run_program
 
 pytestmark = pytest.mark.strangers
 

@@ -14,8 +14,11 @@ from itertools import pairwise
 from typing import Any, Final
 
 import pytest
-from browser_kit import Browser
-from shown_plant import (
+
+from dpstack.profile import registry
+from dpstack.profile.model.states import State
+from tests.strangers.browser_kit import Browser
+from tests.strangers.shown_plant import (
     EMOJI,
     IMAGE,
     LONG,
@@ -33,10 +36,7 @@ from shown_plant import (
     values_of,
     whole,
 )
-from stranger_kit import HANGS_S
-
-from dpstack.profile import registry
-from dpstack.profile.model.states import State
+from tests.strangers.stranger_kit import HANGS_S
 
 pytestmark = pytest.mark.strangers
 

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from browser_kit import Browser
 from pictures_kit import PLANT, copy_plant, picture_folder, shows_no_place
 from programs import Starter
 
 from dpstack.api.control.client import connect
+from tests.strangers.browser_kit import Browser
 
 pytestmark = pytest.mark.strangers
 

@@ -13,11 +13,11 @@ from typing import Final
 
 import pytest
 from programs import Starter, plant_of
-from stranger_kit import HANGS_S, program
-from wireshark_kit import differences, dissected, environment, explained, tshark, write_capture
 
 from dpstack.capture.transmission import Damage, Transmission
 from dpstack.cli.main import main
+from tests.strangers.stranger_kit import HANGS_S, program
+from tests.strangers.wireshark_kit import differences, dissected, environment, explained, tshark, write_capture
 
 pytestmark = pytest.mark.strangers
 

@@ -13,7 +13,6 @@ import pytest
 from bus_kit import IDENT, PPO1, SimBus, setup
 from recordings import ASM754, LOGO_TD, WHOLE, completed
 from support import MS, S
-from wireshark_kit import differences, dissected, dissected_by_lua, explained, field_names, tshark, write_capture
 
 from dpstack.capture.listener import Listener
 from dpstack.capture.pcapng import PROFIBUS_DL
@@ -36,6 +35,15 @@ from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.fdl.codec import encode_sd2, encode_token
 from dpstack.params import BusParams
 from dpstack.sim.world import World
+from tests.strangers.wireshark_kit import (
+    differences,
+    dissected,
+    dissected_by_lua,
+    explained,
+    field_names,
+    tshark,
+    write_capture,
+)
 
 pytestmark = pytest.mark.strangers
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 from api_kit import virtual
-from injected_faults import ELSEWHERE, FAN, ROWS, Place, Row, call, carry_out, port_place, virtual_place
 
 from dpstack import SlaveState
 from dpstack.api.control.commands import SEGMENT, SLAVES
 from dpstack.api.server.fault_steps import KINDS
 from dpstack.testing import BusFactory, Fault, Faults
+from tests.testing.injected_faults import ELSEWHERE, FAN, ROWS, Place, Row, call, carry_out, port_place, virtual_place
 
 #: members of the kit that are no fault
 _NO_FAULT = {"active", "begin", "clear"}

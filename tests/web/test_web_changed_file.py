@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from web_kit import PLANT, WHOLE, page_of
 
 from dpstack.api.config.config import file_digest, load_config
 from dpstack.api.control.commands import KINDS
@@ -18,6 +17,7 @@ from dpstack.api.control.server import ControlServer
 from dpstack.web import run_source
 from dpstack.web.run_source import RunSource
 from dpstack.web.server import serve
+from tests.web.web_kit import PLANT, WHOLE, page_of
 
 TEXT = '[bus]\nport = "virtual"\nbaud = 500000\n# ümlaut\n'
 

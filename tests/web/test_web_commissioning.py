@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 from gsd_kit import HEAD
-from web_kit import page_of
 
 from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.errors import UsageError
 from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from tests.web.web_kit import page_of
 
 ISLAND = (
     'Vendor_Name = "Nobody"\nModel_Name = "<script>alert(1)</script>"\nModular_Station = 1\nMax_Module = 4\n'

@@ -9,12 +9,11 @@ import socket
 from collections.abc import AsyncGenerator
 from typing import Any
 
-from web_kit import PLANT, WHOLE, delta, event, page_of
-
 from dpstack.live.pending import Pending
 from dpstack.web.fan_out import MOST_EVENTS, FanOut, Item
 from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from tests.web.web_kit import PLANT, WHOLE, delta, event, page_of
 
 
 async def taken(reader: Any) -> list[dict[str, Any]]:

@@ -12,11 +12,11 @@ from far_ends import HANG_S
 from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
-from web_kit import PLANT, WHOLE, delta, page_of
 
 from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, Order, answer, parse
 from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from tests.web.web_kit import PLANT, WHOLE, delta, page_of
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),

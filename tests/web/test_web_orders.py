@@ -7,13 +7,13 @@ import re
 from typing import Any
 
 import pytest
-from web_kit import PLANT, WHOLE, page_of
 
 from dpstack.errors import BusError, UsageError
 from dpstack.web.orders import ORDERS
 from dpstack.web.rights import Rights
 from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from tests.web.web_kit import PLANT, WHOLE, page_of
 
 TOKEN = "anna-0123456789abcdef"
 RIGHTS = Rights(control=True, tokens={TOKEN: "anna"})

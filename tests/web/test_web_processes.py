@@ -17,12 +17,12 @@ import aiohttp
 import pytest
 from far_ends import HANG_S
 from programs import Program, Starter, plant_of
-from web_kit import Page
 
 import dpstack
 from dpstack.api.control.client import running
 from dpstack.cli.main import main
 from dpstack.cli.terminal import signals
+from tests.web.web_kit import Page
 
 
 def url_of(program: Program) -> str:

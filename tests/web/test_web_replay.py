@@ -6,12 +6,12 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from web_kit import PLANT, page_of
 
 from dpstack.cli.main import main
 from dpstack.web import source
 from dpstack.web.server import serve
 from dpstack.web.source import ReplaySource
+from tests.web.web_kit import PLANT, page_of
 
 #: a CSV file of somebody else: no description, one unit
 LINES = """time,t,boiler.state,boiler.level [bar]

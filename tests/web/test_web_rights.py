@@ -12,7 +12,6 @@ import aiohttp
 import pytest
 from far_ends import HANG_S
 from tls_kit import CERT, EXPIRED, KEY, KEY_WITH_PASSWORD, OTHER_KEY
-from web_kit import PLANT, page_of, stranger
 
 from dpstack.errors import ConfigError, PortError, UsageError
 from dpstack.tcp_address import Listen, Origins, is_local
@@ -20,6 +19,7 @@ from dpstack.web import rights as rights_module
 from dpstack.web.rights import Rights, make_rights, read_tokens, tls_context, who_may
 from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from tests.web.web_kit import PLANT, page_of, stranger
 
 ANNA, BERT = "anna-0123456789abcdef", "bert-0123456789abcdef"
 TOKENS = {ANNA: "anna", BERT: "bert"}

@@ -12,7 +12,6 @@ from typing import Any
 import msgspec
 import pytest
 from far_ends import until
-from web_kit import PLANT, WHOLE, Page, delta, event, page_of
 
 import dpstack
 from dpstack.api.config.config import load_config
@@ -27,6 +26,7 @@ from dpstack.web.child import Child
 from dpstack.web.rights import Rights
 from dpstack.web.run_source import RunSource
 from dpstack.web.server import serve
+from tests.web.web_kit import PLANT, WHOLE, Page, delta, event, page_of
 
 TOKEN = "anna-0123456789abcdef"
 RIGHTS = Rights(control=True, tokens={TOKEN: "anna"})

@@ -8,10 +8,10 @@ import re
 import aiohttp
 import pytest
 from far_ends import HANG_S
-from web_kit import PLANT, WHOLE, delta, event, page_of, stranger
 
 from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from tests.web.web_kit import PLANT, WHOLE, delta, event, page_of, stranger
 
 
 async def test_a_page_gets_plant_whole_snapshot_events_and_then_deltas() -> None:

@@ -13,7 +13,6 @@ import pytest
 from bus_kit import SimBus
 from cli_kit import Cli
 from rich.console import Console
-from speaking_pty import ROUND, SpeakingPty
 from support import MS, S
 
 from dpstack.api.listen.listening import keep_listening
@@ -27,6 +26,7 @@ from dpstack.decode.source import read_transmissions
 from dpstack.monitor.monitor import Monitor
 from dpstack.params import BusParams
 from dpstack.sim.world import World
+from tests.cli.listening.speaking_pty import ROUND, SpeakingPty
 
 EPOCH = 1_800_000_000 * S
 ROOT = Path(__file__).resolve().parents[3]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from cycle_kit import P500, CycleBus, running, slave, steps
 from support import MS, US, S, WorldFactory
 
 from dpstack.dp.master.commands import AddSlave, Mode, SetMode
 from dpstack.dp.master.fixed_cycle import CycleData, MissReason
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
+from tests.dp.master.cycle_kit import P500, CycleBus, running, slave, steps
 
 #: a bit at 500 kbit/s in ns; one exchange of twelve octets each way in bits: request, T_SDR, answer, T_ID1
 BIT = 2_000

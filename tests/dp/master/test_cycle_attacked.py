@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import pytest
 from bus_kit import mirror
-from cycle_kit import CycleBus, slave
 from support import MS, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service
@@ -33,6 +32,7 @@ from dpstack.errors import BusError, UsageError
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, HOST
 from dpstack.sim.world import World
+from tests.dp.master.cycle_kit import CycleBus, slave
 
 #: addresses from here on are of slaves added later
 _LATER = 50

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from cycle_kit import CycleBus, running, slave
 from support import WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
@@ -13,6 +12,7 @@ from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.events import HELD_BACK_CYCLES
 from dpstack.params import BusParams
 from dpstack.units import NS_PER_US
+from tests.dp.master.cycle_kit import CycleBus, running, slave
 
 CYCLES = 12 * HELD_BACK_CYCLES
 

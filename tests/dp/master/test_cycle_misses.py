@@ -6,7 +6,6 @@ import itertools
 
 import pytest
 from bus_kit import mirror
-from cycle_kit import P500, running, slave, steps
 from support import MS, US, S, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
@@ -17,6 +16,7 @@ from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.events import DoesNotFit
 from dpstack.fdl.livelist import LiveList
 from dpstack.phy.patience import HOST, Patience
+from tests.dp.master.cycle_kit import P500, running, slave, steps
 
 # --- what waits between the rounds ------------------------------------------------------------------------------------
 

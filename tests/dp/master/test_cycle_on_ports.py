@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from bus_kit import mirror
-from cycle_kit import P500, CycleBus, running, slave
 from support import MS, US, S, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
@@ -28,6 +27,7 @@ from dpstack.fdl.events import DoesNotFit, StationFound
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST, measured
 from dpstack.sim.adapter import FTDI_LOW_LATENCY, Adapter
+from tests.dp.master.cycle_kit import P500, CycleBus, running, slave
 
 P1500 = BusParams.preset(1_500_000, address=2)
 

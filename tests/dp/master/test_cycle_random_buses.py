@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from math import gcd
 
-from cycle_kit import CycleBus, slave
 from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
@@ -16,6 +15,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.drivers.stack import acyclic_services
 from dpstack.params import BusParams
 from dpstack.sim.world import World
+from tests.dp.master.cycle_kit import CycleBus, slave
 
 RATES = (187_500, 500_000, 1_500_000, 12_000_000)
 CYCLES = 40

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-import cycle_kit
 import pytest
-from cycle_kit import P500, CycleBus, slave
 from support import MS, WorldFactory
 
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SendControl, SetMode, Shutdown
@@ -14,6 +12,8 @@ from dpstack.dp.master.events import SlaveRemark, SlaveState
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError, UsageError
+from tests.dp.master import cycle_kit
+from tests.dp.master.cycle_kit import P500, CycleBus, slave
 
 BOTH = {"cycle_freeze": (1,), "cycle_sync": (1, 3)}
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from cycle_kit import P500, CycleBus, running, slave, steps
 from support import MS, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
@@ -13,6 +12,7 @@ from dpstack.dp.plan.cycle_check import Verdict, least_ns
 from dpstack.dp.plan.rotation_time import Figures
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.events import HELD_BACK_CYCLES
+from tests.dp.master.cycle_kit import P500, CycleBus, running, slave, steps
 
 #: places of the grid that a run counts: a hundred times the eight cycles of waiting and the one left out
 PLACES = 100 * (HELD_BACK_CYCLES + 1)

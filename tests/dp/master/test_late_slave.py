@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 from bus_kit import IDENT, PPO1, mirror
-from cycle_kit import CycleBus, slave, steps
 from slave_kit import make_slave
 from support import MS, S, WorldFactory
 
@@ -28,6 +27,7 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import HOST, Patience, measured
 from dpstack.sim.adapter import Adapter
 from dpstack.units import NEVER
+from tests.dp.master.cycle_kit import CycleBus, slave, steps
 
 P187 = BusParams.preset(187_500, address=2, gap=0)
 LATE = pytest.mark.parametrize("late_ms", [2, 3, 5, 10, 20, 35, 48, 50])

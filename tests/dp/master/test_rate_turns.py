@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from cycle_kit import slave
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +11,7 @@ from dpstack.dp.master.poll_order import RateTurns
 from dpstack.dp.rate_groups import offsets
 from dpstack.dp.telegram_times import share
 from dpstack.params import BusParams
+from tests.dp.master.cycle_kit import slave
 
 P500 = BusParams.preset(500_000, address=2)
 

@@ -7,10 +7,10 @@ order: test_slave_random_octets.
 from __future__ import annotations
 
 import pytest
-from asked_slave import CFG, DATA_EXCH, PRM, READS, SC, UNLOCK, WAIT_CFG, WAIT_PRM, Slave, answer
 from octet_wire import BIT, framed
 
 from dpstack.dp.slave.application import SlaveAppState
+from tests.dp.slave.asked_slave import CFG, DATA_EXCH, PRM, READS, SC, UNLOCK, WAIT_CFG, WAIT_PRM, Slave, answer
 
 #: RS (status 3) from slave 8 to master 2, and to 9
 RS = {2: "10 02 08 03 0D 16", 9: "10 09 08 03 14 16"}

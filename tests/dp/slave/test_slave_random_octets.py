@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from asked_slave import CFG, DATA_EXCH, PRM, READS, UNLOCK, WAIT_PRM, Slave
 from hypothesis import example, given
 from hypothesis import strategies as st
 from octet_wire import MS, framed
 from property_kit import examples
 
 from dpstack.dpv1.slave.description import SlaveDescription
+from tests.dp.slave.asked_slave import CFG, DATA_EXCH, PRM, READS, UNLOCK, WAIT_PRM, Slave
 
 #: what a master of octets may send: (data unit or outputs, kind)
 UNITS = st.one_of(

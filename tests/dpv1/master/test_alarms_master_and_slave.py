@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 
 from bus_kit import IDENT, PPO1, SimBus, setup
-from fault_steps import fault_step
 from hypothesis import given, note
 from hypothesis import strategies as st
 from property_kit import examples
@@ -20,6 +19,7 @@ from dpstack.errors import AlarmError
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
+from tests.dpv1.master.fault_steps import fault_step
 
 MS = 1_000_000
 VENDOR = 32

@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections import Counter
 
 from bus_kit import SimBus, setup
-from fault_steps import fault_step
 from hypothesis import example, given, note
 from hypothesis import strategies as st
 from ms1_kit import MS, Ms1Bus, answer, status
 from octet_slave import NR, RR, RS, SC, UE
-from patient_kit import Patient
 from property_kit import examples
 from support import wire_log
 
@@ -26,6 +24,8 @@ from dpstack.dpv1.pdu.read_write import Function
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
+from tests.dpv1.master.fault_steps import fault_step
+from tests.dpv1.master.patient_kit import Patient
 
 S = 1_000 * MS
 LIMIT = 60 * MS

@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections import Counter
 
 from bus_kit import SimBus, setup
-from fault_steps import fault_step
 from hypothesis import given, note
 from hypothesis import strategies as st
 from ms2_kit import connections_of
-from patient_kit import CONNECTIONS, Patient
 from property_kit import examples
 from support import wire_log
 
@@ -37,6 +35,8 @@ from dpstack.fdl.commands import GoOffline
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
+from tests.dpv1.master.fault_steps import fault_step
+from tests.dpv1.master.patient_kit import CONNECTIONS, Patient
 
 MS = 1_000_000
 S = 1_000 * MS

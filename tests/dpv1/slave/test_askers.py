@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ms2_slave_kit import Later
 from slave_kit import CFG, MASTER, PRM, UNLOCK, Bench, Recorder
 
 from dpstack.dpv1.pdu.im import Im0, Im1
@@ -11,6 +10,7 @@ from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.record_requests import AcyclicDevice, Asker, RecordRequest, ask, ask_records
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.dpv1.slave.resource_manager import ms2_of
+from tests.dpv1.ms2_slave_kit import Later
 
 READ = bytes.fromhex("5E 00 01 F0")
 INITIATE = bytes.fromhex("57 00 00 00 00 64 01 00 00 00 00 00 00 02 00 02 00 00 00 00")

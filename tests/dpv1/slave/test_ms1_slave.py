@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from ms2_slave_kit import Later
 from slave_kit import CFG, MASTER, OTHER, PRM, UNLOCK, Bench, Recorder
 
 from dpstack.dp.slave.application import SlaveAppState
@@ -15,6 +14,7 @@ from dpstack.dpv1.slave.record_table import ImRecords, RecordTable
 from dpstack.errors import RecordRefused
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
 from dpstack.fdl.telegram import Resp
+from tests.dpv1.ms2_slave_kit import Later
 
 ENABLE = PRM + b"\x80\0\0"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from ms2_slave_kit import READ, READ_RES, TIMEOUT, Later, Slave, cyclic
 from octet_class2 import (
     ABORT,
     ABORT_REQUEST,
@@ -25,6 +24,7 @@ from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import ConfigError, RecordRefused
+from tests.dpv1.ms2_slave_kit import READ, READ_RES, TIMEOUT, Later, Slave, cyclic
 
 # --- the sequence ---------------------------------------------------------------------------------------------------
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from ms2_slave_kit import READ, TIMEOUT, Later, Slave, cyclic, reach
 from octet_class2 import (
     ABORT,
     ABORT_REQUEST,
@@ -24,6 +23,7 @@ from dpstack.dp.slave.auto_baud import SearchingSlave
 from dpstack.dpv1.pdu.ms2 import Abort
 from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ms2Trigger, State
 from dpstack.dpv1.slave.resource_manager import ms2_of
+from tests.dpv1.ms2_slave_kit import READ, TIMEOUT, Later, Slave, cyclic, reach
 
 # --- time -------------------------------------------------------------------------------------------------------------
 

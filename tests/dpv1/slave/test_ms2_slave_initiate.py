@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from ms2_slave_kit import READ, READ_RES, Slave
 from octet_class2 import (
     ABORT,
     ABORT_ADDRESS,
@@ -16,6 +15,7 @@ from octet_class2 import (
 )
 
 from dpstack.dpv1.slave.resource_manager import ms2_of
+from tests.dpv1.ms2_slave_kit import READ, READ_RES, Slave
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from ms2_slave_kit import READ, Slave
 from octet_class2 import ABORT_REQUEST, INITIATE, OPENED, RS, SC
 from octet_wire import MS
 from slave_kit import Recorder
@@ -12,6 +11,7 @@ from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import ConfigError, RecordRefused, UsageError
+from tests.dpv1.ms2_slave_kit import READ, Slave
 
 
 class Picky(Recorder):

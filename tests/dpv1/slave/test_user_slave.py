@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from ms2_slave_kit import Later
 from slave_kit import PRM, Bench
 
 from dpstack.dp.pdu.alarm_blocks import Alarm
@@ -20,6 +19,7 @@ from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import ByIndex, ImRecords, RecordTable
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import AlarmError, ConfigError, RecordRefused, UnknownAttribute, UsageError
+from tests.dpv1.ms2_slave_kit import Later
 
 BASE: dict[str, Any] = {"ident": 0x0A35, "name": "tank", "configs": (b"\x10\x20", b"\x11\x20")}
 

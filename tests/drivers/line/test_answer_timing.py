@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import kernel_kit
 import pytest
-from asker_kit import ANSWER, BAUD, SHORT, Asker
 from kernel_kit import LATE_NS, Driven, Kernel
 
 from dpstack.drivers.line import answer_timing
@@ -19,6 +18,7 @@ from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
 from dpstack.units import NS_PER_MS, NS_PER_US, chars_to_ns
+from tests.drivers.line.asker_kit import ANSWER, BAUD, SHORT, Asker
 
 LONG: Final = bytes.fromhex("68 13 13 68 02 03 08" + " 00" * 16 + " 0D 16")
 TOKEN: Final = bytes.fromhex("DC 02 02")

@@ -7,8 +7,6 @@ import itertools
 from time import monotonic_ns
 
 import pytest
-from asker_kit import ANSWER, BAUD, SHORT, Asker
-from driver_rig import driver_on
 from far_ends import PtyFarEnd, until
 
 from dpstack.drivers.line import answer_timing
@@ -20,6 +18,8 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
 from dpstack.ports import open_port
 from dpstack.units import NEVER
+from tests.drivers.driver_rig import driver_on
+from tests.drivers.line.asker_kit import ANSWER, BAUD, SHORT, Asker
 
 pytestmark = pytest.mark.usefixtures("each_driver")
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from time import monotonic_ns
 
 import pytest
-from driver_rig import driver_on
 from far_ends import open_slave, until
 
 from dpstack.dp.master.commands import Mode, SetMode, Shutdown
@@ -28,6 +27,7 @@ from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.ports import open_port
 from dpstack.trace import Event
+from tests.drivers.driver_rig import driver_on
 
 pytestmark = pytest.mark.usefixtures("each_driver")
 

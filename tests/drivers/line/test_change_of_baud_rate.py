@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from driver_rig import Rig, Script, driver_on
 from far_ends import TcpFarEnd, until
 
 from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.errors import BaudError, ConfigError, PortError
 from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.ports import open_port
+from tests.drivers.driver_rig import Rig, Script, driver_on
 
 pytestmark = pytest.mark.usefixtures("each_driver")
 

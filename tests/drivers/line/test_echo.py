@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from driver_rig import Rig
 from far_ends import until
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.fdl.events import AddressCollision
 from dpstack.units import NS_PER_MS
+from tests.drivers.driver_rig import Rig
 
 REQUEST = bytes.fromhex("68 05 05 68 82 E3 6D 3C 3E 4C 16")
 ANSWER = bytes.fromhex("68 0B 0B 68 E3 82 08 3E 3C 02 05 00 FF 0C DA D3 16")

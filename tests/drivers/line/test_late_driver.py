@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import Final
 
 import pytest
-from asker_kit import ANSWER, BAUD, Asker
 from hypothesis import given
 from hypothesis import strategies as st
 from kernel_kit import Driven, Kernel, held_up_at
@@ -25,6 +24,7 @@ from dpstack.fdl.telegram import Telegram
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
 from dpstack.units import NS_PER_MS, NS_PER_US, chars_to_ns
+from tests.drivers.line.asker_kit import ANSWER, BAUD, Asker
 
 BITS_11_NS: Final = 22 * NS_PER_US
 #: so many answers in pieces make the next one known (of each FCB), and nobody listens until it should be over

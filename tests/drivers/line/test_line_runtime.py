@@ -8,7 +8,6 @@ from time import monotonic_ns
 from typing import Any
 
 import pytest
-from driver_rig import BACKOFF, REQUEST, TOKEN, Rig, Script, defect, driver_on
 from far_ends import PtyFarEnd, until
 from memory_port import MemoryPort
 
@@ -23,6 +22,7 @@ from dpstack.ports import open_port, timerfd
 from dpstack.ports.pty import PtyPort
 from dpstack.trace import Event, Notice
 from dpstack.units import NEVER, NS_PER_MS, chars_to_ns
+from tests.drivers.driver_rig import BACKOFF, REQUEST, TOKEN, Rig, Script, defect, driver_on
 
 pytestmark = pytest.mark.usefixtures("each_driver")
 

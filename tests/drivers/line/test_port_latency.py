@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from driver_rig import REQUEST, Rig
 
 from dpstack.drivers.line.port_latency import FIRST, PortLatency
 from dpstack.phy.patience import Patience, measured
 from dpstack.units import NS_PER_MS
+from tests.drivers.driver_rig import REQUEST, Rig
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from time import monotonic_ns
 
 import pytest
-from driver_rig import BACKOFF, REQUEST, TOKEN, Script
 from far_ends import TcpFarEnd
 from memory_port import memory_pair
 from support_responder import Responder
@@ -33,6 +32,7 @@ from dpstack.ports import Port, open_port
 from dpstack.ports.pyserial import PySerialPort
 from dpstack.trace import Event, Notice
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_US
+from tests.drivers.driver_rig import BACKOFF, REQUEST, TOKEN, Script
 
 OTHER = bytes.fromhex("10 03 02 49 4E 16")
 

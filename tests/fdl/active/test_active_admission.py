@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
 from msgspec.structs import replace
 from ring_bus import ListUser
 
@@ -17,6 +16,7 @@ from dpstack.fdl.telegram import Kind, Req, Telegram
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Notice
+from tests.fdl.active.exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
 
 BIT = 2_000  # at 500 kbit/s; T_SL 200, T_ID1 37, min T_SDR 11
 MS = 1_000_000

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
 from msgspec.structs import replace
 from ring_bus import ListUser, RingBus, Sent
 
@@ -18,6 +17,7 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import HOST, Patience
 from dpstack.trace import Notice, WireEntry
 from dpstack.units import NEVER, NS_PER_MS
+from tests.fdl.active.exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
 
 # --- what is an answer -----------------------------------------------------------------------------------------------
 RS = Telegram(Kind.SD1, 2, 3, 0x03)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
 from msgspec.structs import replace
 from ring_bus import ListUser, ring_of
 
@@ -17,6 +16,7 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
 from dpstack.trace import Notice
 from dpstack.units import BAUD_RATES, NS_PER_MS
+from tests.fdl.active.exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
 
 
 def test_literal_octets_of_a_bring_up() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from exchange_kit import DX, DX_ANSWER, Slave, bus_with
 from msgspec.structs import replace
 from ring_bus import ListUser, RingBus, ring_of
 
@@ -21,6 +20,7 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import HOST, Patience
 from dpstack.trace import Notice, Severity
 from dpstack.units import NEVER, chars_to_ns
+from tests.fdl.active.exchange_kit import DX, DX_ANSWER, Slave, bus_with
 
 BIT = 2_000  # at 500 kbit/s; T_SL 200, T_ID1 37, T_ID2 100
 MS = 1_000_000

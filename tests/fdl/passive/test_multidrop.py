@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from passive_kit import Application, Bench
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.commands import AtStation
@@ -15,6 +14,7 @@ from dpstack.machine import Machine
 from dpstack.params import BusParams
 from dpstack.trace import Notice
 from dpstack.units import NEVER
+from tests.fdl.passive_kit import Application, Bench
 
 BAUD = 500_000
 BIT = 2_000

@@ -5,7 +5,16 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from passive_kit import (
+
+from dpstack.errors import ConfigError
+from dpstack.fdl.codec import decode
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
+from dpstack.fdl.passive.station import PassiveStation
+from dpstack.fdl.telegram import Req, Resp
+from dpstack.params import BusParams
+from dpstack.trace import Notice
+from dpstack.units import NEVER
+from tests.fdl.passive_kit import (
     BAUD,
     BIT,
     DIAG_FIRST,
@@ -22,15 +31,6 @@ from passive_kit import (
     build,
     times,
 )
-
-from dpstack.errors import ConfigError
-from dpstack.fdl.codec import decode
-from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
-from dpstack.fdl.passive.station import PassiveStation
-from dpstack.fdl.telegram import Req, Resp
-from dpstack.params import BusParams
-from dpstack.trace import Notice
-from dpstack.units import NEVER
 
 DX_7D_FROM_4 = "68 04 04 68 03 04 7D 11 95 16"
 DX_4D = "68 04 04 68 03 02 4D 11 63 16"  # no frame count at all

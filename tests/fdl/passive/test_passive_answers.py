@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 import pytest
-from passive_kit import (
+
+from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.commands import AtStation
+from dpstack.fdl.interface import Reply
+from dpstack.fdl.telegram import Resp
+from dpstack.machine import LineDown, LineUp
+from dpstack.phy.patience import Patience
+from dpstack.units import BAUD_RATES, NEVER
+from tests.fdl.passive_kit import (
     BIT,
     DIAG_FIRST,
     DX_5D,
@@ -18,14 +26,6 @@ from passive_kit import (
     build,
     times,
 )
-
-from dpstack.errors import ConfigError, UsageError
-from dpstack.fdl.commands import AtStation
-from dpstack.fdl.interface import Reply
-from dpstack.fdl.telegram import Resp
-from dpstack.machine import LineDown, LineUp
-from dpstack.phy.patience import Patience
-from dpstack.units import BAUD_RATES, NEVER
 
 PORTS = ["octets", "multidrop"]
 HEARS_EDGES = ["octets", "bytewise", "telegram"]

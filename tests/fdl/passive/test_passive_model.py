@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from passive_kit import BIT, Application
 from property_kit import examples
 
 from dpstack.errors import ConfigError, UsageError
@@ -19,6 +18,7 @@ from dpstack.machine import LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.phy.patience import Patience
 from dpstack.units import NEVER
+from tests.fdl.passive_kit import BIT, Application
 
 PARAMS = BusParams.preset(500_000)  # T_SL 200, min T_SDR 11
 SLOT = 200 * BIT

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 from metrics_kit import scrape
 from prometheus_expressions import FOLDER
-from stranger_kit import HANGS_S, program
 
 from dpstack.bridge.metrics.face import MetricsFace
+from tests.strangers.stranger_kit import HANGS_S, program
 
 #: s between two scrapes, and two evaluations of the rules
 STEP_S: Final = 15

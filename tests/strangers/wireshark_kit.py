@@ -15,14 +15,13 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from stranger_kit import HANGS_S, program
-
 import dpstack
 from dpstack.capture.pcapng import USER0, Writer
 from dpstack.capture.transmission import Transmission
 from dpstack.decode.source import read_transmissions
 from dpstack.decode.telegram import Explained, explain
 from dpstack.units import baud_text
+from tests.strangers.stranger_kit import HANGS_S, program
 
 LUA: Final = Path(dpstack.__file__).parent / "wireshark" / "profibus.lua"
 _STUB: Final = Path(__file__).parent / "wireshark_stub.lua"

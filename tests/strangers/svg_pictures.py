@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from stranger_kit import run_program
+from tests.strangers.stranger_kit import run_program
 
 
 def box(svg: Path) -> tuple[int, int]:
