@@ -1,7 +1,7 @@
 """Writes the table of docs/explanation/ends.md from tests/snapshots/ends.json, which a recording slave has measured.
 
     python tools/make_ends_docs.py              the page from the data
-    python tools/make_ends_docs.py --measure    measures all rows first, about 10 minutes (see tests/kits/ends_rows.py)
+    python tools/make_ends_docs.py --measure    measures all rows first, about 10 minutes (see tests/kits/ends)
 
 A test holds the page to the data.
 """
@@ -20,7 +20,7 @@ from typing import Final
 ROOT: Final = Path(__file__).resolve().parent.parent
 TARGET: Final = ROOT / "docs" / "explanation" / "ends.md"
 DATA: Final = ROOT / "tests" / "snapshots" / "ends.json"
-_MEASURE: Final = ROOT / "tests" / "kits" / "ends_rows.py"
+_MEASURE: Final = ROOT / "tests" / "kits" / "ends"
 _BEGIN: Final = "<!-- table: ways out -->\n"
 _END: Final = "<!-- end -->"
 

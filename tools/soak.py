@@ -19,11 +19,11 @@ from typing import Final
 ROOT: Final = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests" / "kits"))
 
-import soak_results as results  # noqa: E402
 from process_kit import DRIVERS  # noqa: E402
-from soak_ptys import start  # noqa: E402
-from soak_slice import SLICE, SLICES, run_slice  # noqa: E402
-from soak_traced import run_traced  # noqa: E402
+from soak import results  # noqa: E402
+from soak.ptys import start  # noqa: E402
+from soak.slice import SLICE, SLICES, run_slice  # noqa: E402
+from soak.traced import run_traced  # noqa: E402
 
 
 def keep(path: Path, line: results.Line) -> bool:

@@ -33,8 +33,8 @@ Drivers, ports, programs:
   ``far_ends``: other ends of ports; ``fake_adapter``: serial driver and sysfs in memory; ``baud_rig``: traffic behind a
   UART.
 - ``programs``: ``dpstack`` as a program; ``control_kit``: control sockets and a client of octets; ``cli_kit``:
-  commands in the process of the test; ``ends_programs``, ``ends_run``, ``ends_kit``: programs that end a bus in every
-  way, and the last telegrams to a slave.
+  commands in the process of the test.
+- ``ends``: programs that end a bus in every way, and the last telegrams to a slave. ``soak``: endurance runs.
 
 Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``; ``acyclic_kit`` (record 47).
 

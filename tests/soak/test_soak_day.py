@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from soak_day import CYCLE_MS, DAY_S, run_day
+from soak.day import CYCLE_MS, DAY_S, run_day
 
 #: octets and Python objects after the warm-up: three hours took 1 MB and 962 more, in histories of events that fill up
 _GROWTH = 4 << 20

@@ -11,8 +11,8 @@ import sys
 import threading
 from pathlib import Path
 
-import soak_results as results
-from soak_leftovers import belongings, memory, rss_of, stack_objects
+from soak import results
+from soak.leftovers import belongings, memory, rss_of, stack_objects
 
 from dpstack.trace import WireLog
 

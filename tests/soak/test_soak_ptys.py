@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-import soak_results as results
 from process_kit import DRIVERS
-from soak_far_end import Arrivals, FarEnd
-from soak_ptys import start
+from soak import results
+from soak.far_end import Arrivals, FarEnd
+from soak.ptys import start
 
 MS = 1_000_000
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from api_kit import HOIST, RAW, bench_of, mirror, off_and_on, operating, serving, virtual
-from soak_leftovers import stack_objects
+from soak.leftovers import stack_objects
 
 import dpstack
 from dpstack.api.bus.bus import core_of

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import soak_results as results
-from soak_slice import SLICE, run_slice
-from soak_wire import Grid, WireCount
+from soak import results
+from soak.slice import SLICE, run_slice
+from soak.wire import Grid, WireCount
 
 from dpstack.trace import WireEntry
 

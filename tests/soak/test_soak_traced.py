@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-import soak_results as results
-from soak_traced import run_traced
+from soak import results
+from soak.traced import run_traced
 
 
 @pytest.mark.soak

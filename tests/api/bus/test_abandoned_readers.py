@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable
 
 import pytest
 from api_kit import RAW, RIG, in_virtual_time, mirror, operating, serving
-from soak_leftovers import stack_objects
+from soak.leftovers import stack_objects
 
 import dpstack
 

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 from api_kit import RAW, bus_of, in_virtual_time, slave_in, virtual
-from ends_kit import told
+from ends.telegrams import told
 from support import WorldFactory
 
 import dpstack

@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable
 
 import pytest
-from ends_kit import heard, is_in_order
-from ends_programs import Ways
-from ends_rows import WAYS, kept, measure, plain, rows
+from ends.programs import Ways
+from ends.rows import WAYS, kept, measure, plain, rows
+from ends.telegrams import heard, is_in_order
 from far_ends import HANG_S
 from process_kit import LAMPS_SPEC, SPEC, eventually, octet_slaves
 from support_responder import Responder
@@ -72,7 +72,7 @@ def test_no_row_says_that_a_program_hangs_or_an_end_is_missing() -> None:
 
 
 def compare(key: str) -> None:
-    assert measure(ROWS[key]) == kept()[key], f"when it is meant: python tests/kits/ends_rows.py {key!r}"
+    assert measure(ROWS[key]) == kept()[key], f"when it is meant: python tests/kits/ends {key!r}"
 
 
 @pytest.mark.parametrize("key", [key for key, row in ROWS.items() if row.quick])

@@ -9,10 +9,10 @@ import signal
 import socket
 from collections.abc import Callable
 
-import ends_plugin
 import pytest
-from ends_kit import after_live, heard, is_in_order
-from ends_programs import Ways
+from ends import failing_plugins
+from ends.programs import Ways
+from ends.telegrams import after_live, heard, is_in_order
 from far_ends import many_files_open, until
 from process_kit import DRIVERS, LAMPS_SPEC, SPEC, Driver, eventually, octet_slaves
 
@@ -221,7 +221,7 @@ def test_a_token_that_was_lost_on_the_way_out_costs_no_clear(monkeypatch: pytest
         bus = loop.run_until_complete(live.opened())
         stack = core_of(bus).view
         assert isinstance(stack, Stack)
-        stack.master.handlers[4].image.plugin = ends_plugin.EXITS.core()
+        stack.master.handlers[4].image.plugin = failing_plugins.EXITS.core()
         waiting = loop.create_task(bus.rotated(None))
         with pytest.raises(SystemExit):
             loop.run_until_complete(waiting)
@@ -243,7 +243,7 @@ def test_a_plugin_that_fails_ends_neither_bus_nor_program(name: str) -> None:
         async def then(bus: dpstack.Bus) -> None:
             stack = core_of(bus).view
             assert isinstance(stack, Stack)
-            stack.master.handlers[4].image.plugin = getattr(ends_plugin, name).core()
+            stack.master.handlers[4].image.plugin = getattr(failing_plugins, name).core()
             await until(lambda: bus.slave("valves").fault is not None, "the fault")
             await bus.rotated(bus.stats.rotations + 20, 60)
             assert words[-1] in (SAFE, "operate")

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from api_kit import bench_of
 from cli_kit import SIMULATED, Cli
-from ends_kit import told
+from ends.telegrams import told
 from far_ends import until
 from programs import PLANT, Program, Starter, plant_of
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from ends_kit import heard, is_in_order
+from ends.telegrams import heard, is_in_order
 from far_ends import HANG_S
 from process_kit import SPEC, octet_slaves
 from programs import Starter

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import pytest
-from ends_kit import table
+from ends.telegrams import table
 from scripted_link import MS, RUN, SAFE, ScriptedLink, mode_of, operating, setup, wire
 
 from dpstack.api.bus.events_json import event_json

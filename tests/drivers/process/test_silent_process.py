@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from api_kit import FAN
-from ends_kit import heard, is_in_order
+from ends.telegrams import heard, is_in_order
 from far_ends import until
 from process_kit import (
     LAMPS,

@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable
 from random import Random
 from typing import Final
 
-from soak_leftovers import Memory, belongings, memory
+from soak.leftovers import Memory, belongings, memory
 
 import dpstack
 from dpstack.profile import DriveDevice

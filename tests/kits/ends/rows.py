@@ -1,13 +1,11 @@
 """Every way out of a program with a bus, measured: the rows of docs/explanation/ends.md.
 
-    python tests/kits/ends_rows.py               measures all rows and writes tests/snapshots/ends.json
-    python tests/kits/ends_rows.py KEY ...       these only; a part of a key names all rows that contain it
-    python tests/kits/ends_rows.py --missing     those that the file does not have
+``python tests/kits/ends`` measures them (see the package).
 
-A program (an application of ``ends_faults``, or ``dpstack run``) has two slaves with live outputs, on a pty whose
-other end is ``recording_slave``: slave 4 with a watchdog of 1000 ms and safe values, slave 5 without either. Something
-happens to it. The row says what the slaves were sent last, by what their outputs became safe, what was told, and the
-exit code.
+A program (an application of ``ends.faults``, or ``dpstack run``) has two slaves with live outputs, on a pty whose
+other end is ``ends.recording_slave``: slave 4 with a watchdog of 1000 ms and safe values, slave 5 without either.
+Something happens to it. The row says what the slaves were sent last, by what their outputs became safe, what was told,
+and the exit code.
 """
 
 from __future__ import annotations
@@ -33,9 +31,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from ends_kit import after_live
+from ends.telegrams import after_live
 
-KITS: Final = Path(__file__).parent
+KITS: Final = Path(__file__).resolve().parents[1]
 ROOT: Final = KITS.parents[1]
 DATA: Final = ROOT / "tests" / "snapshots" / "ends.json"
 DRIVERS: Final = ("asyncio", "process")
@@ -115,12 +113,13 @@ outputs = {{ {", ".join(f'o{bit} = "bool@{bit // 8}.{bit % 8}"' for bit in range
 
 
 class Recorder:
-    """The process of ``recording_slave``."""
+    """The process of ``ends.recording_slave``."""
 
     def __init__(self, folder: Path, more: tuple[str, ...] = ()) -> None:
         self.link = str(folder / "line")
         self.process = subprocess.Popen(
-            [sys.executable, str(KITS / "recording_slave.py"), self.link, *SLAVES, *more],
+            [sys.executable, "-m", "ends.recording_slave", self.link, *SLAVES, *more],
+            cwd=KITS,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
@@ -176,13 +175,13 @@ class Program:
             text = PLANT.format(port=link, driver=row.driver) + row.tables.replace("FOLDER", str(folder))
             plant.write_text(text, encoding="utf-8")
             files = [argument.replace("FOLDER", str(folder)) for argument in row.arguments]
-            main = [str(KITS / "ends_run.py")] if "[probe]" in row.tables else ["-m", "dpstack.cli.main"]
-            command = [sys.executable, *main, "run", str(plant)]
+            main = "ends.run" if "[probe]" in row.tables else "dpstack.cli.main"
+            command = [sys.executable, "-m", main, "run", str(plant)]
             big = [f"{slave.partition(':')[0]}={BIG_OUTPUTS}" for slave in row.slaves]
             command += ["--outputs", f"4={LIVE}", f"5={LIVE_LAMPS}", *big, "--plain", *files]
         else:
-            file = "ends_blocking.py" if row.program == "blocking" else "ends_faults.py"
-            command = [sys.executable, str(KITS / file), link, row.driver, row.way]
+            main = "ends.blocking" if row.program == "blocking" else "ends.faults"
+            command = [sys.executable, "-m", main, link, row.driver, row.way]
         stdin = stdout = subprocess.PIPE
         if row.reader_goes:
             self.unread, stdout = os.pipe()
@@ -275,7 +274,7 @@ Act = Callable[["Program", Recorder], None]
 
 @dataclass
 class Row:
-    """One row. ``program``: application, blocking, run. ``way``: of ``ends_faults`` or ``ends_blocking``; ``act``: what
+    """One row. ``program``: application, blocking, run. ``way``: of ``ends.faults`` or ``ends.blocking``; ``act``: what
     happens to it once its outputs are live, where it does nothing itself. ``may_go_on``: it may outlive this.
     ``quick``: measured in ``make test``. ``reader_goes``: its standard output is a pipe that ``act`` closes.
     ``may_tell``: the beginning of a text that it tells at some loads of the computer only; it is left out."""
@@ -469,7 +468,7 @@ def processes_of(program: Program) -> Iterator[int]:
 
 # --- the rows ---------------------------------------------------------------------------------------------------------
 
-#: of the application itself: the method of ``ends_faults``, the text, whether it is measured in ``make test``
+#: of the application itself: the method of ``ends.faults``, the text, whether it is measured in ``make test``
 WAYS: Final = {
     "end": {
         "the_block_ends": "the `async with` block ends",
@@ -523,7 +522,7 @@ WAYS: Final = {
         "no_memory_in_the_machine": "`MemoryError` in the protocol machine",
     },
 }
-#: of a script with ``dpstack.blocking``: the method of ``ends_blocking``
+#: of a script with ``dpstack.blocking``: the method of ``ends.blocking``
 BLOCKING_WAYS: Final = {
     "end": {
         "the_block_ends": "the `with` block ends",
@@ -814,7 +813,3 @@ def main(wanted: list[str]) -> None:
             new = DATA.with_suffix(".new")
             new.write_text(text_of({name: before[name] for name in known if name in before}), encoding="utf-8")
             new.replace(DATA)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -1,6 +1,6 @@
 """Applications that end a bus in every way there is.
 
-As a program: ``python ends_faults.py PATH DRIVER WAY``. Each brings slaves 4 (with a watchdog) and 5 (without) on
+As a program: ``python -m ends.faults PATH DRIVER WAY``. Each brings slaves 4 (with a watchdog) and 5 (without) on
 PATH up, sends them 11 22 and 77, says "live", and then ends as WAY says, which is the name of a method of
 :class:`Ways`. Each event that is a warning or an error is a line "event: CLASS: TEXT".
 """

@@ -1,6 +1,6 @@
 """Slaves on a pty that record the last telegrams to them, with watchdogs that act. Imports nothing of dpstack.
 
-    python tests/kits/recording_slave.py LINK 4:1234:2111:2:2=1122 5:1234:2010:1:1=77
+    python -m ends.recording_slave LINK 4:1234:2111:2:2=1122 5:1234:2010:1:1=77
 
 Each argument is a slave as in ``support_responder`` and the outputs that count as live. The program makes a pty whose
 path is LINK, and writes one JSON value a line: ``"ready"``; ``"live"`` when all slaves have their live outputs; after

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any, Final
 
-from soak_leftovers import Memory, belongings, memory, stack_objects
-from soak_readers import StreamReaders
-from soak_wire import Grid, WireCount
+from soak.leftovers import Memory, belongings, memory, stack_objects
+from soak.readers import StreamReaders
+from soak.wire import Grid, WireCount
 
 import dpstack
 from dpstack.api.bus.bus import core_of

@@ -1,6 +1,6 @@
 """The long run on ptys: a bus with a fixed cycle in this process, slaves of octets in another one.
 
-    python tests/kits/soak_ptys.py asyncio|process MINUTES
+    python -m soak.ptys asyncio|process MINUTES    (in tests/kits)
 
 prints its result as one JSON line. The program sets outputs in every cycle and reads inputs, records, services of
 class 2 and the live list; readers follow events and the live stream. Memory is sampled in this process and in the bus
@@ -22,8 +22,8 @@ from random import Random
 from typing import Any, Final
 
 from process_kit import DRIVERS, Driver
-from soak_leftovers import belongings, children_of, handles_of, locks_of, memory, rss_of
-from soak_readers import StreamReaders
+from soak.leftovers import belongings, children_of, handles_of, locks_of, memory, rss_of
+from soak.readers import StreamReaders
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -31,7 +31,7 @@ from dpstack.dp.master.events import CyclesMissed, SlaveStateChanged
 from dpstack.drivers.process.client import ProcessRuntime
 from dpstack.trace import Event
 
-_KITS: Final = Path(__file__).resolve().parent
+_KITS: Final = Path(__file__).resolve().parents[1]
 BAUD: Final = 1_500_000
 CYCLE_MS: Final = 20
 #: addresses of the slaves; each has a counter three times in its twelve octets, and mirrors it
@@ -52,12 +52,12 @@ _ATTEMPTS_MS: Final = 16 * 50
 
 
 class FarProcess:
-    """The process of ``soak_far_end.py``."""
+    """The process of ``soak.far_end``."""
 
     def __init__(self, window_s: float) -> None:
         specs = [f"{address}:0696:f3f1:12:12,records=1" for address in _SLAVES]
-        words = [sys.executable, str(_KITS / "soak_far_end.py"), str(CYCLE_MS), str(window_s), *specs]
-        self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        words = [sys.executable, "-m", "soak.far_end", str(CYCLE_MS), str(window_s), *specs]
+        self._process = subprocess.Popen(words, cwd=_KITS, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.port: str = self._line()["port"]
 
     def ask(self, order: str = "count") -> dict[str, Any]:
@@ -331,8 +331,8 @@ class Started:
     """The run of a driver, in a process of its own."""
 
     def __init__(self, driver: str, minutes: float) -> None:
-        words = [sys.executable, str(Path(__file__).resolve()), driver, str(minutes)]
-        self._process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        words = [sys.executable, "-m", "soak.ptys", driver, str(minutes)]
+        self._process = subprocess.Popen(words, cwd=_KITS, stdout=subprocess.PIPE, text=True)
 
     def result(self) -> dict[str, Any]:
         """Its line of the results file, once it is over. Raises RuntimeError if it failed."""

@@ -1,4 +1,4 @@
-"""Drive plugins that fail, for ``ends_faults``; a bus process imports them by their names."""
+"""Drive plugins that fail, for ``ends.faults``; a bus process imports them by their names."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Slaves of octets on a pty of their own, in a process of their own, which count and time all that arrives.
 
-Nothing of the project is imported; the slaves are those of support_responder.py.
+Nothing of the project is imported; the slaves are those of ``support_responder``.
 
-    python tests/kits/soak_far_end.py CYCLE_MS WINDOW_S SPEC...
+    python -m soak.far_end CYCLE_MS WINDOW_S SPEC...
 
 It prints one JSON line with its port. Each line on standard input is answered by a JSON line with the account so far;
 ``begin`` also begins the grid of the fixed cycle anew with the next round. The end of the input ends it.

@@ -1,6 +1,6 @@
 """Scripts with ``dpstack.blocking`` that end a bus in every way there is.
 
-As a program: ``python ends_blocking.py PATH DRIVER WAY``, as ``ends_faults`` is for applications. WAY is the name of a
+As a program: ``python -m ends.blocking PATH DRIVER WAY``, as ``ends.faults`` is for applications. WAY is the name of a
 method of :class:`Scripts`. The driver "process" is not asked for: it is the default of a script.
 """
 
@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from ends_programs import LIVE, LIVE_LAMPS, LONG_S, SLAVES
+from ends.programs import LIVE, LIVE_LAMPS, LONG_S, SLAVES
 from process_kit import UNHURRIED, eventually
 
 import dpstack.blocking

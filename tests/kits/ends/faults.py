@@ -1,6 +1,6 @@
 """Applications that end, or go on, after exceptions in callbacks and with no handles, no memory and no disk left.
 
-As a program: ``python ends_faults.py PATH DRIVER WAY``, as ``ends_programs``; it has all ways of that, too.
+As a program: ``python -m ends.faults PATH DRIVER WAY``, as ``ends.programs``; it has all ways of that, too.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-import ends_plugin
 import probe_face
-from ends_programs import LONG_S, Ways
+from ends import failing_plugins
+from ends.programs import LONG_S, Ways
 from far_ends import until
 
 import dpstack
@@ -74,13 +74,15 @@ class Faults(Ways):
 
     # --- exceptions in plugins ---
     async def attach(self, bus: dpstack.Bus, name: str) -> None:
-        """The valves get the plugin ``name`` of ``ends_plugin``."""
+        """The valves get the plugin ``name`` of ``ends.failing_plugins``."""
         if self.driver == "process":
-            await core_of(bus).runtime.order(AttachPlugin(address=4, place=f"ends_plugin:{name}", name="valves"))
+            await core_of(bus).runtime.order(
+                AttachPlugin(address=4, place=f"ends.failing_plugins:{name}", name="valves")
+            )
         else:
             stack = core_of(bus).view
             assert isinstance(stack, Stack)
-            stack.master.handlers[4].image.plugin = getattr(ends_plugin, name).core()
+            stack.master.handlers[4].image.plugin = getattr(failing_plugins, name).core()
 
     def in_a_plugin(self) -> None:
         """The outputs of its slave are safe, and the bus goes on."""

@@ -1,4 +1,4 @@
-"""``dpstack`` with the face ``[probe]`` of ``probe_face``, for ``ends_rows``: ``python ends_run.py run PLANT ...``."""
+"""``dpstack`` with the face ``[probe]`` of ``probe_face``, for ``ends.rows``: ``python -m ends.run run PLANT ...``."""
 
 from __future__ import annotations
 

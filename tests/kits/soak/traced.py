@@ -1,6 +1,6 @@
 """The long run with tracemalloc: memory by the line that took it, after a warm-up and at the end of so many exchanges.
 
-The bus is that of a slice (:mod:`soak_slice`): its program and its readers go on, and a line that keeps more and more
+The bus is that of a slice (:mod:`soak.slice`): its program and its readers go on, and a line that keeps more and more
 shows as growth between the samples.
 """
 
@@ -11,15 +11,13 @@ import time
 import tracemalloc
 from typing import Any, Final
 
-from soak_slice import Slice
+from soak.slice import Slice
 
 import dpstack
 
 #: parts of the run at which memory is looked at; the first ends the warm-up
 _PARTS: Final = (0.3, 0.5, 0.75, 1.0)
 _SHOWN: Final = 10
-#: these lines belong to the measurement
-_OURS: Final = ("tracemalloc.py", "soak_traced.py", "soak_slice.py", "soak_wire.py")
 
 
 class Traced(Slice):

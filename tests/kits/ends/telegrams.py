@@ -16,7 +16,7 @@ from support_responder import Responder
 
 #: octet 1 of Global_Control by what it says; the other bits are SYNC and FREEZE
 CLEAR = 0x02
-ENDS: Final = Path(__file__).parents[2] / "docs" / "explanation" / "ends.md"
+ENDS: Final = Path(__file__).parents[3] / "docs" / "explanation" / "ends.md"
 
 
 def table(heading: str, first: str) -> Iterator[tuple[str, list[str]]]:
