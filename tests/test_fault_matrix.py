@@ -1,4 +1,4 @@
-"""The fault matrix is what it was; see :mod:`fault_matrix`."""
+"""The fault matrix is what it was; see :mod:`faults.matrix`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from fault_matrix import NOTHING, Cell, Fault, cells, kept, line, table
-from fault_matrix_rows import FAULTS
-from fault_matrix_wire import NO_FAULT
+from faults.matrix import NOTHING, Cell, Fault, cells, kept, line, table
+from faults.rows import FAULTS
+from faults.wire import NO_FAULT
 
-ADVICE = "read the diff; when it is meant, run: python tests/kits/fault_matrix.py, and say why in the commit"
+ADVICE = "read the diff; when it is meant, run: python tests/kits/faults, and say why in the commit"
 
 
 def compare(chosen: Sequence[Cell]) -> None:
@@ -55,7 +55,7 @@ def test_every_cell_holds_its_promises(fault: Fault) -> None:
 
 def test_the_table_of_the_reliability_page() -> None:
     page = (Path(__file__).parents[1] / "docs" / "development" / "reliability.md").read_text(encoding="utf-8")
-    assert table(FAULTS) in page, "print it with: python tests/kits/fault_matrix.py --table"
+    assert table(FAULTS) in page, "print it with: python tests/kits/faults --table"
 
 
 @pytest.mark.soak

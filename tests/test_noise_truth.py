@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import pytest
 from bus_kit import SimBus
-from counting_plugin import CountingPlugin
+from faults.counting_plugin import CountingPlugin
 from fire_kit import FireRing
 from hypothesis import given
 from hypothesis import strategies as st

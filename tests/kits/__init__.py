@@ -7,9 +7,6 @@ Buses, all in virtual time:
 - ``support``: worlds with a referee (fixture ``world``), the decoded wire log, dummy stations.
 - ``bus_kit``: a station in a world (``add_station``), a master with mirror slaves (``SimBus``). On it: ``planned_bus``
   (undisturbed rounds), ``fire_kit`` (token ring of several masters).
-- ``fault_matrix``: faults x baud rates x stations as lines of figures; ``fault_matrix_plant`` (its buses),
-  ``fault_matrix_truth`` (what was on the wire), ``fault_matrix_wire`` and ``fault_matrix_stations`` (faults),
-  ``fault_matrix_rows`` (all of them).
 - ``ring_bus``: a wire of literal octets without ``World``; slaves are functions from octets to octets. On it:
   ``order_bus`` (a station with acyclic services, orders and their ends), and on that ``class2_kit``, ``ms1_kit``,
   ``alarm_kit`` (with a DP master), ``ms2_kit``.
@@ -23,7 +20,8 @@ One end alone, the other in literal octets:
 - ``octet_slave``: DP slave as a function of octets, and SD1 and SD2 by hand. ``octet_wire``: a line to one slave of
   dpstack. On it: ``octet_class2`` (master of class 2).
 - ``slave_kit``: requests to the DP slave as telegrams, a device that records its calls; on it ``slave_alarm_kit``.
-- ``foreign_master``: a master that is not ours in a world; ``faulty_slaves``: slaves that misbehave.
+- ``foreign_master``: a master that is not ours in a world; ``faults.slaves``,
+  ``faults.devices``: slaves and devices that misbehave.
 - ``support_responder``: slaves of octets as a program, also for the benchmarks; ``recordings``: octets of real
   devices.
 
@@ -34,13 +32,15 @@ Drivers, ports, programs:
   UART.
 - ``programs``: ``dpstack`` as a program; ``control_kit``: control sockets and a client of octets; ``cli_kit``:
   commands in the process of the test.
-- ``ends``: programs that end a bus in every way, and the last telegrams to a slave. ``soak``: endurance runs.
 
 Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``; ``acyclic_kit`` (record 47).
 
-Plants with faults: ``fault_table`` (25 faults, healthy plants, pairs, each with seeds) on ``fault_plants`` (a plant and
-``bring``, which runs it) and ``fault_devices``; ``fault_proofs``: the facts that prove each trouble; ``fault_score``:
-right and wrong causes, also as a program.
+Packages, each with a map of its own:
+
+- ``faults``: the fault matrix, and devices that misbehave. Plants with one fault each, for diagnoses: tests/why
+  (``fault_table`` on ``fault_plants``, with ``fault_proofs`` and ``fault_score``).
+- ``ends``: programs that end a bus in every way, and the last telegrams to a slave.
+- ``soak``: endurance runs.
 
 Others: ``gsd_kit`` (GSD files), ``linear_kit`` (linear time and memory), ``property_kit`` (number of examples of
 hypothesis).

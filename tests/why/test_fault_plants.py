@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import pytest
 from api_kit import virtual
-from fault_plants import Plant, bring
-from fault_proofs import PROOFS
-from fault_table import ALL, FAULTS, FURTHER, HEALTHY, PAIRS, SEEDS
+
+from tests.why.fault_plants import Plant, bring
+from tests.why.fault_proofs import PROOFS
+from tests.why.fault_table import ALL, FAULTS, FURTHER, HEALTHY, PAIRS, SEEDS
 
 
 async def proved(plant: Plant) -> None:

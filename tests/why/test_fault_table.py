@@ -7,8 +7,9 @@ wrong; healthy slaves are called healthy; of two faults at once either is first,
 from __future__ import annotations
 
 import pytest
-from fault_score import outcome_of, share_right
-from fault_table import ALL, FAULTS, FURTHER, HEALTHY, PAIRS, SEEDS
+
+from tests.why.fault_score import outcome_of, share_right
+from tests.why.fault_table import ALL, FAULTS, FURTHER, HEALTHY, PAIRS, SEEDS
 
 #: a fault counts as found if so many of its seeds are right; a pair, for which both causes are wanted
 FOUND, PAIR_FOUND = 0.9, 0.8

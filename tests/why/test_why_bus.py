@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 from api_kit import RAW, bench_of, bus_of, in_virtual_time, operating
-from faulty_slaves import RefusesParameters, refuses_config
+from faults.slaves import RefusesParameters, refuses_config
 from slave_kit import make_slave
 from virtual_kit import attach
 

@@ -11,7 +11,7 @@ import pytest
 from api_kit import in_virtual_time
 from bus_kit import add_station
 from cli_kit import Cli
-from fault_devices import Deaf
+from faults.devices import Deaf
 from octet_slave import sd1, sd2
 
 import dpstack

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from faulty_slaves import RefusesParameters, locked_by, refuses_config, wrong_ident
+from faults.slaves import RefusesParameters, locked_by, refuses_config, wrong_ident
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from faulty_slaves import (
+from faults.slaves import (
     SilentRefusal,
     WrongLength,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from faulty_slaves import (
+from faults.slaves import (
     Dies,
     NeverReady,
     RefusesParameters,

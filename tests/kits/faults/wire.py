@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from fault_matrix import RATES, Begin, End, Fault
-from fault_matrix_plant import Plant
+from faults.matrix import RATES, Begin, End, Fault
+from faults.plant import Plant
 from support import S
 
 from dpstack.sim.faults import Which

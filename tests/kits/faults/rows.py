@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from fault_matrix import Fault
-from fault_matrix_stations import STATION_FAULTS
-from fault_matrix_wire import WIRE_FAULTS
-from line_faults import LINE_FAULTS
+from faults.line_faults import LINE_FAULTS
+from faults.matrix import Fault
+from faults.stations import STATION_FAULTS
+from faults.wire import WIRE_FAULTS
 
 FAULTS: list[Fault] = [*WIRE_FAULTS, *STATION_FAULTS, *LINE_FAULTS]

@@ -1,7 +1,7 @@
 """Faults of the fault matrix between the driver and the wire: delivery, writing, echo, the driver's clock.
 
-The plant is that of ``line_plant``: real line drivers on a simulated kernel, slaves of octets. The keys of a line are
-those of ``fault_matrix``, and these:
+The plant is that of ``faults.line_plant``: real line drivers on a simulated kernel, slaves of octets. The keys of a
+line are those of ``faults.matrix``, and these:
 
 - ``watchdogs``: ends of slaves' watchdogs while the fault acted
 - ``live octets after the watchdog``: Data_Exchange with live outputs on the wire to a slave whose watchdog had acted in
@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from fault_matrix import Fault, Row
-from line_plant import LinePlant, Pieces, nothing
-from line_wire import WireSlave, is_live
+from faults.line_plant import LinePlant, Pieces, nothing
+from faults.line_wire import WireSlave, is_live
+from faults.matrix import Fault, Row
 
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import Stalled

@@ -1,6 +1,6 @@
 """Plants of docs/how-to/symptoms.md: the trouble of each symptom in virtual time, and the text that dpstack has for it.
 
-``python tests/kits/symptom_plants.py`` writes the texts into the page anew.
+``python tests/why symptoms`` writes the texts into the page anew; ``show`` after it prints them.
 """
 
 from __future__ import annotations
@@ -9,16 +9,14 @@ import contextlib
 import io
 import json
 import re
-import sys
 import tempfile
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-import fault_devices
 from fake_adapter import plug_in
-from fault_plants import TERMINAL, Plant, bring
+from faults import devices
 
 import dpstack
 from dpstack.api.config.config import slave_config
@@ -32,6 +30,7 @@ from dpstack.fdl.telegram import SAP_SET_PRM, Resp, Telegram
 from dpstack.ports.adapters import Abilities
 from dpstack.units import BAUD_RATES
 from dpstack.why.story import story_lines
+from tests.why.fault_plants import TERMINAL, Plant, bring
 
 PAGE: Final = Path(__file__).parents[2] / "docs" / "how-to" / "symptoms.md"
 #: mark and text of the blocks that the plants give
@@ -118,7 +117,7 @@ def no_dpv1() -> Plant:
     octets = bytearray(slave_config(table).params.user_prm)
     octets[0] &= 0x7F
     params = slave_config(table).params
-    device = fault_devices.NeedsDpV1(params.ident or 0, params.config)
+    device = devices.NeedsDpV1(params.ident or 0, params.config)
     return is_really(device, {**table, "user_prm": octets.hex(" "), "dpv1": False}, FLOW)
 
 
@@ -162,7 +161,7 @@ def two_at_one_address() -> Plant:
 
 def noise_on_stub() -> Plant:
     plant = plant_of(FLOW, SECOND, VALVES)
-    plant.world.faults.damage(fault_devices.Share(plant.rng, 0.4, 9), times=None, flips=0x006)
+    plant.world.faults.damage(devices.Share(plant.rng, 0.4, 9), times=None, flips=0x006)
     plant.stretch = 2
     return plant
 
@@ -196,7 +195,7 @@ def late_answers() -> Plant:
     plant = plant_of(FLOW, SECOND)
     plant.bus_keys |= {"t_sl": 600, "hsa": 126, "gap": 1}
     params = plant.open().params
-    plant.world.faults.delay(fault_devices.Share(plant.rng, 0.6, 9), params.ns(round(params.t_sl * 1.1)), times=None)
+    plant.world.faults.delay(devices.Share(plant.rng, 0.6, 9), params.ns(round(params.t_sl * 1.1)), times=None)
     plant.stretch = 9
     return plant
 
@@ -206,13 +205,13 @@ PLANTS: Final[dict[str, Callable[[], Plant]]] = {
     "module-order": lambda: rack("8 DO", "8 DI", configured=("8 DI", "8 DO")),
     "ident": lambda: is_really(MirrorDevice(0x80E0, b"\x20\x10"), FLOW, SECOND),
     "parameter": lambda: is_really(
-        fault_devices.Picky(0x1234, b"\x20\x10", b"\0\1"), {**FLOW, "user_prm": "00 00 00"}, SECOND
+        devices.Picky(0x1234, b"\x20\x10", b"\0\1"), {**FLOW, "user_prm": "00 00 00"}, SECOND
     ),
     "dpv1": no_dpv1,
     "outputs-only": lambda: plant_of(VALVES, FLOW),
     "no-resources": lambda: is_really(NoResources(MirrorDevice(0x1234, b"\x20\x10")), FLOW, SECOND),
     "service-refused": lambda: is_really(
-        fault_devices.RefusesService(MirrorDevice(0x1234, b"\x20\x10"), SAP_SET_PRM), FLOW, SECOND
+        devices.RefusesService(MirrorDevice(0x1234, b"\x20\x10"), SAP_SET_PRM), FLOW, SECOND
     ),
     "watchdog": watchdog_short,
     "rate": wrong_rate,
@@ -294,8 +293,8 @@ def text_of(name: str) -> str:
     return TEXTS[name]() if name in TEXTS else dpstack.run_virtual(why(PLANTS[name]()))
 
 
-if __name__ == "__main__":
-    if sys.argv[1:] == ["show"]:
+def write(words: list[str]) -> None:
+    if words == ["show"]:
         for name in (*PLANTS, *TEXTS):
             print(f"--- {name}\n{text_of(name)}")
     else:

@@ -10,12 +10,12 @@ import itertools
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from fault_devices import DpV0Only, NeedsDpV1, Picky, RefusesService
-from fault_plants import Plant, Unit
+from faults.devices import DpV0Only, NeedsDpV1, Picky, RefusesService
 
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.params import BusParams
 from dpstack.profile import DriveDevice
+from tests.why.fault_plants import Plant, Unit
 
 Proof = Callable[[Plant], None]
 PROOFS: Final[dict[str, Proof]] = {}

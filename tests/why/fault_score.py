@@ -1,21 +1,19 @@
 """The score of a diagnosis on the table of faults: each plant is run, proved and asked about.
 
-``python tests/kits/fault_score.py [FAULT,...] [SEEDS]`` prints it.
+``python tests/why score [FAULT,...] [SEEDS]`` prints it.
 """
 
 from __future__ import annotations
 
 import collections
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from fault_plants import bring
-from fault_proofs import PROOFS
-from fault_table import ALL, SEEDS
-
 import dpstack
+from tests.why.fault_plants import bring
+from tests.why.fault_proofs import PROOFS
+from tests.why.fault_table import ALL, SEEDS
 
 #: a cause with this confidence must be right
 SURE: Final = 0.9
@@ -75,7 +73,3 @@ def main(argv: Sequence[str]) -> None:
         wrong = [(one.seed, one.causes[:3]) for one in outcomes if not one.is_right]
         sure = [(one.seed, one.sure_and_wrong) for one in outcomes if one.sure_and_wrong]
         print(f"{fault:28}{len(outcomes) - len(wrong)}/{len(outcomes)}", *wrong[:3], *(["SURE", *sure] if sure else []))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

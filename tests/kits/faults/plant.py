@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 from bus_kit import all_exchange, setup
-from fault_matrix_truth import FAULTY, Application, Device, Truth
+from faults.truth import FAULTY, Application, Device, Truth
 from slave_kit import make_slave
 from support import MS, S
 

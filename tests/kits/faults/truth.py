@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from bus_kit import IDENT, PPO1
-from counting_plugin import CountingPlugin
+from faults.counting_plugin import CountingPlugin
 
 from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.trace import WireEntry

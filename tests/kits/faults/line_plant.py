@@ -1,4 +1,4 @@
-"""A master on a real-time driver, on the simulated kernel of ``kernel_kit``, with the octet slaves of ``line_wire``.
+"""A master on a real-time driver, on the simulated kernel of ``kernel_kit``, with the slaves of ``faults.line_wire``.
 
 Faults replace what lies between the driver and the wire: how received octets come to the port, what becomes of a write,
 what the line echoes, and the driver's clock.
@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import pytest
+from faults.line_wire import CHAR_BITS, CONFIG, DATA_EXCHANGE, IDENT, Wire, WireSlave, is_live
 from kernel_kit import Driven, Kernel
-from line_wire import CHAR_BITS, CONFIG, DATA_EXCHANGE, IDENT, Wire, WireSlave, is_live
 
 from dpstack.dp.master.commands import Mode, SetMode, Shutdown
 from dpstack.dp.master.events import ForcedClear, MasterStopped, SlaveState, SlaveStateChanged

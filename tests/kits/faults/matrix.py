@@ -1,7 +1,7 @@
 """The fault matrix: baud rate x stations x fault in virtual time, one line of figures for each cell.
 
 ``tests/snapshots/fault_matrix.json`` keeps the lines, so that a change of behaviour is a diff to read. One command
-writes them: ``python tests/kits/fault_matrix.py`` (``TEXT ...`` after it: only the lines of faults with such a text in
+writes them: ``python tests/kits/faults`` (``TEXT ...`` after it: only the lines of faults with such a text in
 their names, ``--quick``: only those of ``make test``). ``--table`` prints the table of docs/development/reliability.md.
 All is decided by the seed, so each line is exact.
 
@@ -15,7 +15,7 @@ and ends the bus in order meanwhile. The keys of a line:
   exchange, over the whole cell
 - ``back after``: planned rotations from the end of the fault until everything is well and stays so
 - ``dropped``: slaves that left data exchange; ``dropped wrongly``: those without a reason on the wire
-  (:meth:`~fault_matrix_plant.Plant.dropped_wrongly`)
+  (:meth:`~faults.plant.Plant.dropped_wrongly`)
 - ``stalls (after_stall = ...)``: by what blocked the bus, where the master found a stall
 - ``last octets``: by slaves, the last outputs on the wire and Clear after an ordered end while the fault acts
 - ``made safe by``: what made the outputs of the slaves safe then, where it was not the master
@@ -26,7 +26,6 @@ and ends the bus in order meanwhile. The keys of a line:
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -34,13 +33,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from fault_matrix_plant import Plant, Plug
-from fault_matrix_truth import NEVER_LIVE, Application
+from faults.plant import Plant, Plug
+from faults.truth import NEVER_LIVE, Application
 from support import S
 
 from dpstack.phy.patience import EXACT, Patience
 
-SNAPSHOT = Path(__file__).parents[1] / "snapshots" / "fault_matrix.json"
+SNAPSHOT = Path(__file__).parents[2] / "snapshots" / "fault_matrix.json"
 RATES: tuple[int, ...] = (9_600, 45_450, 500_000, 1_500_000, 12_000_000)
 STATIONS: tuple[int, ...] = (1, 8, 32)
 #: how many rotations a fault acts, by stations
@@ -248,13 +247,3 @@ def table(faults: Iterable[Fault]) -> str:
         figures = " | ".join(map(str, sums))
         rows.append(f"| {name} | {len(found)} | {figures} | {back[len(back) // 2]}, {back[-1]} |")
     return "\n".join(rows)
-
-
-if __name__ == "__main__":
-    from fault_matrix_rows import FAULTS
-
-    arguments = sys.argv[1:]
-    if arguments == ["--table"]:
-        print(table(FAULTS))
-        sys.exit()
-    write(FAULTS, [a for a in arguments if a != "--quick"], quick="--quick" in arguments)

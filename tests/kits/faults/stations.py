@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from fault_matrix import Begin, End, Fault
-from fault_matrix_plant import FIRST_MASTER, Plant
-from fault_matrix_truth import FUNCTION, REQUEST, SRD, Device, fields
-from fault_matrix_wire import FEWER_RATES, LOW_RATES
+from faults.matrix import Begin, End, Fault
+from faults.plant import FIRST_MASTER, Plant
+from faults.truth import FUNCTION, REQUEST, SRD, Device, fields
+from faults.wire import FEWER_RATES, LOW_RATES
 from foreign_master import SLOT_BITS, ForeignMaster, fdl_status
 from slave_kit import make_slave
 from support import MS, S

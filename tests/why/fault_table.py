@@ -16,9 +16,8 @@ from collections.abc import Callable
 from random import Random
 from typing import Final
 
-from fault_devices import Babbler, DpV0Only, Hasty, Ill, NeedsDpV1, Picky, RefusesService, RudeMaster, Share
-from fault_plants import IO_MODULES, MS, TERMINAL_MODULES, Plant, Table, Unit
-from faulty_slaves import NeverReady, WrongLength, locked_by
+from faults.devices import Babbler, DpV0Only, Hasty, Ill, NeedsDpV1, Picky, RefusesService, RudeMaster, Share
+from faults.slaves import NeverReady, WrongLength, locked_by
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.server.virtual_bench import device_of
@@ -27,6 +26,7 @@ from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_SET_PRM, SAP_SLAVE_DIAG
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.units import BAUD_RATES
+from tests.why.fault_plants import IO_MODULES, MS, TERMINAL_MODULES, Plant, Table, Unit
 
 MakePlant = Callable[[int], Plant]
 #: rates for plants that need longer
