@@ -1,9 +1,9 @@
-"""Stories of a token ring by seed (:mod:`ring_stories`): each transmission, event and end as in the snapshot."""
+"""Stories of a token ring by seed (:mod:`stories.ring`): each transmission, event and end as in the snapshot."""
 
 from __future__ import annotations
 
 import pytest
-from ring_stories import SNAPSHOT, STORIES, lines
+from stories.ring import SNAPSHOT, STORIES, lines
 
 _TOGETHER = 4
 

@@ -2,11 +2,20 @@
 
 If only the tests of one folder use a helper, it stands beside them: ``from tests.drives.keb_kit import sim``.
 
+Packages, each with a map of its own:
+
+- ``faults``: the fault matrix, and devices that misbehave. Plants with one fault each, for diagnoses: tests/why
+  (``fault_table`` on ``fault_plants``, with ``fault_proofs`` and ``fault_score``).
+- ``ends``: programs that end a bus in every way, and the last telegrams to a slave.
+- ``soak``: endurance runs.
+- ``stories``: machines by seed, as lines of snapshots.
+
 Buses, all in virtual time:
 
 - ``support``: worlds with a referee (fixture ``world``), the decoded wire log, dummy stations.
 - ``bus_kit``: a station in a world (``add_station``), a master with mirror slaves (``SimBus``). On it: ``planned_bus``
-  (undisturbed rounds), ``fire_kit`` (token ring of several masters).
+  (undisturbed rounds), ``fire_kit`` (token ring of several masters), ``report_kit`` (a bus that is listened to).
+- ``wire_truth``: the world's own account of a bus, for counters of listening stations.
 - ``ring_bus``: a wire of literal octets without ``World``; slaves are functions from octets to octets. On it:
   ``order_bus`` (a station with acyclic services, orders and their ends), and on that ``class2_kit``, ``ms1_kit``,
   ``alarm_kit`` (with a DP master), ``ms2_kit``.
@@ -18,30 +27,35 @@ Buses, all in virtual time:
 One end alone, the other in literal octets:
 
 - ``octet_slave``: DP slave as a function of octets, and SD1 and SD2 by hand. ``octet_wire``: a line to one slave of
-  dpstack. On it: ``octet_class2`` (master of class 2).
+  dpstack. On it: ``octet_class2`` (master of class 2), ``simulated_kit`` (slaves of a configuration).
 - ``slave_kit``: requests to the DP slave as telegrams, a device that records its calls; on it ``slave_alarm_kit``.
-- ``foreign_master``: a master that is not ours in a world; ``faults.slaves``,
-  ``faults.devices``: slaves and devices that misbehave.
+- ``foreign_master``: a master that is not ours in a world.
 - ``support_responder``: slaves of octets as a program, also for the benchmarks; ``recordings``: octets of real
-  devices.
+  devices; ``ft12``: telegrams of M-Bus and IEC 101.
 
 Drivers, ports, programs:
 
 - ``memory_port``: two ports joined in memory; ``kernel_kit``: drivers on a clock and a line of the test;
   ``far_ends``: other ends of ports; ``fake_adapter``: serial driver and sysfs in memory; ``baud_rig``: traffic behind a
   UART.
-- ``programs``: ``dpstack`` as a program; ``control_kit``: control sockets and a client of octets; ``cli_kit``:
-  commands in the process of the test.
+- ``programs``: ``dpstack`` as a program, ``forked_programs``: as a fork of one that has imported it; ``control_kit``:
+  control sockets and a client of octets; ``cli_kit``: commands in the process of the test.
 
 Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``; ``acyclic_kit`` (record 47).
 
-Packages, each with a map of its own:
+Faces of a bus to other programs:
 
-- ``faults``: the fault matrix, and devices that misbehave. Plants with one fault each, for diagnoses: tests/why
-  (``fault_table`` on ``fault_plants``, with ``fault_proofs`` and ``fault_score``).
-- ``ends``: programs that end a bus in every way, and the last telegrams to a slave.
-- ``soak``: endurance runs.
+- ``plant_items``: items of the live stream of a plant, for trees and faces; ``probe_face``: a face for tests.
+- Sparkplug B: ``edge_node_rig`` (an edge node in virtual time), ``history_rig`` (with store and forward),
+  ``sparkplug_host`` (a host that knows only the specification), ``fake_broker`` (a broker of MQTT 5).
+- ``opcua_rig``: a server of OPC UA and its clients; ``metrics_kit``: scrapes of metrics;
+  ``prometheus_expressions``: those of the alert rules and of the dashboard.
+- ``page_kit``: an HTML page taken apart; ``tls_kit``: certificates and keys.
+
+Lists and snapshots, each also a program: ``wire_logs`` (scenarios with fixed seeds), ``public_names`` (signatures),
+``texts_snapshot`` (texts of ``texts_fdl``, ``texts_dp``, ``texts_dpv1``, ``texts_transcripts``), ``promises`` (of the
+security page, with their tests), ``pictures_kit`` (pictures of README and docs; no program).
 
 Others: ``gsd_kit`` (GSD files), ``linear_kit`` (linear time and memory), ``property_kit`` (number of examples of
-hypothesis).
+hypothesis), ``lost_errors`` (errors of tasks that nobody has asked for).
 """

@@ -1,9 +1,9 @@
-"""Stories of a DP master by seed (:mod:`master_stories`): every request and event as in the snapshot."""
+"""Stories of a DP master by seed (:mod:`stories.master`): every request and event as in the snapshot."""
 
 from __future__ import annotations
 
 import pytest
-from master_stories import SNAPSHOT, STORIES, lines
+from stories.master import SNAPSHOT, STORIES, lines
 
 _TOGETHER = 4
 

@@ -1,9 +1,9 @@
-"""Stories of a DP slave by seed (:mod:`slave_stories`): answers, calls of the device and events as in the snapshot."""
+"""Stories of a DP slave by seed (:mod:`stories.slave`): answers, calls of the device and events as in the snapshot."""
 
 from __future__ import annotations
 
 import pytest
-from slave_stories import SNAPSHOT, STORIES, lines
+from stories.slave import SNAPSHOT, STORIES, lines
 
 _TOGETHER = 10
 

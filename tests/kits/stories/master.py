@@ -1,6 +1,6 @@
 """Stories of a DP master by seed: slaves that fail in every way, orders at any time, and each request and event.
 
-``python tests/kits/master_stories.py`` writes ``tests/snapshots/master_stories.jsonl``, one line a story. A hold with
+``python tests/kits/stories master`` writes ``tests/snapshots/master_stories.jsonl``, one line a story. A hold with
 the same requests as the one before is counted only (``*n``). A request is ``address=outputs`` for Data_Exchange, else
 ``address/SAP:octets``, with ``p`` (patient), ``r`` (restart), ``c`` (cyclic), ``x`` (long poll, ms), ``n`` (no
 repetition), ``a`` (octets of its answer between two fixed cycles). Times are in ms.
@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import random
 import re
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -62,7 +61,7 @@ from dpstack.params import BusParams
 
 #: the place of a failure in this file, which any edit moves
 _PLACE = re.compile(r", in \w+\(\), \w+\.py line \d+")
-SNAPSHOT = Path(__file__).parents[1] / "snapshots" / "master_stories.jsonl"
+SNAPSHOT = Path(__file__).parents[2] / "snapshots" / "master_stories.jsonl"
 STORIES = 48
 
 _EXT = bytes.fromhex("08 0C 00 02 06 96 42 01 03 AA BB")
@@ -324,8 +323,3 @@ def story(seed: int) -> str:
 def lines(seeds: range) -> list[str]:
     """The lines of the snapshot for these seeds."""
     return [json.dumps([seed, story(seed)], ensure_ascii=False) for seed in seeds]
-
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[2]))
-    SNAPSHOT.write_text("\n".join([*lines(range(STORIES)), ""]), encoding="utf-8")

@@ -1,6 +1,6 @@
 """Stories of a token ring by seed: masters that come and go, slaves of octets, lost and damaged telegrams, noise.
 
-``python tests/kits/ring_stories.py`` writes ``tests/snapshots/ring_stories.jsonl``, one line a story. A transmission is
+``python tests/kits/stories ring`` writes ``tests/snapshots/ring_stories.jsonl``, one line a story. A transmission is
 the idle time before it in bits and its octets (``2>3`` is a token from 2 to 3), with ``!`` if it was damaged. A
 sequence that repeats itself stands in brackets, with its number.
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import random
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from dpstack.fdl.telegram import Req
 from dpstack.machine import HeldUp, LineDown, LineUp
 from dpstack.phy.patience import EXACT, Patience
 
-SNAPSHOT = Path(__file__).parents[1] / "snapshots" / "ring_stories.jsonl"
+SNAPSHOT = Path(__file__).parents[2] / "snapshots" / "ring_stories.jsonl"
 STORIES = 40
 _ADDRESSES = (0, 1, 2, 3, 5, 8)
 _SLAVES = (4, 6, 9)
@@ -208,8 +207,3 @@ def story(seed: int) -> str:
 def lines(seeds: range) -> list[str]:
     """The lines of the snapshot for these seeds."""
     return [json.dumps([seed, story(seed)], ensure_ascii=False) for seed in seeds]
-
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[2]))
-    SNAPSHOT.write_text("\n".join([*lines(range(STORIES)), ""]), encoding="utf-8")

@@ -1,6 +1,6 @@
 """Stories of a DP slave by seed: requests of two masters in any order, a device that fails, switches, time.
 
-``python tests/kits/slave_stories.py`` writes ``tests/snapshots/slave_stories.jsonl``, one line a story. A step is the
+``python tests/kits/stories slave`` writes ``tests/snapshots/slave_stories.jsonl``, one line a story. A step is the
 request, ``->`` its answer (status and octets), calls of the device in brackets, and the events. Times are in ms.
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import random
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.units import NEVER
 
-SNAPSHOT = Path(__file__).parents[1] / "snapshots" / "slave_stories.jsonl"
+SNAPSHOT = Path(__file__).parents[2] / "snapshots" / "slave_stories.jsonl"
 STORIES = 40
 MS = 1_000_000
 
@@ -225,8 +224,3 @@ def story(seed: int) -> str:
 def lines(seeds: range) -> list[str]:
     """The lines of the snapshot for these seeds."""
     return [json.dumps([seed, story(seed)], ensure_ascii=False) for seed in seeds]
-
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[2]))
-    SNAPSHOT.write_text("\n".join([*lines(range(STORIES)), ""]), encoding="utf-8")
