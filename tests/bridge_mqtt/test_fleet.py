@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from fleet_kit import BIRTH, DEATH, LOST, ONLINE, TOPIC, status
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dpstack.bridge.mqtt.fleet import Fleet, State, rebirth_of
 from dpstack.bridge.mqtt.payload import node_death, read_command
 from dpstack.bridge.mqtt.status import MOST_OCTETS
-from tests.bridge_mqtt.fleet_kit import BIRTH, DEATH, LOST, ONLINE, TOPIC, status
 
 
 def state_of(fleet: Fleet) -> State:

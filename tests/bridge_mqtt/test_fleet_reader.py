@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager, suppress
 import aiomqtt
 import pytest
 from fake_broker import CONNECT, DISCONNECT, PINGREQ, PUBLISH, SUBSCRIBE, FakeBroker, publish, user_property
+from fleet_kit import DEATH, LOST, ONLINE, TOPIC, status
 
 from dpstack.boottime import boottime_s
 from dpstack.bridge.mqtt.broker import Broker
@@ -17,7 +18,6 @@ from dpstack.bridge.mqtt.fleet import Fleet, Segment, State
 from dpstack.bridge.mqtt.fleet_reader import FleetReader
 from dpstack.bridge.mqtt.payload import node_death
 from dpstack.errors import UsageError
-from tests.bridge_mqtt.fleet_kit import DEATH, LOST, ONLINE, TOPIC, status
 
 
 class Seen:

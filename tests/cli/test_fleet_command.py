@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from fleet_kit import GOOD
 from rich.console import Console
 
 from dpstack.boottime import boottime_s
@@ -18,10 +19,6 @@ from dpstack.bridge.mqtt.fleet_reader import FleetReader
 from dpstack.cli.looking.fleet_view import FleetView
 from dpstack.cli.main import main
 
-GOOD: dict[str, Any] = {
-    "version": 1, "sent": 4e9, "session": 5, "versions": {"dpstack": "0.1.0"}, "state": "running", "verdict": "good",
-    "reasons": [], "slaves": 3, "lost": [], "more_lost": 0,
-}  # fmt: skip
 LOST: dict[str, Any] = GOOD | {
     "verdict": "critical",
     "reasons": ["slave 5: fault of the drive"],

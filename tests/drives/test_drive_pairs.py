@@ -8,7 +8,7 @@ import random
 from collections.abc import Mapping
 
 import pytest
-from drive_bench import MS, PairBench
+from drive_bench import BUS, MS, NONE, PZD, PairBench, pair
 from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
@@ -21,9 +21,6 @@ from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 from dpstack_drives.ls import DRIVE as LS
 
-NONE: Mapping[str, object] = {}
-BUS = {"412": 1}
-PZD = {"P15.02": 1, "P15.13": 1}
 ALL = [
     (DEMAG, "PPO1", BUS),
     (DEMAG, "PPO2", BUS),
@@ -42,18 +39,6 @@ ALL = [
     (LS, "PPO6", NONE),
     (LS, "ST1", NONE),
 ]
-
-
-def pair(
-    drive: DriveProfile,
-    telegram: str,
-    presets: Mapping[str, object] = NONE,
-    options: Mapping[str, object] = NONE,
-    rotation: int = 2 * MS,
-) -> PairBench:
-    return PairBench(
-        drive.core("it", telegram, options, simulated=True), drive.simulated(telegram, {}, presets), rotation
-    )
 
 
 @pytest.mark.parametrize("rotation", [MS // 2, 40 * MS])  # between them: tests/testing/test_drive_conformance.py

@@ -47,7 +47,8 @@ Faces of a bus to other programs:
 
 - ``plant_items``: items of the live stream of a plant, for trees and faces; ``probe_face``: a face for tests.
 - Sparkplug B: ``edge_node_rig`` (an edge node in virtual time), ``history_rig`` (with store and forward),
-  ``sparkplug_host`` (a host that knows only the specification), ``fake_broker`` (a broker of MQTT 5).
+  ``sparkplug_host`` (a host that knows only the specification), ``fake_broker`` (a broker of MQTT 5); ``fleet_kit``
+  (statuses of segments).
 - ``opcua_rig``: a server of OPC UA and its clients; ``metrics_kit``: scrapes of metrics;
   ``prometheus_expressions``: those of the alert rules and of the dashboard.
 - ``page_kit``: an HTML page taken apart; ``tls_kit``: certificates and keys.

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from dpstack.profile import DriveCore, DriveDevice, Leave
+from dpstack.profile import DriveCore, DriveDevice, DriveProfile, Leave
 
 D = TypeVar("D", bound=DriveDevice)
 
@@ -15,6 +15,10 @@ S = 1_000 * MS
 START = 5 * S
 #: options of a plugin that does not read its drive's settings by itself: the parameter channel is the test's
 ALONE: Mapping[str, object] = {"check_settings": False}
+#: settings of a simulated drive as delivered; of a Demag drive and an IMO drive that the bus commands
+NONE: Mapping[str, object] = {}
+BUS = {"412": 1}
+PZD = {"P15.02": 1, "P15.13": 1}
 
 
 @dataclass
@@ -199,3 +203,16 @@ def as_mapping(value: object) -> Mapping[str, object]:
     """A JSON object out of an event."""
     assert isinstance(value, dict)
     return value
+
+
+def pair(
+    drive: DriveProfile,
+    telegram: str | None,
+    simulated: Mapping[str, object] = NONE,
+    options: Mapping[str, object] = NONE,
+    rotation: int = 2 * MS,
+) -> PairBench:
+    """A drive with the settings ``simulated``, and its plugin with ``options``."""
+    return PairBench(
+        drive.core("it", telegram, options, simulated=True), drive.simulated(telegram, {}, simulated), rotation
+    )

@@ -1,4 +1,4 @@
-"""Literal items of the live stream for the screen: a plant with a drive, named values, and faults."""
+"""Literal items of the live stream for screen and fuzz targets: a plant with a drive, named values, and faults."""
 
 from __future__ import annotations
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from api_kit import RIG
 from process_kit import ANSWER_S, DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
 from dpstack import AcyclicError, ConnectionEnded, Im0, RecordRefused, ServiceRefused
 from dpstack.dpv1.master.orders import ConnectionOver
-from dpstack.slave import DpSlave, SlaveDescription
-
-RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
+from dpstack.slave import DpSlave
 
 
 async def read(slot: int, index: int) -> bytes:

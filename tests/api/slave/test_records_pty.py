@@ -5,13 +5,12 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from api_kit import RIG
 from process_kit import DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
 from dpstack import AcyclicError, Im0, RecordRefused
-from dpstack.slave import DpSlave, SlaveDescription
-
-RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
+from dpstack.slave import DpSlave
 
 
 async def read(slot: int, index: int) -> bytes:

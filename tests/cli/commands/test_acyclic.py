@@ -6,7 +6,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from api_kit import slave_in
+from api_kit import RIG, slave_in
 from cli_kit import Cli
 
 import dpstack
@@ -20,10 +20,9 @@ from dpstack.cli.commands import acyclic
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.errors import AcyclicError, UsageError
-from dpstack.slave import DpSlave, SlaveDescription
+from dpstack.slave import DpSlave
 
 Out = pytest.CaptureFixture[str]
-RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
 PLANT = """
 [bus]
 port = "PORT"

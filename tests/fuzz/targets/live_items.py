@@ -14,7 +14,6 @@ import functools
 import json
 from typing import Any
 
-from dpstack.live.judge import judge
 from dpstack.live.pending import Pending, portions
 from dpstack.live.state import DEPTH, LiveState
 from dpstack.screen import one_slave, overview
@@ -23,34 +22,9 @@ from dpstack.screen.view import SILENT_S, View
 from dpstack.web.fan_out import FanOut, Reader
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
+from tests.screen.screen_kit import DRIVE, field, judged, plant, slave_plant, snapshot, values
 
-_VALUES: dict[str, Any] = {
-    "state": "data_exchange", "inputs": "00070022", "outputs": "0005", "held": None, "inputs_valid": True,
-    "inputs_age_ms": 2.0, "fields": {"level": 3.4}, "held_fields": None, "fault": None,
-    "diagnosis": {"flags": ["wd_on"], "texts": []}, "conspicuous": "", "alarms": None, "drive": None, "exchanges": 100,
-    "retries": 0, "timeouts": 0, "telegrams": 210, "late": 0, "wrong": 0, "bad": {}, "watchdog_ms": 200,
-    "master": None, "injected": [],
-}  # fmt: skip
 _FAULT = {"state": "fault", "fault": {"kind": "cfg", "text": "Chk_Cfg refused"}}
-_DRIVE = {
-    "state": "fault", "running": False, "reached": False, "remote": True, "setpoint": 0.5, "speed": 0.1234,
-    "frequency_hz": 6.2, "current": 0.42, "torque": None, "warnings": [], "faults": ["F2100 overload"],
-    "words": ["0231"], "bits": ["fault"], "settings": "checked", "settings_texts": [],
-}  # fmt: skip
-_FIELD = {"name": "level", "type": "i16", "at": "i16@2", "scale": 1, "offset": 0, "unit": "bar"}
-_SLAVE: dict[str, Any] = {
-    "name": "valves", "address": 3, "ident": "0x1234", "vendor": "Maker", "model": "Model", "gsd": None,
-    "modules": [{"name": "2 AI", "config": "51", "inputs": 4, "outputs": 0}], "input_len": 4, "output_len": 2,
-    "safe": "0000", "watchdog_ms": 200, "groups": [], "dpv1": False, "every": 1, "inputs": [_FIELD],
-    "outputs": [], "drive": None,
-}  # fmt: skip
-_TIMES = {"min": 900, "p50": 1130, "p99": 1302, "p999": 1990, "max": 4012}
-_BUS: dict[str, Any] = {
-    "mode": "operate", "in_ring": True, "masters": [2], "clear": None, "rotations": 500, "telegrams": 4711,
-    "rotation_us": _TIMES, "retries": 3, "timeouts": 0, "token_us": _TIMES, "late": 0, "stray": 0, "bad": {},
-    "stale": False, "age_ms": 80.0, "histogram": [[1000, 20], [1200, 400], [4012, 1]],
-}  # fmt: skip
-
 
 #: the screen is drawn behind an item whose first octet has these bits: one in four, as drawing takes most of the time
 _DRAWN = 0x0C
@@ -59,35 +33,25 @@ _DRAWN = 0x0C
 @functools.cache
 def right_items() -> tuple[Any, ...]:
     """A plant, snapshots and events, as a run sends them."""
-    hoist = {**_SLAVE, "name": "hoist", "address": 4, "drive": {"profile": "x", "telegram": "PPO1"}}
-    plant = {
-        "version": 1, "started": 1763830000.0, "port": "/dev/ttyUSB0", "baud": 500000, "driver": "process",
-        "address": 2, "read_only": False, "virtual": False, "paced": True, "config": "plant.toml", "parameters": {},
-        "plan": {"rotation_us": {"min": 900, "typical": 1100, "max": 4000}, "cycle_us": None},
-        "slaves": {"3": _SLAVE, "4": hoist},
-    }  # fmt: skip
+    named = {"inputs": [field("level", "bar", "i16@2")]}
+    slaves = {
+        "3": slave_plant(3, "valves", **named),
+        "4": slave_plant(4, "hoist", **named, drive={"profile": "x", "telegram": "PPO1"}),
+    }
+    fields = {"level": 3.4}
     told = {"t": 1.0, "time": "2026-01-31T12:00:01.000Z", "text": "x"}
     return (
-        {"plant": plant},
-        snapshot(5.0, _BUS, {"3": judged(_VALUES), "4": judged({**_VALUES, "drive": _DRIVE})}, whole=True),
-        snapshot(5.1, {"rotations": 501}, {"3": {"fields": {"level": 4.0}}}),
-        snapshot(5.2, {}, {"4": judged(_FAULT)}),
+        plant(slaves),
+        snapshot({"3": values(fields=fields), "4": values(fields=fields, drive=DRIVE)}),
+        snapshot({"3": {"fields": {"level": 4.0}}}, t=5.1, whole=False, rotations=501),
+        snapshot({"4": judged(**_FAULT)}, t=5.2, whole=False),
         {"event": {"event": "notice", "severity": "info", **told}},
         {"event": {"event": "slave", "severity": "warning", "address": 3, "name": "valves", **told}},
         {"event": {"event": "bus_process", "silent": True, "severity": "error", **told}},
         {"lost": 3},
-        snapshot(5.3, {"clear": {"since": 3, "because": "b"}, "stale": True}, {}),
+        snapshot({}, t=5.3, whole=False, clear={"since": 3, "because": "b"}, stale=True),
         {"end": {"text": "over"}},
     )
-
-
-def judged(values: dict[str, Any]) -> dict[str, Any]:
-    """The values with the verdicts that a run sends with them."""
-    return values | judge(values)
-
-
-def snapshot(t: float, bus: dict[str, Any], slaves: dict[str, Any], *, whole: bool = False) -> Any:
-    return {"snapshot": {"t": t, "whole": whole, "bus": bus, "slaves": slaves}}
 
 
 def picture(state: LiveState) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import pytest
-from drive_bench import MS, PairBench, PluginBench
+from drive_bench import MS, NONE, PZD, PairBench, PluginBench
 
 from dpstack.profile import DriveDevice, DriveProfile, ParamSpec, ParamStore, SettingsState
 from dpstack_drives.fuji import DRIVE as FUJI
@@ -15,8 +15,6 @@ from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.imo.simulator import ImoDevice
 from dpstack_drives.keb import DRIVE as KEB
 from dpstack_drives.ls import DRIVE as LS
-
-NONE: Mapping[str, object] = {}
 
 
 class Watched(PairBench):
@@ -65,7 +63,6 @@ class Case(NamedTuple):
     maps: Mapping[str, object]
 
 
-PZD = {"P15.02": 1, "P15.13": 1}
 CASES = [
     Case(IMO, None, PZD, {"outputs": "motoring_torque_limit=100 set_frequency", "inputs": "frequency"}),
     Case(FUJI, "PPO2", NONE, {"outputs": "F07=2.0", "inputs": "M16"}),

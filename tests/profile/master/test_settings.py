@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import pytest
 from demag_kit import ZERO, pkw, sim
-from drive_bench import MS, DeviceBench, PairBench, PluginBench, S
+from drive_bench import BUS, MS, NONE, PZD, DeviceBench, PairBench, PluginBench, S, pair
 
 from dpstack.profile import CommandError, DriveProfile, ParameterChannel, ParamKey, SettingsState, Steps
 from dpstack_drives.demag import DRIVE as DEMAG
@@ -14,22 +14,6 @@ from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 from dpstack_drives.ls import DRIVE as LS
-
-NONE: Mapping[str, object] = {}
-BUS = {"412": 1}
-PZD = {"P15.02": 1, "P15.13": 1}
-
-
-def pair(
-    drive: DriveProfile,
-    telegram: str | None,
-    simulated: Mapping[str, object] = NONE,
-    options: Mapping[str, object] = NONE,
-    rotation: int = 2 * MS,
-) -> PairBench:
-    return PairBench(
-        drive.core("it", telegram, options, simulated=True), drive.simulated(telegram, {}, simulated), rotation
-    )
 
 
 def set_by_hand(bench: PairBench, name: str, raw: int) -> None:

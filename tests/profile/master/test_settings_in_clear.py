@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import pytest
 from api_kit import bench_of, in_virtual_time
-from drive_bench import MS, PairBench, PluginBench, S
+from drive_bench import MS, NONE, PZD, PairBench, PluginBench, S
 
 import dpstack
 from dpstack.profile import DriveCore, DriveDevice, DriveProfile, SettingsState
@@ -16,9 +16,6 @@ from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 from dpstack_drives.ls import DRIVE as LS
-
-NONE: Mapping[str, object] = {}
-PZD = {"P15.02": 1, "P15.13": 1}
 
 BEGINS = [
     (DEMAG, "PPO1", NONE, "412 is 44: control not by the bus; write 412 = 1 in the active data set (1), or set the "),

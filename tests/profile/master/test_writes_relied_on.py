@@ -4,12 +4,14 @@ again at standstill, and what does not act at once keeps its old value."""
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import drive_bench
 import pytest
 from demag_kit import ZERO
-from drive_bench import ALONE, MS, PairBench, PluginBench
+from drive_bench import ALONE, BUS, MS, NONE, PZD, PairBench, PluginBench
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile import (
@@ -30,10 +32,6 @@ from dpstack_drives.fuji.plugin import FujiCore
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 from dpstack_drives.ls import DRIVE as LS
-
-NONE: Mapping[str, object] = {}
-BUS = {"412": 1}
-PZD = {"P15.02": 1, "P15.13": 1}
 
 
 class Case(NamedTuple):
@@ -68,17 +66,7 @@ RELIED = [
     Case(IMO, None, PZD, {"number": 1, "value": 0}, "P00.01 (Run command channel)"),
 ]
 
-
-def pair(
-    drive: DriveProfile,
-    telegram: str | None,
-    simulated: Mapping[str, object] = NONE,
-    options: Mapping[str, object] = NONE,
-    rotation: int = 4 * MS,
-) -> PairBench:
-    return PairBench(
-        drive.core("it", telegram, options, simulated=True), drive.simulated(telegram, {}, simulated), rotation
-    )
+pair = functools.partial(drive_bench.pair, rotation=4 * MS)
 
 
 def running(case: Case) -> PairBench:
