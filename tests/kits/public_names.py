@@ -6,19 +6,21 @@ import dataclasses
 import importlib
 import inspect
 import re
+import sys
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from tools.make_reference_docs import NAMESPACES
-
-SNAPSHOT: Final = Path(__file__).resolve().parent.parent / "snapshots" / "public_names.txt"
+ROOT: Final = Path(__file__).resolve().parents[2]
+SNAPSHOT: Final = ROOT / "tests" / "snapshots" / "public_names.txt"
 
 
 def lines() -> Iterator[str]:
     """Each name of each ``__all__``, and the members of each class where it is first named."""
+    from tools.make_reference_docs import NAMESPACES  # run as a program, ROOT is not on the path before
+
     seen: set[int] = set()
     for namespace in NAMESPACES:
         module = importlib.import_module(namespace)
@@ -78,4 +80,5 @@ def _signature(thing: object) -> str:
 
 
 if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))
     SNAPSHOT.write_text("\n".join(lines()) + "\n", encoding="utf-8")
