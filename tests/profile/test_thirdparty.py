@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from acyclic_kit import outcome
-from api_kit import bench_of
+from api_kit import RAW, bench_of
 from drive_bench import ALONE, DeviceBench, PluginBench
 
 import dpstack
@@ -19,7 +19,6 @@ from dpstack.dp.master.events import FaultKind
 from dpstack.profile import DriveDevice, DriveProfile
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "thirdparty_drive"
-RAW = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN
+from api_kit import FAN, RAW
 
 import dpstack
 from dpstack.testing import BusFactory, SimulatedBus
@@ -153,7 +153,7 @@ def test_a_slave_out_of_service_and_one_that_was_never_there(dpstack_bus: BusFac
 
 
 def test_a_master_that_went_to_clear_by_itself_says_so(dpstack_bus: BusFactory) -> None:
-    bus = dpstack_bus(slaves=[FAN, {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}], auto_clear=True)
+    bus = dpstack_bus(slaves=[FAN, RAW], auto_clear=True)
 
     async def program() -> None:
         fan = await running(bus)

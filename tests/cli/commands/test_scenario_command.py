@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from api_kit import RAW
 from cli_kit import Cli
 
 import dpstack
@@ -21,7 +22,6 @@ from dpstack.drivers.virtual import loop
 
 ROOT = Path(__file__).resolve().parents[3]
 PLANT, FAULTS = ROOT / "examples" / "plant.toml", ROOT / "examples" / "faults.toml"
-RAW = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
 
 
 def test_the_example_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cli: Cli) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from api_kit import RAW
 
 from dpstack.api.config.config import make_config
 from dpstack.api.server.simulation import Simulation
@@ -11,8 +12,7 @@ from dpstack.cli.commands import sim
 
 async def test_the_summary_says_why_answers_were_too_late(capsys: pytest.CaptureFixture[str]) -> None:
     """The computer was busy, or another master talked meanwhile: either way the answer was not sent."""
-    raw = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
-    simulation = Simulation(make_config("pty", 500_000, 2, [raw]), "pty", 500_000)
+    simulation = Simulation(make_config("pty", 500_000, 2, [RAW]), "pty", 500_000)
     sim.print_summary(simulation, json=False)
     assert "another master talked" not in capsys.readouterr().out
     simulation.slaves[0].station.stats.dropped = 3

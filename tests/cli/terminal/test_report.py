@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bench_of, bus_of, virtual
+from api_kit import RAW, bench_of, bus_of, virtual
 from msgspec import structs
 
 import dpstack
@@ -23,7 +23,6 @@ from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 
 IO: dict[str, object] = {"name": "io", "address": 8, "gsd": "io-station", "modules": ["8 DI", "8 DO", "2 AI"]}
-RAW: dict[str, object] = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
 FAN: dict[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO2", "ident": "ask"}
 TERMINAL = str(Path(__file__).resolve().parents[3] / "examples" / "terminal.gsd")
 Out = pytest.CaptureFixture[str]
