@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-import texts_dp
-from texts_snapshot import lines_of, snapshot_lines
+from texts import dp as texts_dp
+from texts.snapshot import lines_of, snapshot_lines
 
 
 @pytest.mark.parametrize("name", texts_dp.PLAIN)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-import texts_dpv1
-from texts_snapshot import lines_of, snapshot_lines
+from texts import dpv1 as texts_dpv1
+from texts.snapshot import lines_of, snapshot_lines
 
 
 @pytest.mark.parametrize("name", texts_dpv1.PLAIN)

@@ -6,8 +6,8 @@ In a file of their own: ``tools.mutants`` tries the quick texts of ``test_dpv1_t
 from __future__ import annotations
 
 import pytest
-import texts_dpv1
-from texts_snapshot import lines_of, snapshot_lines
+from texts import dpv1 as texts_dpv1
+from texts.snapshot import lines_of, snapshot_lines
 
 
 @pytest.mark.parametrize("name", texts_dpv1.TRANSCRIPTS)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-import texts_fdl
-from texts_snapshot import lines_of, snapshot_lines
+from texts import fdl as texts_fdl
+from texts.snapshot import lines_of, snapshot_lines
 
 
 @pytest.mark.parametrize("name", [name for name in texts_fdl.GROUPS if name != "interface_phy"])

@@ -8,7 +8,7 @@ Packages, each with a map of its own:
   (``fault_table`` on ``fault_plants``, with ``fault_proofs`` and ``fault_score``).
 - ``ends``: programs that end a bus in every way, and the last telegrams to a slave.
 - ``soak``: endurance runs.
-- ``stories``: machines by seed, as lines of snapshots.
+- ``stories``: machines by seed, as lines of snapshots. ``texts``: texts, tables and transcripts, also.
 
 Buses, all in virtual time:
 
@@ -54,8 +54,7 @@ Faces of a bus to other programs:
 - ``page_kit``: an HTML page taken apart; ``tls_kit``: certificates and keys.
 
 Lists and snapshots, each also a program: ``wire_logs`` (scenarios with fixed seeds), ``public_names`` (signatures),
-``texts_snapshot`` (texts of ``texts_fdl``, ``texts_dp``, ``texts_dpv1``, ``texts_transcripts``), ``promises`` (of the
-security page, with their tests), ``pictures_kit`` (pictures of README and docs; no program).
+``promises`` (of the security page, with their tests), ``pictures_kit`` (pictures of README and docs; no program).
 
 Others: ``gsd_kit`` (GSD files), ``linear_kit`` (linear time and memory), ``property_kit`` (number of examples of
 hypothesis), ``lost_errors`` (errors of tasks that nobody has asked for).

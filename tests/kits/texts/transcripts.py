@@ -1,6 +1,6 @@
 """Transcripts of the masters in troubled situations: the time and text of each event, and all requests to the slave.
 
-One line a situation, in the snapshots of :mod:`texts_snapshot`; the slaves are scripts of octets.
+One line a situation, in the snapshots of :mod:`texts.snapshot`; the slaves are scripts of octets.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from scripted_link import (
     setup,
     silent,
 )
-from texts_snapshot import Case
+from texts.snapshot import Case
 
 from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService, Service
 from dpstack.dp.acyclic.job import Outcome

@@ -7,9 +7,9 @@ import random
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-import texts_transcripts
 from bus_kit import setup
-from texts_snapshot import Case, Group, attempt
+from texts import transcripts
+from texts.snapshot import Case, Group, attempt
 
 from dpstack.dp.error_origin import error_text
 from dpstack.dp.master import fault_texts
@@ -443,8 +443,8 @@ PLAIN: dict[str, Group] = {
     "tables": _tables,
 }
 TRANSCRIPTS: dict[str, Group] = {
-    "bring_ups": texts_transcripts.bring_ups,
-    "controls": texts_transcripts.controls,
-    "class2_outcomes": texts_transcripts.class2_outcomes,
+    "bring_ups": transcripts.bring_ups,
+    "controls": transcripts.controls,
+    "class2_outcomes": transcripts.class2_outcomes,
 }
 GROUPS = PLAIN | TRANSCRIPTS

@@ -1,18 +1,13 @@
-"""Snapshots of the texts, tables and defaults of fdl, phy, dp and dpv1: one line a case in ``tests/snapshots``.
-
-``python tests/kits/texts_snapshot.py`` writes the files anew. :mod:`texts_fdl` (with phy), :mod:`texts_dp`
-and :mod:`texts_dpv1` have the cases, :mod:`texts_transcripts` the cases that run a bus.
-"""
+"""Groups of cases as lines of a snapshot: one line a case, its group, its name and its text."""
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-SNAPSHOTS = Path(__file__).parents[1] / "snapshots"
+SNAPSHOTS = Path(__file__).parents[2] / "snapshots"
 #: a case and its text
 Case = tuple[str, str]
 Group = Callable[[], Iterable[Case]]
@@ -44,17 +39,3 @@ def snapshot_lines(file: str, name: str) -> list[str]:
     """The lines of the group ``name`` in the snapshot ``file``."""
     lines = (SNAPSHOTS / file).read_text(encoding="utf-8").splitlines()
     return [line for line in lines if json.loads(line)[0] == name]
-
-
-def main() -> None:
-    import texts_dp
-    import texts_dpv1
-    import texts_fdl
-
-    for module in (texts_dp, texts_dpv1, texts_fdl):
-        (SNAPSHOTS / module.FILE).write_text("\n".join([*lines_of(module.GROUPS), ""]), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[2]))
-    main()

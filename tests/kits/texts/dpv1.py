@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import texts_transcripts
-from texts_snapshot import Case, Group, attempt
+from texts import transcripts
+from texts.snapshot import Case, Group, attempt
 
 from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.prm_blocks import PrmBlock
@@ -286,9 +286,9 @@ PLAIN: dict[str, Group] = {
 }
 #: cases that run a bus
 TRANSCRIPTS: dict[str, Group] = {
-    "ms1_outcomes": texts_transcripts.ms1_outcomes,
-    "ms2_outcomes": texts_transcripts.ms2_outcomes,
-    "alarms": texts_transcripts.alarms,
-    "services_cut_short": texts_transcripts.services_cut_short,
+    "ms1_outcomes": transcripts.ms1_outcomes,
+    "ms2_outcomes": transcripts.ms2_outcomes,
+    "alarms": transcripts.alarms,
+    "services_cut_short": transcripts.services_cut_short,
 }
 GROUPS = PLAIN | TRANSCRIPTS

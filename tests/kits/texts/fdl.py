@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import product
 
 from msgspec.structs import replace
-from texts_snapshot import Case, Group, attempt
+from texts.snapshot import Case, Group, attempt
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.active.services import SERVICES
