@@ -17,8 +17,9 @@ from dpstack.params import MAX_T_SL, BusParams
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import ADAPTER
 from dpstack.ports.adapters import Abilities, AdapterInfo, list_adapters, probe
-from dpstack.ports.holders import PROC, holder_of_path
-from dpstack.ports.sysfs import CHIPS, MARKS_PACKETS, SYSFS, Adapter
+from dpstack.ports.holders import PROC, hides_programs, holder_of_path, is_dpstack, keep_off
+from dpstack.ports.kernel_drivers import STRONGER, Marks
+from dpstack.ports.sysfs import CHIPS, SYSFS, Adapter
 from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text
 
 __all__ = ["AdapterInfo", "Check", "Computer", "Level", "examine", "list_adapters"]
@@ -154,22 +155,32 @@ def _port(path: str, here: Computer) -> Iterator[Check]:
         return
     yield Check(path, Level.OK, "may be opened")
     if not is_pty:
-        yield from _latency(path, adapter, here)
         yield from _interrupts(path, here)
-    holder = holder_of_path(path, here.proc)
+    holder, latency_ms = holder_of_path(path, here.proc), adapter.latency_ms()
     if holder is not None:
-        todo = f"end it to have the rest checked, or ask it: dpstack ctl {path} status"
-        yield Check(path, Level.NOTE, f"is held by {holder}", todo)
+        yield from _held(path, holder, adapter)
         return
     try:
         can = here.probe(path)
     except PortBusyError as error:
-        yield Check(path, Level.NOTE, str(error))
+        yield Check(path, Level.NOTE, str(error), _UNSEEN if hides_programs(here.proc) else "")
     except PortError as error:
         yield Check(path, Level.FINDING, str(error), "take another port")
     else:
-        yield from _rates(path, can)
+        if latency_ms is not None:
+            yield _latency(path, latency_ms, can)
+        yield from _rates(path, can, adapter)
         yield from _abilities(path, can, adapter, is_pty)
+
+
+#: where a port is held and no holder can be seen
+_UNSEEN: Final = "a program of another user may have it, which only root can see: sudo fuser -v PORT"
+
+
+def _held(path: str, holder: str, adapter: Adapter) -> Iterator[Check]:
+    ask = f", or ask it: dpstack ctl {path} status" if is_dpstack(holder) else ""
+    todo = keep_off(holder, adapter.usb) or f"end it to have the rest checked{ask}"
+    yield Check(path, Level.NOTE, f"is held by {holder}", todo)
 
 
 def _neighbours(path: str) -> Iterator[Check]:
@@ -197,21 +208,24 @@ def _identity(path: str, adapter: Adapter) -> Iterator[Check]:
         yield Check(path, Level.OK, f"driver {adapter.driver}")
 
 
-def _latency(path: str, adapter: Adapter, here: Computer) -> Iterator[Check]:
-    ms = adapter.latency_ms()
-    if ms is None:
+def _latency(path: str, before_ms: int, can: Abilities) -> Check:
+    """``before_ms``: the latency timer before low latency was asked for, which often sets it, whoever may write to its
+    file."""
+    text = f"its latency timer is {before_ms} ms"
+    if before_ms <= 1:
+        return Check(path, Level.OK, text)
+    if can.latency_ms is not None and can.latency_ms <= 1:
+        return Check(path, Level.OK, f"{text}; dpstack sets it to 1 ms while it runs")
+    return Check(path, Level.FINDING, f"{text} and may not be changed: an exchange may take that much longer", SET_UP)
+
+
+def _rates(path: str, can: Abilities, adapter: Adapter) -> Iterator[Check]:
+    driver = adapter.kernel_driver
+    if not driver.tells_rate and can.rates:
+        text = f"accepts every rate, and its driver {driver.name} cannot tell which the adapter makes"
+        todo = f"look into its manual, or measure: dpstack doctor --measure --port {path}"
+        yield Check(path, Level.NOTE, text, todo)
         return
-    text = f"its latency timer is {ms} ms"
-    if ms <= 1:
-        yield Check(path, Level.OK, text)
-    elif here.access(str(adapter.latency_file), os.W_OK):
-        yield Check(path, Level.OK, f"{text}; dpstack sets it to 1 ms while it runs")
-    else:
-        text += " and may not be changed: an exchange may take that much longer"
-        yield Check(path, Level.FINDING, text, SET_UP)
-
-
-def _rates(path: str, can: Abilities) -> Iterator[Check]:
     missing = [baud_text(rate) for rate in BAUD_RATES if rate not in can.rates]
     if not can.rates:
         yield Check(path, Level.FINDING, "takes none of PROFIBUS's rates", "take another adapter")
@@ -222,6 +236,9 @@ def _rates(path: str, can: Abilities) -> Iterator[Check]:
         yield Check(path, Level.NOTE, text, "for a rate it does not take use another adapter")
 
 
+_MARKS: Final = "marks of damaged octets"
+
+
 def _abilities(path: str, can: Abilities, adapter: Adapter, is_pty: bool) -> Iterator[Check]:
     if is_pty:
         yield Check(path, Level.NOTE, "a pty: no parity, no wire, nothing to set; check sums protect the data")
@@ -229,17 +246,20 @@ def _abilities(path: str, can: Abilities, adapter: Adapter, is_pty: bool) -> Ite
     if not can.parity:
         text = "has no parity bit: only check sums protect the data"
         yield Check(path, Level.FINDING, text, "PROFIBUS needs 8E1: take an adapter that can do even parity")
+    driver = adapter.kernel_driver
     own_rs485 = "the adapter's own" if adapter.usb is not None else ""
     for there, name, without in (
         (can.low_latency and "there", "low-latency mode", "octets may arrive some ms late; host_slack_ms covers it"),
         (can.counters and "there", "error counters", "damaged octets are known from the marks and check sums alone"),
-        (can.marks and "there", "marks of damaged octets", "damaged octets are dropped, not counted"),
+        (can.marks and "there", _MARKS, "damaged octets are dropped, not counted"),
         ("there" if can.rs485 else own_rs485, "RS-485 mode", "the adapter must switch its direction by itself"),
     ):
         if there:
             yield Check(path, Level.OK, f"{name}: {there}")
-        else:
+        elif name != _MARKS or not driver.is_weak:  # what a weak driver does with them follows
             yield Check(path, Level.NOTE, f"{name}: not in its driver", without)
+    level, todo = (Level.NOTE, STRONGER) if driver.is_weak else (Level.OK, "")
+    yield Check(path, level, driver.protection, todo)
     yield from _listening(path, adapter)
 
 
@@ -249,6 +269,6 @@ def _listening(path: str, adapter: Adapter) -> Iterator[Check]:
         "program drops RTS: this test, `capture`, `monitor` and `baud` do so at once, and send nothing"
     )
     yield Check(path, Level.OK, text)
-    if adapter.driver in MARKS_PACKETS:
+    if adapter.kernel_driver.marks is Marks.PACKET:
         text = f"its driver {adapter.driver} marks all octets of a USB packet as damaged where one of them is"
         yield Check(path, Level.OK, f"{text}; captures say so at such octets")

@@ -11,7 +11,9 @@
 - ``base``: Base class of all ports: octets in and out of one line, without protocol and clock
 - ``fdport``: Base class of the ports that are a file descriptor: Linux ttys, ptys and sockets
 - ``holders``: Finds the program that holds a port: by its lock (dpstack and pyserial set one) or by its open files in
-  /proc
+  /proc; advice on programs that open serial ports by themselves
+- ``kernel_drivers``: Serial drivers of Linux, by class: marks of damaged octets, rates, delay; what each leaves of the
+  Hamming distance
 - ``pacing``: Pacing: octets are delivered in slices, each at the time when its last bit would be on the wire
 - ``posix``: Modules that only POSIX systems have: ``fcntl``, ``termios``, ``grp``
 - ``pty``: ``--port pty``: a pty made here, whose other end any program may open as its serial port

@@ -13,6 +13,7 @@ from msgspec import Struct, field
 
 from dpstack.errors import BaudError, PortError
 from dpstack.ports.holders import PROC, holder_of_path
+from dpstack.ports.kernel_drivers import KernelDriver, kernel_driver
 from dpstack.ports.posix import importing_pyserial
 from dpstack.ports.sysfs import CHIPS, SYSFS, Adapter
 from dpstack.units import BAUD_RATES
@@ -30,10 +31,29 @@ class AdapterInfo(Struct, frozen=True, kw_only=True):
     usb: str | None
     serial: str | None
     holder: str | None
+    #: the class of its driver
+    kernel_driver: KernelDriver | None = None
 
     def as_dict(self) -> dict[str, object]:
         """The object of ``dpstack ports --json``."""
-        return {name: getattr(self, name) for name in self.__struct_fields__}
+        told = {name: getattr(self, name) for name in self.__struct_fields__ if name != "kernel_driver"}
+        known = self.kernel_driver
+        if known is None:
+            return {**told, "marks": None, "hamming_distance": None, "max_baud": None}
+        return {**told, "marks": known.marks.value, "hamming_distance": known.distance, "max_baud": known.most}
+
+    def class_lines(self) -> list[str]:
+        """What its driver can do, one line each: damaged octets, rates, delay, RS-485."""
+        known = self.kernel_driver
+        if known is None:
+            return []
+        rs485 = "the adapter switches its direction itself" if self.usb else "by the driver (TIOCSRS485), if it has it"
+        return [
+            f"damaged octets: {known.protection}",
+            f"rates: {known.rates}",
+            f"delay: {known.delay}",
+            f"RS-485: {rs485}",
+        ]
 
 
 def _comports() -> Iterable[Any]:
@@ -67,19 +87,24 @@ def list_adapters(
                 usb=usb,
                 serial=port.serial_number,
                 holder=holder_of_path(port.device, proc),
+                kernel_driver=kernel_driver(adapter.driver, usb=usb is not None) if sys.platform == "linux" else None,
             )
         )
     return sorted(found, key=lambda info: info.path)
 
 
 class Abilities(Struct, kw_only=True):
-    """The abilities of a port, found by opening it; nothing is sent. ``rates`` in bit/s."""
+    """The abilities of a port, found by opening it; nothing is sent. ``rates`` in bit/s, of those that dpstack opens.
+
+    ``latency_ms``: FTDI's latency timer while low latency is asked for; None: there is none.
+    """
 
     parity: bool = False
     low_latency: bool = False
     rs485: bool = False
     counters: bool = False
     marks: bool = False
+    latency_ms: int | None = None
     rates: list[int] = field(default_factory=list)
 
 
@@ -103,11 +128,13 @@ def probe(path: str) -> Abilities:
             port.baud = found.rates[0]
             port.open_now()
         fd = port.fd
-        if fd is not None:
-            found.low_latency = _answers(tuning.low_latency, fd)
-            found.rs485 = _answers(tuning.get_rs485, fd)
+        if fd is not None:  # the port was tuned when it was opened
+            found.low_latency = _answers(lambda fd: tuning.low_latency(fd, True), fd)
+            found.latency_ms = Adapter(path).latency_ms()
+            found.rs485 = _answers(tuning.try_rs485, fd)
             found.counters = _answers(tuning.uart_errors, fd)
-            _baud, found.parity, found.marks = termios2.set_raw(fd, None, marks=True)
+            applied = termios2.set_raw(fd, None, marks=True)
+            found.parity, found.marks = applied.parity, applied.marks and not port.driver.is_weak
     finally:
         port.close()
     return found

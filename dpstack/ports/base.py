@@ -20,6 +20,8 @@ from dpstack.units import baud_text
 
 #: Stands for the simulated bus where the name of a port is wanted.
 VIRTUAL: Final = "virtual"
+#: Called where octets that were delivered in the last so many ns may be damaged, as the port learns only now.
+OnDoubt = Callable[[int], None]
 #: Receives the octets read from the line, in order; called from the loop.
 OnData = Callable[[bytes], None]
 #: Called from the loop with the reason when the line is lost, once per :meth:`Port.attach`.
@@ -71,6 +73,8 @@ class Port(ABC):
     _failures: tuple[type[Exception], ...] = (OSError,)
     #: opening it may take seconds
     connects = False
+    #: set by the driver of the port; see :data:`OnDoubt`
+    on_doubt: OnDoubt | None = None
 
     def __init__(self, name: str, baud: int, *, paced: bool) -> None:
         self.name = name
@@ -137,6 +141,12 @@ class Port(ABC):
         Raises BaudError where the line, or this kind of port, cannot do so: the old rate stays then.
         """
         raise BaudError(f"{self.name}: a port of this kind keeps the rate it was opened with; give the rate")
+
+    def inspection(self) -> Callable[[], list[str]] | None:
+        """A look at the open line for other programs that disturb it, which also mends what they have set: a function
+        for a thread of its own, because it takes milliseconds. It returns one line for each disturbance. None: this
+        kind of port has nothing to look at."""
+        return None
 
     def attach(self, loop: Loop, on_data: OnData, on_lost: OnLost) -> None:
         """From now on, deliver octets to ``on_data`` from within ``loop``."""

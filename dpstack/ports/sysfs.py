@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 from typing import Final
 
+from dpstack.ports.kernel_drivers import KernelDriver, kernel_driver
+
 SYSFS: Final = Path("/sys")
 
 #: USB vendor and product to chip and its highest rate in bit/s (makers' data sheets; by what users report)
@@ -22,8 +24,6 @@ CHIPS: Final[dict[str, tuple[str, int]]] = {
     "1a86:55d4": ("WCH CH9102", 6_000_000),
     "067b:2303": ("Prolific PL2303", 6_000_000),
 }
-#: drivers of Linux that give all octets of a USB packet the same mark (ftdi_sio.c, pl2303.c)
-MARKS_PACKETS: Final = frozenset({"ftdi_sio", "pl2303"})
 #: FTDI: an event character is enabled by this bit beside it
 _EVENT_ON: Final = 0x100
 
@@ -54,6 +54,11 @@ class Adapter:
             if vendor and product:
                 return f"{vendor}:{product}".lower()
         return None
+
+    @property
+    def kernel_driver(self) -> KernelDriver:
+        """What its driver can do."""
+        return kernel_driver(self.driver, usb=self.usb is not None)
 
     @property
     def latency_file(self) -> Path:

@@ -20,6 +20,7 @@ _CBAUD: Final = 0o010017
 _BOTHER: Final = 0o010000
 _CIBAUD: Final = 0o02003600000
 _CRTSCTS: Final = 0o20000000000
+_CMSPAR: Final = 0o10000000000
 _LAYOUT: Final = struct.Struct("=4IB19s2I")
 _SPEEDS: Final = struct.Struct("=2I")
 _SPEEDS_AT: Final = _LAYOUT.size - _SPEEDS.size
@@ -36,11 +37,23 @@ AVAILABLE: Final = (
 
 
 class Applied(NamedTuple):
-    """The settings of a tty after :func:`set_raw`: rate in bit/s, even parity, marks of damaged octets."""
+    """The settings of a tty after :func:`set_raw`: rate in bit/s, even parity, marks of damaged octets. ``differs``:
+    other settings that read back otherwise than they were asked for, in words. ``kept``: the rate is the one that was
+    set before."""
 
     baud: int
     parity: bool
     marks: bool = False
+    differs: tuple[str, ...] = ()
+    kept: bool = False
+
+
+class Settings(NamedTuple):
+    """Settings of a tty that another program may change: rate in bit/s, frame and input flags as termios has them."""
+
+    baud: int
+    frame: int
+    input_flags: int
 
 
 def set_raw(fd: int, baud: int | None, *, marks: bool = False) -> Applied:
@@ -48,15 +61,18 @@ def set_raw(fd: int, baud: int | None, *, marks: bool = False) -> Applied:
 
     A damaged character (parity, framing, break) is dropped by the kernel (INPCK, IGNPAR, IGNBRK), so that the Hamming
     distance of 4 that parity and check sum give together is kept; with ``marks`` it is marked instead (PARMRK, see
-    :class:`dpstack.ports.tty.Unmarker`), and a break ignored. Raises OSError where the tty refuses.
+    :class:`dpstack.ports.tty.Unmarker`), and a break ignored. At the last close, also of a killed program, the kernel
+    lowers RTS and DTR (HUPCL): a converter that RTS switches must not go on driving the bus. Raises OSError where the
+    tty refuses.
     """
     buffer = bytearray(_LAYOUT.size)
     fcntl.ioctl(fd, TCGETS2, buffer, True)
     _i, _o, cflag, _l, line, cc, ispeed, ospeed = _LAYOUT.unpack(buffer)
+    before = ospeed
     chars = bytearray(cc)
     chars[termios.VMIN], chars[termios.VTIME] = 1, 0
-    cflag &= ~(termios.CSIZE | termios.CSTOPB | termios.PARODD | termios.HUPCL | _CRTSCTS)
-    cflag |= termios.CS8 | termios.PARENB | termios.CLOCAL | termios.CREAD
+    cflag &= ~(termios.CSIZE | termios.CSTOPB | termios.PARODD | _CMSPAR | _CRTSCTS)
+    cflag |= termios.CS8 | termios.PARENB | termios.CLOCAL | termios.CREAD | termios.HUPCL
     if baud is not None:
         cflag = cflag & ~(_CBAUD | _CIBAUD) | _BOTHER
         ispeed = ospeed = baud
@@ -64,7 +80,39 @@ def set_raw(fd: int, baud: int | None, *, marks: bool = False) -> Applied:
     fcntl.ioctl(fd, TCSETS2, _LAYOUT.pack(iflag, 0, cflag, 0, line, bytes(chars), ispeed, ospeed))
     fcntl.ioctl(fd, TCGETS2, buffer, True)
     iflag, _o, cflag, _l, _line, _cc, _ispeed, ospeed = _LAYOUT.unpack(buffer)
-    return Applied(ospeed, bool(cflag & termios.PARENB), bool(iflag & termios.PARMRK))
+    kept = baud is not None and ospeed == before != baud
+    return Applied(ospeed, bool(cflag & termios.PARENB), bool(iflag & termios.PARMRK), _differs(cflag), kept)
+
+
+def _differs(cflag: int) -> tuple[str, ...]:
+    """The settings of ``cflag`` that are not those of 8E1 without flow control; parity apart."""
+    others = {
+        "not 8 data bits": cflag & termios.CSIZE != termios.CS8,
+        "two stop bits": cflag & termios.CSTOPB,
+        "odd parity": cflag & termios.PARENB and cflag & termios.PARODD and not cflag & _CMSPAR,
+        "mark or space parity": cflag & termios.PARENB and cflag & _CMSPAR,
+        "flow control by RTS and CTS": cflag & _CRTSCTS,
+    }
+    return tuple(name for name, there in others.items() if there)
+
+
+def set_odd_parity(fd: int, odd: bool) -> None:
+    """Change nothing but the parity of a tty. Raises OSError."""
+    buffer = bytearray(_LAYOUT.size)
+    fcntl.ioctl(fd, TCGETS2, buffer, True)
+    values = list(_LAYOUT.unpack(buffer))
+    values[2] = values[2] | termios.PARODD if odd else values[2] & ~termios.PARODD
+    fcntl.ioctl(fd, TCSETS2, _LAYOUT.pack(*values))
+
+
+def settings(fd: int) -> Settings:
+    """The present settings. Raises OSError."""
+    buffer = bytearray(_LAYOUT.size)
+    fcntl.ioctl(fd, TCGETS2, buffer, True)
+    iflag, _o, cflag, _l, _line, _cc, _ispeed, ospeed = _LAYOUT.unpack(buffer)
+    frame = termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.PARODD | _CMSPAR | _CRTSCTS
+    flags = termios.INPCK | termios.IGNPAR | termios.PARMRK | termios.ISTRIP | termios.IXON | termios.ICRNL
+    return Settings(ospeed, cflag & frame, iflag & flags)
 
 
 class RateReader:

@@ -8,6 +8,8 @@ import glob
 import os
 import stat
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -16,16 +18,20 @@ from dpstack.phy.marked import MarkedOctets
 from dpstack.ports import termios2
 from dpstack.ports.base import Delivery, reason_of
 from dpstack.ports.fdport import FdPort, write_nothing
-from dpstack.ports.holders import holder_of, holder_of_path
+from dpstack.ports.holders import hides_programs, holder_of, holder_of_path, keep_off, other_openers
+from dpstack.ports.kernel_drivers import Marks
 from dpstack.ports.posix import fcntl, grp, termios
-from dpstack.ports.sysfs import MARKS_PACKETS, SYSFS, Adapter
-from dpstack.ports.tuning import Tuning, drop_rts
-from dpstack.units import baud_text
+from dpstack.ports.sysfs import SYSFS, Adapter
+from dpstack.ports.tuning import Tuning, clock_of_uart, divided, drop_rts, uart_errors
+from dpstack.units import NS_PER_MS, baud_text
 
 #: A rate read back within this share of the wanted one is accepted: adapters divide 3 or 12 MHz.
 _TOLERANCE: Final = 0.01
 _MARK: Final = 0xFF
 _PTY_MAJORS: Final = range(136, 144)  # Linux devices.txt: Unix98 pty slaves
+#: the count of a damaged octet comes so late at most behind the octet: the longest poll interval of an interrupt
+#: endpoint at full speed, 255 frames (USB 2.0, 9.6.6)
+_COUNTED_LATE_NS: Final = 255 * NS_PER_MS
 
 
 class TtyPort(FdPort):
@@ -55,6 +61,11 @@ class TtyPort(FdPort):
         self._listen = listen
         self._sysfs = sysfs
         self._marks = not is_pty if marks is None else marks
+        self._adapter = Adapter(name, sysfs)
+        #: the class of its driver
+        self.driver = self._adapter.kernel_driver
+        self._set_to = termios2.Settings(0, 0, 0)  # as it was set last
+        self._errors = 0  # the driver's count of damaged octets at the last look, where it only counts them
         self._unmarker = Unmarker(keep=listen)
         self._unmark = False
         self._counted: Counter[str] = Counter()  # the driver's counters up to the last close
@@ -65,6 +76,8 @@ class TtyPort(FdPort):
         self.close()
         self.notices = []
         fd = self._open_file()
+        self._adapter = Adapter(self.name, self._sysfs)
+        self.driver = self._adapter.kernel_driver
         try:
             if self._listen:  # the system has raised it; drop it before anything that takes time
                 drop_rts(fd)
@@ -73,10 +86,11 @@ class TtyPort(FdPort):
             # octets survive the last close of a pty, and a UART may have received others meanwhile
             termios.tcflush(fd, termios.TCIOFLUSH)
             if self.delivery is Delivery.ADAPTER:
-                adapter = Adapter(self.name, self._sysfs)
-                self._unmarker.packets = adapter.driver in MARKS_PACKETS
-                self._tuning = Tuning(fd, adapter, event_char=self._event_char, rs485=self._rs485)
+                self._unmarker.packets = self.driver.marks in (Marks.PACKET, Marks.MISPLACED)
+                self._tuning = Tuning(fd, self._adapter, event_char=self._event_char, rs485=self._rs485)
                 self.notices += self._tuning.notices
+                self.notices += self._of_class()
+                self._hold_alone(fd)
             self.damaged_octets = self._damaged_octets()
             if self._listen and not drop_rts(fd) and self.delivery is Delivery.ADAPTER:
                 self.notices.append("its RTS line cannot be dropped: a converter that RTS switches would drive the bus")
@@ -88,7 +102,23 @@ class TtyPort(FdPort):
             raise
         self._use(fd)
 
+    def _of_class(self) -> list[str]:
+        """Notices on what the class of the driver lacks."""
+        notices = [self.driver.protection] if self.driver.is_weak and not self._listen else []
+        if not self.driver.tells_rate:
+            notices.append(f"its driver {self.driver.name} cannot tell which rate the adapter makes")
+        return notices
+
+    def _hold_alone(self, fd: int) -> None:
+        """Let nobody else open the tty: another reader steals octets, and ``stty`` reaches the chip at once. Not on a
+        pty, where this would outlive the last close."""
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(fd, termios.TIOCEXCL)
+
     def _damaged_octets(self) -> str:
+        if self.delivery is Delivery.ADAPTER and self.driver.marks in (Marks.NONE, Marks.UNKNOWN, Marks.COUNTED):
+            count = "only counts damaged octets" if self.driver.marks is Marks.COUNTED else "marks no damaged octet"
+            return f"the port {count}: {self.driver.protection}"
         if not self._unmark:
             return "the port does not tell damaged octets" if not self._marks else "the port drops damaged octets"
         if not self._listen:
@@ -105,6 +135,32 @@ class TtyPort(FdPort):
         if self._marks:
             counted["marked"] = self._unmarker.damaged
         return dict(counted)
+
+    def inspection(self) -> Callable[[], list[str]] | None:
+        if self._fd < 0 or self.delivery is not Delivery.ADAPTER:
+            return None
+        fd = os.dup(self._fd)  # the port may be closed meanwhile, and the number belong to another file
+        return partial(self._inspect, fd, self.baud, self._set_to)
+
+    def _inspect(self, fd: int, baud: int, wanted: termios2.Settings) -> list[str]:
+        """See :meth:`inspection`. Closes ``fd``. Raises OSError."""
+        try:
+            others = other_openers(self.name)
+            found = []
+            now = termios2.settings(fd)
+            if now != wanted:
+                termios2.set_raw(fd, baud, marks=self._marks)
+                frame = "" if now.frame == wanted.frame else ", another frame than 8E1"
+                done = f"it is set to {baud_text(baud)} 8E1 again"
+                found.append(f"another program has set it to {baud_text(now.baud)}{frame}; {done}")
+        finally:
+            os.close(fd)
+        for holder in others:
+            todo = keep_off(holder, self._adapter.usb) or "end that program"
+            found.append(f"{holder} has it open, too, and takes octets away: {todo}")
+        if found and not others and hides_programs():
+            found[0] += ": a process of another user may have it, which only root can see (sudo fuser -v)"
+        return found
 
     def line_baud(self) -> int | None:
         return self.baud if self._fd >= 0 else None
@@ -135,8 +191,8 @@ class TtyPort(FdPort):
             raise PortError(f"{self.name} is a directory, not a serial port; {_existing()}") from None
         except OSError as exc:
             if exc.errno == errno.EBUSY:
-                holder = holder_of_path(self.name) or "another program"
-                raise PortBusyError(f"{self.name} is held by {holder}: end it or take another port") from None
+                holder = holder_of_path(self.name)
+                raise PortBusyError(f"{self.name} is held by {_held(holder, self._adapter.usb)}") from None
             if exc.errno in (errno.ENXIO, errno.ENODEV, errno.EIO):
                 raise PortError(f"{self.name}: no device behind it ({reason_of(exc)}); {_existing()}") from None
             raise PortError(f"{self.name}: cannot be opened ({reason_of(exc)})") from None
@@ -148,30 +204,40 @@ class TtyPort(FdPort):
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise PortBusyError(
-                f"{self.name} is held by {holder_of(fd)}: end that program or take another port"
-            ) from None
+            raise PortBusyError(f"{self.name} is held by {_held(holder_of(fd), self._adapter.usb)}") from None
         except OSError as exc:
             self.notices.append(f"cannot be locked ({reason_of(exc)}), other programs may open it too")
 
     def _set(self, fd: int, baud: int) -> list[str]:
         """Set the tty to ``baud`` 8E1; returns notices on what failed and is tolerated. Raises BaudError."""
+        if self.driver.most is not None and baud > self.driver.most:
+            most = f"its driver {self.driver.name} sends its chip {baud_text(self.driver.most)} at most"
+            raise self._cannot(baud, f"{most}, whatever it reads back")
         try:
             applied = termios2.set_raw(fd, baud, marks=self._marks)
         except OSError as exc:
             raise self._refuses(baud, reason_of(exc)) from None
-        if abs(applied.baud - baud) > baud * _TOLERANCE:
-            raise BaudError(
-                f"{self.name} cannot do {baud_text(baud)}, it set itself to {baud_text(applied.baud)}: "
-                f"choose another rate or adapter"
-            )
+        clock = clock_of_uart(fd) if self.delivery is Delivery.ADAPTER and self._adapter.usb is None else None
+        made = applied.baud if clock is None else divided(clock, baud)
+        if abs(made - baud) > baud * _TOLERANCE:
+            if clock is not None:
+                raise self._cannot(baud, f"its chip divides {baud_text(clock)} and makes {baud_text(made)} of it")
+            if applied.kept:
+                raise self._cannot(baud, "its driver keeps the rate that was set before")
+            raise self._cannot(baud, f"it set itself to {baud_text(applied.baud)}")
         notices = []
-        if applied.baud != baud:
-            notices.append(f"runs at {applied.baud} bit/s instead of {baud}")
+        if made != baud:
+            notices.append(f"runs at {made} bit/s instead of {baud}")
         if not applied.parity:
             notices.append("has no parity bit (8E1 was asked for), only check sums protect the data")
+        if applied.differs:
+            notices.append(f"reads back with {', '.join(applied.differs)}, where 8E1 was asked for: the bus needs 8E1")
         self._unmark = applied.marks
+        self._set_to = termios2.settings(fd)
         return notices
+
+    def _cannot(self, baud: int, why: str) -> BaudError:
+        return BaudError(f"{self.name} cannot do {baud_text(baud)}, {why}: choose another rate or adapter")
 
     def _use(self, fd: int) -> None:
         super()._use(fd)
@@ -180,6 +246,30 @@ class TtyPort(FdPort):
         if self._unmark:
             self._unmarker.reset()
             self._read = self._read_unmarked
+        if self.delivery is Delivery.ADAPTER and self.driver.marks is Marks.COUNTED and not self._listen:
+            with contextlib.suppress(OSError):
+                self._errors = self._count(fd)
+                self._read = self._read_counted
+
+    @staticmethod
+    def _count(fd: int) -> int:
+        """Damaged octets that the driver has counted: parity and framing errors."""
+        errors = uart_errors(fd)
+        return errors["parity"] + errors["frame"]
+
+    def _read_counted(self, size: int) -> bytes:
+        """Like :meth:`_read_unmarked`, for a driver that only counts damaged octets: those that come together with a
+        new count are dropped, and what was delivered shortly before is in doubt. Raises OSError."""
+        octets = self._read_unmarked(size) if self._unmark else os.read(self._fd, size)
+        errors = self._count(self._fd)
+        if errors == self._errors:
+            return octets
+        self._errors = errors
+        if self.on_doubt is not None:
+            self.on_doubt(_COUNTED_LATE_NS)
+        if octets:
+            raise BlockingIOError
+        return octets
 
     def _read_unmarked(self, size: int) -> bytes:
         """Intact octets (for listening: all, with their marks); empty only at the end of the file, like ``os.read``.
@@ -205,8 +295,15 @@ class TtyPort(FdPort):
             tuning.restore()
         if self._fd >= 0:
             with contextlib.suppress(OSError):  # a process forked meanwhile has the descriptor, and the lock, too
+                if self.delivery is Delivery.ADAPTER:
+                    fcntl.ioctl(self._fd, termios.TIOCNXCL)
                 fcntl.flock(self._fd, fcntl.LOCK_UN)
         super().close()
+
+    def _hung_up(self, reason: str) -> None:
+        if self.delivery is Delivery.ADAPTER:
+            reason = "the adapter is gone: its plug was pulled, or it lost its power"
+        super()._hung_up(reason)
 
 
 def is_pty_path(name: str) -> bool:
@@ -215,6 +312,14 @@ def is_pty_path(name: str) -> bool:
         return os.major(os.stat(name).st_rdev) in _PTY_MAJORS
     except OSError:
         return name.startswith("/dev/pts/")
+
+
+def _held(holder: str | None, usb: str | None) -> str:
+    """The holder of a port, and what to do."""
+    if holder is None:
+        unseen = " of another user, which only root can see (sudo fuser -v)" if hides_programs() else ""
+        return f"another program{unseen}: end it or take another port"
+    return f"{holder}: {keep_off(holder, usb) or 'end that program or take another port'}"
 
 
 def _kind(mode: int) -> str:

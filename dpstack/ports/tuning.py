@@ -8,6 +8,7 @@ tty_flags.h, asm-generic/ioctls.h.
 from __future__ import annotations
 
 import contextlib
+import errno
 import struct
 from collections.abc import Callable
 from typing import Final, TypeVar
@@ -17,6 +18,9 @@ from dpstack.ports.posix import fcntl, termios
 from dpstack.ports.sysfs import Adapter
 
 T = TypeVar("T")
+
+#: types of serial.h whose divisor is a whole number: 8250 to 16550A, 16650, 16750, 16654, 16850, NS16550A
+_WHOLE_DIVISORS: Final = frozenset({1, 2, 3, 4, 6, 7, 8, 11, 12, 14})
 
 #: every telegram with data ends with ED; SC and the token do not, and ED within data only causes an early packet
 ED: Final = 0x16
@@ -28,6 +32,7 @@ ASYNC_LOW_LATENCY: Final = 1 << 13
 _SERIAL_SIZE: Final = 128
 _FLAGS: Final = struct.Struct("=I")
 _FLAGS_AT: Final = 16
+_TYPE_AND_BASE: Final = struct.Struct("=i24xi")
 
 # struct serial_rs485: flags, delay before and after in ms, five words
 TIOCGRS485: Final = 0x542E
@@ -47,15 +52,36 @@ _ICOUNT: Final = struct.Struct("=20I")
 _CAUSES: Final = ("frame", "overrun", "parity", "brk", "buf_overrun")
 
 
-def low_latency(fd: int, on: bool | None = None) -> bool:
-    """Whether the driver delivers octets at once (FTDI: after 1 ms instead of 16); ``on`` switches that on or off."""
+def low_latency(fd: int, on: bool) -> bool:
+    """Let the driver deliver octets at once (FTDI: after 1 ms instead of 16), or not. Returns whether it did before.
+
+    Raises OSError also where the driver takes the setting and does not keep it: it has no such mode.
+    """
     buffer = _query(fd, TIOCGSERIAL, _SERIAL_SIZE)
     (flags,) = _FLAGS.unpack_from(buffer, _FLAGS_AT)
     was = bool(flags & ASYNC_LOW_LATENCY)
-    if on is not None and was is not on:
+    if was is not on:
         _FLAGS.pack_into(buffer, _FLAGS_AT, flags ^ ASYNC_LOW_LATENCY)
         fcntl.ioctl(fd, TIOCSSERIAL, buffer, True)
+        (flags,) = _FLAGS.unpack_from(_query(fd, TIOCGSERIAL, _SERIAL_SIZE), _FLAGS_AT)
+        if bool(flags & ASYNC_LOW_LATENCY) is not on:
+            raise _has_not("low-latency mode")
     return was
+
+
+def clock_of_uart(fd: int) -> int | None:
+    """The rate of a PC's UART at the divisor 1, which divides it by whole numbers; None for others, and for those that
+    do not tell. The rate that such a port reads back is the one it was asked for, whatever the chip makes."""
+    try:
+        kind, base = _TYPE_AND_BASE.unpack_from(_query(fd, TIOCGSERIAL, _SERIAL_SIZE))
+    except OSError:
+        return None
+    return base if kind in _WHOLE_DIVISORS and base > 0 else None
+
+
+def divided(clock: int, baud: int) -> int:
+    """The rate in bit/s that a UART with ``clock`` makes for the wish ``baud``: as the kernel chooses its divisor."""
+    return round(clock / max(1, (clock + baud // 2) // baud))
 
 
 def get_rs485(fd: int) -> tuple[int, ...]:
@@ -64,7 +90,16 @@ def get_rs485(fd: int) -> tuple[int, ...]:
 
 
 def set_rs485(fd: int, words: tuple[int, ...]) -> None:
+    """Set the RS-485 mode, flags first. Raises OSError also where the driver takes it and does not keep it."""
     fcntl.ioctl(fd, TIOCSRS485, bytearray(_RS485.pack(*words)), True)
+    if (get_rs485(fd)[0] ^ words[0]) & RS485_ENABLED:
+        raise _has_not("RS-485 mode")
+
+
+def try_rs485(fd: int) -> None:
+    """Raises OSError where the driver has no RS-485 mode. Only setting tells (here: what is set already): a port
+    without the mode answers the question after it with zeros."""
+    set_rs485(fd, get_rs485(fd))
 
 
 def uart_errors(fd: int) -> dict[str, int]:
@@ -79,6 +114,11 @@ def drop_rts(fd: int) -> bool:
     except OSError:
         return False
     return True
+
+
+def _has_not(what: str) -> OSError:
+    """As a driver answers that does not know the request."""
+    return OSError(errno.ENOTTY, f"no {what}")
 
 
 def _query(fd: int, request: int, size: int) -> bytearray:
@@ -130,12 +170,18 @@ class Tuning:
         return {cause: (now[cause] - then) % (1 << 32) for cause, then in self.errors.items()}
 
     def _try(self, what: str, step: Callable[[], T]) -> T | None:
-        """The result of ``step``; None where the driver does not have ``what``, which is noted."""
+        """The result of ``step``; None where the driver does not have ``what``."""
         try:
             return step()
         except OSError:
-            self._missing.append(what)
+            self._miss(what)
             return None
+
+    def _miss(self, what: str) -> None:
+        """Note that a port of the computer lacks ``what``. No USB adapter needs it: it switches its direction by
+        itself, and the class of its driver says the rest."""
+        if self._adapter.usb is None:
+            self._missing.append(what)
 
     def _latency_timer(self) -> None:
         """FTDI's latency timer: newer kernels set it with the low-latency mode, for others sysfs may."""
@@ -156,8 +202,7 @@ class Tuning:
         try:
             before = get_rs485(self._fd)
         except OSError:
-            if self._adapter.usb is None:  # a USB adapter switches its direction by itself
-                self._missing.append("RS-485 mode")
+            self._miss("RS-485 mode")
             return
         if before[0] & RS485_ENABLED:
             return  # set by the administrator or by the device tree
@@ -166,6 +211,9 @@ class Tuning:
         try:
             set_rs485(self._fd, (flags, *before[1:]))
         except OSError as exc:
+            if exc.errno == errno.ENOTTY:
+                self._miss("RS-485 mode")
+                return
             self.notices.append(f"its driver refuses the RS-485 mode ({reason_of(exc)}): who switches the direction?")
             return
         self._undo.append(lambda: set_rs485(self._fd, before))

@@ -55,7 +55,9 @@ if [ -z "$root" ]; then
         run usermod -aG dialout "$user"
     fi
     run udevadm control --reload
-    run udevadm trigger --subsystem-match=tty --subsystem-match=usb-serial --subsystem-match=misc
+    run udevadm trigger --subsystem-match=tty --subsystem-match=misc
+    # the rule of the latency timer is for adapters that appear
+    run udevadm trigger --action=add --subsystem-match=usb-serial
 fi
 if [ -n "$root" ] || [ -d /run/systemd/system ]; then
     if [ -z "$root" ] && ! id dpstack >/dev/null 2>&1; then
@@ -68,4 +70,4 @@ if [ -n "$root" ] || [ -d /run/systemd/system ]; then
         run systemctl daemon-reload
     fi
 fi
-echo "done: plug the adapter in again and log in again, then look with: dpstack doctor"
+echo "done: log in again (for the group), then look with: dpstack doctor"

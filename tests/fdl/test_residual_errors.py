@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from functools import cache
 from itertools import combinations
+from pathlib import Path
 from random import Random
 
 import pytest
@@ -19,6 +20,7 @@ from dpstack.fdl.codec import decode
 from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.telegram import Kind
 from dpstack.phy.uart import flipped
+from dpstack.ports.kernel_drivers import kernel_driver
 
 #: a Data_Exchange answer with twelve octets, a status answer, and one of a slave with SAPs
 ANSWER = bytes.fromhex("68 0F 0F 68 02 05 08 C4 1B 07 F0 5A 33 9E 62 D8 01 7F A6 70 16")
@@ -123,6 +125,77 @@ def test_nineteen_patterns_of_four_errors_cancel_in_each_pair_of_octets() -> Non
     two = [(change, count) for (change, errors), count in CHANGES.items() if errors == 2]
     cancelling = sum(one * other for a, one in two for b, other in two if (a + b) & 0xFF == 0)
     assert cancelling == CANCELLING * 256 * 256
+
+
+# --- without marks of damaged octets only the check sum is left: drivers that pass no parity error on ---
+
+
+def pairs_that_keep_the_sum(octets: bytes) -> int:
+    """Patterns of two inverted data bits in a telegram of this kind that the check sum does not show."""
+    covered = [(number, bit) for number in range(4, len(octets) - 1) for bit in range(8)]
+    passing = 0
+    for one, other in combinations(covered, 2):
+        damaged = bytearray(octets)
+        for number, bit in (one, other):
+            damaged[number] ^= 1 << bit
+        passing += sum(damaged[4:-2]) & 0xFF == damaged[-2]
+    return passing
+
+
+def test_two_errors_pass_where_no_parity_error_is_passed_on() -> None:
+    """On average 540 patterns for 12 octets: two bits of the same weight, half of them in opposite senses, and the
+    highest one always."""
+    rng = Random(3)
+    counts = []
+    for _ in range(8):
+        body = rng.randbytes(15)
+        counts.append(pairs_that_keep_the_sum(b"\x68\x0f\x0f\x68" + body + bytes((sum(body) & 0xFF, 0x16))))
+    assert sum(counts) / len(counts) == pytest.approx(WITHOUT_PARITY, rel=0.03)
+    assert WITHOUT_PARITY == 120 * (7 / 2 + 1)
+    # and one error is always noticed
+    for number, bit in ((number, bit) for number in range(4, len(ANSWER) - 1) for bit in range(8)):
+        damaged = bytearray(ANSWER)
+        damaged[number] ^= 1 << bit
+        assert decode(bytes(damaged)) is None
+
+
+#: the average number of such patterns in an answer with twelve octets, and with parity
+WITHOUT_PARITY, WITH_PARITY = 540, 2262
+_ANSWERS_A_S = 900
+
+
+def once_in(patterns: int, errors: int, per_bit: float) -> str:
+    """The time between two wrong answers of 900 a second, as the documentation writes it."""
+    seconds = 1 / (patterns * per_bit**errors * _ANSWERS_A_S)
+    for unit, size in (("years", 365.25 * 86_400), ("days", 86_400), ("hours", 3_600), ("minutes", 60)):
+        if seconds >= size:
+            count = seconds / size
+            return f"{count / 1e6:.1f} million {unit}" if count >= 1e6 else f"{count:.0f} {unit}"
+    return f"{seconds:.0f} seconds"
+
+
+def promise_rows() -> str:
+    """The table of docs/reference/bus-parameters.md: the promise of each class of driver."""
+    rows = []
+    for title, names in (
+        ("UART of the computer, `ftdi_sio`, `cp210x`", ("serial", "ftdi_sio", "cp210x")),
+        ("`ch341-uart` (CH340, CH341)", ("ch341-uart",)),
+        ("`pl2303`, `cdc_acm`, other USB drivers", ("pl2303", "cdc_acm", "other")),
+    ):
+        (distance,) = {kernel_driver(name, usb=name != "serial").distance for name in names}
+        if distance is None:
+            rows.append(f"| {title} | none is promised | | | |")
+            continue
+        patterns = WITH_PARITY if distance == 4 else WITHOUT_PARITY
+        times = " | ".join(once_in(patterns, distance, per_bit) for per_bit in (1e-3, 1e-4, 1e-5))
+        noticed = f"up to {distance - 1} wrong bits" if distance > 2 else "one wrong bit"
+        rows.append(f"| {title} | {distance}: {noticed} | {times} |")
+    return "".join(row + "\n" for row in rows)
+
+
+def test_the_promise_of_each_class_of_driver_is_computed() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs/reference/bus-parameters.md").read_text(encoding="utf-8")
+    assert promise_rows() in page, f"the table of docs/reference/bus-parameters.md is:\n{promise_rows()}"
 
 
 @pytest.mark.parametrize("per_bit", [1e-3, 1e-2])

@@ -14,18 +14,31 @@ _ioctl = fcntl.ioctl
 
 
 class FakeDriver:
-    """Answers the serial ioctls; what is None it has not (ENOTTY). Other requests go to the real descriptor."""
+    """Answers the serial ioctls; what is None it has not (ENOTTY). Other requests go to the real descriptor.
+
+    ``refuses``: requests answered with EINVAL; ``lacks``: with ENOTTY; ``deaf``: taken without effect. ``uart``: type
+    and baud base of TIOCGSERIAL. ``asked``: the requests so far.
+    """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.flags: int | None = 0x40
         self.rs485: list[int] | None = [0] * 8
         self.counts: list[int] | None = [0] * 20
         self.refuses: set[int] = set()
+        self.lacks: set[int] = set()
+        self.deaf: set[int] = set()
+        self.uart = (0, 0)
+        self.asked: list[int] = []
         monkeypatch.setattr(fcntl, "ioctl", self.ioctl)
 
     def ioctl(self, fd: int, request: int, argument: bytearray | bytes = b"", mutate: bool = True) -> int:
+        self.asked.append(request)
         if request in self.refuses:
             raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+        if request in self.lacks:
+            raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY))
+        if request in self.deaf:
+            return 0
         if request not in (0x541E, 0x541F, 0x542E, 0x542F, 0x545D):
             return self._real(fd, request, argument, mutate)
         assert isinstance(argument, bytearray)
@@ -34,7 +47,7 @@ class FakeDriver:
             raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY))
         match request:
             case 0x541E:
-                struct.pack_into("=I", argument, 16, self.flags)
+                struct.pack_into("=i12xI8xi", argument, 0, self.uart[0], self.flags, self.uart[1])
             case 0x541F:
                 (self.flags,) = struct.unpack_from("=I", argument, 16)
             case 0x542E:

@@ -60,6 +60,9 @@ def test_adapters_with_chip_lasting_name_and_holder(tmp_path: Path) -> None:
             "usb": None,
             "serial": None,
             "holder": None,
+            "marks": "octet",
+            "hamming_distance": 4,
+            "max_baud": None,
         },
         {
             "path": str(usb0),
@@ -69,6 +72,9 @@ def test_adapters_with_chip_lasting_name_and_holder(tmp_path: Path) -> None:
             "usb": "0403:6001",
             "serial": "A1",
             "holder": "minicom (pid 41)",
+            "marks": "packet",
+            "hamming_distance": 4,
+            "max_baud": None,
         },
         {
             "path": str(usb1),
@@ -78,6 +84,9 @@ def test_adapters_with_chip_lasting_name_and_holder(tmp_path: Path) -> None:
             "usb": "1111:2222",
             "serial": None,
             "holder": None,
+            "marks": "unknown",
+            "hamming_distance": None,
+            "max_baud": None,
         },
     ]
 

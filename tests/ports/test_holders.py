@@ -8,7 +8,7 @@ from pathlib import Path
 from far_ends import PtyFarEnd
 from process_kit import SPEC, VALVES, bus_on, octet_slaves, runtime_of
 
-from dpstack.ports.holders import holder_of_path
+from dpstack.ports.holders import holder_of_path, is_dpstack, keep_off, other_openers
 
 
 def program(proc: Path, pid: int, name: str, *opened: str) -> None:
@@ -43,6 +43,40 @@ def test_without_a_lock_an_open_descriptor_does(tmp_path: Path) -> None:
     program(proc, 41, "reader", "/dev/null", str(port))
     assert holder_of_path(str(link), proc) == "reader (pid 41)"
     assert holder_of_path(str(tmp_path / "ttyUSB1"), proc) is None
+
+
+def test_other_programs_than_this_one_and_its_children(tmp_path: Path) -> None:
+    proc, port = tmp_path / "proc", tmp_path / "ttyUSB0"
+    port.touch()
+    for pid, parent in ((os.getpid(), os.getppid()), (70_001, os.getpid()), (70_002, os.getppid())):
+        program(proc, pid, "reader", str(port))
+        (proc / str(pid) / "stat").write_text(f"{pid} (reader) S {parent} 1 1 0 -1")
+    # a shell has started this program and the other one
+    assert other_openers(str(port), proc) == ["reader (pid 70002)"]
+    (proc / str(os.getpid()) / "cmdline").write_text("python\0-P\0-m\0dpstack.drivers.process\0007")
+    assert other_openers(str(port), proc) == []  # its parent is the application of this bus process
+
+
+def test_dpstack_as_a_module_is_dpstack(tmp_path: Path) -> None:
+    proc, port = tmp_path / "proc", tmp_path / "ttyUSB0"
+    port.touch()
+    program(proc, 41, "python3", str(port))
+    (proc / "41" / "cmdline").write_text("\0".join(["python3", "-P", "-m", "dpstack", "run", "plant.toml"]) + "\0")
+    holder = holder_of_path(str(port), proc)
+    assert holder == "`dpstack run plant.toml` (pid 41)"
+    assert is_dpstack(holder)
+    assert not is_dpstack("minicom (pid 42)")
+
+
+def test_programs_that_open_adapters_by_themselves_are_kept_off() -> None:
+    for name in ("ModemManager", "gpsd", "brltty"):
+        assert keep_off(f"{name} (pid 7)", "0403:6001").startswith("it opens adapters by itself; ")
+    assert keep_off("gpsd (pid 7)", "0403:6001").endswith(
+        'keeps it off: SUBSYSTEM=="tty", SUBSYSTEMS=="usb", ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6001", '
+        'ENV{SYSTEMD_WANTS}=""'
+    )
+    assert "/etc/udev/rules.d/85-brltty.rules" in keep_off("brltty (pid 7)")
+    assert keep_off("minicom (pid 7)") == ""
 
 
 def test_a_command_of_dpstack_is_named_with_its_configuration(tmp_path: Path) -> None:

@@ -21,6 +21,11 @@ def execute(args: argparse.Namespace) -> int:
     elif adapters:
         rows = [(a.path, a.chip, a.driver or "", a.holder or "", a.by_id or "") for a in adapters]
         output.table("", ("port", "chip", "driver", "held by", "lasting path"), rows)
+        for adapter in adapters:
+            output.line("")
+            output.line(f"{adapter.path}:")
+            for line in adapter.class_lines():
+                output.line(f"  {line}")
     else:
         output.line("no serial adapter is plugged in")
     return 0

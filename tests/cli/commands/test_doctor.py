@@ -12,6 +12,7 @@ import pytest
 from cli_kit import Cli
 from fake_adapter import plug_in
 from far_ends import PtyFarEnd
+from msgspec import structs
 
 from dpstack.api import doctor
 from dpstack.api.doctor import AdapterInfo, Check, Computer, Level, examine
@@ -19,10 +20,13 @@ from dpstack.cli.commands import doctor as doctor_command
 from dpstack.cli.commands import ports as ports_command
 from dpstack.errors import PortBusyError, PortError
 from dpstack.ports.adapters import Abilities
+from dpstack.ports.kernel_drivers import kernel_driver
 from dpstack.service import host_setup
 from dpstack.units import BAUD_RATES
 
-ALL = Abilities(parity=True, low_latency=True, rs485=False, counters=True, marks=True, rates=list(BAUD_RATES))
+ALL = Abilities(
+    parity=True, low_latency=True, rs485=False, counters=True, marks=True, latency_ms=1, rates=list(BAUD_RATES)
+)
 Out = pytest.CaptureFixture[str]
 
 
@@ -75,6 +79,8 @@ def test_where_all_is_well_nothing_is_to_be_done(computer: Computer) -> None:
         "error counters: there",
         "marks of damaged octets: there",
         "RS-485 mode: the adapter's own",
+        "a damaged octet is dropped with its USB packet: up to three wrong bits in a telegram are always noticed "
+        "(Hamming distance 4)",
         "a converter that RTS switches drives the bus for the instant in which a program opens the port, until the "
         "program drops RTS: this test, `capture`, `monitor` and `baud` do so at once, and send nothing",
         "its driver ftdi_sio marks all octets of a USB packet as damaged where one of them is; captures say so at such "
@@ -134,14 +140,17 @@ def test_no_adapter_no_port_no_permission(computer: Computer, port: Path) -> Non
     assert "usermod" in todo or "udev" in todo
 
 
-def test_a_latency_timer_nobody_may_set(computer: Computer, tmp_path: Path) -> None:
+def test_a_latency_timer_is_tried_before_it_is_judged(computer: Computer, tmp_path: Path) -> None:
+    """The low-latency mode sets it for a user who may not write to its file."""
     timer = str(tmp_path / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer")
-    refused = replace(computer, access=lambda path, _how: path != timer)
-    ((text, todo),) = told(examine(computer=refused), Level.FINDING)
+    read_only = replace(computer, access=lambda path, _how: path != timer)
+    assert not told(examine(computer=read_only), Level.FINDING)
+    stuck = replace(read_only, probe=lambda _path: structs.replace(ALL, latency_ms=16))
+    ((text, todo),) = told(examine(computer=stuck), Level.FINDING)
     assert text.startswith("its latency timer is 16 ms and may not be changed")
     assert "`dpstack doctor --fix`" in todo
     Path(timer).write_text("1\n")
-    assert not told(examine(computer=refused), Level.FINDING)
+    assert not told(examine(computer=stuck), Level.FINDING)
 
 
 def test_a_held_port_is_left_alone(computer: Computer, port: Path, tmp_path: Path) -> None:
@@ -154,7 +163,19 @@ def test_a_held_port_is_left_alone(computer: Computer, port: Path, tmp_path: Pat
     (holder / "fd" / "3").symlink_to(port)
     ((text, todo),) = told(examine(computer=replace(computer, probe=never)), Level.NOTE)
     assert text == "is held by minicom (pid 41)"
+    assert todo == "end it to have the rest checked"
+    (holder / "cmdline").write_text("\0".join(["python3", "-P", "-m", "dpstack", "run", "plant.toml"]))
+    ((text, todo),) = told(examine(computer=replace(computer, probe=never)), Level.NOTE)
+    assert text == "is held by `dpstack run plant.toml` (pid 41)"
     assert f"dpstack ctl {port} status" in todo
+    (holder / "cmdline").write_text("/usr/sbin/ModemManager")
+    (holder / "comm").write_text("ModemManager\n")
+    ((_, todo),) = told(examine(computer=replace(computer, probe=never)), Level.NOTE)
+    assert todo == (
+        "it opens adapters by itself; this line in /etc/udev/rules.d/99-own.rules keeps it off: "
+        'SUBSYSTEM=="tty", SUBSYSTEMS=="usb", ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6014", '
+        'ENV{ID_MM_PORT_IGNORE}="1"'
+    )
 
 
 def test_a_port_that_cannot_be_opened(computer: Computer) -> None:
@@ -189,6 +210,12 @@ def test_an_unknown_chip_and_another_system(computer: Computer, tmp_path: Path) 
     plug_in(tmp_path / "other", "ttyUSB0", usb="1111:2222", driver="cdc_acm", latency=None)
     checks = examine(computer=replace(computer, sysfs=tmp_path / "other"))
     assert checks[4].text == "USB 1111:2222, an unknown chip, driver cdc_acm"
+    notes = told(checks, Level.NOTE)
+    assert [text for text, _ in notes] == [
+        "accepts every rate, and its driver cdc_acm cannot tell which the adapter makes",
+        kernel_driver("cdc_acm", usb=True).protection,
+    ]
+    assert "FTDI (ftdi_sio)" in notes[1][1]
     (check,) = examine(computer=replace(computer, platform="win32"))
     assert (check.level, check.topic) == (Level.NOTE, "system")
 
@@ -210,7 +237,18 @@ def test_ports(cli: Cli, monkeypatch: pytest.MonkeyPatch, port: Path) -> None:
     monkeypatch.setattr(ports_command, "list_adapters", lambda: [adapter(port)])
     assert str(port) in cli.out("ports")
     (entry,) = cli.json("ports")["ports"]
-    assert list(entry) == ["path", "by_id", "chip", "driver", "usb", "serial", "holder"]
+    names = ["path", "by_id", "chip", "driver", "usb", "serial", "holder", "marks", "hamming_distance", "max_baud"]
+    assert list(entry) == names
+    ch340 = structs.replace(adapter(port), usb="1a86:7523", kernel_driver=kernel_driver("ch341-uart", usb=True))
+    monkeypatch.setattr(ports_command, "list_adapters", lambda: [ch340])
+    assert cli.out("ports").splitlines()[-4:] == [
+        "  damaged octets: its driver ch341-uart passes no parity error on: only the check sum protects the data, one "
+        "wrong bit in a telegram is noticed, two may pass as good data (Hamming distance 2)",
+        "  rates: up to 3 Mbit/s",
+        "  delay: USB frames of 1 ms",
+        "  RS-485: the adapter switches its direction itself",
+    ]
+    assert cli.json("ports")["ports"][0]["hamming_distance"] == 2
     monkeypatch.setattr(ports_command, "list_adapters", list)
     assert cli.out("ports") == "no serial adapter is plugged in\n"
 
@@ -243,6 +281,11 @@ def test_the_set_up_script_says_what_it_would_do() -> None:
     said = subprocess.run([script, "--print", "anna"], capture_output=True, text=True, check=True).stdout
     assert "+ usermod -aG dialout anna" in said
     assert "+ udevadm control --reload" in said
+    triggers = [line.removeprefix("+ ") for line in said.splitlines() if "udevadm trigger" in line]
+    # the rule of the latency timer is for "add" and "bind"; its comment has the same commands
+    assert triggers[-1] == "udevadm trigger --action=add --subsystem-match=usb-serial"
+    assert all(trigger in (FILES / "99-dpstack.rules").read_text() for trigger in triggers)
+    assert "plug the adapter in again" not in said
 
 
 @pytest.fixture
