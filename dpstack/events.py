@@ -41,7 +41,15 @@ from dpstack.dp.master.scanner import Found, SlaveView, StationSeen
 from dpstack.dp.pdu.alarm_blocks import Alarm, AlarmType, Specifier, Status, StatusType
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dpv1.master.orders import AlarmRaised, ConnectionOver, StatusTold
-from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
+from dpstack.drivers.runtime import (
+    BehindRealTime,
+    BusProcessBack,
+    BusProcessSilent,
+    OutputsDropped,
+    PortBack,
+    PortDisturbed,
+    PortLost,
+)
 from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.fdl.telegram import StationType
 from dpstack.trace import Event, Notice, Severity
@@ -77,6 +85,7 @@ __all__ = [
     "OperateWaits",
     "OutputsDropped",
     "PortBack",
+    "PortDisturbed",
     "PortLost",
     "RingJoined",
     "RingLeft",

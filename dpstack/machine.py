@@ -70,6 +70,13 @@ class HeldUp(Struct, frozen=True):
     unsent: bool = False
 
 
+class InDoubt(Struct, frozen=True):
+    """Command from a driver: octets that it has passed on in the last ``for_ns`` may be damaged, as the port learns
+    only now."""
+
+    for_ns: int
+
+
 class Pumped(Protocol):
     """The methods of a machine that :func:`pump` calls. ``now`` is CLOCK_MONOTONIC or virtual time in nanoseconds and
     never runs backwards."""
@@ -105,7 +112,7 @@ class Machine(Pumped, Protocol):
 
     def command(self, command: object, now: int) -> None:
         """Carry out a command of the application, or of the driver (:class:`LineDown`, :class:`LineUp`,
-        :class:`RateRefused`). Misuse raises at once; results are events."""
+        :class:`RateRefused`, with :attr:`held_up` also :class:`InDoubt`). Misuse raises at once; results are events."""
 
     @property
     def held_up(self) -> Callable[[HeldUp, int], bool] | None:

@@ -35,6 +35,7 @@ from dpstack.events import (
     OperateWaits,
     OutputsDropped,
     PortBack,
+    PortDisturbed,
     PortLost,
     RingJoined,
     RingLeft,
@@ -134,6 +135,8 @@ class Watcher:
                 log.error("plug the adapter in again: %s (%s)", port, reason)
             case PortBack(port=port):
                 log.info("%s is back", port)
+            case PortDisturbed(port=port, what=what):
+                log.warning("another program at %s: %s", port, what)
             case BusProcessSilent(silent_ns=silent_ns) | BusProcessBack(silent_ns=silent_ns):
                 log.error("the bus process was silent for %d ms", silent_ns // 1_000_000)
             case ConnectionOver(address=address, reason=reason):

@@ -51,6 +51,18 @@ class PortBack(Event):
     TEMPLATE = "port {e.port} is back"
 
 
+class PortDisturbed(Event):
+    """Another program disturbs the port: it has changed its settings, or has it open, too. The driver looks for that
+    when slaves fall silent."""
+
+    SEVERITY = Severity.WARNING
+
+    port: str
+    what: str
+
+    TEMPLATE = "{e.port}: {e.what}"
+
+
 class BusProcessSilent(Event):
     """The bus process shows no sign of life. Its slaves count as offline, their inputs as not valid."""
 

@@ -41,6 +41,7 @@ class Cause(Enum):
     NOT_SUPPORTED = "not_supported"
     MIN_TSDR = "min_tsdr"
     DPV1_MISMATCH = "dpv1_mismatch"
+    ANOTHER_PROGRAM = "another_program"
     NO_TOKEN = "no_token"
     SECOND_MASTER_SAME_ADDRESS = "second_master_same_address"
     BUS_JAMMED = "bus_jammed"
@@ -174,6 +175,11 @@ _ABOUT: Final[dict[Cause, About]] = {
         "master and slave disagree about DP-V1",
         "Prm_Fault, and DPV1_Enable is set for a slave without DP-V1, or is missing where the slave needs it",
         "set dpv1 as the GSD file says: dpv1 = false for a slave without it",
+    ),
+    Cause.ANOTHER_PROGRAM: About(
+        "another program of this computer has the port open, too, or has changed its settings",
+        "when slaves fell silent, the tty was set to another rate or frame, or another program had it open",
+        "end that program, and keep it off the adapter: `dpstack doctor --port P` names it",
     ),
     Cause.NO_TOKEN: About(
         "the master of the slave does not run, or does not get the token",

@@ -76,6 +76,8 @@ class Line:
     longest_ns: int = 0
     planned_ns: int = 0
     paced: bool = True
+    #: what another program did to the port, seen when slaves fell silent; empty: nothing
+    disturbed: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,6 +35,8 @@ _MISSING: Final = 6
 #: share of unreadable answers among all, and their number, from which a second station is likelier than noise
 _ALL_DAMAGED: Final = 0.85
 _ALWAYS_DAMAGED: Final = 8
+#: damaged octets from which missing answers are explained by them
+_DROPPED: Final = 4
 #: a state is out of date where the last good Data_Exchange is older than so many of the longest times between two
 _STALE: Final = 4
 #: share of the time that a station takes that sends without end, at least
@@ -314,7 +316,21 @@ class Facts:
 
     @cached_property
     def disturbed_neighbours(self) -> tuple[Neighbour, ...]:
+        if self.dropped_by_port:
+            return tuple(one for one in self.neighbours if one.link.answers and failures(one.link))
         return tuple(one for one in self.neighbours if is_disturbed(one.link))
+
+    @cached_property
+    def marked(self) -> int:
+        """Octets that the port has marked or counted as damaged, on the whole line."""
+        bad = self.evidence.line.bad
+        return max(bad.get("uart_marked", 0), bad.get("uart_parity", 0) + bad.get("uart_frame", 0))
+
+    @cached_property
+    def dropped_by_port(self) -> bool:
+        """Answers are missing because the port drops damaged octets: on FTDI and PL2303 whole packets of them."""
+        failed = failures(self.link)
+        return bool(self.link.answers) and failed > 0 and self.marked >= max(_DROPPED, failed)
 
     @cached_property
     def damage(self) -> int:

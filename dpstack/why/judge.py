@@ -73,6 +73,8 @@ def _weighed(f: Facts, found: list[Finding]) -> list[Finding]:
     of_bus = max((causes.get(cause, 0.0) for cause in _OF_BUS), default=0.0)
     weighed = []
     for one in found:
+        if Cause.ANOTHER_PROGRAM in causes and one.cause is not Cause.ANOTHER_PROGRAM:
+            one = one.less(0.4, "Another program at the port explains this, too.")
         if one.cause in _BY_BUS and of_bus >= 0.7:
             one = one.less(0.3, "The master could hardly ask: the bus itself has a fault.")
         noise = max(causes.get(Cause.NOISE_ON_STUB, 0.0), causes.get(Cause.NOISE_ON_SEGMENT, 0.0))
@@ -120,6 +122,12 @@ _BY_BUS: Final = (
 def _deactivated(f: Facts) -> Findings:
     if f.evidence.state is SlaveState.DEACTIVATED:
         yield Finding(Cause.DEACTIVATED, 0.99, ["The application took it out of service by deactivate()."])
+
+
+def _another_program(f: Facts) -> Findings:
+    """The port itself is disturbed: no station on the bus explains that."""
+    if f.evidence.line.disturbed and not f.exchanging:
+        yield Finding(Cause.ANOTHER_PROGRAM, 0.88, [f"Seen at the port: {f.evidence.line.disturbed}."])
 
 
 def _ring(f: Facts) -> Findings:
@@ -389,12 +397,15 @@ def _retried(f: Facts) -> bool:
 
 def _noise(f: Facts) -> Findings:
     link = f.link
-    harmed = is_disturbed(link, f.lost_since) or (f.mixed and damaged(link) > f.lost_since)
+    harmed = is_disturbed(link, f.lost_since) or (f.mixed and damaged(link) > f.lost_since) or f.dropped_by_port
     if not (harmed or (_retried(f) and not f.exchanging)):
         yield from _noise_of_others(f)
         return
     said = [f"{failures(link)} of {attempts(link)} requests had no good answer, {damaged(link)} of them a damaged one."]
     lost = [f"It was lost {_times(f.lost)} by that."] if f.lost_damaged else []
+    if f.dropped_by_port:
+        said.append(f"The port has dropped {f.marked} octets with a parity or framing error: answers came, damaged.")
+        lost = [f"It was lost {_times(f.lost)} by that."] if f.lost else []
     most = 0.87
     against = []
     if not harmed:
@@ -800,6 +811,7 @@ def _some(names: Iterable[str]) -> str:
 
 _RULES: Final[tuple[Callable[[Facts], Findings], ...]] = (
     _deactivated,
+    _another_program,
     _ring,
     _absent,
     _elsewhere,

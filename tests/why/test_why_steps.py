@@ -201,6 +201,36 @@ def test_nobody_answers_is_one_group_and_an_ident_elsewhere_is_the_address() -> 
     assert first(history=history, neighbours=(gone,), found=())[0] == "rate_mismatch"
 
 
+def test_answers_that_the_port_dropped_as_damaged_are_noise_and_no_missing_slave() -> None:
+    """FTDI marks whole packets: of a damaged answer no octet is left, and it looks like none."""
+    silent = History((BringUp((Step(1, "Data_Exchange", b"\x01", "nothing"),)),))
+    link = StationStats(requests=20, answers=18, retries=2, timeouts=2)
+    clean = Neighbour(3, "hoist", SlaveState.DATA_EXCHANGE, 0x0696, StationStats(requests=90, answers=90))
+    line = Line(baud=187_500, slot_bits=200, heard=110, bad={"uart_marked": 52, "uart_parity": 4})
+    facts = dataclasses.replace(EMPTY, history=silent, link=link, neighbours=(clean,), line=line)
+    story = tell(facts)
+    assert story.first.cause == "noise_on_stub"
+    said = "The port has dropped 52 octets with a parity or framing error: answers came, damaged."
+    assert said in story.first.speaks_for
+    failed = dataclasses.replace(clean, link=StationStats(requests=90, answers=86, retries=4))
+    assert tell(dataclasses.replace(facts, neighbours=(failed,))).first.cause == "noise_on_segment"
+    quiet = dataclasses.replace(line, bad={})
+    assert tell(dataclasses.replace(facts, line=quiet)).first.cause == "not_there"
+
+
+def test_another_program_at_the_port_explains_lost_slaves() -> None:
+    silent = History((BringUp((Step(1, "Data_Exchange", b"\x01", "nothing", times=40),)),))
+    link = StationStats(requests=900, answers=900, timeouts=40, late=9)
+    line = Line(baud=187_500, slot_bits=200, heard=900, disturbed="gpsd (pid 41) has it open, too")
+    facts = dataclasses.replace(EMPTY, history=silent, link=link, line=line)
+    story = tell(facts)
+    assert story.first.cause == "another_program"
+    assert story.first.speaks_for == ("Seen at the port: gpsd (pid 41) has it open, too.",)
+    assert all(one.confidence <= 0.4 for one in story.causes[1:])
+    exchanging = dataclasses.replace(facts, state=SlaveState.DATA_EXCHANGE, exchanged_ns=1)
+    assert "another_program" not in {one.cause for one in tell(exchanging).causes}
+
+
 def test_slaves_that_fell_silent_together_are_not_said_to_answer() -> None:
     """Their counters have answers of the past, and their state says that nobody answers now."""
     counters = StationStats(requests=940, answers=900, timeouts=40)

@@ -25,7 +25,7 @@ from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, v
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.futures import wait_through_cancellation
-from dpstack.drivers.runtime import stopped_by
+from dpstack.drivers.runtime import PortDisturbed, stopped_by
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.fdl.commands import DetachUser, GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined, StationFound
@@ -299,6 +299,8 @@ class BusCore(BusBase):
                     self._drives[address].publish_status()
                 case AddressCollision():
                     self.collision = event.text
+                case PortDisturbed():
+                    self.disturbed = event
                 case StationFound(address=address, kind=kind):
                     (self.gap_slaves.add if kind is StationType.SLAVE else self.gap_slaves.discard)(address)
                 case ForcedClear():

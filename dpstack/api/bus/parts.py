@@ -24,7 +24,7 @@ from dpstack.dp.plan.plan import Plan
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.shutdown import end_limit_ns
-from dpstack.drivers.runtime import Runtime
+from dpstack.drivers.runtime import PortDisturbed, Runtime
 from dpstack.drivers.snapshots import BusSnapshot, View
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.params import BusParams
@@ -52,6 +52,8 @@ class BusBase:
         self.started_ns = 0
         #: text of the address collision with another station; None: there was none
         self.collision: str | None = None
+        #: the last disturbance of the port by another program
+        self.disturbed: PortDisturbed | None = None
         #: addresses of the slaves that GAP polls have found
         self.gap_slaves: set[int] = set()
         #: the event of a Clear that the master went to by itself, until Operate is ordered

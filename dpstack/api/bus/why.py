@@ -45,6 +45,8 @@ _PROBES: Final = 6
 _GOOD: Final = 3
 _PROBE_NS: Final = 3 * NS_PER_S
 _ASK_NS: Final = 2 * NS_PER_S
+#: so long a disturbance of the port explains lost slaves
+_LATELY_NS: Final = 60 * NS_PER_S
 _FAILED: Final = {
     ServiceFailure.SILENT: NOTHING,
     ServiceFailure.LATE: NOTHING,
@@ -197,8 +199,15 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
             longest_ns=counters.rotation.max_ns,
             planned_ns=bus.rotation_limit_ns,
             paced=bus.runtime.paced,
+            disturbed=_disturbed(bus),
         ),
     )
+
+
+def _disturbed(bus: BusBase) -> str:
+    """What another program did to the port lately."""
+    event = bus.disturbed
+    return event.what if event is not None and bus.runtime.now() - event.t_ns < _LATELY_NS else ""
 
 
 def _ident_there(slave: Slave) -> int | None:

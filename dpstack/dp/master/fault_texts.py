@@ -82,6 +82,14 @@ NOT_WATCHING = (
 )
 
 
+#: a remark: the driver of an adapter counted damaged octets only after it had delivered them
+IN_DOUBT = (
+    "its inputs are not valid until its next exchange: the adapter's driver counted damaged octets after it had "
+    "delivered them, so nobody knows whether its last answer was one of them; look for the noise, or take an adapter "
+    "that marks damaged octets (`dpstack doctor`)"
+)
+
+
 def unlisted(state: SlaveState, trigger: Trigger) -> str:
     """A remark: the table of states has no row for ``trigger`` in ``state``."""
     return (

@@ -26,7 +26,7 @@ from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, LinkUser, Request
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Telegram
-from dpstack.machine import HeldUp, LineDown
+from dpstack.machine import HeldUp, InDoubt, LineDown
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.trace import Event
@@ -117,6 +117,10 @@ class Master(LinkUser):
             case StationFound(address=address, kind=kind):
                 if kind is not None and address in self.handlers:
                     self.handlers[address].station_found(now)
+                return False
+            case InDoubt(for_ns):
+                for handler in self.handlers.values():
+                    handler.doubt_inputs(now - for_ns, now)
                 return False
             case HeldUp():
                 self._watch.held_up(command, now)

@@ -175,6 +175,14 @@ class SlaveHandler:
                     return
         self._odd_data(outcome, now)
 
+    def doubt_inputs(self, since: int, now: int) -> None:
+        """The answers that came after ``since`` may be damaged: no inputs are valid until the next exchange."""
+        image = self.image
+        if image.valid and image.input_time > since:
+            image.valid = False
+            self.reports.mark_changed()
+            self.reports.remark(fault_texts.IN_DOUBT, now)
+
     def _odd_data(self, outcome: Telegram | Failure, now: int) -> None:
         if outcome is Failure.ABANDONED or self.state is not SlaveState.DATA_EXCHANGE:
             return

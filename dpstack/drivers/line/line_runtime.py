@@ -15,17 +15,19 @@ from typing import Final
 
 from dpstack.boottime import boottime_ns, suspended_ns
 from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.events import SlaveState, SlaveStateChanged
 from dpstack.drivers.line.answer_timing import AnswerTiming
 from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.drivers.line.last_clear import LastClear
 from dpstack.drivers.line.port_latency import PortLatency, Tune
+from dpstack.drivers.line.port_watch import PortWatch
 from dpstack.drivers.line.rate import BACKOFF_NS, LONGEST, NoRateError, ReopenAttempts, follow, wire_times
 from dpstack.drivers.line.timers import Lead, Timer
-from dpstack.drivers.runtime import RESERVE, OnEvents, OnFailure, PortBack, PortLost, stopped_by
+from dpstack.drivers.runtime import RESERVE, OnEvents, OnFailure, PortBack, PortDisturbed, PortLost, stopped_by
 from dpstack.drivers.tap import Tap, TappedMachine
 from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.fdl.events import AddressCollision, RingLeft
-from dpstack.machine import HeldUp, LineDown, LineUp, Machine, Pumped, pump
+from dpstack.machine import HeldUp, InDoubt, LineDown, LineUp, Machine, Pumped, pump
 from dpstack.ports import Loop, Pending, Port
 from dpstack.text import printable
 from dpstack.trace import Event, Notice, Severity
@@ -97,6 +99,8 @@ class LineRuntime(ABC):
         self._on_failure = on_failure
         self._held_up = machine.held_up
         self._last_clear = last_clear
+        self._watch = PortWatch(port, self._disturbed)
+        port.on_doubt = None if machine.held_up is None else self._in_doubt  # others have no inputs
         self._reserve: bytearray | None = None
         self._stepped_at = 0  # end of the last step
         self._suspended_ns = 0  # sleep of the computer that was reported to the machine
@@ -328,6 +332,7 @@ class LineRuntime(ABC):
             if self._echo is None and self._echo_wanted is Echo.AUTO:
                 self._suspect_echo(events)
             self._dispatch(events)
+            self._look_at_port(events)
         if self._later:
             self._do_later()
 
@@ -540,6 +545,21 @@ class LineRuntime(ABC):
         self._dispatch([PortBack(t_ns=monotonic_ns(), port=self.port_name)])
         self._attach()
         self._command_machine(LineUp())
+
+    def _look_at_port(self, events: list[Event]) -> None:
+        """Where slaves fell silent, another program may have the port."""
+        lost = any(isinstance(event, SlaveStateChanged) and event.state is SlaveState.OFFLINE for event in events)
+        if lost and self._at is not None and self._attempts is None:
+            self._watch.look(self._at)
+
+    def _disturbed(self, found: list[str]) -> None:
+        if self._at is not None:
+            self._dispatch([PortDisturbed(t_ns=monotonic_ns(), port=self.port_name, what=text) for text in found])
+
+    def _in_doubt(self, for_ns: int) -> None:
+        """The port learns only now that octets it has delivered may be damaged: not in the middle of a step."""
+        if self._at is not None:
+            self._at.call_soon(partial(self._command_machine, InDoubt(for_ns)))
 
     def _command_machine(self, command: object) -> None:
         """An order of the driver's own."""

@@ -43,7 +43,7 @@ from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
 from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.interface import LinkStats, LinkUser
 from dpstack.fdl.telegram import SHORT_ACK, Kind, StationType, Telegram
-from dpstack.machine import HeldUp, LineDown, LineUp
+from dpstack.machine import HeldUp, InDoubt, LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event, WireEntry
@@ -306,7 +306,10 @@ class ActiveStation:
         return taken
 
     def command(self, command: object, now: int) -> None:
-        """GoOnline, GoOffline, AttachUser, DetachUser, LineDown, LineUp; all else goes to the users, or UsageError."""
+        """GoOnline, GoOffline, AttachUser, DetachUser, LineDown, LineUp, InDoubt; all else goes to the users.
+
+        Raises UsageError where no user takes it.
+        """
         row = self._machine.row
         match command:
             case GoOnline():
@@ -326,6 +329,8 @@ class ActiveStation:
                 self._line_is_down = False
                 if self._wanted:
                     row[GO_ONLINE](NONE, now)
+                self._users.broadcast(command, now)
+            case InDoubt():
                 self._users.broadcast(command, now)
             case AttachUser(token=token):
                 user = self._attached[token] = command.link_user(self.params, self.patience, now)
