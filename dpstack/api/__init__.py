@@ -15,6 +15,7 @@
 - ``gsd_folder``: The GSD files of a folder: found with limits, listed by ident number, read when they are needed
 - ``gsd_info``: GSD files from disk, and their contents as plain data
 - ``injected``: Events of people and scenarios that act on simulated slaves
+- ``measure``: Measurement of an adapter without a bus: turn-around, rates made, marks of damaged octets
 - ``streams``: Event streams, waiters and ``on_event``: a slow reader never holds up the bus
 - ``user_code``: Objects in modules of the user, by ``module:name``: functions of simulated slaves, slaves of one's own
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 
 from dpstack.api.doctor import Level, examine
 from dpstack.cli.parser import Parser
@@ -17,12 +18,22 @@ def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack doctor --port /dev/ttyUSB0"
     parser.value("--port", "P", "only this port (default: every adapter)")
     parser.flag("--fix", "print the steps that set this computer up: udev rule, group, real-time rights, systemd unit")
-    parser.flag("--yes", "with --fix: carry the steps out; needs root")
+    parser.flag("--measure", "measure the adapter of --port without a bus: turn-around, rates made, marks (JSON)")
+    parser.add_argument(
+        "--loop",
+        nargs="?",
+        const="",
+        metavar="P",
+        help="with --measure: the port hears what it sends, or P is the port at the other end of the line",
+    )
+    parser.flag("--yes", "with --fix: carry the steps out, needs root; with --loop: nothing else is connected, send")
     parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 when a check has a finding, or a step failed."""
+    if args.measure or args.loop is not None:
+        return _measure(args)
     if args.yes:
         return _set_up(json=args.json, fix=args.fix)
     checks = examine(args.port)
@@ -43,6 +54,27 @@ def execute(args: argparse.Namespace) -> int:
     return 1 if findings else 0
 
 
+def _measure(args: argparse.Namespace) -> int:
+    """Measure an adapter. Nothing is sent without ``--yes``: silence does not prove that a bus is empty."""
+    if not args.measure or args.port is None:
+        raise UsageError("--measure needs --port P, and --loop needs --measure")
+    if args.fix:
+        raise UsageError("--measure and --fix are two things: give one of them")
+    if args.loop is not None and not args.yes:
+        raise UsageError(
+            "--loop sends on the port: where nothing but the loop is connected, say so with --yes (silence does not "
+            "prove that a bus is empty)"
+        )
+    from dpstack.api.measure import measure  # opens ttys, which the checks of a computer need not
+
+    found = measure(args.port, args.loop)
+    if args.json:
+        output.json_line(found)
+    else:
+        output.raw(json.dumps(found, indent=2))
+    return 0
+
+
 def _set_up(*, json: bool, fix: bool) -> int:
     """Carry the set-up out."""
     if not fix:
@@ -52,7 +84,7 @@ def _set_up(*, json: bool, fix: bool) -> int:
         output.json_line({"steps": steps, "done": True})
     else:
         _show(steps)
-        output.line("done: plug the adapter in again and log in again, then look with: dpstack doctor")
+        output.line("done: log in again (for the group), then look with: dpstack doctor")
     return 0
 
 
