@@ -9,7 +9,7 @@ BUILD_DOCS = $(PY) -m sphinx -W --keep-going -q -j 2 -d build/docs/doctrees docs
 unexport PYTHONDONTWRITEBYTECODE
 
 .NOTPARALLEL:
-.PHONY: help demo test check docs soak fuzz strangers clean
+.PHONY: help demo test check docs soak fuzz strangers strangers-kernel clean
 
 help:
 	@echo "make demo    the simulated plant in one process (installs what it needs into $(VENV))"
@@ -18,6 +18,7 @@ help:
 	@echo "make docs    the book, built and served on http://127.0.0.1:$(DOCS_PORT)"
 	@echo "make soak    the long runs"
 	@echo "make fuzz    random inputs for parsers and machines, guided by coverage (MINUTES=10 TARGETS=... SEED=...)"
+	@echo "make strangers-kernel  all tests with the kernel's own serial drivers in a virtual machine (90 MB of packages)"
 	@echo "make strangers  the tests with programs of others (installs them: Debian packages, and Python's into $(VENV))"
 
 demo: $(VENV)/.core
@@ -64,6 +65,11 @@ fuzz: $(VENV)/.fuzz
 # of its own, and missed with an error, not skipped. make strangers TESTS=tests/strangers/test_report_in_chromium.py runs a part
 strangers: $(VENV)/.test
 	$(PY) -m tools.strangers $(TESTS)
+
+# The drivers of adapters that people own, in QEMU; make strangers has one boot of them, this target all. About 15 minutes
+# of a processor; the packages stay in ~/.cache/dpstack-kernel
+strangers-kernel: $(VENV)/.test
+	$(PY) -m tools.strangers --kernel $(TESTS)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info drives/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,4 +1,7 @@
-"""The table of rates in docs/explanation/hardware.md is that of the divisors. Run this file to write it anew."""
+"""The tables of docs/explanation/hardware.md: rates by the divisors, drivers by the kit with the kernel.
+
+Run this file to write them anew.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,12 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from vm_table import page_block, stored
+
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "explanation" / "hardware.md"
 RATES = (9_600, 19_200, 45_450, 93_750, 187_500, 500_000, 1_500_000, 3_000_000, 6_000_000, 12_000_000)
 _TABLE = re.compile(r"(<!-- table: rates -->\n[^\n]*\n\|[-|]+\n)((?:\|[^\n]*\n)*)")
+_DRIVERS = re.compile(r"(<!-- table: drivers -->\n)(.*?)(<!-- end: drivers -->)", re.DOTALL)
 #: AN205, table 1 (cp210x.c): rate, and the highest wish that gets it
 _CP2102 = (
     *((9_600, 9_612), (14_400, 14_428), (16_000, 16_062), (19_200, 19_250), (28_800, 28_912), (38_400, 38_601)),
@@ -89,5 +95,22 @@ def test_the_table_of_rates_is_computed() -> None:
     assert found[2] == rows(), "run tests/test_hardware_page.py"
 
 
+def test_the_table_of_drivers_is_that_of_the_kit() -> None:
+    """tests/strangers/kernel compares the stored table with the kernel's own drivers."""
+    found = _DRIVERS.search(PAGE.read_text(encoding="utf-8"))
+    assert found is not None
+    assert found[2] == page_block(stored()), "run tests/test_hardware_page.py"
+
+
+def test_the_chips_of_the_kit_have_the_rates_of_their_formulas() -> None:
+    """The table of rates above is computed without the kit."""
+    chips = stored()["chips"]
+    for name, formula in (("ft232r", ft232r), ("ft232h", ft232h), ("ch340", ch341), ("cp2102n", cp2102n)):
+        close = [rate for rate in (*RATES, 31_250) if (real := formula(rate)) and abs(real / rate - 1) < 0.02]
+        assert chips[name]["made"] == sorted(close)
+
+
 if __name__ == "__main__":
-    PAGE.write_text(_TABLE.sub(lambda match: match[1] + rows(), PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
+    page = _TABLE.sub(lambda match: match[1] + rows(), page)
+    PAGE.write_text(_DRIVERS.sub(lambda match: match[1] + page_block(stored()) + match[3], page), encoding="utf-8")

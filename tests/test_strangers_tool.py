@@ -93,7 +93,7 @@ def test_the_last_lines_name_what_is_missing_and_the_exit_code_is_1(
 ) -> None:
     monkeypatch.setattr(strangers, "missing_python", list)
     results = iter([(0, [], 3), (0, [], 3), (0, [], 3), (1, ["a::two"], 3), (5, [], 0)])
-    monkeypatch.setattr(strangers, "run_tests", lambda arguments: next(results))
+    monkeypatch.setattr(strangers, "run_tests", lambda _arguments, *, kernel: next(results))
     assert strangers.main([]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert "missing: chromium: install it with: sudo apt-get install chromium" in lines
@@ -108,3 +108,22 @@ def test_the_last_lines_name_what_is_missing_and_the_exit_code_is_1(
     assert strangers.main([]) == 1
     assert capsys.readouterr().out.splitlines()[-2:] == ["failed: a::two", "strangers: 3 ran, 1 failed, 0 missing"]
     assert strangers.main([]) == 1  # no test ran
+
+
+def test_tests_with_the_kernel_need_qemu_alone(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(strangers, "missing_python", lambda: ["scapy>=2.5"])
+    ran: list[tuple[list[str], bool]] = []
+
+    def run_tests(arguments: list[str], *, kernel: bool) -> tuple[int, list[str], int]:
+        ran.append((arguments, kernel))
+        return 0, [], 3
+
+    monkeypatch.setattr(strangers, "run_tests", run_tests)
+    assert strangers.main(["--kernel"]) == 1
+    missing = "missing: qemu-system-x86_64: install it with: sudo apt-get install qemu-system-x86"
+    assert capsys.readouterr().out.splitlines()[-2:] == [missing, "strangers: 3 ran, 0 failed, 1 missing"]
+    _program(path, "qemu-system-x86_64")
+    assert strangers.main(["--kernel", "tests/one"]) == 0
+    assert ran == [([], True), (["tests/one"], True)]

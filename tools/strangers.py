@@ -46,11 +46,14 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "openssl": "openssl",
     "node": "nodejs",
     "npm": "npm",
+    "qemu-system-x86_64": "qemu-system-x86",
 }
 #: Python packages of the extra ``strangers`` whose module has another name
 MODULES: Final[Mapping[str, str]] = {"ipython": "IPython", "python-pcapng": "pcapng"}
 #: folders of programs that are not in the PATH of every user: mosquitto
 _MORE_PATH: Final = ("/usr/sbin", "/sbin")
+#: the only one that the tests with the kernel's own drivers need; its kernel they fetch themselves
+_KERNEL: Final = "qemu-system-x86_64"
 _APT_S: Final = 600
 _PIP_S: Final = 300
 
@@ -151,12 +154,16 @@ def missing_lines() -> list[str]:
     return lines
 
 
-def run_tests(arguments: Sequence[str]) -> tuple[int, list[str], int]:
-    """Run the tests with programs of others. Returns pytest's exit code, the tests that failed, how many ran."""
+def run_tests(arguments: Sequence[str], *, kernel: bool = False) -> tuple[int, list[str], int]:
+    """Run the tests with programs of others; ``kernel``: all of those with the kernel's own drivers, and no other.
+
+    Returns pytest's exit code, the tests that failed, how many ran.
+    """
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "strangers.xml"
-        command = [sys.executable, "-m", "pytest", "-m", "strangers", f"--junitxml={result}"]
-        command += arguments or ["tests/strangers"]
+        which = "strangers" if kernel else "strangers and not kernel"
+        command = [sys.executable, "-m", "pytest", "-m", which, f"--junitxml={result}"]
+        command += arguments or ["tests/strangers/kernel" if kernel else "tests/strangers"]
         code = subprocess.run(command, cwd=ROOT, check=False).returncode
         return (code, *counted(result.read_text(encoding="utf-8") if result.exists() else "<none/>"))
 
@@ -173,13 +180,18 @@ def counted(xml: str) -> tuple[list[str], int]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """``arguments``: of pytest, in place of tests/strangers."""
+    """``arguments``: of pytest, in place of tests/strangers; ``--kernel`` before them for those with the kernel."""
+    kernel = "--kernel" in arguments
+    arguments = [one for one in arguments if one != "--kernel"]
     path = os.environ.get("PATH", os.defpath).split(os.pathsep)
     os.environ["PATH"] = os.pathsep.join([*path, *(one for one in _MORE_PATH if one not in path)])
-    install_debian(missing_programs().values())
-    install_python(missing_python())
-    code, failed, ran = run_tests(arguments)
-    missing = missing_lines()
+    if kernel:
+        install_debian(package for name, package in missing_programs().items() if name == _KERNEL)
+    else:
+        install_debian(missing_programs().values())
+        install_python(missing_python())
+    code, failed, ran = run_tests(arguments, kernel=kernel)
+    missing = [line for line in missing_lines() if not kernel or f" {_KERNEL}:" in line]
     for name in failed:
         print(f"failed: {name}")
     for line in missing:
