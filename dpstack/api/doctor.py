@@ -17,7 +17,7 @@ from dpstack.params import MAX_T_SL, BusParams
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import ADAPTER
 from dpstack.ports.adapters import Abilities, AdapterInfo, list_adapters, probe
-from dpstack.ports.holders import PROC, hides_programs, holder_of_path, is_dpstack, keep_off
+from dpstack.ports.holders import PROC, hides_programs, holder_of_path, is_dpstack, keep_off, other_openers
 from dpstack.ports.kernel_drivers import STRONGER, Marks
 from dpstack.ports.sysfs import CHIPS, SYSFS, Adapter
 from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text
@@ -158,7 +158,7 @@ def _port(path: str, here: Computer) -> Iterator[Check]:
         yield from _interrupts(path, here)
     holder, latency_ms = holder_of_path(path, here.proc), adapter.latency_ms()
     if holder is not None:
-        yield from _held(path, holder, adapter)
+        yield from _held(path, holder, adapter, here)
         return
     try:
         can = here.probe(path)
@@ -177,10 +177,13 @@ def _port(path: str, here: Computer) -> Iterator[Check]:
 _UNSEEN: Final = "a program of another user may have it, which only root can see: sudo fuser -v PORT"
 
 
-def _held(path: str, holder: str, adapter: Adapter) -> Iterator[Check]:
+def _held(path: str, holder: str, adapter: Adapter, here: Computer) -> Iterator[Check]:
     ask = f", or ask it: dpstack ctl {path} status" if is_dpstack(holder) else ""
     todo = keep_off(holder, adapter.usb) or f"end it to have the rest checked{ask}"
     yield Check(path, Level.NOTE, f"is held by {holder}", todo)
+    for other in sorted(set(other_openers(path, here.proc)) - {holder}):
+        text = f"{other} has it open, too, and takes octets away from {holder}"
+        yield Check(path, Level.FINDING, text, keep_off(other, adapter.usb) or "end that program")
 
 
 def _neighbours(path: str) -> Iterator[Check]:

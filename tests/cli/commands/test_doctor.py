@@ -168,6 +168,17 @@ def test_a_held_port_is_left_alone(computer: Computer, port: Path, tmp_path: Pat
     ((text, todo),) = told(examine(computer=replace(computer, probe=never)), Level.NOTE)
     assert text == "is held by `dpstack run plant.toml` (pid 41)"
     assert f"dpstack ctl {port} status" in todo
+    other = tmp_path / "proc" / "42"
+    (other / "fd").mkdir(parents=True)
+    (other / "comm").write_text("cat\n")
+    (other / "fd" / "3").symlink_to(port)
+    assert told(examine(computer=replace(computer, probe=never)), Level.FINDING) == [
+        (
+            "cat (pid 42) has it open, too, and takes octets away from `dpstack run plant.toml` (pid 41)",
+            "end that program",
+        )
+    ]
+    shutil.rmtree(other)
     (holder / "cmdline").write_text("/usr/sbin/ModemManager")
     (holder / "comm").write_text("ModemManager\n")
     ((_, todo),) = told(examine(computer=replace(computer, probe=never)), Level.NOTE)

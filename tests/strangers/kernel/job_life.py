@@ -48,10 +48,11 @@ def by_reader(config: str, far: str) -> None:
         reader = subprocess.Popen(["cat", adapter.tty], stdout=subprocess.DEVNULL)
         time.sleep(0.5)
         _, why = dpstack("why", config, "b", "--port", adapter.tty)
+        _, doctor = dpstack("doctor", "--port", adapter.tty)
         text, _ = run.communicate(timeout=120)
         reader.kill()
         reader.wait(5)
-        row("reader", code=run.returncode, user=user.stderr.strip(), why=why[:3000], text=text[:9000])
+        row("reader", code=run.returncode, user=user.stderr.strip(), why=why[:3000], doctor=doctor, text=text[:9000])
 
 
 def held() -> None:

@@ -37,6 +37,7 @@ def test_a_second_reader_is_kept_out_or_named(result: Result) -> None:
     assert "has it open, too, and takes octets away: end that program" in row["text"]
     assert "1. another_program" in row["why"]
     assert "raise t_sl" not in row["why"]
+    assert "takes octets away from `dpstack run " in row["doctor"]
 
 
 def test_a_holder_that_opens_adapters_by_itself_is_named_with_its_udev_line(result: Result) -> None:
