@@ -45,8 +45,8 @@ _PROBES: Final = 6
 _GOOD: Final = 3
 _PROBE_NS: Final = 3 * NS_PER_S
 _ASK_NS: Final = 2 * NS_PER_S
-#: so long a disturbance of the port explains lost slaves
-_LATELY_NS: Final = 60 * NS_PER_S
+#: so long a disturbance of the port explains lost slaves; it is reported once a minute
+_LATELY_NS: Final = 90 * NS_PER_S
 _FAILED: Final = {
     ServiceFailure.SILENT: NOTHING,
     ServiceFailure.LATE: NOTHING,
@@ -80,7 +80,9 @@ async def gather(
         evidence = dataclasses.replace(evidence, ring=dataclasses.replace(evidence.ring, own=owner))
     facts = Facts(evidence)
     lost = not facts.exchanging and (facts.silent_now or facts.garbled_now or facts.wrong_ident is not None)
-    return await _scanned(bus, evidence, scan) if scan is not None and lost and _can_ask(bus) else evidence
+    if scan is None or not lost or evidence.line.disturbed or not _can_ask(bus):  # a disturbed port finds nobody
+        return evidence
+    return await _scanned(bus, evidence, scan)
 
 
 async def _caught_up(bus: BusBase, slave: Slave) -> None:

@@ -31,7 +31,7 @@ from dpstack.machine import HeldUp, InDoubt, LineDown, LineUp, Machine, Pumped, 
 from dpstack.ports import Loop, Pending, Port
 from dpstack.text import printable
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NEVER, NS_PER_MS, NS_PER_US, ms_text
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ms_text
 
 #: The driver waits that long within a step: a turn of the loop costs 8 us more in the bus process, 40 us and seven
 #: system calls in asyncio. T_ID1 at 500 kbit/s is 74 us. Shorter than any slot time.
@@ -50,6 +50,8 @@ _NAP_LEAD_STEP_NS: Final = NS_PER_US // 4
 _LATE_NS: Final = 30 * NS_PER_US
 #: The driver reports to the machine that it ran later than this. No slave's watchdog is shorter.
 _HELD_UP_NS: Final = 10 * NS_PER_MS
+#: The same disturbance of the port is reported again after this time.
+_SAME_AGAIN_NS: Final = 60 * NS_PER_S
 #: Number of reads of a line that is never silent before the machine acts on a missed deadline.
 _LOOKS: Final = 4
 #: Steps before the loop has a turn; a lone master's token at 12 Mbit/s is due every few microseconds.
@@ -100,6 +102,7 @@ class LineRuntime(ABC):
         self._held_up = machine.held_up
         self._last_clear = last_clear
         self._watch = PortWatch(port, self._disturbed)
+        self._disturbances: dict[str, int] = {}  # by text, the time of its last report
         port.on_doubt = None if machine.held_up is None else self._in_doubt  # others have no inputs
         self._reserve: bytearray | None = None
         self._stepped_at = 0  # end of the last step
@@ -553,8 +556,13 @@ class LineRuntime(ABC):
             self._watch.look(self._at)
 
     def _disturbed(self, found: list[str]) -> None:
+        """Report each disturbance, the same one at most once a minute: a slave may be lost again and again."""
+        now = monotonic_ns()
+        lately = {text: at for text, at in self._disturbances.items() if now - at < _SAME_AGAIN_NS}
+        news = [text for text in found if text not in lately]
+        self._disturbances = lately | dict.fromkeys(news, now)
         if self._at is not None:
-            self._dispatch([PortDisturbed(t_ns=monotonic_ns(), port=self.port_name, what=text) for text in found])
+            self._dispatch([PortDisturbed(t_ns=now, port=self.port_name, what=text) for text in news])
 
     def _in_doubt(self, for_ns: int) -> None:
         """The port learns only now that octets it has delivered may be damaged: not in the middle of a step."""

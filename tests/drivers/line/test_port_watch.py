@@ -43,6 +43,10 @@ async def test_a_lost_slave_makes_the_driver_look_at_its_port_in_a_thread(monkey
         (event,) = rig.events_of(PortDisturbed)
         assert event.text == f"{rig.port.name}: gpsd (pid 41) has it open, too"
         assert looked[0] is not threading.main_thread()
+        await happens(rig, lost())
+        await until(lambda: len(looked) == 2, "the second look")
+        await rig.settle()
+        assert len(rig.events_of(PortDisturbed)) == 1  # the same, within a minute
 
 
 async def test_slaves_lost_during_a_look_are_looked_at_after_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,17 +42,16 @@ def by_reader(config: str, far: str) -> None:
     """Another program of root reads along, and steals octets; one of a user cannot."""
     with plugged("ft232r", options=("--far", far, "--far-baud", "187500")) as adapter:
         os.chmod(adapter.tty, 0o666)
-        run = start("run", config, "--port", adapter.tty, "--seconds", "9", "--plain")
+        run = start("run", config, "--port", adapter.tty, "--seconds", "6", "--plain")
         time.sleep(2.2)
         user = subprocess.run(["cat", adapter.tty], capture_output=True, text=True, preexec_fn=member_of_dialout)
         reader = subprocess.Popen(["cat", adapter.tty], stdout=subprocess.DEVNULL)
         time.sleep(0.5)
-        _, why = dpstack("why", config, "b", "--port", adapter.tty)
         _, doctor = dpstack("doctor", "--port", adapter.tty)
         text, _ = run.communicate(timeout=120)
         reader.kill()
         reader.wait(5)
-        row("reader", code=run.returncode, user=user.stderr.strip(), why=why[:3000], doctor=doctor, text=text[:9000])
+        row("reader", code=run.returncode, user=user.stderr.strip(), doctor=doctor, text=text[:9000])
 
 
 def held() -> None:
