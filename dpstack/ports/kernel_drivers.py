@@ -24,12 +24,14 @@ class Marks(Enum):
 
 class KernelDriver(NamedTuple):
     """One driver. ``most``: the highest rate in bit/s that it sends to its chip, whatever reads back; None: it reads
-    back the rate that it has sent. ``tells_rate`` False: nobody can know the rate that the adapter makes."""
+    back the rate that it has sent. ``tells_rate`` False: nobody can know the rate that the adapter makes. ``divides``:
+    a UART, whose rate follows from its clock, whatever reads back."""
 
     name: str
     marks: Marks
     most: int | None = None
     tells_rate: bool = True
+    divides: bool = False
     delay: str = "USB frames of 1 ms"
 
     @property
@@ -51,6 +53,8 @@ class KernelDriver(NamedTuple):
     def rates(self) -> str:
         if not self.tells_rate:
             return "accepts every rate; the adapter alone knows which it makes"
+        if self.divides:
+            return "those that its clock divides to; `dpstack doctor` tries them"
         if self.most is not None:
             return f"up to {baud_text(self.most)}"
         return "those that read back"
@@ -86,7 +90,7 @@ _TABLE: Final = {
         KernelDriver("cdc_acm", Marks.COUNTED, tells_rate=False),
     )
 }
-_UART: Final = KernelDriver("", Marks.OCTET, delay="none by USB; the FIFO's time-out of a few characters")
+_UART: Final = KernelDriver("", Marks.OCTET, divides=True, delay="none by USB; the FIFO's time-out of a few characters")
 
 
 def kernel_driver(name: str | None, *, usb: bool) -> KernelDriver:

@@ -251,6 +251,8 @@ def test_every_class_says_which_rates_it_has() -> None:
     assert kernel_driver("ch341-uart", usb=True).rates == "up to 3 Mbit/s"
     assert "the adapter alone knows" in kernel_driver("cdc_acm", usb=True).rates
     assert kernel_driver("serial", usb=False).distance == 4
+    assert "its clock divides" in kernel_driver("serial", usb=False).rates
+    assert kernel_driver("ftdi_sio", usb=True).rates == "those that read back"
 
 
 # --- other programs at the port ---
