@@ -25,7 +25,7 @@ class Marks(Enum):
 class KernelDriver(NamedTuple):
     """One driver. ``most``: the highest rate in bit/s that it sends to its chip, whatever reads back; None: it reads
     back the rate that it has sent. ``tells_rate`` False: nobody can know the rate that the adapter makes. ``divides``:
-    a UART, whose rate follows from its clock, whatever reads back."""
+    a UART, whose rate follows from its clock, whatever reads back. ``exception``: to :attr:`protection`."""
 
     name: str
     marks: Marks
@@ -33,6 +33,7 @@ class KernelDriver(NamedTuple):
     tells_rate: bool = True
     divides: bool = False
     delay: str = "USB frames of 1 ms"
+    exception: str = ""
 
     @property
     def distance(self) -> int | None:
@@ -42,7 +43,7 @@ class KernelDriver(NamedTuple):
     @property
     def protection(self) -> str:
         """Which damage is noticed, for the engineer of a plant."""
-        return _PROTECTION[self.marks].format(driver=self.name)
+        return _PROTECTION[self.marks].format(driver=self.name) + self.exception
 
     @property
     def is_weak(self) -> bool:
@@ -79,12 +80,16 @@ _PROTECTION: Final[dict[Marks, str]] = {
 #: advice for a driver with less than the full Hamming distance
 STRONGER: Final = "for a plant take an adapter whose driver marks damaged octets: FTDI (ftdi_sio) or CP2102N (cp210x)"
 
+#: its answer to the driver differs, which leaves the marks off then; nothing else shows it
+_COUNTERFEIT: Final = (
+    "; not so with a counterfeit CP2102, which only `dpstack doctor --measure` with a second port at --loop shows"
+)
 #: Linux 6.1; ch341 clamps its divisor at 3 Mbit/s
 _TABLE: Final = {
     driver.name: driver
     for driver in (
         KernelDriver("ftdi_sio", Marks.PACKET, delay="latency timer, 16 ms as delivered, 1 ms while dpstack runs"),
-        KernelDriver("cp210x", Marks.OCTET),
+        KernelDriver("cp210x", Marks.OCTET, exception=_COUNTERFEIT),
         KernelDriver("ch341-uart", Marks.NONE, most=3_000_000),
         KernelDriver("pl2303", Marks.MISPLACED),
         KernelDriver("cdc_acm", Marks.COUNTED, tells_rate=False),

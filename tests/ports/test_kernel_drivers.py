@@ -253,6 +253,7 @@ def test_every_class_says_which_rates_it_has() -> None:
     assert kernel_driver("serial", usb=False).distance == 4
     assert "its clock divides" in kernel_driver("serial", usb=False).rates
     assert kernel_driver("ftdi_sio", usb=True).rates == "those that read back"
+    assert "not so with a counterfeit CP2102" in kernel_driver("cp210x", usb=True).protection
 
 
 # --- other programs at the port ---
