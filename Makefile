@@ -66,7 +66,7 @@ fuzz: $(VENV)/.fuzz
 strangers: $(VENV)/.test
 	$(PY) -m tools.strangers $(TESTS)
 
-# The drivers of adapters that people own, in QEMU; make strangers has one boot of them, this target all. About 15 minutes
+# The drivers of adapters that people own, in QEMU; make strangers has one boot of them, this target all. About ten minutes
 # of a processor; the packages stay in ~/.cache/dpstack-kernel
 strangers-kernel: $(VENV)/.test
 	$(PY) -m tools.strangers --kernel $(TESTS)
