@@ -12,6 +12,7 @@ import argparse
 import heapq
 import itertools
 import json
+import os
 import selectors
 import sys
 import time
@@ -31,6 +32,7 @@ class Program:
         self._log = open(log, "a", buffering=1, encoding="ascii")  # noqa: SIM115 (to the end of the program)
         self._timers: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
+        self._rest = b""  # of standard input: the beginning of a line
         self.line = Line(Socket(self))
         self.sockets: list[Socket] = []
         self._select = selectors.SelectSelector()  # epoll would round times to ms
@@ -63,15 +65,20 @@ class Program:
                 elif key.data == "far":
                     if not self.line.far_readable():
                         self._select.unregister(key.fd)
-                elif not self._command(sys.stdin.readline().split()):
+                elif not self._read_commands():
                     return
             while self._timers and self._timers[0][0] <= self.now():
                 heapq.heappop(self._timers)[2]()
 
-    def _command(self, words: list[str]) -> bool:
-        """Carry out a line of standard input; False at its end."""
-        if not words:
-            return False
+    def _read_commands(self) -> bool:
+        """Carry out the lines that have come; False at their end. A buffer of Python would hide some of them."""
+        chunk = os.read(sys.stdin.fileno(), 4096)
+        *lines, self._rest = (self._rest + chunk).split(b"\n")
+        for line in lines:
+            self._command(line.decode("ascii").split())
+        return bool(chunk)
+
+    def _command(self, words: list[str]) -> None:
         name, arguments = words[0], words[1:]
         first = self.sockets[0]
         if name in ("octets", "bad"):
@@ -89,7 +96,6 @@ class Program:
             first.chip.late = _delays(arguments[0])
         elif name == "count":
             self.log("sent", octets=self.line.sent)
-        return True
 
 
 class Socket:
