@@ -11,7 +11,6 @@ from typing import Final
 
 from bench import goals
 from bench.compare import compare, load_reference, load_report, reference_of, save
-from bench.plot import PlotError, plot
 from bench.report import Report
 from bench.rounds import compare_with_commit
 
@@ -25,16 +24,13 @@ BENCHMARKS = {
         "bench.plant.fleet",
         "50 gateways and a broker: messages, CPU time, time from a slave's loss to its DDEATH, recovery",
     ),
-    "gsd": ("bench.gsd", "reading a made-up set of 689 GSD files, and the largest ones"),
     "jitter": ("bench.jitter", "how late the rounds of a fixed cycle begin, beside an idle, blocking, busy program"),
     "listen": ("bench.listen", "cutting, counting, writing, reading and decoding of what is heard on a bus"),
     "live": (
         "bench.live",
         "what readers of the live stream add to the CPU time of an exchange; snapshots of 125 slaves",
     ),
-    "loop": ("bench.loop", "how late an application's event loop is beside its bus, also one whose process is stopped"),
     "parameters": ("bench.parameters", "reading a device's own list of 1000 parameters over record 47"),
-    "record": ("bench.record", "what a recording adds to the CPU time of an exchange"),
     "ring": (
         "bench.ring",
         "two masters in a token ring at the highest rate that two bare loops hold (needs a C compiler)",
@@ -42,8 +38,6 @@ BENCHMARKS = {
     "rotation": ("bench.rotation", "bus rotation time on a paced bus beside the time on the wire; CPU time there"),
     "scale": ("bench.scale", "what one exchange costs the master, from 1 to 100 slaves"),
     "startup": ("bench.startup", "time until 32 slaves are in data exchange"),
-    "steps": ("bench.steps", "where a turn-around goes, step by step, for both drivers and a bare loop"),
-    "tap": ("bench.tap", "what a client of the tap adds to the CPU time of an exchange, and whether it keeps up"),
     "usb": ("bench.usb", "the rotation behind a USB adapter's habits: wire, adapter and stack apart"),
     "virtual": ("bench.virtual", "the CPU time of an exchange and of a second of the simulated bus"),
 }
@@ -78,7 +72,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--markdown", action="store_true", help="a table for a page")
     parser.add_argument("--save", nargs="?", type=Path, const=Path(), metavar="FILE", help="store as the reference")
     parser.add_argument("--compare", nargs="?", type=Path, const=Path(), metavar="FILE", help="with the reference")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="a picture, .svg or .png (needs matplotlib)")
     args, rest = parser.parse_known_args(words)
     if args.name is None:
         for name, (_, what) in BENCHMARKS.items():
@@ -93,12 +86,10 @@ def main(argv: list[str] | None = None) -> int:
         print(report.as_json() if args.json else report.as_markdown() if args.markdown else report.as_text())
         if args.save is not None:
             save(report, reference_of(args.name) if args.save == Path() else args.save)
-        if args.plot is not None:
-            plot(report, args.plot)
         if args.compare is not None:
             old = load_reference(args.name) if args.compare == Path() else load_report(args.compare)
             return _print_comparison(old, report, as_json=args.json)
-    except (ValueError, PlotError) as error:
+    except ValueError as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
     except RuntimeError as error:

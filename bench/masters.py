@@ -95,7 +95,7 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
     table: dict[str, Any] = {"ident": IDENT, "config": CONFIG.hex(" ")}
     if args.records:
         table |= {"dpv1": True, "user_prm": "00 00 00"}
-    if args.recordings or args.faces:
+    if args.faces:
         table |= {"inputs": _named("in"), "outputs": _named("out")}
     tables = [{"name": f"s{n}", "address": args.first + n} | table for n in range(args.slaves)]
     keys: dict[str, Any] = {"driver": args.kind}
@@ -125,9 +125,7 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         await bus.operate()
         await bus.ready(timeout=_PATIENCE_NS / 1e9)
         ready = monotonic_ns()
-        if args.recordings:
-            _record_by_signals(bus, args.recordings)
-        elif args.faces:
+        if args.faces:
             _publish_by_signals(bus, json.loads(args.faces), events)
             writing = asyncio.create_task(_write(bus))
             stack.callback(writing.cancel)
@@ -159,22 +157,6 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
 
 def _named(way: str) -> dict[str, object]:
     return {f"{way}_level": {"at": "i16@0", "scale": 0.1, "unit": "bar"}, f"{way}_open": "bool@4.0"}
-
-
-def _record_by_signals(bus: Any, folder: str) -> None:
-    """SIGUSR1 begins a recording in a new file, SIGUSR2 ends it."""
-    loop, made = asyncio.get_running_loop(), itertools.count()
-    running: list[Any] = []
-    ending: set[asyncio.Task[None]] = set()
-
-    def end() -> None:
-        while running:
-            task = loop.create_task(running.pop().stop())
-            ending.add(task)
-            task.add_done_callback(ending.discard)
-
-    loop.add_signal_handler(signal.SIGUSR1, lambda: running.append(bus.record(f"{folder}/r{next(made)}.csv")))
-    loop.add_signal_handler(signal.SIGUSR2, end)
 
 
 async def _due_time(bus: Any) -> int:
@@ -462,7 +444,6 @@ def main() -> int:
     parser.add_argument("--cycle-ms", type=float)
     parser.add_argument("--records", type=int, default=0, help="octets of the records read without end, 0: none")
     parser.add_argument("--t-id1", type=int, default=0, help="of the bare loop, in bit times; 0: without any pause")
-    parser.add_argument("--recordings", metavar="FOLDER", help="named values, recorded there from SIGUSR1 to SIGUSR2")
     parser.add_argument("--faces", metavar="JSON", help="tables of faces, which publish from SIGUSR1 to SIGUSR2")
     parser.add_argument("--control", action="store_true", help="with a control socket")
     parser.add_argument("--app", choices=APPLICATIONS, default="idle")

@@ -127,12 +127,9 @@ def _reading(figure: Figure, loop_us: Figure | None) -> tuple[str, Reading]:
     return name, reading
 
 
-def readings_of_probe(figures: Mapping[str, Mapping[str, float]]) -> dict[str, Reading]:
-    """Readings from the output of bench/commit_probe.py: CPU times and counts."""
-    return {
-        name: Reading(each["loops"], PYTHON, PYTHON) if "loops" in each else Reading(each["count"], "", exact=True)
-        for name, each in figures.items()
-    }
+def readings_of_probe(figures: Mapping[str, float]) -> dict[str, Reading]:
+    """Readings from the output of bench/commit_probe.py."""
+    return {name: Reading(loops, PYTHON, PYTHON) for name, loops in figures.items()}
 
 
 # --- rounds ---

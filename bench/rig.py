@@ -20,6 +20,7 @@ from statistics import median
 from typing import Any, Final, NamedTuple, Protocol
 
 from bench.calibration import calibrate_python
+from bench.commit_probe import cpu_of, family
 from bench.losses import stolen_ns, story
 from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS
 from bench.records import Record
@@ -49,23 +50,11 @@ class NotAvailableError(Exception):
     """A master or driver that cannot be measured here; the text names it and the reason."""
 
 
-class Noted(NamedTuple):
-    """A turn-around as bench/probe notes it by steps: when (CLOCK_MONOTONIC, ns) and for how long, in ns."""
-
-    read_from: int  # of the answer's last octets
-    read_until: int
-    write_from: int  # of the next request
-    write_until: int
-    pumped: int
-    waited: int  # the idle time of the rules, as far as the work before it left something of it
-    late: int  # from its end to the next pump
-
-
 @dataclass(frozen=True, slots=True)
 class Taken:
     """Result of one measurement of ``seconds``. ``cpu``: CPU time of the master in ns, ``python_loop``: the Python loop
-    beside it in ns. ``turns``: turn-arounds in ns, ``token_turns``: those with the token between; ``steps``: instead of
-    both, turn-arounds by steps. ``due``: a due time of the fixed cycle in ns, 0 without one."""
+    beside it in ns. ``turns``: turn-arounds in ns, ``token_turns``: those with the token between; ``due``: a
+    due time of the fixed cycle in ns, 0 without one."""
 
     seconds: float
     exchanges: int
@@ -76,7 +65,6 @@ class Taken:
     turns: list[int]
     token_turns: list[int]
     python_loop: float = 0.0
-    steps: Sequence[Noted] = ()
     due: int = 0
 
     @property
@@ -149,7 +137,7 @@ class Process:
 
     def waited(self) -> int:
         """Time in ns that it and its children have waited in run queues so far."""
-        return sum(map(_waited_of, _family(self.pid)))
+        return sum(map(_waited_of, family(self.pid)))
 
     def order(self, text: str) -> None:
         assert self._process.stdin is not None
@@ -205,12 +193,12 @@ class Bench:
         time.sleep(min(_SETTLE_S, seconds))
         loop = calibrate_python()
         self._ask("begin")
-        since, cpu, waited = time.monotonic_ns(), self._sum(_cpu_of), self._waited()
+        since, cpu, waited = time.monotonic_ns(), self._sum(cpu_of), self._waited()
         time.sleep(seconds)
         give_up = time.monotonic_ns() + _PATIENCE_NS
         while int(self._ask("count")) < self._least and time.monotonic_ns() < give_up:
             time.sleep(seconds)
-        cpu, until = self._sum(_cpu_of) - cpu, time.monotonic_ns()
+        cpu, until = self._sum(cpu_of) - cpu, time.monotonic_ns()
         waited = self._waited() - waited
         data = self._data()
         loop = (loop + calibrate_python()) / 2
@@ -227,7 +215,6 @@ class Bench:
             turns,
             token_turns,
             loop,
-            self._steps(since, until),
             int(self.facts.get("due", 0)),
         )
 
@@ -244,30 +231,21 @@ class Bench:
             raise RuntimeError("the master ended before it told its cycles")
         return numbers
 
-    def cpu_slice(self, seconds: float) -> tuple[int, int]:
-        """CPU time of the master in ns, and the exchanges meanwhile; short, and without calibration."""
-        cpu, _, exchanges = self.cpu_slices(seconds)
-        return cpu, exchanges
-
     def cpu_slices(self, seconds: float) -> tuple[int, int, int]:
         """CPU time of the master in ns, that of its bus process alone (with the driver asyncio the same one), and the
         exchanges meanwhile."""
         self._ask("begin")
-        pids = _family(self._master.pid)
-        before = [_cpu_of(pid) for pid in pids]
+        pids = family(self._master.pid)
+        before = [cpu_of(pid) for pid in pids]
         time.sleep(seconds)
         exchanges = int(self._ask("count"))
-        took = [_cpu_of(pid) - cpu for pid, cpu in zip(pids, before, strict=True)]
+        took = [cpu_of(pid) - cpu for pid, cpu in zip(pids, before, strict=True)]
         return sum(took), sum(took[1:] or took), exchanges
 
-    def switch(self, *, on: bool) -> None:
-        """Have a master begin its recording or its faces, or end them."""
-        os.kill(self._master.pid, signal.SIGUSR1 if on else signal.SIGUSR2)
-
     def switch_faces(self, *, on: bool) -> list[str]:
-        """As :meth:`switch`, and wait until the faces serve, or have ended. Returns the remarks of faces that have
-        ended. Raises RuntimeError where they do not."""
-        self.switch(on=on)
+        """Have a master begin its faces, or end them, and wait until that is done. Returns the remarks of faces that
+        have ended. Raises RuntimeError if it is not done."""
+        os.kill(self._master.pid, signal.SIGUSR1 if on else signal.SIGUSR2)
         answer = json.loads(self._master.line(60.0) or "{}")
         faces = answer.get("faces")
         if bool(faces) is not on:
@@ -306,7 +284,7 @@ class Bench:
         return answer
 
     def _sum(self, of: Callable[[int], int]) -> int:
-        return sum(of(pid) for pid in _family(self._master.pid))
+        return sum(of(pid) for pid in family(self._master.pid))
 
     def _waited(self) -> int:
         return self._master.waited() + self._wire.waited()
@@ -322,20 +300,6 @@ class Bench:
                         value = pairs[place + 1]
                         (token_turns if value & 1 else turns).append(value >> 1)
         return turns, token_turns
-
-    def _steps(self, since: int, until: int) -> list[Noted]:
-        """Raises RuntimeError when the probe did not find the ``pump`` of a dpstack master."""
-        rows: list[Noted] = []
-        for path in self._folder.glob("*.steps"):
-            numbers = memoryview(path.read_bytes()).cast("Q")
-            if not numbers[1] and self._kind in DRIVERS:
-                raise RuntimeError(f"{self._kind}: the probe finds no pump in the master")
-            size = len(Noted._fields)
-            for place in range(2, min(len(numbers) - size + 1, 2 + size * numbers[0]), size):
-                row = Noted(*numbers[place : place + size])
-                if since <= row.read_from and row.write_until < until:
-                    rows.append(row)
-        return sorted(rows)
 
 
 @contextlib.contextmanager
@@ -371,26 +335,22 @@ def bench(
     paced: bool = True,
     adapter: Adapter | None = None,
     probe: bool = False,
-    steps: bool = False,
     app: str = "idle",
     gap: int | None = None,
     cycle_ms: float | None = None,
     ident: int = IDENT,
     records: int = 0,
     control: bool = False,
-    recording: bool = False,
     env: dict[str, str] | None = None,
     more: Sequence[str] = (),
 ) -> Iterator[Bench]:
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
 
-    ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted,
-    ``steps``: by steps;
+    ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted;
     ``ident``: what the slaves are, of which the masters believe IDENT. ``records``: the master reads records of so many
-    octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has. ``recording``:
-    its slaves have named values, and :meth:`Bench.switch` makes it keep them. ``env``: of a master without a probe.
-    ``more``: further words of its command line.
+    octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has. ``env``: of
+    a master without a probe. ``more``: further words of its command line.
     """
     refused = unavailable(kind, cycle_ms)
     if refused:
@@ -407,13 +367,11 @@ def bench(
             words += ["--records", str(records)]
         if control:
             words.append("--control")
-        if recording:
-            words += ["--recordings", str(folder)]
         if cycle_ms is not None:
             words += ["--cycle-ms", str(cycle_ms)]
         if kind == "bare" and paced:
             words += ["--t-id1", str(params.t_id1)]
-        master = Process(words, where.master, _probed(port, folder, steps) if probe or steps else env)
+        master = Process(words, where.master, _probed(port, folder) if probe else env)
         told: list[dict[str, object]] = []
         stack.callback(lambda: told.extend(master.end()))
         facts = json.loads(master.line() or "{}")
@@ -428,13 +386,13 @@ def bench(
             raise MasterFailedError(f"{kind}, {slaves} slaves: {why}")
 
 
-def _probed(port: str, folder: Path, steps: bool) -> dict[str, str]:
+def _probed(port: str, folder: Path) -> dict[str, str]:
     return {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(filter(None, (str(_PROBE), os.environ.get("PYTHONPATH")))),
         "BENCH_LINE": port,
         "BENCH_PROBE": str(folder),
-    } | ({"BENCH_STEPS": "1"} if steps else {})
+    }
 
 
 @cache
@@ -474,21 +432,6 @@ def one_round(
                 raise
             notes.append(f"left out: {error}")
             del taken[kind, slaves]
-
-
-def _family(pid: int) -> list[int]:
-    """The process, its children, theirs."""
-    family = [pid]
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        with contextlib.suppress(OSError):
-            for child in task.read_text().split():
-                family += _family(int(child))
-    return family
-
-
-def _cpu_of(pid: int) -> int:
-    """Processor time of another process in ns (the clock of a process, clock_getcpuclockid(3))."""
-    return time.clock_gettime_ns((~pid << 3) | 2)
 
 
 def _waited_of(pid: int) -> int:

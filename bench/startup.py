@@ -3,9 +3,9 @@
 *Program* is the interpreter and its imports; *opening* from there until the port is open: the configuration, and the
 start of the bus process where there is one; *listening* until the first telegram; *claim* from there until the token
 is this master's; *bring-up* until the last slave is in data exchange, by the times of the events. Listening and claim
-last as long as the bus's timers and are in ms, the rest is in Python loops. Commands that only start are measured
-besides: their CPU time, and how many modules they import. ``--version`` and a ``ctl`` that asks a running program have
-a goal: they are compared with an interpreter that only loads argparse, json and socket.
+last as long as the bus's timers and are in ms, the rest is in Python loops. ``--version`` and a
+``ctl`` that asks a running program have a goal: they are compared with an interpreter that only loads argparse, json
+and socket.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from functools import partial
 from typing import Final, cast
 
 from bench.calibration import Beside
-from bench.commit_probe import COMMANDS, command_ns, first_octet_ns, modules, plain_ns, running
+from bench.commit_probe import command_ns, first_octet_ns, plain_ns, running
 from bench.masters import DRIVERS
 from bench.options import count, slaves
 from bench.report import Report
@@ -43,26 +43,23 @@ def run(argv: list[str]) -> Report:
         report.notes.append(where.text)
         kinds = available(args.kinds, report.notes)
         beside = Beside()
-        commands: dict[str, list[tuple[float, float]]] = {words: [] for words in COMMANDS}
+        version: list[tuple[float, float]] = []
         runs: dict[str, list[tuple[dict[str, float], float]]] = {kind: [] for kind in kinds}
         octets: dict[str, list[tuple[float, float]]] = {kind: [] for kind in kinds}
         for _ in range(args.rounds):
-            for words, times in commands.items():
-                times.append(beside(partial(command_ns, words)))
+            version.append(beside(partial(command_ns, "--version")))
             for kind, parts in runs.items():
                 parts.append(beside(partial(_measure, kind, args.slaves, args.baud, where)))
                 octets[kind].append(beside(partial(first_octet_ns, kind)))
         with running() as name:
             plain = _beside_plain({"--version": "--version", "ctl status": f"ctl {name} status"}, args.rounds)
         report.calibrated("Python", beside.loops)
-        for words, times in commands.items():
-            report.in_loops(f"dpstack {words}: CPU time", times)
+        report.in_loops("dpstack --version: CPU time", version)
         for words, ratios in plain.items():
             title = f"dpstack {words}: CPU time beside python -c 'import argparse, json, socket'"
             report.measured(title, ratios, "ratio", _PLAIN_GOAL)
         for kind, times in octets.items():
             report.in_loops(f"dpstack run, {kind}, until the first octet: CPU time", times)
-        report.exact("dpstack --version: modules of ours", modules(), "")
         for kind, parts in runs.items():
             for name in _PARTS:
                 title = f"{kind}, {args.slaves} slaves: {name}"

@@ -140,29 +140,6 @@ class Sides:
         pass
 
 
-def test_a_run_that_is_cut_off_has_told_the_rows_of_the_parts_before(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def takes(commands: Commands, *_words: object) -> list[Round]:
-        if commands.name != "rotation":
-            raise KeyboardInterrupt
-        figure = "500 kbit/s, process: CPU time per exchange to pyprofibus's"
-        return rounds_with([{figure: 0.4}], [{figure: 0.125}])
-
-    monkeypatch.setattr(goals, "both_sides", lambda commit: Sides())
-    monkeypatch.setattr(goals, "rounds_of", takes)
-    with pytest.raises(KeyboardInterrupt):
-        cli.main(["goals", "--only", "paced", "virtual"])
-    told = capsys.readouterr()
-    assert told.out == ""
-    begins, head, asyncio, process, then = told.err.splitlines()
-    assert begins == f"bench: paced: {SUITES['paced'].command}"
-    assert head.split() == ["bench:", "goal", "today", "now", "ratio", "spread"]
-    assert asyncio.endswith("not measured")
-    assert process.endswith("process: at most 0.25  0.4    0.125  0.12   0.12 to 0.12  met")
-    assert then == f"bench: virtual: {SUITES['virtual'].command}"
-
-
 def test_a_benchmark_that_fails_is_a_note_and_its_goals_are_not_measured(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from bench.losses import stolen_ns, story
+from bench.losses import story
 from bench.rig import Bench, MasterFailedError, bench, pinned
 
 MS = 1_000_000
@@ -42,20 +42,6 @@ def test_a_wire_that_is_no_more_and_a_host_that_takes_processors_away() -> None:
     assert "the master's program was held up 60.0 ms at 100.0 ms;" in text
     assert "the wire serves no more: BlockingIOError: full;" in text
     assert "the host kept processors from this machine for 250.0 ms;" in text
-
-
-def test_many_events_are_told_up_to_thirty() -> None:
-    text = story(TOLD | {"events": [("Notice", 1_001 * MS, f"number {n}") for n in range(33)]}, {}, 0)
-    assert "number 29" in text
-    assert text.endswith("; and 3 more events")
-
-
-def test_a_master_that_did_not_get_so_far_is_told_with_its_error() -> None:
-    assert story({"error": "RuntimeError: why"}, {}, 0) == "RuntimeError: why"
-
-
-def test_stolen_time_never_decreases() -> None:
-    assert 0 <= stolen_ns() <= stolen_ns()
 
 
 def stand_still(running: Bench) -> None:

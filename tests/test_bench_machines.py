@@ -7,7 +7,6 @@ import sys
 import pytest
 
 from bench import codec, listen, scale, virtual
-from bench.__main__ import BENCHMARKS
 from bench.null_medium import NullBus
 from bench.report import Report
 from dpstack.decode.words import describe_octets
@@ -110,7 +109,3 @@ def test_listening_measures_every_step_on_the_telegrams_of_a_realistic_bus() -> 
     assert seen >= {"token", "FDL_Status", "Set_Prm", "Chk_Cfg", "Slave_Diag", "Global_Control", "Data_Exchange", "MS1"}
     for batch_ns in (0, 1_000_000):
         assert b"".join(octets for octets, _ in listen.chunks(heard, batch_ns)) == b"".join(one.octets for one in heard)
-
-
-def test_they_are_listed() -> None:
-    assert {"codec", "listen", "scale", "virtual"} <= set(BENCHMARKS)

@@ -12,12 +12,11 @@ from pathlib import Path
 import pytest
 
 from bench import __main__ as cli
-from bench import commit_probe, commits, rounds
+from bench import commits, rounds
 from bench.calibration import PIPE, PYTHON, Beside, Speeds, calibrate_python
 from bench.commits import Side
 from bench.loop_clock import LoopClock
 from bench.paired import (
-    PairedComparison,
     Reading,
     Round,
     Run,
@@ -27,7 +26,6 @@ from bench.paired import (
     order,
     pairs_of,
     readings_of,
-    readings_of_probe,
     take_rounds,
     together,
 )
@@ -242,25 +240,6 @@ def test_a_reading_has_the_bound_that_its_report_judged_it_by() -> None:
     }
 
 
-def test_the_comparison_is_told_in_words_and_as_json() -> None:
-    taken = [
-        round_of(
-            {"a": Reading(10.0, "us", PYTHON), "b": Reading(0.0, "")},
-            {"a": Reading(12.0, "us", PYTHON), "b": Reading(1.0, "")},
-        )
-    ] * 10
-    comparison = PairedComparison("virtual", ("0123456789ab", "the tree"), taken, pairs_of(taken), ["a note"])
-    text = comparison.as_text().splitlines()
-    assert text[0] == "virtual: 0123456789ab (old) and the tree (new), 10 rounds"
-    assert "Python calibration 0.50 us" in text[1]
-    assert text[4].split() == ["a", "10.00", "us", "12.00", "us", "1.200", "1.200", "to", "1.200", "slower"]
-    assert text[-1] == "  a note"
-    data = json.loads(comparison.as_json())
-    assert data["figures"]["a"]["verdict"] == "slower"
-    assert data["figures"]["b"]["ratio"] is None  # no number: JSON knows no infinity
-    assert data["slower"] == comparison.slower == ["a", "b"]
-
-
 # --- own benches and the probe ---
 
 
@@ -362,23 +341,6 @@ def test_sides_without_a_common_figure_are_reported_with_the_reason() -> None:
         Measured(MadeUp([LacksError("why"), {"b": 2}], [{}, {}]), (OLD, NEW), [])
 
 
-@pytest.mark.parametrize(
-    ("code", "out", "error", "raised", "said"),
-    [
-        (2, "", "bench: no benchmark 'virtual'", LacksError, "^bench: no benchmark 'virtual'$"),
-        (1, "", "python: No module named bench", LacksError, "No module named bench"),
-        (0, "10 drives: 3 us", "", LacksError, "it prints no JSON that can be read"),
-        (1, "", "bench: slaves were lost", RuntimeError, "0123456789ab: bench: slaves were lost"),
-    ],
-)
-def test_lacking_and_failing_are_told_apart(
-    code: int, out: str, error: str, raised: type[Exception], said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rounds, "run_in_turn", lambda sides, words: [Ended(code, out, error) for _ in sides])
-    with pytest.raises(raised, match=said):
-        Commands("virtual", PLANS["virtual"]).own(OLD)
-
-
 def test_cpu_benchmarks_run_on_the_clock_of_loops_and_others_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
     report = Report("virtual")
     report.measured("a", [3.0], "us")
@@ -431,34 +393,6 @@ def test_every_benchmark_has_a_plan() -> None:
     exact = {"acyclic", "parameters"}
     assert all(plan.rounds >= 10 for name, plan in PLANS.items() if name not in exact)
     assert {PLANS[name].rounds for name in exact} == {1}
-
-
-# --- adapters ---
-
-
-def test_the_first_adapter_that_a_commit_has_the_names_for_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
-    newest, older, other = (
-        commit_probe.Adapter(needs, dict) for needs in (("m:new",), ("m:old", "m:older"), ("m:other",))
-    )
-    monkeypatch.setattr(commit_probe, "ADAPTERS", {"virtual": ((newest, older), (other,))})
-    assert commit_probe.chosen("virtual", {"m:new", "m:old", "m:older"}.__contains__) == [newest]
-    assert commit_probe.chosen("virtual", {"m:old", "m:older", "m:other"}.__contains__) == [older, other]
-    assert commit_probe.chosen("virtual", {"m:old"}.__contains__) == []
-    assert commit_probe.chosen("gsd") == []
-
-
-def test_the_adapters_fit_the_tree_as_it_stands() -> None:
-    for name, groups in commit_probe.ADAPTERS.items():
-        assert len(commit_probe.chosen(name)) == len(groups)
-    assert not commit_probe.exists("dpstack.nothing:name")
-    assert not commit_probe.exists("dpstack:nothing")
-
-
-def test_the_output_of_the_probe_is_read(capsys: pytest.CaptureFixture[str]) -> None:
-    assert commit_probe.main(["codec"]) == 0
-    readings = readings_of_probe(json.loads(capsys.readouterr().out))
-    assert readings["SD1 FDL status: encode, dpstack"].unit == PYTHON
-    assert readings_of_probe({"modules": {"count": 3.0}}) == {"modules": Reading(3.0, "", exact=True)}
 
 
 # --- clocks ---
@@ -542,57 +476,6 @@ def test_the_tree_is_copied_each_time_and_installed_when_its_packages_change(
     with commits.tree_side():
         assert len(installed) == 2
     assert sorted(path.name for path in root.iterdir()) == ["dpstack", "pyproject.toml"]  # nothing is left there
-
-
-def test_an_installation_that_fails_is_told_and_tried_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    git_of({"rev-parse": b"0123456789abcdef\n"}, monkeypatch)
-    monkeypatch.setattr(commits, "_extract", lambda number, tree: (tree / "pyproject.toml").write_text("") and None)
-    monkeypatch.setattr(sys, "executable", "/bin/false")
-    for _ in range(2):
-        with pytest.raises(RuntimeError, match="no virtual environment could be made"), commits.commit_side("x"):
-            pytest.fail("there is none")
-
-
-def test_packages_of_an_environment_are_listed_without_our_own(tmp_path: Path) -> None:
-    for name in ("construct-2.10.70.dist-info", "dpstack-0.1.0.dist-info", "construct"):
-        (tmp_path / "venv/lib/python3.11/site-packages" / name).mkdir(parents=True)
-    assert commits.packages(Side("", tmp_path, tmp_path / "venv/bin/python")) == {"construct-2.10.70"}
-
-
-def test_variables_that_lead_python_elsewhere_are_kept_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", "/elsewhere")
-    monkeypatch.setenv("VIRTUAL_ENV", "/elsewhere")
-    monkeypatch.setenv("LANG", "C")
-    assert {"PYTHONPATH", "VIRTUAL_ENV", "LANG"} & commits.clean().keys() == {"LANG"}
-
-
-def test_an_error_of_git_is_one_line(
-    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["compare", "virtual", "--commit", "no-such-commit"]) == 2
-    assert "no commit 'no-such-commit' in this repository" in capsys.readouterr().err
-    assert cli.main(["compare", "virtual", "--commit=--all"]) == 2
-    monkeypatch.setattr(commits, "_ROOT", tmp_path)
-    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    assert cli.main(["compare", "virtual", "--commit", "HEAD"]) == 1
-    assert "git rev-parse: fatal: not a git repository" in capsys.readouterr().err
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert cli.main(["compare", "virtual", "--commit", "HEAD"]) == 1
-    assert "git is not installed, which --commit needs" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("virtual --commit HEAD --rounds 9", "--rounds 9: a verdict needs 10 at least"),
-        ("virtual a.json --commit HEAD", "compare takes files or --commit, not both"),
-        ("virtual --rounds 12", "--rounds belongs to --commit"),
-        ("nothing --commit HEAD", "no benchmark 'nothing'"),
-    ],
-)
-def test_wrong_use_of_commit_is_one_line(line: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["compare", *line.split()]) == 2
-    assert said in capsys.readouterr().err
 
 
 def test_the_command_line_says_by_its_exit_code_whether_something_is_slower(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from bench import cycle, jitter, loop, rotation, startup, usb
+from bench import cycle, jitter, rotation, startup, usb
 from bench.jitter import Beside, Cycles, Lateness, cycles_of
 from bench.records import Record, pty_share, rotations
 from bench.report import Report
@@ -220,6 +220,21 @@ def test_rotation_runs() -> None:
     assert ruled == pytest.approx((2 * (42 * 11 + 11 + 46) + 33 + 46) / 3, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("bare", "verdict"), [([0.8, 0.82, 0.6], "met"), ([0.4, 0.41, 0.9], "no verdict"), ([0.95, 0.94, 0.93], "MISSED")]
+)
+def test_a_driver_is_judged_by_the_bare_loop_unless_that_keeps_the_wire_idle(bare: list[float], verdict: str) -> None:
+    report = Report("rotation")
+    rotation.to_bare(report, "3 Mbit/s", {"process": [0.8, 0.8, 0.57], "bare": bare}, 0.90)
+    (figure,) = report.figures
+    assert figure.name == "3 Mbit/s, process: efficiency to the bare loop's"
+    assert figure.rounds == pytest.approx([0.8 / bare[0], 0.8 / bare[1], 0.57 / bare[2]])
+    assert {"met": True, "MISSED": False, "no verdict": None}[verdict] is figure.met
+    assert report.notes == (
+        ["3 Mbit/s: no verdict: the bare loop's own efficiency is 0.41, less than 0.5"] if figure.met is None else []
+    )
+
+
 def test_usb_runs() -> None:
     names = titles(usb.run(words("--bauds 1500000 --slaves 2 --timers 1 --rounds 1 --seconds 0.05 --kinds asyncio")))
     assert names >= {
@@ -233,20 +248,13 @@ def test_usb_runs() -> None:
 def test_startup_runs() -> None:
     report = startup.run(words("--slaves 2 --rounds 1 --kinds asyncio"))
     names = ("program", "opening", "listening", "claim", "bring-up", "all")
-    commands = ("--version", "ctl --help", "decode E5", "monitor --help", "capture --help")
-    commands_beside = ("--version", "ctl status")
-    others = {"Python calibration", "dpstack --version: modules of ours"} | {f"dpstack {c}: CPU time" for c in commands}
-    others |= {f"dpstack {c}: CPU time beside python -c 'import argparse, json, socket'" for c in commands_beside}
+    others = {"Python calibration", "dpstack --version: CPU time"}
+    commands = ("--version", "ctl status")
+    others |= {f"dpstack {c}: CPU time beside python -c 'import argparse, json, socket'" for c in commands}
     others.add("dpstack run, asyncio, until the first octet: CPU time")
     assert titles(report) == {f"asyncio, 2 slaves: {name}" for name in names} | others
     *parts, whole_time = (1e3 * f.value if f.unit == "ms" else f.raw_us[0] for f in report.figures[-len(names) :])
     assert sum(parts) == pytest.approx(whole_time)
-
-
-def test_the_lateness_of_the_applications_loop_is_measured_alone_and_beside_every_driver() -> None:
-    report = loop.run(words("--slaves 1 --rounds 1 --seconds 0.1"))
-    kinds = ["alone", "asyncio", *(["process", "process, stopped"] if not unavailable("process") else [])]
-    assert titles(report) == {f"{kind}: lateness {q}" for kind in kinds for q in ("p50", "p99", "p99.9", "max")}
 
 
 def test_jitter_runs_or_says_why_not() -> None:
