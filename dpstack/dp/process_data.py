@@ -18,7 +18,7 @@ from fractions import Fraction
 from typing import Final
 
 from dpstack.errors import ConfigError, UsageError
-from dpstack.text import brief, shortened
+from dpstack.text import brief, octets_text, shortened
 
 #: the value of a field
 Value = bool | int | float | bytes
@@ -164,15 +164,15 @@ class Field:
     def _octets(self, value: object) -> bytes:
         if self._codec is None:
             if not isinstance(value, (bytes, bytearray)) or len(value) != self.length:
-                given = f"{len(value)} octets" if isinstance(value, (bytes, bytearray)) else repr(value)
-                raise ValueError(f"{self.name} has {self.length} octets: {given} cannot be put there")
+                given = octets_text(len(value)) if isinstance(value, (bytes, bytearray)) else repr(value)
+                raise ValueError(f"{self.name} has {octets_text(self.length)}: {given} cannot be put there")
             return bytes(value)
         if self.type.startswith("f"):
             return self._float_octets(value, self._codec)
         if self.is_scaled:
             raw = self._nearest_raw(value)
         elif isinstance(value, bool) or not isinstance(value, int):
-            raise ValueError(f"{self.name} is {self.type}, a whole number: {brief(value)} is none")
+            raise ValueError(f"{self.name} is {self.type}: {brief(value)} is not a whole number")
         else:
             raw = value
         low, high = self._raw_limits
@@ -201,7 +201,7 @@ class Field:
 
     def _number(self, value: object) -> int | float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"{self.name} is {self.type}, a number: {brief(value)} is none")
+            raise ValueError(f"{self.name} is {self.type}: {brief(value)} is not a number")
         return value
 
     def _float_octets(self, value: object, codec: struct.Struct) -> bytes:

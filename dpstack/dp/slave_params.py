@@ -128,7 +128,8 @@ class SlaveParams:
         for name in ("safe", "initial"):
             given = getattr(self, name)
             if given and len(given) != outputs:
-                raise ConfigError(f"{where}: {name} has {len(given)} octets, the configuration has {outputs} outputs")
+                wanted = f"the configuration has {octets_text(outputs)} of outputs"
+                raise ConfigError(f"{where}: {name} has {octets_text(len(given))}, {wanted}")
 
     def is_other_ident(self, ident: int) -> bool:
         """Whether a device with ``ident`` in its diagnosis is another one. A device that adapts may have any number."""

@@ -48,6 +48,10 @@ local function refuse(...)
     error({ pdu = string.format(...) }, 0)
 end
 
+local function octets_text(count)
+    return string.format(count == 1 and "%d octet" or "%d octets", count)
+end
+
 -- --- the link layer: docs/reference/protocol.md of dpstack, "Telegrams" --------------------------------------------------------
 
 local SD1, SD2, SD3, SD4, SC, ED = 0x10, 0x68, 0xA2, 0xDC, 0xE5, 0x16
@@ -315,11 +319,11 @@ local function check(form, octets)
     if count < form.size then
         for _, field in ipairs(form.ends) do
             if field[2] > 8 * count then
-                refuse("%s ends after %d octets: octet %d (%s) is missing", form.name, count, count + 1, field[1])
+                refuse("%s ends after %s: octet %d (%s) is missing", form.name, octets_text(count), count + 1, field[1])
             end
         end
     elseif count > form.size and not form.open then
-        refuse("%s has %d octets, octet %d is the last one", form.name, count, form.size)
+        refuse("%s has %s, octet %d is the last one", form.name, octets_text(count), form.size)
     end
 end
 
@@ -379,7 +383,7 @@ local function prm_blocks(nodes, data, start)
         end
         local length, kind, slot = octet(data, at + 1), octet(data, at + 2), octet(data, at + 3)
         if length < 4 or length > left then
-            refuse("%s says it has %d octets, 4..%d are possible", where, length, left)
+            refuse("%s says it has %s: a block has 4 at least, and %d are left", where, octets_text(length), left)
         end
         local count = length - 4
         local name = BLOCK_NAMES[kind]
@@ -649,8 +653,8 @@ local function split_blocks(ext)
         local announced = ({ [0] = value, value, 3, 1 })[kind]
         local left = #ext - at + 1
         if announced == 0 then
-            return blocks, string.format("octet %d announces a block without any octets, %d octets are left undecoded",
-                at + 6, left)
+            return blocks, string.format("octet %d announces a block without any octets, %s left undecoded", at + 6,
+                octets_text(left))
         end
         local octets = string.sub(ext, at, at + announced - 1)
         if kind ~= 2 or left >= 3 then
@@ -938,12 +942,12 @@ local function record_request(nodes, data)
     node_record(nodes, data)
     if number == READ then
         if came > 0 then
-            refuse("%d octets too many: octet 4 is the last one of a Read request", came)
+            refuse("%s too many: octet 4 is the last one of a Read request", octets_text(came))
         end
         node(nodes, "length", length, 3)
         return string.format("%s, up to %d", record_title("Read", data), length)
     elseif length ~= came then
-        refuse("octet 4 says %d octets of data, %d came", length, came)
+        refuse("octet 4 says %s of data, %d came", octets_text(length), came)
     end
     node_octets(nodes, "data", 4, came)
     return string.format("%s, data %d", record_title("Write", data), came)
@@ -973,7 +977,7 @@ local function record_response(nodes, data)
         node(nodes, "length", length, 3)
         return string.format("%s, data %d", record_title("Write", data), length)
     elseif length ~= came or length > MAX_RECORD then
-        refuse("Read response: octet 4 says %d octets of data, %d came", length, came)
+        refuse("Read response: octet 4 says %s of data, %d came", octets_text(length), came)
     end
     node_record(nodes, data)
     node_octets(nodes, "data", 4, came)
@@ -1026,7 +1030,7 @@ local function dpv1(data, request)
         check(RECORD, data)
         local length, came = octet(data, 4), #data - 4
         if length ~= came or length > MAX_RECORD then
-            refuse("Data_Transport: octet 4 says %d octets of data, %d came", length, came)
+            refuse("Data_Transport: octet 4 says %s of data, %d came", octets_text(length), came)
         end
         node_record(nodes, data)
         node_octets(nodes, "data", 4, came)

@@ -131,7 +131,7 @@ def test_the_course_of_a_bus(octets: tuple[bytes, ...], number: int, expected: d
         ("68 04 04 68 03 02 5D 07 6A 16", "no telegram: wrong check sequence"),
         ("68 04 04 68 03 02", "no telegram: cut off"),
         ("E5 E5", "a telegram with other octets after it"),
-        ("68 06 06 68 83 82 5D 3D 3E 80 5D 16", "Set_Prm ends after 1 octets"),
+        ("68 06 06 68 83 82 5D 3D 3E 80 5D 16", "Set_Prm ends after 1 octet"),
     ],
 )
 def test_octets_that_cannot_be_read_have_a_reason(octets: str, text: str) -> None:

@@ -47,7 +47,7 @@ LINES = [
     ),
     (
         "68 06 06 68 FF 82 46 3A 3E 00 3F 16",
-        "Global_Control 2 -> all, 1 octet: cannot be read (Global_Control ends after 1 octets: octet 2 (group_select) "
+        "Global_Control 2 -> all, 1 octet: cannot be read (Global_Control ends after 1 octet: octet 2 (group_select) "
         "is missing) (SDN high)",
     ),
     ("00 12", "no telegram: no start octet (10, 68, A2, DC, E5): octet 1 is 00"),

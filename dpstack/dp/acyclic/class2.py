@@ -43,6 +43,7 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.machine import Order
 from dpstack.params import MAX_STATION, UNADDRESSED
+from dpstack.text import octets_text
 from dpstack.trace import Event, Notice
 from dpstack.units import NS_PER_MS, NS_PER_S
 
@@ -94,7 +95,7 @@ class ServiceDone(ServiceEnd):
 
     @property
     def result(self) -> str:
-        return f"{self.title}, {len(self.outcome.data)} octets"
+        return f"{self.title}, {octets_text(len(self.outcome.data))}"
 
 
 class ReadService(Order):
@@ -147,7 +148,7 @@ class Class2Job(Job):
         if not (positive(service, answer) or (reads_data and empty and not answer.data)):
             return self.refused(service, answer)
         low, got = _LEAST.get(service, 0), len(answer.data)
-        answers = f"answers {service.title} with {got} octets"
+        answers = f"answers {service.title} with {octets_text(got)}"
         if not low <= got <= MAX_LEN:
             return self.failed(
                 ServiceFailure.LENGTH,
@@ -382,7 +383,7 @@ _UNANSWERED: Final = {
     ),
     Failure.WRONG: (
         ServiceFailure.WRONG,
-        "gives answers that are none to",
+        "gives answers that do not belong to",
         "it answers from other service access points: it is no DP slave, or two stations have its address",
     ),
     Failure.REFUSED: (
@@ -396,8 +397,8 @@ _UNANSWERED: Final = {
 _REFUSALS: Final = frozenset((int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR), int(Resp.RDL), int(Resp.RDH)))
 _READS_IN_EXCHANGE: Final = "it is open in data exchange only, and not in every device: look at its state"
 _CLOSED: Final = {
-    Service.DIAGNOSIS: "every DP slave has this service: the station is none, or not switched on for long enough",
-    Service.CONFIG: "every DP slave has this service: the station is none, or not switched on for long enough",
+    Service.DIAGNOSIS: "every DP slave has this service: the station is no DP slave, or was switched on a moment ago",
+    Service.CONFIG: "every DP slave has this service: the station is no DP slave, or was switched on a moment ago",
     Service.INPUTS: _READS_IN_EXCHANGE,
     Service.OUTPUTS: _READS_IN_EXCHANGE,
     Service.SET_ADDRESS: "its address is set at the device itself (switches, menu), was locked by an earlier "

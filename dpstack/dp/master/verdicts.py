@@ -98,7 +98,7 @@ def deviations(diagnosis: Diagnosis, own: int) -> Iterator[str]:
         if flag.set_by is SetBy.MASTER:
             yield f"its diagnosis sets {flag.name} (octet {flag.octet}), which only a master may; ignored"
     if diagnosis.ext_finding is not None:
-        yield f"its extended diagnosis lies about its lengths: {diagnosis.ext_finding}; the rest is kept as it came"
+        yield f"its extended diagnosis has wrong lengths: {diagnosis.ext_finding}; the rest is kept as it came"
 
 
 def verdict_exchanging(diagnosis: Diagnosis) -> Trigger:

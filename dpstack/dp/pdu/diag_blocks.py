@@ -15,6 +15,7 @@ from typing import Final
 from msgspec import Struct
 
 from dpstack.errors import PduError
+from dpstack.text import octets_text
 
 _DEVICE, _IDENTIFIER, _CHANNEL, _REVISION = range(4)
 _CHANNEL_LEN: Final = 3
@@ -123,7 +124,7 @@ def split_blocks(ext: bytes) -> tuple[tuple[Block, ...], str | None]:
         announced = (value, value, _CHANNEL_LEN, 1)[kind]
         left = len(ext) - at
         if not announced:
-            finding = f"octet {at + 7} announces a block without any octets, {left} octets are left undecoded"
+            finding = f"octet {at + 7} announces a block without any octets, {octets_text(left)} left undecoded"
             return tuple(blocks), finding
         octets = ext[at : at + announced]
         if kind == _DEVICE:

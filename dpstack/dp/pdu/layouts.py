@@ -19,6 +19,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from dpstack.errors import PduError
+from dpstack.text import octets_text
 
 #: of DP-V1: octets of data in one record; slots count from 0
 MAX_RECORD: Final = 240
@@ -87,11 +88,11 @@ class Layout(Generic[R]):
         if count < self.size:
             missing = next(name for name, end in self._ends.items() if end > 8 * count)
             where = f"octet {count + 1} ({self._names[missing]})"
-            raise PduError(f"{self.name} ends after {count} octets: {where} is missing")
+            raise PduError(f"{self.name} ends after {octets_text(count)}: {where} is missing")
         if self._function not in (None, octets[0]):
             raise PduError(f"octet 1 is 0x{octets[0]:02X}, {self.name} is 0x{self._function:02X}")
         if self._is_exact and count > self.size:
-            raise PduError(f"{self.name} has {count} octets, octet {self.size} is the last one")
+            raise PduError(f"{self.name} has {octets_text(count)}, octet {self.size} is the last one")
         found = self._struct.parse(octets)
         return self.make(**{name: found[name] for name in self.fields})
 
@@ -207,7 +208,7 @@ class Numbers:
         count = len(octets)
         if count < self.size:
             where = f"octet {count + 1} ({self._octets[count]})"
-            raise PduError(f"{self.name} ends after {count} octets: {where} is missing")
+            raise PduError(f"{self.name} ends after {octets_text(count)}: {where} is missing")
         return self._struct.unpack_from(octets)
 
     def build(self, *numbers: int) -> bytes:

@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from dpstack.dp.pdu.layouts import DOUBLE_WORD, MAX_SLOT, OCTET, WORD, Layout
 from dpstack.errors import ConfigError, PduError
+from dpstack.text import octets_text
 
 #: length, type, slot, specifier
 BLOCK_HEAD: Final = 4
@@ -193,7 +194,9 @@ class PrmBlock(Struct, frozen=True):
             return None
         size = entry.size
         if count % size != 1:
-            raise PduError(f"{self.title} has a version and entries of {size} octets each, there are {count} octets")
+            raise PduError(
+                f"{self.title} has a version and entries of {size} octets each, there are {octets_text(count)}"
+            )
         return DxbTable(self.data[0], tuple(entry.parse(self.data[at : at + size]) for at in range(1, count, size)))
 
 
@@ -222,7 +225,9 @@ def parse_blocks(octets: bytes, first: int = 1) -> tuple[PrmBlock, ...]:
             raise PduError(f"{where} has a head of {BLOCK_HEAD} octets, there are {left}")
         length, kind, slot, specifier = octets[at : at + BLOCK_HEAD]
         if not BLOCK_HEAD <= length <= left:
-            raise PduError(f"{where} says it has {length} octets, {BLOCK_HEAD}..{left} are possible")
+            raise PduError(
+                f"{where} says it has {octets_text(length)}: a block has {BLOCK_HEAD} at least, and {left} are left"
+            )
         try:
             block = PrmBlock(kind, slot, octets[at + BLOCK_HEAD : at + length], specifier)
             _ = block.content

@@ -76,10 +76,14 @@ class AddressChanged(SlaveAppEvent):
     def _text(self) -> str:
         at_device = "by an initial reset" if self.address == UNADDRESSED else "by a setting of the device"
         by = at_device if self.master is None else f"by master {self.master}"
-        how = ", fixed" if self.fixed else ""
-        return f"{self.who}: address {self.before} became {self.address} {by}{how}" + (
-            "" if self.kept else ", until the next restart"
-        )
+        if self.address is None:
+            what = f"has no address any more (it was {self.before}),"
+        elif self.before is None:
+            what = f"got address {self.address}"
+        else:
+            what = f"address {self.before} became {self.address}"
+        how = (", fixed" if self.fixed else "") + ("" if self.kept else ", until the next restart")
+        return f"{self.who}: {what} {by}{how}"
 
 
 class DeviceFailed(SlaveAppEvent):

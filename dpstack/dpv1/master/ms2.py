@@ -136,7 +136,7 @@ class InitiateJob(ConnectionJob):
             return ResourceManagerRes.parse(octets)
         except PduError as error:
             who = f"slave {self.address}: its resource manager"
-            text = f"{who} answers Initiate with what cannot be read: {error}"
+            text = f"{who} answers Initiate with unreadable octets: {error}"
             return Outcome(ServiceFailure.LENGTH, text)
 
     def _outcome_of(self, octets: bytes, now: int) -> Outcome:

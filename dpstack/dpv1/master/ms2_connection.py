@@ -39,7 +39,7 @@ _SILENT: Final = {
         "gives no readable answer to",
         "look for a second station with its address, and at cable and termination",
     ),
-    Failure.WRONG: ("gives answers that are none to", "look for a second station with its address"),
+    Failure.WRONG: ("gives answers that do not belong to", "look for a second station with its address"),
 }
 
 

@@ -19,6 +19,7 @@ from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Servic
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT, least_send_timeout
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.machine import Order
+from dpstack.text import octets_text
 from dpstack.trace import Event, Severity
 
 #: Initiate with the send time-out to ask for by default
@@ -91,7 +92,7 @@ class RecordDone(ServiceEnd):
     def result(self) -> str:
         """The record, and the number of octets that came."""
         where = f"{self.title} of slot {self.slot}, index {self.index}"
-        return f"{where} done" if self.function is Function.WRITE else f"{where}, {len(self.outcome.data)} octets"
+        return f"{where} done" if self.function is Function.WRITE else f"{where}, {octets_text(len(self.outcome.data))}"
 
 
 # --- class 2 connections -----------------------------------------------------------------------------------------

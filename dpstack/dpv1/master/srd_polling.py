@@ -31,6 +31,7 @@ from dpstack.dpv1.timeouts import pause_before
 from dpstack.errors import PduError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Kind, Resp, Telegram
+from dpstack.text import octets_text
 from dpstack.units import NEVER
 
 #: old data are given away, and the request was not taken
@@ -170,14 +171,14 @@ def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | 
     match service, response:
         case ReadReq(length=asked), ReadRes(data=data):
             if len(data) > asked:
-                text = f"{who} answers {title} with {len(data)} octets, {asked} were asked for"
+                text = f"{who} answers {title} with {octets_text(len(data))}, {asked} were asked for"
                 return Outcome(ServiceFailure.LENGTH, text)
             return Outcome(data=data)
         case DataTransport(), DataTransport(data=data):
             return Outcome(data=data)
         case WriteReq(data=given), taken if not isinstance(taken, (ReadRes, DataTransport)):
             if taken.length != len(given):
-                text = f"{who} says it took {taken.length} octets by {title}, {len(given)} were given"
+                text = f"{who} says it took {octets_text(taken.length)} by {title}, {len(given)} were given"
                 return Outcome(ServiceFailure.LENGTH, text)
             return Outcome()
     return None
@@ -185,7 +186,7 @@ def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | 
 
 def unreadable_outcome(address: int, title: str, error: PduError) -> Outcome:
     """The outcome of the service ``title`` by octets of the slave at ``address`` that are no PDU."""
-    return Outcome(ServiceFailure.LENGTH, f"slave {address} answers {title} with what cannot be read: {error}")
+    return Outcome(ServiceFailure.LENGTH, f"slave {address} answers {title} with unreadable octets: {error}")
 
 
 def negative_outcome(address: int, title: str, response: Negative) -> Outcome:

@@ -99,7 +99,7 @@ def negative_text(decode: int, code_1: int, code_2: int) -> str:
     octets = f"{decode:02X} {code_1:02X} {code_2:02X}"
     match decode:
         case Decode.DPV1:
-            more = f", code 2: 0x{code_2:02X}" if code_2 else ""
+            more = f", second code 0x{code_2:02X}" if code_2 else ""
             return f"{code_text(code_1)} ({octets}: class {class_text(code_1 >> 4)}, code {code_1 & 15}{more})"
         case Decode.FMS | Decode.HART:
             return f"an error in the codes of {Decode(decode).name} ({octets}); its manual knows them"

@@ -16,6 +16,7 @@ from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier
 from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT, OCTET, REST, Layout, Pdu, adapted, bits, flags
 from dpstack.dpv1.pdu.error_codes import Code, Decode, negative_text
 from dpstack.errors import PduError
+from dpstack.text import octets_text
 
 #: the record of PROFIdrive's parameter channel
 PARAMETER_INDEX: Final = 47
@@ -150,7 +151,7 @@ class DataTransport(_WithData, frozen=True):
         if raw.function != cls.function:
             raise PduError(f"octet 1 is 0x{raw.function:02X}, {cls.function.title} is 0x{cls.function:02X}")
         if raw.length != len(raw.data) or raw.length > MAX_RECORD:
-            raise PduError(f"Data_Transport: octet 4 says {raw.length} octets of data, {len(raw.data)} came")
+            raise PduError(f"Data_Transport: octet 4 says {octets_text(raw.length)} of data, {len(raw.data)} came")
         return cls(raw.slot, raw.record, raw.data)
 
 
@@ -237,11 +238,11 @@ def parse_request(octets: bytes) -> RecordReq:
         raise UnacceptableError(reason, function, Code.WRITE_LENGTH_ERROR)
     if function == Function.READ:
         if raw.data:
-            reason = f"{len(raw.data)} octets too many: octet 4 is the last one of a Read request"
+            reason = f"{octets_text(len(raw.data))} too many: octet 4 is the last one of a Read request"
             raise UnacceptableError(reason, function, Code.INVALID_PARAMETER)
         return ReadReq(raw.slot, raw.record, raw.length)
     if raw.length != len(raw.data):
-        reason = f"octet 4 says {raw.length} octets of data, {len(raw.data)} came"
+        reason = f"octet 4 says {octets_text(raw.length)} of data, {len(raw.data)} came"
         raise UnacceptableError(reason, function, Code.WRITE_LENGTH_ERROR)
     return WriteReq(raw.slot, raw.record, raw.data)
 
@@ -264,5 +265,5 @@ def parse_response(octets: bytes) -> RecordRes:
             raise PduError(f"{name} has {len(octets)} octets, octet {_HEAD} is the last one")
         return WriteRes(raw.slot, raw.record, raw.length)
     if raw.length != len(raw.data) or raw.length > MAX_RECORD:
-        raise PduError(f"{name}: octet 4 says {raw.length} octets of data, {len(raw.data)} came")
+        raise PduError(f"{name}: octet 4 says {octets_text(raw.length)} of data, {len(raw.data)} came")
     return ReadRes(raw.slot, raw.record, raw.data)

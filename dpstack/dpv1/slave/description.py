@@ -23,6 +23,7 @@ from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import MAX_USER_PRM, config_for, io_lengths
 from dpstack.params import DPV1_STATUS_LEN
+from dpstack.text import octets_text
 
 if TYPE_CHECKING:
     from dpstack.gsd.model import DiagText
@@ -260,9 +261,9 @@ class SlaveDescription:
     def _too_long(self, config: bytes) -> str | None:
         inputs, outputs = io_lengths(config)
         if inputs > self.max_input_len:
-            return f"{inputs} input octets, {self.max_input_len} are possible"
+            return f"{octets_text(inputs)} of inputs, {self.max_input_len} are possible"
         if outputs > self.max_output_len:
-            return f"{outputs} output octets, {self.max_output_len} are possible"
+            return f"{octets_text(outputs)} of outputs, {self.max_output_len} are possible"
         if inputs + outputs > self.max_data_len:
             return f"{inputs} input and {outputs} output octets, {self.max_data_len} together are possible"
         return None

@@ -210,7 +210,12 @@ def _diag_texts(given: tuple[DiagText, ...]) -> tuple[DiagText, ...]:
         else:
             place, well = (first, first), value == (kind == "bit")
         if not well:
-            raise ConfigError(f"diagnosis text {text!r}: bits {first}..{last}, value {value} cannot be; correct them")
+            what = (
+                f"error {value} of a channel; 16..31 are possible"
+                if kind == "channel"
+                else (f"value {value} of bits {first}..{last} is not possible; correct them")
+            )
+            raise ConfigError(f"diagnosis text {text!r}: {what}")
         where = (_DIAG_ORDER.index(kind), place[0] or 0, place[1] or 0, value)
         found[kind, *where[1:]] = DiagText(kind, *place, value, _text(text, "a text"), _text(help, "a help text"))
     return tuple(found[key] for key in sorted(found, key=lambda key: (_DIAG_ORDER.index(key[0]), *key[1:])))

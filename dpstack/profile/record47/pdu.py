@@ -21,6 +21,7 @@ from dpstack.dpv1.pdu.error_codes import Code, code_text
 from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX, ReadReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.profile.record47.formats import ERROR, ZERO, Raw, format_of
+from dpstack.text import octets_text
 from dpstack.units import NS_PER_MS
 
 T = TypeVar("T")
@@ -170,7 +171,7 @@ class Request(Struct, frozen=True):
             values = tuple(Values(number, () if number == ERROR else raws) for number, raws in found)
             return structs.replace(request, values=values)
         if len(octets) > end:
-            raise PduError(f"record 47: {len(octets) - end} octets too many after {count} addresses")
+            raise PduError(f"record 47: {octets_text(len(octets) - end)} too many after {count} addresses")
         return request
 
     @classmethod
@@ -247,7 +248,7 @@ def _groups(octets: bytes, at: int, most: int) -> Iterator[tuple[int, tuple[Raw,
         at += _even(size)
         most -= 1
     if any(octets[at:]):
-        raise PduError(f"record 47: {len(octets) - at} octets too many from octet {at + 1} on")
+        raise PduError(f"record 47: {octets_text(len(octets) - at)} too many from octet {at + 1} on")
 
 
 def _result(number: int, raws: tuple[Raw, ...]) -> Result:

@@ -159,8 +159,8 @@ def test_lengths_of_answers() -> None:
         (
             WRONG,
             ServiceFailure.WRONG,
-            "slave 4 gives answers that are none to Slave_Diag; it answers from other service access points: it is no "
-            "DP slave, or two stations have its address",
+            "slave 4 gives answers that do not belong to Slave_Diag; it answers from other service access points: it "
+            "is no DP slave, or two stations have its address",
         ),
         (
             GUARD,

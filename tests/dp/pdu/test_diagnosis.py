@@ -166,7 +166,7 @@ def test_channel_texts(octets: str, text: str) -> None:
         ("05 01 02", [DeviceBlock(bytes.fromhex("050102"))], "octet 7 announces a block of 5 octets, 3 are left"),
         ("C1 48 01", [RevisionBlock(b"\xc1", 1), IdentifierBlock(b"\x48\x01")], "octet 8 announces a block of 8"),
         ("81 00", [], "octet 7 announces a block of 3 octets, 2 are left"),
-        ("00 FF", [], "octet 7 announces a block without any octets, 2 octets are left undecoded"),
+        ("00 FF", [], "octet 7 announces a block without any octets, 2 octets left undecoded"),
         ("C1 40", [RevisionBlock(b"\xc1", 1)], "octet 8 announces a block without any octets"),
     ],
 )

@@ -235,7 +235,7 @@ def test_any_octet_but_0_is_no_add_chg() -> None:
 
 @pytest.mark.parametrize("length", range(4))
 def test_set_slave_add_cut_short(length: int) -> None:
-    with pytest.raises(PduError, match=f"Set_Slave_Add ends after {length} octets"):
+    with pytest.raises(PduError, match=f"Set_Slave_Add ends after {length} octet"):
         SetSlaveAdd.parse(bytes.fromhex("05 12 34 00")[:length])
 
 

@@ -301,8 +301,8 @@ def test_get_cfg_tells_the_modules_that_are_plugged_in() -> None:
 @pytest.mark.parametrize(
     ("limits", "reason"),
     [
-        ({"max_input_len": 1}, "2 input octets, 1 are possible"),
-        ({"max_output_len": 1}, "2 output octets, 1 are possible"),
+        ({"max_input_len": 1}, "2 octets of inputs, 1 are possible"),
+        ({"max_output_len": 1}, "2 octets of outputs, 1 are possible"),
         ({"max_data_len": 3}, "2 input and 2 output octets, 3 together are possible"),
         ({}, None),
     ],
@@ -322,7 +322,7 @@ def test_lengths(limits: dict[str, int], reason: str | None) -> None:
         ({"configs": ()}, "give configs .* or modules"),
         ({"modules": MODULES}, "give configs .* or modules"),
         ({"configs": (b"\x80",)}, "announces a length octet"),
-        ({"max_output_len": 0}, "1 output octets, 0 are possible"),
+        ({"max_output_len": 0}, "1 octet of outputs, 0 are possible"),
         ({"user_prm_len": (3, 2)}, r"user_prm_len \(3, 2\)"),
         ({"user_prm_len": (0, 238)}, "within 0..237"),
         ({"max_diag_len": 5}, "max_diag_len 5 is outside 6..244"),

@@ -110,7 +110,7 @@ def test_a_write_that_took_another_length() -> None:
     polled(kit.slave, "5F 01 02 01")
     outcome = kit.write(1, 2, b"\1\2").outcome
     assert outcome.failure is ServiceFailure.LENGTH
-    assert outcome.text == "slave 4 says it took 1 octets by Write of slot 1, index 2, 2 were given"
+    assert outcome.text == "slave 4 says it took 1 octet by Write of slot 1, index 2, 2 were given"
 
 
 def test_answers_to_other_requests_are_dropped_and_counted() -> None:

@@ -65,9 +65,9 @@ def test_a_slave_of_dp_v0_is_there_and_has_no_connections() -> None:
         ("58 02 12", ServiceFailure.ABORTED, "a request that cannot be read (ABT_FE in a remote subnet)"),
         ("58", ServiceFailure.ABORTED, "the slave aborted it, but why cannot be read"),
         ("D7 80 C3 00", ServiceFailure.NEGATIVE, "slave 4 refuses Initiate: resource unavailable (80 C3 00"),
-        ("57 F0", ServiceFailure.LENGTH, "cannot be read"),
+        ("57 F0", ServiceFailure.LENGTH, "unreadable octets"),
         ("56 31 00 64", ServiceFailure.LENGTH, "49 is no server SAP"),
-        ("56 30 00", ServiceFailure.LENGTH, "cannot be read"),
+        ("56 30 00", ServiceFailure.LENGTH, "unreadable octets"),
         ("5E 01 02 00", ServiceFailure.LENGTH, "octet 1 is 0x5E"),
     ],
 )
@@ -91,9 +91,9 @@ def test_other_answers_of_the_resource_manager(answer: str, failure: ServiceFail
         ("58 00 17", ServiceFailure.ABORTED, "ABT_IA"),
         ("58 00 25", ServiceFailure.ABORTED, "its user, reason 5"),
         ("D7 80 B2 00", ServiceFailure.NEGATIVE, "slave 4 refuses Initiate: invalid slot"),
-        ("57 F0 01 00", ServiceFailure.LENGTH, "cannot be read"),
+        ("57 F0 01 00", ServiceFailure.LENGTH, "unreadable octets"),
         ("57 F0 01 00 00 00 00 00 00 02 00 09 00 00 00 00", ServiceFailure.LENGTH, "2 and 9 octets of addresses"),
-        ("5E 01 02 00", ServiceFailure.LENGTH, "slave 4 answers Initiate with what cannot be read"),
+        ("5E 01 02 00", ServiceFailure.LENGTH, "slave 4 answers Initiate with unreadable octets"),
     ],
 )
 def test_the_server_sap_refuses(answer: str, failure: ServiceFailure, text: str) -> None:

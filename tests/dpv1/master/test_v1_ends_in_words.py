@@ -192,13 +192,13 @@ OVER = "slave 4: Initiate has no answer, the class 2 connection is over: the sla
         ),
         (
             "560F",
-            "slave 4: its resource manager answers Initiate with what cannot be read: Resource_Manager ends after "
+            "slave 4: its resource manager answers Initiate with unreadable octets: Resource_Manager ends after "
             "2 octets: octet 3 (send_timeout) is missing",
             None,
         ),
         (
             "D7",
-            "slave 4 answers Initiate with what cannot be read: DP-V1 negative response ends after 1 octets: octet 2 "
+            "slave 4 answers Initiate with unreadable octets: DP-V1 negative response ends after 1 octet: octet 2 "
             "(error_decode) is missing",
             None,
         ),
@@ -261,9 +261,9 @@ def test_a_server_sap_that_is_in_use() -> None:
 
 def test_an_answer_that_cannot_be_read_ends_the_connection() -> None:
     services: list[tuple[Callable[[Ms2Bus], RecordDone], str]] = [
-        (lambda kit: kit.read(1), f"slave 4 answers {READ} with what cannot be read: "
+        (lambda kit: kit.read(1), f"slave 4 answers {READ} with unreadable octets: "
                                   "Read response: octet 4 says 5 octets of data, 0 came"),
-        (lambda kit: kit.write(1, 1, 2, b"\1"), "slave 4 answers Write of slot 1, index 2 with what cannot be read: "
+        (lambda kit: kit.write(1, 1, 2, b"\1"), "slave 4 answers Write of slot 1, index 2 with unreadable octets: "
                                                 "Read response: octet 4 says 5 octets of data, 0 came; "
                                                 "it may have been carried out"),
     ]  # fmt: skip
@@ -360,17 +360,17 @@ REMARKS: dict[str, tuple[dict[str, Any], bytes, str, dict[str, int]]] = {
     ),
     "a response without its end": (
         {"says": _says("5C")}, PROCESS,
-        f"answers {ACK} with what cannot be read: Alarm_Ack ends after 1 octets: octet 2 (slot) is missing{WAITS}",
+        f"answers {ACK} with unreadable octets: Alarm_Ack ends after 1 octet: octet 2 (slot) is missing{WAITS}",
         {"raised": 1, "refused": 1},
     ),
     "a response with an octet too many": (
         {"says": _says("5C030201AA")}, PROCESS,
-        f"answers {ACK} with what cannot be read: Alarm_Ack has 5 octets, octet 4 is the last one{WAITS}",
+        f"answers {ACK} with unreadable octets: Alarm_Ack has 5 octets, octet 4 is the last one{WAITS}",
         {"raised": 1, "refused": 1},
     ),
     "a negative response without its codes": (
         {"says": _says("DC80")}, PROCESS,
-        f"answers {ACK} with what cannot be read: DP-V1 negative response ends after 2 octets: octet 3 (error_code_1) "
+        f"answers {ACK} with unreadable octets: DP-V1 negative response ends after 2 octets: octet 3 (error_code_1) "
         f"is missing{WAITS}",
         {"raised": 1, "refused": 1},
     ),

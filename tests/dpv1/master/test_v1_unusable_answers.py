@@ -25,7 +25,7 @@ ANSWERS: dict[str, Answer] = {
     "another station": (OF_ANOTHER_STATION, SILENT, "does not answer", "does not answer",
                         "check its power and the cable"),
     "garbled": (GARBLED, UNREADABLE, "gives no readable answer to", "gives no readable answer to", CABLE),
-    "another SAP": (OF_ANOTHER_SAP, WRONG, "gives no readable answer to", "gives answers that are none to",
+    "another SAP": (OF_ANOTHER_SAP, WRONG, "gives no readable answer to", "gives answers that do not belong to",
                     "look for a second station with its address"),
 }  # fmt: skip
 

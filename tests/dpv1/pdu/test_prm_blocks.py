@@ -67,10 +67,13 @@ def test_types_that_are_octets_only() -> None:
     ("octets", "text"),
     [
         ("04 81 00", "octet 11: parameter block 1 has a head of 4 octets, there are 3"),
-        ("05 81 00 00", "octet 11: parameter block 1 says it has 5 octets, 4..4 are possible"),
-        ("03 81 00 00", "octet 11: parameter block 1 says it has 3 octets, 4..4 are possible"),
-        ("00 81 00 00", "octet 11: parameter block 1 says it has 0 octets, 4..4 are possible"),
-        ("06 81 00 00 01 02 09 20 00 00", "octet 17: parameter block 2 says it has 9 octets, 4..4 are possible"),
+        ("05 81 00 00", "octet 11: parameter block 1 says it has 5 octets: a block has 4 at least, and 4 are left"),
+        ("03 81 00 00", "octet 11: parameter block 1 says it has 3 octets: a block has 4 at least, and 4 are left"),
+        ("00 81 00 00", "octet 11: parameter block 1 says it has 0 octets: a block has 4 at least, and 4 are left"),
+        (
+            "06 81 00 00 01 02 09 20 00 00",
+            "octet 17: parameter block 2 says it has 9 octets: a block has 4 at least, and 4 are left",
+        ),
         ("07 02 00 00 01 02 03", "parameter block 1: type 2 (prm_cmd) has 4 octets of data, there are 3"),
         ("04 04 00 00", "parameter block 1: type 4 (isochronous) has 24 octets of data, there are 0"),
         ("04 03 00 00", "type 3 (dxb_links) has a version and entries of 4 octets each, there are 0 octets"),
@@ -152,7 +155,10 @@ def test_without_prm_structure_they_are_octets() -> None:
 @pytest.mark.parametrize(
     ("user_prm", "text"),
     [
-        ("80 00 08 05 81 00 00", "octet 11: parameter block 1 says it has 5 octets, 4..4 are possible"),
+        (
+            "80 00 08 05 81 00 00",
+            "octet 11: parameter block 1 says it has 5 octets: a block has 4 at least, and 4 are left",
+        ),
         ("80 00 08 04 81 00 00 07 02 00 00 01 02 03", "octet 15: parameter block 2: type 2 (prm_cmd) has 4 octets"),
     ],
 )

@@ -60,11 +60,11 @@ def test_responses(pdu: RecordRes, octets: str) -> None:
     [
         ("5E", "DE 80 B8 00", "octet 2 (slot) is missing"),
         ("5E 01 02", "DE 80 B8 00", "octet 4 (length) is missing"),
-        ("5E 01 02 03 04", "DE 80 B8 00", "1 octets too many"),
+        ("5E 01 02 03 04", "DE 80 B8 00", "1 octet too many"),
         ("5E FF 02 03", "DE 80 B2 00", "there is no slot 255"),
         ("5E 01 02 F1", "DE 80 B1 00", "octet 4: 241 octets"),
         ("5F 01 02 03 04 05", "DF 80 B1 00", "octet 4 says 3 octets of data, 2 came"),
-        ("5F 01 02 01 04 05", "DF 80 B1 00", "octet 4 says 1 octets of data, 2 came"),
+        ("5F 01 02 01 04 05", "DF 80 B1 00", "octet 4 says 1 octet of data, 2 came"),
         ("5C 01 02 03", "DC 80 A9 00", "Alarm_Ack is no service here"),
         ("48 01", "C8 80 A9 00", "Idle is no service here"),
         ("00 01 02 03", "80 80 A9 00", "no service 0x00"),
@@ -130,7 +130,7 @@ def test_every_error_code_has_a_text() -> None:
         "device specific",
     ]
     assert negative_text(0x80, 0xB5, 0) == "state conflict (80 B5 00: class access, code 5)"
-    assert negative_text(0x80, 0xB0, 7) == "invalid index (80 B0 07: class access, code 0, code 2: 0x07)"
+    assert negative_text(0x80, 0xB0, 7) == "invalid index (80 B0 07: class access, code 0, second code 0x07)"
     assert "FMS" in negative_text(0xFE, 1, 2)
     assert "HART" in negative_text(0xFF, 1, 2)
     assert "0x00 is unknown" in negative_text(0, 0, 0)

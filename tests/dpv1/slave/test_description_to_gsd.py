@@ -346,7 +346,7 @@ ONE = SlaveDescription.simple(1, inputs=1, outputs=1)
             "module m: more than 237 octets of user parameters",
         ),
         ({"diag_texts": (DiagText("bits", 0, 0, 1, "x", ""),)}, "kind 'bits'; one of bit, not_bit, area, channel"),
-        ({"diag_texts": (DiagText("channel", None, None, 6, "x", ""),)}, "value 6 cannot be"),
+        ({"diag_texts": (DiagText("channel", None, None, 6, "x", ""),)}, "error 6 of a channel; 16..31 are possible"),
     ],
 )
 def test_slaves_without_a_gsd_file(changes: dict[str, object], says: str) -> None:

@@ -67,7 +67,7 @@ FAILED = "refused: its function failed (ZeroDivisionError: no record), in ask(),
                                  "missing"),
         (51, "5EFF02F0", "de80b200", "MS1 of master 2 refused: octet 2: there is no slot 255"),
         (51, "5E0102F1", "de80b100", "MS1 of master 2 refused: octet 4: 241 octets of data, 240 are possible"),
-        (51, "5E0102F000", "de80b800", "MS1 of master 2 refused: 1 octets too many: octet 4 is the last one of a Read "
+        (51, "5E0102F000", "de80b800", "MS1 of master 2 refused: 1 octet too many: octet 4 is the last one of a Read "
                                        "request"),
         (51, "5F01020201", "df80b100", "MS1 of master 2 refused: octet 4 says 2 octets of data, 1 came"),
         (51, "4801", "c880a900", "MS1 of master 2 refused: octet 1: Idle is no service here"),
@@ -110,7 +110,7 @@ SERVICE = "class 2 connection of master 1 (server SAP 48) is over after"
         ("5E0109F0", "de80a000", f"Read of slot 1, index 9 of master 1 {FAILED}"),
         ("5F01020501", "df80b100", "MS2 of master 1 refused: octet 4 says 5 octets of data, 1 came"),
         ("5F0102050102030405", "df80b100", "MS2 of master 1 refused: 5 octets of data, 4 are possible"),
-        ("51010201", "d180b800", "MS2 of master 1 refused: Data_Transport: octet 4 says 1 octets of data, 0 came"),
+        ("51010201", "d180b800", "MS2 of master 1 refused: Data_Transport: octet 4 says 1 octet of data, 0 came"),
         ("51FF020101", "d180b200", "MS2 of master 1 refused: octet 2: there is no slot 255"),
         ("5101020501 02030405", "d180b100", "MS2 of master 1 refused: 5 octets of data, 4 are possible"),
         ("5101020101", "d180a900", ""),  # it has no Data_Transport
@@ -119,7 +119,7 @@ SERVICE = "class 2 connection of master 1 (server SAP 48) is over after"
         ("56300000", "580011", f"{SERVICE} 0 services: Resource_Manager came in the state 'open'"),
         ("5C010203", "580011", f"{SERVICE} 0 services: Alarm_Ack came in the state 'open'"),
         ("58", "RS", f"{SERVICE} 0 services: its master aborted it: an Abort that cannot be read: "
-                     "Abort ends after 1 octets: octet 2 (subnet) is missing"),
+                     "Abort ends after 1 octet: octet 2 (subnet) is missing"),
         ("580013", "RS", f"{SERVICE} 0 services: its master aborted it: nothing was heard from the other end in time "
                          "(ABT_TO)"),
         ("580225", "RS", f"{SERVICE} 0 services: its master aborted it: its user, reason 5 in a remote subnet"),
@@ -153,7 +153,7 @@ def test_initiates_that_are_refused() -> None:
     far = "57 00 00 00 00 64 01 00 00 00 00 00 00 02 01 08 00 00 01 02 00 00 00 00 00 00"
     for initiate, answer, reason in (
         (NO_SERVICE, "580012", "Initiate: 2 and 2 octets of addresses are announced, 3 came"),
-        ("57", "580012", "Initiate ends after 1 octets: octet 2 (reserved) is missing"),
+        ("57", "580012", "Initiate ends after 1 octet: octet 2 (reserved) is missing"),
         (far, "580017", "D_Addr is an address in another network, and this slave is the end of the way"),
     ):
         made = bench()

@@ -67,119 +67,101 @@ FILE = "texts_dp.jsonl"
 def _pdus() -> Iterator[Case]:
     yield attempt(Diagnosis(0, 4, 0, None, 1, bytes(239)).build)
     yield attempt(Diagnosis(0, 4, 0, None, 0x10000).build)
-    yield attempt(Diagnosis(256, 4, 0, 3, 1).build)
     yield attempt(SetPrm(1, bytes(238)).build)
-    yield attempt(SetPrm(1, min_tsdr=256).build)
-    yield attempt(SetPrm(1, group_mask=256).build)
     yield attempt(SetPrm(1, watchdog=(256, 1)).build)
-    yield attempt(SetPrm(0x10000).build)
-    for length in (0, 3, 6, 245):
+    for length in (0, 245):
         yield attempt(SetPrm.parse, bytes(length))
     yield attempt(GlobalControl(group_mask=256).build)
-    for octets in (b"", b"\0", bytes(3)):
-        yield attempt(GlobalControl.parse, octets)
-    for add in (SetSlaveAdd(126, 1), SetSlaveAdd(-1, 1), SetSlaveAdd(1, 0x10000), SetSlaveAdd(1, 1, False, bytes(241))):
+    yield attempt(GlobalControl.parse, bytes(3))
+    for add in (SetSlaveAdd(126, 1), SetSlaveAdd(1, 0x10000), SetSlaveAdd(1, 1, False, bytes(241))):
         yield attempt(add.build)
-    for length in (0, 1, 3):
-        yield attempt(SetSlaveAdd.parse, bytes(length))
+    yield attempt(SetSlaveAdd.parse, b"\0")
 
 
 def _diag_blocks() -> Iterator[Case]:
-    for ext in ("", "00", "01", "40", "4112", "80", "8001", "800102", "C5", "C0", "05010203", "0401020300", "42FF41"):
+    for ext in ("", "00", "01", "4112", "800102", "C5", "42FF41"):
         yield attempt(split_blocks, bytes.fromhex(ext))
     for size in range(8):
-        for direction in range(4):
-            block = channel_block(
-                63, 62, size + 4 * direction, size=size, input=bool(direction & 1), output=direction > 1
-            )
-            yield f"channel {block.octets.hex()}", f"{block.text} | {block.place('AI 4', 0)}"
-    for error in range(32):
+        direction = size % 4
+        block = channel_block(63, 62, size + 4 * direction, size=size, input=bool(direction & 1), output=direction > 1)
+        yield f"channel {block.octets.hex()}", f"{block.text} | {block.place('AI 4', 0)}"
+    for error in range(11):
         yield f"error {error}", ChannelBlock(b"", 0, 0, False, False, 0, error).cause
     for call in (
-        (device_block, b""),
         (device_block, b"\1"),
-        (device_block, bytes(62)),
         (device_block, bytes(63)),
         (identifier_block, [0, 7, 8], 9),
         (identifier_block, [9], 9),
-        (identifier_block, [-1], 9),
         (identifier_block, [], 0),
         (identifier_block, [], 496),
-        (identifier_block, [], 497),
         (channel_block, 64, 0, 1),
         (channel_block, 0, 64, 1),
         (channel_block, 0, 0, 32),
         (revision_block, 63),
         (revision_block, 64),
-        (revision_block, -1),
         (UserDiag, "text"),
     ):
         yield attempt(call[0], *call[1:])
     full = UserDiag(bytes.fromhex("0301024101C5"), fault=True, stat=True)
-    for room in range(7):
+    for room in (0, 1, 4, 6):
         yield f"limited to {room}", repr(full.limited(room))
     yield "octets that are no blocks", repr(UserDiag(bytes.fromhex("030102FF00")).limited(4))
-    for args in ({}, {"fault": True}, {"stat": True}, {"overflow": True}):
+    for args in ({}, {"fault": True}, {"stat": True}):
         yield attempt(UserDiag.of, **args)
-        yield attempt(UserDiag.of, device_block(b"\1"), **args)
+    yield attempt(UserDiag.of, device_block(b"\1"), overflow=True)
 
 
 def _diagnoses() -> Iterator[Case]:
-    for octet in range(3):
-        for bit in range(8):
-            status = [0, 0, 0]
-            status[octet] = 1 << bit
-            read = Diagnosis(status[0], status[1], status[2], None, 0x1234)
-            yield (
-                f"octet {octet + 1} bit {bit}",
-                f"{read.texts} {[f.name for f in read.conspicuous(exchanging=True)]} "
-                f"{[f.name for f in read.conspicuous(exchanging=False)]} {list(deviations(read, 1))} {read.always_one}",
-            )
-    for ext in ("", "0401020000", "0481000003", "0300AA", "020041", "4281", "8281C5", "FF", "03AA", "06810000AABB"):
-        for dpv1 in (False, True):
-            read = Diagnosis(8, 12, 0, 129, 0x1234, bytes.fromhex(ext))
-            yield (
-                f"{ext} {dpv1=}",
-                f"{block_texts(read, dpv1=dpv1)} {conspicuous_text(read, dpv1=dpv1, exchanging=True)!r} "
-                f"{conspicuous_text(read, dpv1=dpv1, exchanging=False)!r} {list(deviations(read, 1))}",
-            )
+    for octet, bit in ((0, 0), (0, 1), (0, 4), (1, 1), (1, 2), (1, 3), (2, 0)):
+        status = [0, 0, 0]
+        status[octet] = 1 << bit
+        read = Diagnosis(status[0], status[1], status[2], None, 0x1234)
+        yield (
+            f"octet {octet + 1} bit {bit}",
+            f"{read.texts} {[f.name for f in read.conspicuous(exchanging=True)]} "
+            f"{[f.name for f in read.conspicuous(exchanging=False)]} {list(deviations(read, 1))} {read.always_one}",
+        )
+    for ext, dpv1 in (
+        ("", False), ("0401020000", False), ("0401020000", True), ("0481000003", True), ("020041", False),
+        ("4281", False), ("8281C5", False), ("06810000AABB", True),
+    ):  # fmt: skip
+        read = Diagnosis(8, 12, 0, 129, 0x1234, bytes.fromhex(ext))
+        yield (
+            f"{ext} {dpv1=}",
+            f"{block_texts(read, dpv1=dpv1)} {conspicuous_text(read, dpv1=dpv1, exchanging=True)!r} "
+            f"{conspicuous_text(read, dpv1=dpv1, exchanging=False)!r} {list(deviations(read, 1))}",
+        )
     for flag in FLAGS:
         yield flag.name, repr(tuple(flag))
 
 
 def _alarms() -> Iterator[Case]:
-    for kind in (-1, 0, 1, 2, 3, 4, 5, 6, 7, 30, 31, 32, 126, 127):
-        for specifier in range(4):
-            alarm, status = Alarm(kind, 3, specifier, 31, b"\xaa\xbb", add_ack=True), Status(kind, 3, specifier, b"\7")
-            yield f"alarm {kind} {specifier}", f"{alarm.full_text} | {message_dict(alarm)} | {attempt(alarm.build)[1]}"
-            yield f"status {kind} {specifier}", f"{status.full_text} | {message_dict(status)}"
+    for kind in (0, 1, 2, 3, 4, 5, 6, 7, 30, 31, 32, 127):
+        specifier = kind % 4
+        alarm, status = Alarm(kind, 3, specifier, 31, b"\xaa\xbb", add_ack=True), Status(kind, 3, specifier, b"\7")
+        yield f"alarm {kind} {specifier}", f"{alarm.full_text} | {message_dict(alarm)} | {attempt(alarm.build)[1]}"
+        yield f"status {kind} {specifier}", f"{status.full_text} | {message_dict(status)}"
+    for kind in (2, 32, 127):
         yield attempt(kind_of, kind)
     for block in (
         Alarm(1, 255),
-        Alarm(1, -1),
         Alarm(1, 1, data=bytes(60)),
         Alarm(1, 1, sequence=32),
-        Alarm(1, 1, 4),
-        Status(1, 1, data=bytes(60)),
         Status(1, 1, reserved=63),
-        Status(1, 1, reserved=64),
-        Status(128, 1),
     ):
         yield attempt(block.build)
     yield "module status", Status(2, 0, data=b"\xe4\x1b").full_text
-    for count in range(5):
+    for count in (2, 3):
         yield f"PrmCmdAck of {count} octets", Status(30, 0, 2, bytes((0x4E, 0x01, 0x7E, 9, 9)[:count]), 5).full_text
     every = Redundancy(31, PrmFunction(0xFF), RedState(0xFF), RedState(0))
     yield "all bits", every.text + every.octets.hex(" ")
 
 
 def _parameter_blocks() -> Iterator[Case]:
-    for number in (-1, 0, 2, 3, 4, 5, 7, 8, 0x81, 255, 256):
-        yield attempt(PrmBlock, number, 0, b"")
-        if 0 <= number <= 255:
-            yield PrmBlock(number, 1, b"").title, PrmBlock(number, 1, b"\1\2", 8).octets.hex(" ")
-    for slot, data, specifier in ((255, b"", 0), (-1, b"", 0), (0, bytes(230), 0), (0, bytes(231), 0), (0, b"", 256)):
-        yield attempt(PrmBlock, 2, slot, data, specifier)
+    for number in (0, 2, 3, 4, 5, 7, 8, 255):
+        yield PrmBlock(number, 1, b"").title, PrmBlock(number, 1, b"\1\2", 8).octets.hex(" ")
+    for number, data, specifier in ((256, b"", 0), (2, bytes(231), 0), (2, b"", 256)):
+        yield attempt(PrmBlock, number, 0, data, specifier)
     contents: tuple[Any, ...] = (
         PrmCmd(),
         PrmCmd(1, 2, 0x304),
@@ -195,37 +177,35 @@ def _parameter_blocks() -> Iterator[Case]:
         yield repr(content), f"{block.octets.hex(' ')} {block.content!r}"
     yield attempt(PrmBlock.of, DxbTable(1, ()))
     yield attempt(PrmBlock.of, DxbTable(1, ()), kind=BlockType.DXB_LINKS)
-    yield attempt(PrmBlock.of, PrmCmd(256))
     yield attempt(PrmBlock.of, PrmCmd(output_hold_time=0x10000))
-    for number in (2, 3, 4, 7, 8):
-        for length in (0, 1, 2, 4, 5, 7, 10, 27):
-            yield attempt(lambda number, length: PrmBlock(number, 0, bytes(length)).content, number, length)
-    for octets in ("", "040500", "03050000", "05050000", "0405000005050000", "0402000000", "0605000001020405FF00"):
+    for number, length in ((2, 0), (2, 4), (3, 0), (3, 1), (3, 5), (4, 0), (7, 0), (7, 7), (8, 0), (8, 10)):
+        content = attempt(lambda number, length: PrmBlock(number, 0, bytes(length)).content, number, length)[1]
+        yield f"{length} octets of type {number}", content
+    for octets in ("", "040500", "0405000005050000", "0402000000", "0605000001020405FF00"):
         yield attempt(parse_blocks, bytes.fromhex(octets))
-        yield attempt(parse_blocks, bytes.fromhex(octets), 11)
+    yield attempt(parse_blocks, bytes.fromhex("040500"), 11)
     for given in (
         {"alarms": ("process", "fire")},
         {"alarm_mode": 8},
-        {"alarm_mode": -1},
         {"alarm_mode": 7},
         {"c1_max_data_len": 241},
-        {"c1_max_data_len": -1},
-        {},
     ):
         yield attempt(Dpv1, **given)
     block = PrmBlock(32, 1, b"\xaa")
-    for dpv1 in (
-        Dpv1(),
-        Dpv1(alarms=()),
-        Dpv1(alarms=("pull_plug", "process", "diagnostic", "manufacturer", "status", "update"), alarm_mode=5),
-        Dpv1(required_alarms=("update", "status")),
-        Dpv1(check_cfg_mode=True, prm_cmd=True),
-        Dpv1(check_cfg_mode=False, prm_cmd=False),
-        Dpv1(blocks=(block, block)),
-        Dpv1(structured=True),
+    every_alarm = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")
+    for dpv1, octets in (
+        (Dpv1(), "000000"),
+        (Dpv1(), "FFFFF7"),
+        (Dpv1(alarms=()), "FFFFF7"),
+        (Dpv1(alarms=every_alarm, alarm_mode=5), "00000804200000"),
+        (Dpv1(required_alarms=("update", "status")), "000000"),
+        (Dpv1(check_cfg_mode=True, prm_cmd=True), "000000"),
+        (Dpv1(check_cfg_mode=False, prm_cmd=False), "FFFFF7"),
+        (Dpv1(blocks=(block, block)), "000000"),
+        (Dpv1(blocks=(block, block)), "FFFFFF0405"),
+        (Dpv1(structured=True), "0000000102"),
     ):
-        for octets in ("000000", "FFFFF7", "0000000102", "FFFFFF0405", "00000804200000"):
-            yield repr(dpv1), f"{octets}: {attempt(_applied, dpv1, bytes.fromhex(octets))[1]}"
+        yield repr(dpv1), f"{octets}: {attempt(_applied, dpv1, bytes.fromhex(octets))[1]}"
 
 
 def _applied(dpv1: Dpv1, octets: bytes) -> bytes:
@@ -238,23 +218,27 @@ def _faults() -> Iterator[Case]:
     slave = setup(7)
     doubtful = dataclasses.replace(slave, prm_note="read its file otherwise")
     fault_texts_of: dict[str, Iterable[tuple[Any, ...]]] = {
-        "absent": [(7, 1_500_000), *((7, 9600, why) for why in Failure)],
-        "lost": [("Data_Exchange", why) for why in Failure],
+        "absent": [(7, 1_500_000), (7, 9600, Failure.GARBLED)],
+        "lost": [("Data_Exchange", Failure.NO_ANSWER), ("Data_Exchange", Failure.GARBLED)],
         "bus_gone": [("the port is gone",)],
         "wrong_ident": [(0x1234, 0xAB), (None, 1)],
         "not_adapted": [(0x9700, 0x4531, "Prm_Fault", b"\1\2")],
         "adapts": [(0x9700, 0x4531)],
-        "locked": [(Diagnosis(0, wd, 0, 5, 1), 5, masters) for wd in (0, 8) for masters in (None, (), (5,), (4,))],
+        "locked": [(Diagnosis(0, wd, 0, 5, 1), 5, masters) for wd, masters in ((0, None), (0, ()), (8, ()), (0, (5,)))],
         "refusal": [
             (one, Diagnosis(bits, 0, 0, 1, 1, ext), bytes(7) + user)
-            for one in (slave, doubtful)
-            for bits in (0x40, 0x10, 0x04, 0x50, 0x14, 0)
-            for ext, user in ((b"", b""), (b"\2\1", b"\3\4"))
+            for one, bits, ext, user in (
+                (slave, 0x40, b"", b""),
+                (slave, 0x40, b"\2\1", b"\3\4"),
+                (slave, 0x10, b"", b""),
+                (slave, 0x04, b"", b""),
+                (doubtful, 0x40, b"", b""),
+            )
         ],
-        "statically_ill": [(10,), (0.5,)],
-        "refused": [(name, code) for name in ("Slave_Diag", "Data_Exchange") for code in ("RS", "RR", "UE", "NR")],
+        "statically_ill": [(10,)],
+        "refused": [("Slave_Diag", code) for code in ("RS", "RR", "UE", "NR")],
         "prm_silent": [(b"\1\2",)],
-        "left": [(Diagnosis(0, bits, 0, 1, 1), status) for bits in (0, 1, 8, 9) for status in ("", "RS", "UE")],
+        "left": [(Diagnosis(0, bits, 0, 1, 1), status) for bits, status in ((0, ""), (0, "RS"), (0, "UE"), (8, ""))],
         "plugin": [(ValueError("no"),)],
     }
     for name, rows in fault_texts_of.items():
@@ -263,87 +247,84 @@ def _faults() -> Iterator[Case]:
                 f"{name}{tuple(value for value in row if not isinstance(value, SlaveParams))!r}",
                 repr(getattr(fault_texts, name)(*row)),
             )
-    compared = (
-        fault_texts.cfg_fault(slave),
-        fault_texts.not_ready(slave, 10),
-        fault_texts.not_taken(slave),
-        fault_texts.wrong_length(slave, 3, 1),
-        fault_texts.cfg_silent(slave),
-    )
-    for fault in compared:
-        config = slave.config
-        for actual in (None, config, config[:-1] + b"\x77", config + b"\0", config[:-1], b""):
+    config = slave.config
+    for fault, *configs in (
+        (fault_texts.cfg_fault(slave), None, config, config[:-1] + b"\x77", config + b"\0"),
+        (fault_texts.not_ready(slave, 10), None, config[:-1] + b"\x77"),
+        (fault_texts.not_taken(slave), None),
+        (fault_texts.wrong_length(slave, 3, 1), None),
+        (fault_texts.cfg_silent(slave), None),
+    ):
+        for actual in configs:
             yield f"{fault.kind} compared with {actual!r}", repr(fault.compared(actual))
     yield "watching", fault_texts.NOT_WATCHING
     yield attempt(error_text, ValueError())
-    yield attempt(error_text, ValueError("no"))
 
 
 def _fields() -> Iterator[Case]:
-    specs = (
-        "bool@0.3", "bool@0.7", "bool@0.8", "bool@0", "bool@0.1:2", "u8@0", "u8@0.1", "i16@2", "i16le@2", "u8le@0",
-        "boolle@0.1", "bytes@4:3", "bytes@4", "bytes@4:0", "bytes@4.1:3", "bytesle@4:3", "f32@0", "f64le@0", "u64@1:2",
-        "", "u8", "@0", "u16 @ 1", "U16@1", "u17@1", "nothing@1", "u8@12345", "u8@1234", "bool@0.12345",
-        "bytes@0:12345", "u8@-1", "x" * 60 + "@1", "i8@0", "i32le@9", "u32@8", "i64@0",
-    )  # fmt: skip
-    for spec in specs:
+    for spec in (
+        "bool@0.3", "bool@0.7", "bool@0.8", "bool@0", "bool@0.1:2", "u8@0", "u8@0.1", "i16le@2", "boolle@0.1",
+        "bytes@4:3", "bytes@4", "bytes@4:0", "u16 @ 1", "f64@0", "u8@1234", "u8@12345", "", "x" * 60 + "@1",
+    ):  # fmt: skip
         case, text = attempt(Field.parse, "level", spec)
-        yield case, text
         if "Field(" in text:
-            yield f"spec of {spec}", f"{Field.parse('level', spec).spec} {Field.parse('level', spec).mask:x}"
-    for name in ("a", "Ä b-1", "1a", "a ", "", "a.b", "_", "x" * 60 + "!"):
-        yield attempt(field_of, name, "u8@0", 1, "its outputs")
-    for spec, length in (("u16@1", 3), ("u16@1", 2), ("u8@0", 0), ("u8@0", 1), ("bool@1.0", 1)):
-        yield attempt(field_of, "a", spec, length, "its inputs")
+            text += f" {Field.parse('level', spec).spec} {Field.parse('level', spec).mask:x}"
+        yield case, text
+    for name in ("1a", "x" * 60 + "!"):
+        yield attempt(field_of, name, "u8@0", 1, "inputs")
+    for spec, length in (("u16@1", 2), ("u8@0", 1)):
+        yield attempt(field_of, "a", spec, length, "inputs")
     fields = FieldMap({"a": Field.parse("a", "u16@0")}, 2)
-    for length in (0, 1, 2, 3):
-        yield attempt(fields.fitted, length, "its inputs")
-    numbers = ("u8@0", "i8@0", "u16@0", "i16le@0", "u32@0", "f32@0", "f64@0", "bool@0.1", "bytes@0:2")
-    values: tuple[Any, ...] = (
-        0, 1, 2, -1, 127, 128, -128, -129, 255, 256, 65535, 65536, 0.5, -0.25, 1e39, float("nan"), float("inf"),
-        True, False, None, "1", b"\1\2", b"\1", bytearray(b"\3\4"),
+    for length in (0, 3):
+        yield attempt(fields.fitted, length, "inputs")
+    tenth, shifted = {"scale": 0.1}, {"scale": 0.1, "offset": -5, "unit": "C"}
+    puts: tuple[tuple[str, dict[str, Any], Any], ...] = (
+        ("u8@0", {}, 0), ("u8@0", {}, 255), ("u8@0", {}, 256), ("u8@0", {}, 0.5), ("u8@0", {}, True),
+        ("u8@0", {"unit": "bar"}, -1), ("u8@0", tenth, 0), ("u8@0", tenth, float("nan")), ("u8@0", tenth, False),
+        ("u8@0", shifted, -128), ("u8@0", shifted, 0.5), ("u8@0", {"scale": -2.0}, 0), ("i16le@0", {}, -2),
+        ("i16le@0", {"scale": 1e-16}, 0.5), ("f32@0", {}, 1e39), ("f32@0", {}, None), ("f32@0", shifted, 0),
+        ("f32@0", {"scale": -2.0}, float("nan")), ("bool@0.1", {}, 0), ("bool@0.1", {}, 1), ("bool@0.1", {}, 2),
+        ("bytes@0:2", {}, 0), ("bytes@0:2", {}, b"\1\2"), ("bytes@0:2", {}, b"\1"),
     )  # fmt: skip
-    scales: tuple[dict[str, Any], ...] = (
-        {}, {"unit": "bar"}, {"scale": 0.1}, {"scale": 0.1, "offset": -5, "unit": "C"}, {"scale": -2.0}, {"offset": 3},
-        {"scale": 1e-16},
+    for spec, scale, value in puts:
+        yield f"{spec} {scale} = {value!r}", attempt(with_scale(Field.parse("n", spec), scale).put, bytes(9), value)[1]
+    gets: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("u8@0", {}), ("u8@0", tenth), ("u8@0", {"offset": 3}), ("i16le@0", shifted), ("f32@0", tenth),
+        ("bool@0.1", {}), ("bool@0.2", {}), ("bytes@0:2", {}),
     )  # fmt: skip
-    for spec in numbers:
-        for scale in scales if spec in ("u8@0", "i16le@0", "f32@0") else ({},):
-            found = with_scale(Field.parse("n", spec), scale)
-            for value in values[:: 3 if scale else 1]:
-                yield f"{spec} {scale} = {value!r}", attempt(found.put, bytes(9), value)[1]
-            for octets in (bytes(8), b"\xff" * 8, bytes(range(1, 9))):
-                yield f"{spec} {scale} of {octets.hex()}", repr(found.get(octets))
-            for text in ("1", " 0x10 ", "on", "OFF", "true", "1.5", "aa bb", "", "1 bar", "-3 C", "zwei" * 20):
-                if not scale or " " in text:
-                    yield f"{spec} {scale} read {text!r}", attempt(found.read, text)[1]
-    for spec in ("bool@0.1", "bytes@0:2", "u8@0"):
-        for given in ({"scale": 0}, {"unit": "m"}, {"scale": 2.0, "dead_band": 0.5}, {}):
-            yield attempt(with_scale, Field.parse("n", spec), given)
+    for spec, scale in gets:
+        yield f"{spec} {scale}", repr(with_scale(Field.parse("n", spec), scale).get(bytes(range(3, 11))))
+    reads: tuple[tuple[str, dict[str, Any], str], ...] = (
+        ("u8@0", {}, " 0x10 "), ("u8@0", {}, "1.5"), ("f32@0", {"unit": "bar"}, "1 bar"), ("bool@0.1", {}, "on"),
+        ("bool@0.1", {}, "zwei" * 20), ("bytes@0:2", {}, "aa bb"), ("bytes@0:2", {}, "1"),
+    )  # fmt: skip
+    for spec, scale, text in reads:
+        yield f"{spec} {scale} read {text!r}", attempt(with_scale(Field.parse("n", spec), scale).read, text)[1]
+    for spec, given in (
+        ("bool@0.1", {"scale": 0}), ("bool@0.1", {"unit": "m"}), ("u8@0", {"scale": 0}),
+        ("u8@0", {"scale": 2.0, "dead_band": 0.5}),
+    ):  # fmt: skip
+        yield attempt(with_scale, Field.parse("n", spec), given)
 
 
 def _slave_params() -> Iterator[Case]:
     base: dict[str, Any] = {"address": 5, "name": "pump", "ident": 1, "config": b"\x11\x20"}
     for change in (
-        {"address": -1}, {"address": 126}, {"address": 127}, {"ident": -1}, {"ident": 0xFFFF}, {"ident": 0x10000},
-        {"watchdog_ms": -1}, {"watchdog_ms": 650_250}, {"watchdog_ms": 650_251}, {"groups": (1, 8)},
-        {"groups": (0,)}, {"groups": (1, 9)}, {"every": 0}, {"every": 1}, {"every": 10_000}, {"every": 10_001},
-        {"max_diag_len": 5}, {"max_diag_len": 6}, {"max_diag_len": 244}, {"max_diag_len": 245}, {"config": b""},
-        {"config": bytes(244)}, {"config": bytes(245)}, {"user_prm": bytes(237)}, {"user_prm": bytes(238)},
-        {"wd_base_1ms": True}, {"wd_base_1ms": True, "user_prm": bytes(2)}, {"wd_base_1ms": True, "user_prm": bytes(3)},
-        {"fail_safe_told": True, "user_prm": b"\0"}, {"dpv1": Dpv1()}, {"dpv1": Dpv1(), "user_prm": bytes(3)},
+        {"address": -1}, {"address": 126}, {"address": 127}, {"ident": 0x10000}, {"watchdog_ms": 650_251},
+        {"groups": (1, 9)}, {"every": 10_001}, {"max_diag_len": 5}, {"max_diag_len": 245}, {"config": b""},
+        {"config": bytes(244)}, {"user_prm": bytes(237)}, {"user_prm": bytes(238)},
+        {"wd_base_1ms": True}, {"wd_base_1ms": True, "user_prm": bytes(3)},
+        {"fail_safe_told": True, "user_prm": b"\0"}, {"dpv1": Dpv1()},
         {"dpv1": Dpv1(blocks=(PrmBlock(32, 0, bytes(230)),)), "user_prm": bytes(3)},
         {"dpv1": Dpv1(blocks=(PrmBlock(32, 0, bytes(230)),)), "user_prm": bytes(4)},
-        {"config": b"\x1f" * 16}, {"config": b"\x2f" * 15 + b"\x24"}, {"safe": b"\1"}, {"safe": b"\1\2"},
-        {"initial": b"\1"}, {"initial": b"\1\2"}, {"safe": b""}, {"initial": b""},
+        {"config": b"\x1f" * 16}, {"safe": b"\1\2"}, {"initial": b"\1\2"},
     ):  # fmt: skip
         _, text = attempt(lambda given: SlaveParams(**given), base | change)
         yield repr(change), text
-    for wished_ms in (0, 1, 9, 10, 11, 199, 2551, 65_025, 65_026, 650_250):
-        for fine in (False, True):
-            made = SlaveParams(**base | {"wd_base_1ms": fine, "user_prm": bytes(3), "watchdog_ms": wished_ms})
-            found = made.watchdog(30)
-            yield f"watchdog {wished_ms} {fine}", f"{found} {found and found.ms} {made.user_octets(found).hex()}"
+    for wished_ms, fine in ((0, False), (1, True), (10, True), (11, False), (2551, False), (65_025, True)):
+        made = SlaveParams(**base | {"wd_base_1ms": fine, "user_prm": bytes(3), "watchdog_ms": wished_ms})
+        found = made.watchdog(30)
+        yield f"watchdog {wished_ms} {fine}", f"{found} {found and found.ms} {made.user_octets(found).hex()}"
     yield "default watchdog", f"{SlaveParams(**base).watchdog(30)} {SlaveParams(**base).watchdog(0)}"
     yield "time", repr((WatchdogTime((2, 3)).ns, WatchdogTime((2, 3), 1).ms))
 
@@ -403,11 +384,14 @@ def _slave_events() -> Iterator[Case]:
     events: list[SlaveAppEvent] = [
         *(
             AddressChanged(**slave | {"address": address}, before=before, master=master, fixed=fixed, kept=kept)
-            for address, before in ((7, 126), (126, None), (None, 3))
-            for master in (None, 2)
-            for fixed, kept in ((False, True), (True, False))
+            for address, before, master, fixed, kept in (
+                (7, 126, None, False, True),
+                (7, 126, 2, True, False),
+                (126, None, None, False, True),
+                (None, 3, None, False, True),
+            )
         ),
-        *(SlaveAppStateChanged(**slave, state=state, why=why, master=4) for state, why in SLAVE_STATES),
+        SlaveAppStateChanged(**slave, state=SlaveAppState.WAIT_CFG, why=AppTrigger.PRM_GOOD, master=4),
         SlaveAppStateChanged(**slave, state=SlaveAppState.WAIT_PRM, why=AppTrigger.POWER_ON, master=None),
         WatchdogExpired(**slave, master=3, watchdog_ns=1_999_999),
         RequestRefused(**slave, service="Set_Prm", master=3, reason="octet 8"),
@@ -425,7 +409,7 @@ def _slave_events() -> Iterator[Case]:
     report.refused("Set_Prm", 3, "reason 0", 9)
     yield "reported", " | ".join(f"{event.t_ns} {event.text}" for event in report.take_events()[48:])
     yield "counted", f"{report.stats} {report.baud} {report.address} {report.take_events()}"
-    for inputs in (b"\1\2", "text", None):
+    for inputs in (b"\1\2", "text"):
         yield attempt(wrong_inputs, inputs, 3)
 
 

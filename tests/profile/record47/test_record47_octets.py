@@ -140,7 +140,7 @@ def test_responses_as_construct_reads_them(reference: int, results: list[Values 
         (Response, "01 81 01 01 44 00", "an error without its number"),
         (Request, "01 03 01 01 10 00 03 C5 00 00", "request id 0x03"),
         (Request, "01 01 01 02 10 00 03 C5 00 00", "2 parameters need 16 octets, there are 10"),
-        (Request, "01 01 01 01 10 00 03 C5 00 00 00", "1 octets too many"),
+        (Request, "01 01 01 01 10 00 03 C5 00 00 00", "1 octet too many"),
         (Request, "01 02 01 01 10 00 03 C5 00 00", "values of 1 parameters announced, there are 0"),
         (Request, "01 02 01 01 10 00 03 C5 00 00 06 02 00 01", "2 values of format Unsigned16 are 4 octets"),
     ],
