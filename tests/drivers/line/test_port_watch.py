@@ -6,13 +6,13 @@ import threading
 from typing import Any
 
 import pytest
-from driver_rig import Rig, driver_on
 from far_ends import until
 
 from dpstack.dp.master.events import SlaveState, SlaveStateChanged
 from dpstack.drivers.runtime import PortDisturbed
 from dpstack.machine import InDoubt
 from dpstack.units import NEVER
+from tests.drivers.driver_rig import Rig, driver_on
 
 pytestmark = pytest.mark.usefixtures("each_driver")
 

@@ -24,8 +24,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from stranger_kit import program
 from vm_archive import Archive
+
+from tests.strangers.stranger_kit import program
 
 HERE: Final = Path(__file__).resolve().parent
 ROOT: Final = HERE.parents[2]
