@@ -152,7 +152,7 @@ def test_tracebacks_show_the_caller_and_the_bus_alone() -> None:
         with pytest.raises(UsageError) as raised:
             slave["flap"] = True
         name = "test_tracebacks_show_the_caller_and_the_bus_alone"
-        assert _shown(raised.value) == [name, "__setitem__", "update", "output_field"]
+        assert _shown(raised.value) == [name, "__setitem__", "update", "put_values", "output_field"]
         with pytest.raises(AttributeError) as missing:
             _ = slave.nothing  # type: ignore[attr-defined]
         assert _shown(missing.value) == [name, "__getattr__"]
