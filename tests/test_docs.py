@@ -406,6 +406,13 @@ def test_readme_and_purpose_say_where_to_begin_alike() -> None:
     assert rows[0] <= rows[1]
 
 
+def test_every_path_of_the_walk_through_the_code_is_there() -> None:
+    text = re.sub(r"```.*?```", "", _ARCHITECTURE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    paths = set(re.findall(r"`([\w./-]+/[\w.-]*\w\.(?:py|js|toml))`", text))
+    assert len(paths) > 80
+    assert [path for path in sorted(paths) if not ((ROOT / path).exists() or (ROOT / "dpstack" / path).exists())] == []
+
+
 def test_every_control_command_is_documented() -> None:
     from dpstack.api.control.commands import KINDS
 
