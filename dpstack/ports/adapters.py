@@ -96,7 +96,7 @@ def list_adapters(
 class Abilities(Struct, kw_only=True):
     """The abilities of a port, found by opening it; nothing is sent. ``rates`` in bit/s, of those that dpstack opens.
 
-    ``latency_ms``: FTDI's latency timer while low latency is asked for; None: there is none.
+    ``latency_ms``: FTDI's latency timer while low latency is asked for; None: it has no such timer.
     """
 
     parity: bool = False

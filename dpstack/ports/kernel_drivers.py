@@ -42,7 +42,7 @@ class KernelDriver(NamedTuple):
 
     @property
     def protection(self) -> str:
-        """Which damage is noticed, for the engineer of a plant."""
+        """The damage that is noticed, for the engineer of a plant."""
         return _PROTECTION[self.marks].format(driver=self.name) + self.exception
 
     @property

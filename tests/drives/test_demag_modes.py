@@ -184,7 +184,7 @@ def test_without_a_channel_a_drive_that_runs_on_after_a_stop_gets_zeros() -> Non
     assert bench.out() == "00 07 00 00"
     bench.run(2 * S // bench.rotation)
     assert bench.out() == "00 00 00 00"
-    assert any("told to stop and has not slowed down for 3 s" in notice for notice in bench.notices())
+    assert any("ordered to stop and has not slowed down for 3 s" in notice for notice in bench.notices())
     bench.see("02 23 00 00", 60)
     assert bench.done(token)["ok"] is True
 

@@ -445,7 +445,7 @@ def outputs_of(bench: PairBench, ms: int) -> set[str]:
 
 
 def replies(**words: int) -> dict[str, int]:
-    """What a drive answers to reads by index: the default map as the manual's table shows it."""
+    """Answers of a drive to reads by index: the default map as the manual's table shows it."""
     table = {
         **dict(zip(("2018", "201A", "201C", "2019", "201B"), (0x32, 0x34, -1, 1, 1), strict=True)),
         **dict(zip(("2010", "2012", "2014", "2011", "2013"), (0x33, 0x35, -1, 1, 1), strict=True)),

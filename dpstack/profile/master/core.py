@@ -403,7 +403,7 @@ class DriveCore:
         return f"parameter {key.name}" if spec is None else spec.label
 
     def use_of(self, key: ParamKey) -> Use:
-        """What the parameter is to the plugin, by its table or by a setting that refuses a start."""
+        """The use of the parameter to the plugin, by its table or by a setting that refuses a start."""
         spec = self._spec(key)
         if spec is not None and spec.use is not Use.NONE:
             return spec.use

@@ -43,7 +43,7 @@ def _shown(value: float) -> str:
 
 
 class Use(StrEnum):
-    """What a parameter is to the plugin. The values are those of a table's column ``use``."""
+    """The use of a parameter to the plugin. The values are those of a table's column ``use``."""
 
     NONE = ""
     SCALE = "scale"  # of set point and actual speed

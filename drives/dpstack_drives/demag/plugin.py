@@ -444,7 +444,7 @@ class DemagCore(MappedCore[OutMap]):
         if self.now >= mark[0] + _SLOWER_NS:
             self._set_mode(None)
             self._give_up(
-                f"it was told to stop and has not slowed down for {_SLOWER_NS // NS_PER_S} s: is "
+                f"it was ordered to stop and has not slowed down for {_SLOWER_NS // NS_PER_S} s: is "
                 f"412 = {self._wanted_mode} in the active data set?"
             )
         return mark

@@ -229,7 +229,7 @@ class KebCore(MappedCore[PdMap]):
         return [*self._map_settings(self.inputs_map, self.outputs_map), *found]
 
     def _map_settings(self, inputs: PdMap, outputs: PdMap) -> list[Setting]:
-        """What the inverter shows of its map (sy.16 to sy.31, sy.58 to sy.73), and the enables."""
+        """The map as the inverter shows it (sy.16 to sy.31, sy.58 to sy.73), and the enables."""
         return [
             *_active("map_outputs", outputs, t.ACTIVE_OUTPUTS),
             *_active("map_inputs", inputs, t.ACTIVE_INPUTS),

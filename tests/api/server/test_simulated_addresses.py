@@ -178,7 +178,7 @@ def test_set_slave_add_behind_a_port(table: dict[str, object], ident: str, kept:
         assert port.answering() == [kept]
 
 
-#: what a program writes to a drive, and what it is told when the drive no longer answers
+#: a write of a program to a drive, and the remedy in its error when the drive no longer answers
 MOVES: list[tuple[str, list[tuple[str | int, int]], str]] = [
     (
         "demag",
