@@ -194,7 +194,7 @@ def test_a_pty_is_not(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not {termios.TIOCEXCL, termios.TIOCNXCL} & set(driver.asked)
 
 
-def test_space_parity_left_by_another_program_is_cleared_and_what_stays_is_told(
+def test_space_parity_left_by_another_program_is_cleared_and_the_rest_is_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """CMSPAR makes space parity of even parity."""
@@ -216,7 +216,7 @@ def test_space_parity_left_by_another_program_is_cleared_and_what_stays_is_told(
     assert applied.differs == ("not 8 data bits", "two stop bits", "mark or space parity")
 
 
-def test_settings_that_read_back_otherwise_are_told(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_that_read_back_otherwise_are_reported(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     applied = termios2.Applied(187_500, True, True, ("two stop bits",))
     monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud, marks: applied)
     port = make("ftdi_sio")
@@ -265,7 +265,7 @@ def inspected(port: TtyPort) -> list[str]:
     return look()
 
 
-def test_settings_of_another_program_are_set_again_and_told(
+def test_settings_of_another_program_are_set_again_and_reported(
     make: Make, far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dpstack.ports.tty.other_openers", lambda _path: [])

@@ -73,7 +73,7 @@ class Place:
     told: list[str] = field(default_factory=list)
 
     def differences(self, name: str, truth: Truth, injected: str) -> list[str]:
-        """What is not as it must be at this moment."""
+        """The deviations from the row at this moment."""
         unit = self.bench.units[self.bench.address_of(name)]
         device = unit.device
         if isinstance(device, DriveDevice):

@@ -21,7 +21,7 @@ def test_a_pulled_plug_is_called_so_and_the_adapter_is_found_under_its_new_name(
     assert row["text"].count("slave 8 (a): data_exchange") == 2
 
 
-def test_settings_of_another_program_are_set_again_and_told(result: Result) -> None:
+def test_settings_of_another_program_are_set_again_and_reported(result: Result) -> None:
     (row,) = result.of("stty")
     assert row["stty"] == 0
     assert row["rates"] == [9600.0, 187_500.0]

@@ -1,7 +1,7 @@
 """The program of the emulated adapters, in the machine: one or two chips on one line, plugged into the kernel.
 
 ``vm_adapter.py CHIP[=SERIAL]... [--far TTY [--far-baud B]] [--echo] [--swap] [--noise P --seed N] [--stuck MS]
-[--late MS,MS..] [--report] --log FILE``. Two chips share the line. What the kernel sends goes into FILE, a JSON object
+[--late MS,MS..] [--report] --log FILE``. Two chips share the line. FILE gets each request of the kernel, a JSON object
 a line. Commands, one a line, come from standard input: ``octets HEX`` and ``bad HEX`` (the last octet has a parity
 error) arrive on the line, ``unplug``, ``plug SLOT``, ``late MS,MS..``, ``count``.
 """
