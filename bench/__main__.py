@@ -19,7 +19,7 @@ BENCHMARKS = {
     "acyclic": ("bench.acyclic", "what permanent Read and Write does to rotation and cycle, and what it carries"),
     "codec": ("bench.codec", "encoding and decoding of telegrams, beside pyprofibus and construct"),
     "cycle": ("bench.cycle", "turn-around, CPU time and whole exchanges over a pty at 12 Mbit/s parameters"),
-    "faces": ("bench.plant.faces", "what all faces cost the bus: CPU time, messages, fixed cycle"),
+    "connectors": ("bench.plant.connectors", "what all connectors cost the bus: CPU time, messages, fixed cycle"),
     "fleet": (
         "bench.plant.fleet",
         "50 gateways and a broker: messages, CPU time, time from a slave's loss to its DDEATH, recovery",

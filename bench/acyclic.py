@@ -19,7 +19,7 @@ from bench.options import count, duration
 from bench.records import fetched, rotations
 from bench.report import Report, quantile
 from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
-from dpstack.dp.plan.cycle_check import Verdict, cycles_for_a_request, least_ns
+from dpstack.dp.plan.cycle_check import CycleVerdict, cycles_for_a_request, least_ns
 from dpstack.dp.plan.rotation_time import Case, Figures
 from dpstack.fdl.events import HELD_BACK_CYCLES
 from dpstack.params import BusParams
@@ -37,9 +37,9 @@ _GOAL_OCTETS: Final = 64
 _GOAL_RATIO: Final = 1.3
 #: the longest rotation is longer by the plan's acyclic service at most
 _GOAL_LONGER: Final = 1.0
-_CYCLES: Final = (Verdict.POSSIBLE, Verdict.TYPICAL, Verdict.UNDISTURBED, Verdict.ALWAYS)
+_CYCLES: Final = (CycleVerdict.POSSIBLE, CycleVerdict.TYPICAL, CycleVerdict.UNDISTURBED, CycleVerdict.ALWAYS)
 #: in these a service fits between two cycles: none may be missed
-_KEPT: Final = (Verdict.UNDISTURBED, Verdict.ALWAYS)
+_KEPT: Final = (CycleVerdict.UNDISTURBED, CycleVerdict.ALWAYS)
 
 
 def run(argv: Sequence[str]) -> Report:

@@ -34,7 +34,7 @@ from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.live import SlaveReader
 from dpstack.api.control.client import connect
 from dpstack.errors import PortError
-from dpstack.live.pending import portions
+from dpstack.plant.pending import portions
 from dpstack.text import json_text
 from dpstack.units import baud_text
 
@@ -229,7 +229,7 @@ class _Readers:
         import aiohttp
 
         from dpstack.web.run_source import RunSource
-        from dpstack.web.server import serve
+        from dpstack.web.web_server import serve
 
         server = await self._stack.enter_async_context(serve(RunSource.named(self._port)))
         session = await self._stack.enter_async_context(aiohttp.ClientSession())

@@ -52,7 +52,7 @@ _BLOCK_EVERY_S: Final = 0.5
 _TURN_NS: Final = 50_000_000
 _HELD_UP_NS: Final = 20_000_000
 _LONGEST: Final = 5
-#: s between two looks whether the faces serve
+#: s between two looks whether the connectors serve
 _LOOK_S: Final = 0.02
 #: s between two outputs of a master whose plant is published
 _WRITE_S: Final = 0.1
@@ -95,7 +95,7 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
     table: dict[str, Any] = {"ident": IDENT, "config": CONFIG.hex(" ")}
     if args.records:
         table |= {"dpv1": True, "user_prm": "00 00 00"}
-    if args.faces:
+    if args.connectors:
         table |= {"inputs": _named("in"), "outputs": _named("out")}
     tables = [{"name": f"s{n}", "address": args.first + n} | table for n in range(args.slaves)]
     keys: dict[str, Any] = {"driver": args.kind}
@@ -125,8 +125,8 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         await bus.operate()
         await bus.ready(timeout=_PATIENCE_NS / 1e9)
         ready = monotonic_ns()
-        if args.faces:
-            _publish_by_signals(bus, json.loads(args.faces), events)
+        if args.connectors:
+            _publish_by_signals(bus, json.loads(args.connectors), events)
             writing = asyncio.create_task(_write(bus))
             stack.callback(writing.cancel)
         if args.cycle_ms:
@@ -185,7 +185,8 @@ async def _read(slave: Any, octets: int) -> None:
 
 
 async def _write(bus: Any) -> None:
-    """New outputs every tenth of a second, with and without faces; the slaves of the wire copy them to their inputs."""
+    """New outputs every tenth of a second, with and without connectors; the slaves of the wire copy them to their
+    inputs."""
     for number in itertools.cycle(range(1000)):
         for slave in bus.slaves:
             slave["out_level"] = number / 10
@@ -218,8 +219,8 @@ def _burn(ended: Ended) -> None:
 
 
 def _publish_by_signals(bus: Any, tables: dict[str, Any], events: list[tuple[str, int, str]]) -> None:
-    """SIGUSR1 begins the faces of ``tables``, SIGUSR2 ends them; a line says when that is done, with the remarks of the
-    faces that have come among ``events`` meanwhile."""
+    """SIGUSR1 begins the connectors of ``tables``, SIGUSR2 ends them; a line says when that is done, with the remarks
+    of the connectors that have come among ``events`` meanwhile."""
     from dpstack import publish
 
     loop = asyncio.get_running_loop()
@@ -228,11 +229,14 @@ def _publish_by_signals(bus: Any, tables: dict[str, Any], events: list[tuple[str
 
     async def published(end: asyncio.Event) -> None:
         async with publish(bus, **tables) as publishing:
-            while len(publishing.faces) < len(tables):  # noqa: ASYNC110  they tell nobody
+            while len(publishing.connectors) < len(tables):  # noqa: ASYNC110  they tell nobody
                 await asyncio.sleep(_LOOK_S)
-            told(faces=publishing.faces)
+            told(connectors=publishing.connectors)
             await end.wait()
-        told(faces=(), remarks=[text for name, _, text in events if name == "Notice" and text.startswith("faces: ")])
+        told(
+            connectors=(),
+            remarks=[text for name, _, text in events if name == "Notice" and text.startswith("connectors: ")],
+        )
         events.clear()
 
     def begin() -> None:
@@ -444,7 +448,9 @@ def main() -> int:
     parser.add_argument("--cycle-ms", type=float)
     parser.add_argument("--records", type=int, default=0, help="octets of the records read without end, 0: none")
     parser.add_argument("--t-id1", type=int, default=0, help="of the bare loop, in bit times; 0: without any pause")
-    parser.add_argument("--faces", metavar="JSON", help="tables of faces, which publish from SIGUSR1 to SIGUSR2")
+    parser.add_argument(
+        "--connectors", metavar="JSON", help="tables of connectors, which publish from SIGUSR1 to SIGUSR2"
+    )
     parser.add_argument("--control", action="store_true", help="with a control socket")
     parser.add_argument("--app", choices=APPLICATIONS, default="idle")
     args = parser.parse_args()

@@ -242,14 +242,14 @@ class Bench:
         took = [cpu_of(pid) - cpu for pid, cpu in zip(pids, before, strict=True)]
         return sum(took), sum(took[1:] or took), exchanges
 
-    def switch_faces(self, *, on: bool) -> list[str]:
-        """Have a master begin its faces, or end them, and wait until that is done. Returns the remarks of faces that
-        have ended. Raises RuntimeError if it is not done."""
+    def switch_connectors(self, *, on: bool) -> list[str]:
+        """Have a master begin its connectors, or end them, and wait until that is done. Returns the remarks of
+        connectors that have ended. Raises RuntimeError if it is not done."""
         os.kill(self._master.pid, signal.SIGUSR1 if on else signal.SIGUSR2)
         answer = json.loads(self._master.line(60.0) or "{}")
-        faces = answer.get("faces")
-        if bool(faces) is not on:
-            raise RuntimeError(f"the faces do not {'serve' if on else 'end'}: {faces}")
+        connectors = answer.get("connectors")
+        if bool(connectors) is not on:
+            raise RuntimeError(f"the connectors do not {'serve' if on else 'end'}: {connectors}")
         return list(answer.get("remarks", ()))
 
     def opened_at(self) -> int:

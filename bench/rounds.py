@@ -66,7 +66,7 @@ PLANS: Final[Mapping[str, Plan]] = {
     "acyclic": Plan("--bauds 500000 1500000 --pty-bauds", 1),
     "codec": Plan("--rounds 3", cpu=True),
     "cycle": Plan("--rounds 1 --slaves 1 16 --kinds asyncio process --seconds 0.5"),
-    "faces": Plan("--rounds 1"),
+    "connectors": Plan("--rounds 1"),
     "fleet": Plan("--seconds 10 --losses 10 --restarts 1 --recorded 20"),
     "jitter": Plan("--rounds 1 --seconds 2 --cycles 10"),
     "listen": Plan("--rounds 2 --telegrams 4000", cpu=True),

@@ -40,14 +40,14 @@ if TYPE_CHECKING:
     from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
     from dpstack.api.commissioning.commissioning import Commissioning
     from dpstack.api.config.config import Config, load_config
-    from dpstack.api.faces.publishing import publish
+    from dpstack.api.connectors.publishing import publish
     from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue
-    from dpstack.api.server.virtual_bench import VirtualBench
     from dpstack.api.slave.alarms import SlaveAlarm
     from dpstack.api.slave.class2 import Connection, ProcessData, ReadDiagnosis
     from dpstack.api.slave.drive import Drive, DriveNotice
     from dpstack.api.slave.slave import Slave
     from dpstack.api.slave.typed import Bool, Inputs, Int, Octets, Outputs, Scaled, at
+    from dpstack.api.slave_side.virtual_bench import VirtualBench
     from dpstack.dp.master.commands import Mode
     from dpstack.dp.master.events import SlaveState
     from dpstack.dp.pdu.alarm_blocks import AlarmType, Specifier, StatusType
@@ -184,10 +184,10 @@ api.bus.find_baud BaudReport find_baud
 api.bus.virtual run_virtual simulate World IoStation
 api.commissioning.commissioning Commissioning
 api.config.config Config load_config
-api.faces.publishing publish
+api.connectors.publishing publish
 api.lists.parameter_list ParameterPlace ParameterValue
 api.bus.opening open_bus
-api.server.virtual_bench VirtualBench
+api.slave_side.virtual_bench VirtualBench
 api.slave.alarms SlaveAlarm
 api.slave.class2 Connection ProcessData ReadDiagnosis
 api.slave.drive Drive DriveNotice

@@ -8,7 +8,7 @@
 docs/how-to/slave.md is the guide. The events of a slave application are given to its ``on_event``.
 """
 
-from dpstack.api.server.server import SlaveServer, serve_slave, serve_slaves, slave_from_gsd
+from dpstack.api.slave_side.slave_server import SlaveServer, serve_slave, serve_slaves, slave_from_gsd
 from dpstack.dp.pdu.alarm_blocks import AlarmType, ModuleState, Specifier, StatusType
 from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, device_block, identifier_block, revision_block
 from dpstack.dp.pdu.prm_blocks import PrmBlock

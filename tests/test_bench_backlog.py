@@ -1,5 +1,5 @@
-"""The backlog of the benchmark ``faces``: values of a real store, several times over, in the order in which they are
-read."""
+"""The backlog of the benchmark ``connectors``: values of a real store, several times over, in the order in which they
+are read."""
 
 from __future__ import annotations
 

@@ -15,17 +15,17 @@ from bench.plant.judge import Message, judge
 from bench.plant.stream import GROUP, Recording, record, replay
 from bench.report import Report
 from dpstack import run_virtual
-from dpstack.bridge.face import Face
+from dpstack.bridge.connector import Connector
 from dpstack.bridge.gateway import Gateway
 from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.plant_node import NodeOptions, NodeSetup, Publish
-from dpstack.bridge.tree import Change, PlantTree
+from dpstack.plant.tree import Change, PlantTree
 
 NODE = "gateway-07"
 SECONDS = 5.0
 
 
-class Collecting(Face):
+class Collecting(Connector):
     """An edge node without a connection: ``messages`` with the virtual time."""
 
     name: ClassVar[str] = "collecting"
@@ -66,16 +66,16 @@ async def replayed(recording: Recording, seconds: float) -> tuple[list[Message],
     lost: list[tuple[str, str, int]] = []
     loop = asyncio.get_running_loop()
     tree = PlantTree()
-    face = Collecting(tree)
+    connector = Collecting(tree)
     items = replay(recording, 1.0, lambda address: lost.append((NODE, f"s{address}", round(loop.time() * 1e9))))
     # the clock of the computer goes as fast as the virtual time
     begun = time.time() - loop.time()
-    gateway = Gateway(items, [face], tree=tree, tell=lambda *_: None, now=lambda: begun + loop.time())
+    gateway = Gateway(items, [connector], tree=tree, tell=lambda *_: None, now=lambda: begun + loop.time())
     running = asyncio.create_task(gateway.run())
     await asyncio.sleep(seconds)
     running.cancel()
     await asyncio.wait([running])
-    return face.messages, lost
+    return connector.messages, lost
 
 
 @pytest.fixture(scope="module")

@@ -151,7 +151,7 @@ def test_a_slave_of_ones_own() -> None:
     assert asked == [b"\x12\x34"]
 
 
-def test_the_blocking_face(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_blocking_connector(capsys: pytest.CaptureFixture[str]) -> None:
     text = EXAMPLES["dpstack/blocking/__init__.py"].replace("timeout=5", "timeout=0.1")
     with pytest.raises(TimeoutError):
         run(text, {})

@@ -12,8 +12,8 @@ from types import UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 from dpstack.api.config.bus import BusConfig
+from dpstack.api.config.connectors import CONNECTORS
 from dpstack.api.config.dpv1 import Dpv1Keys
-from dpstack.api.config.faces import FACES
 from dpstack.api.config.simulate import SimulateConfig, SimulateKeys
 from dpstack.api.config.slave import Changes, FieldKeys, IdentKeys, SlaveConfig, SlaveKeys
 from dpstack.api.config.table import Key, Octets, keys_of
@@ -31,7 +31,7 @@ TABLES: Final[Mapping[str, tuple[type, type]]] = {
     "dpv1": (Dpv1Keys, Dpv1),
     "field": (FieldKeys, Field),
     "simulate": (SimulateKeys, SimulateConfig),
-    **{name: (table, table) for name, table in FACES.items()},
+    **{name: (table, table) for name, table in CONNECTORS.items()},
 }
 #: what a value is, where its type says it wholly
 _PLAIN: Final = {str: "a text", bool: "true, false", bytes: "octets", Mapping: "a table"}

@@ -33,7 +33,7 @@ _PROGRAMS: Final = {"application": "application", "blocking": "script", "run": "
 _GROUPS: Final = {
     "end": "",
     "exception": "exception: ",
-    "face": "a [face](bridge.md): ",
+    "connector": "a [connector](bridge.md): ",
     "cancellation": "cancellation: ",
     "signal": "signal ",
     "stopped": "stopped ",

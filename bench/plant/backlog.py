@@ -1,4 +1,4 @@
-"""A backlog in the store of MQTT, made of values that faces have kept, and its arrival at a subscriber."""
+"""A backlog in the store of MQTT, made of values that connectors have kept, and its arrival at a subscriber."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Backlog:
     def _count(self, sql: sqlite3.Connection) -> int:
         self.values = int(sql.execute("SELECT count(*) FROM entries").fetchone()[0])
         if not self.values:
-            raise RuntimeError(f"{self._file}: the faces have kept no values; this computer may be too busy")
+            raise RuntimeError(f"{self._file}: the connectors have kept no values; this computer may be too busy")
         return self.values
 
     def put_back(self) -> None:

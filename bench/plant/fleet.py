@@ -5,7 +5,7 @@ pty. The others are gateways in a few processes, each fed by the recorded live s
 with node id, client id, session file, connection and will of its own. The broker is mosquitto. One subscriber notes
 every message with its time of arrival; all clocks are CLOCK_MONOTONIC of this computer. In order:
 
-1. gateways without a face: CPU time and memory of gateway and tree alone
+1. gateways without a connector: CPU time and memory of gateway and tree alone
 2. steady traffic: messages, octets, CPU time of all programs, memory of a gateway
 3. losses: a slave of a bus loses its power again and again; meanwhile those of the recorded streams go on
 4. the broker is killed, and started again ``--down`` seconds later: time until every gateway has its births again
@@ -71,7 +71,7 @@ def run(argv: list[str]) -> Report:
         recording = record(args.slaves, args.recorded, _RECORDED_LOSSES)
         path = Path(folder) / "recording"
         path.write_bytes(pickle.dumps(recording))
-        alone = _without_faces(args, path, folder)
+        alone = _without_connectors(args, path, folder)
         broker = Mosquitto(Path(folder))
         _Run(args, recording, path, broker, stack, report, alone).measure()
     report.notes += [
@@ -82,7 +82,7 @@ def run(argv: list[str]) -> Report:
     return report
 
 
-def _without_faces(args: argparse.Namespace, recording: Path, folder: str) -> tuple[float, float]:
+def _without_connectors(args: argparse.Namespace, recording: Path, folder: str) -> tuple[float, float]:
     """Percent of a processor, and KiB, of one gateway with its tree alone."""
     number = -(-(args.gateways - args.buses) // args.processes)
     if not number:

@@ -1,8 +1,8 @@
 """Many gateways in one process, each with tree, edge node, session file and connection of its own:
 ``python -m bench.plant.gateways RECORDING FOLDER FIRST COUNT BROKER INTERVAL_MS``.
 
-Each is fed by the recorded live stream at real speed, from another place of it. BROKER 0: gateways without a face, for
-the cost of gateway and tree alone. It prints a JSON line with its memory before the gateways. Each line on standard
+Each is fed by the recorded live stream at real speed, from another place of it. BROKER 0: gateways without a connector,
+for the cost of gateway and tree alone. It prints a JSON line with its memory before the gateways. Each line on standard
 input is answered by the losses since the last one: node, address, and the time (CLOCK_MONOTONIC, ns) at which the
 stream declared the slave lost. The end of the input ends it; remarks of the gateways come last.
 """
@@ -21,13 +21,13 @@ from typing import ClassVar, Final
 
 from bench.plant.programs import rss_kib
 from bench.plant.stream import GROUP, INTERVAL_S, Recording, node_name, replay
-from dpstack.api.config.faces import MqttConfig
-from dpstack.bridge.face import Face
+from dpstack.api.config.connectors import MqttConfig
+from dpstack.bridge.connector import Connector
 from dpstack.bridge.gateway import Gateway
 from dpstack.bridge.mqtt.broker import Broker
-from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.client import MqttConnector
 from dpstack.bridge.mqtt.plant_node import NodeSetup
-from dpstack.bridge.tree import PlantTree
+from dpstack.plant.tree import PlantTree
 from dpstack.trace import Severity
 
 #: streams begin at so many places of the recording
@@ -36,8 +36,8 @@ _PLACES: Final = 50
 _STORE_MB: Final = MqttConfig(url="mqtt://localhost", group=GROUP).store_mb
 
 
-class _NoFace(Face):
-    """A face that publishes nothing."""
+class _NoConnector(Connector):
+    """A connector that publishes nothing."""
 
     name: ClassVar[str] = "none"
 
@@ -62,10 +62,10 @@ class Fleet:
         if severity is not Severity.INFO:
             self.told[text] += 1
 
-    def _face(self, tree: PlantTree, node: str) -> Face:
+    def _connector(self, tree: PlantTree, node: str) -> Connector:
         if not self._broker:
-            return _NoFace(tree, self._tell)
-        return MqttFace(
+            return _NoConnector(tree, self._tell)
+        return MqttConnector(
             tree,
             self._tell,
             broker=Broker(url=f"mqtt://127.0.0.1:{self._broker}"),
@@ -80,14 +80,14 @@ class Fleet:
         # snapshots of different gateways do not come together
         await asyncio.sleep(INTERVAL_S * (number % _PLACES) / _PLACES)
         tree = PlantTree()
-        face = self._face(tree, node)
+        connector = self._connector(tree, node)
         phase = self._recording.seconds * (number % _PLACES) / _PLACES
         items = replay(self._recording, phase, lambda address: self.lost.append((node, address, time.monotonic_ns())))
-        await face.open()
+        await connector.open()
         try:
-            await Gateway(items, [face], tree=tree, tell=self._tell).run()
+            await Gateway(items, [connector], tree=tree, tell=self._tell).run()
         finally:
-            face.close()
+            connector.close()
 
 
 async def _main(recording: Recording, folder: Path, first: int, count: int, broker: int, interval_ms: int) -> None:

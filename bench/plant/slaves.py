@@ -13,7 +13,7 @@ import time
 
 from bench.plant.stream import BAUD, slave_tables
 from dpstack.api.config.config import make_config, slave_config
-from dpstack.api.server.simulation import Simulation
+from dpstack.api.slave_side.simulation import Simulation
 
 
 async def _main(count: int) -> None:

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import dpstack
-from dpstack.live.state import LiveState
+from dpstack.plant.state import LiveState
 
 BAUD: Final = 500_000
 #: the Sparkplug group of all gateways
 GROUP: Final = "bench"
 #: address of the first slave
 FIRST: Final = 3
-#: s between two snapshots, that of the faces of a run; s between two changes of all outputs
+#: s between two snapshots, that of the connectors of a run; s between two changes of all outputs
 INTERVAL_S: Final = 0.2
 #: s that a slave of the recording has no power
 OFF_S: Final = 2.0

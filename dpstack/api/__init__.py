@@ -3,13 +3,13 @@
 - ``bus/``: The ``Bus`` of the public API: opening, plan, cycles, events, statistics, end
 - ``commissioning/``: Commissioning: from the stations of a scan to the text of a configuration
 - ``config/``: Configurations: a TOML file or a dict, checked key by key
+- ``connectors/``: The connectors of a running bus, which publish its plant: made from tables, fed, ended
 - ``control/``: Orders to running programs over a Unix socket with JSON lines
-- ``faces/``: The faces of a running bus, which publish its plant: made from tables, fed, ended
 - ``listen/``: Listening to a bus without sending: on an own port, or through the program that holds it
 - ``lists/``: Parameter lists in files: dumped from a drive or device, loaded, compared
 - ``recording/``: Files of a running bus: recordings of process data, logs of events, written by threads
-- ``server/``: Slaves in this program: the user's own, and simulated ones
 - ``slave/``: ``Slave`` and ``Drive`` of the public API
+- ``slave_side/``: Slaves in this program: the user's own, and simulated ones
 - ``doctor``: Checks of this computer: adapters, permissions, latency, rates, real-time rights, and advice
 - ``files``: Files: read up to a size limit, written atomically, never over somebody else's file
 - ``gsd_folder``: The GSD files of a folder: found with limits, listed by ident number, read when they are needed

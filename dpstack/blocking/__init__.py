@@ -30,13 +30,13 @@ from dpstack.api.bus import opening as _opening
 from dpstack.api.bus import recording as _recording
 from dpstack.api.bus import sync_freeze as _sync_freeze
 from dpstack.api.bus.driver_choice import is_free_for_process as _is_free_for_process
-from dpstack.api.faces import publishing as _publishing
-from dpstack.api.server import server as _server
+from dpstack.api.connectors import publishing as _publishing
 from dpstack.api.slave import alarms as _alarms
 from dpstack.api.slave import class2 as _class2
 from dpstack.api.slave import drive as _drive
 from dpstack.api.slave import record_parameters as _record_parameters
 from dpstack.api.slave import slave as _slave
+from dpstack.api.slave_side import slave_server as _server
 from dpstack.blocking.proxies import Items, blocking_class, blocking_function
 
 __all__ = [

@@ -36,8 +36,8 @@ from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.resource_manager import ServedConnection
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.errors import BusError, DpError, ParameterError
-from dpstack.live.state import Item
 from dpstack.params import BusParams
+from dpstack.plant.state import Item
 from dpstack.profile.model.params import ListedParam
 from dpstack.profile.model.status import DriveStatus
 from dpstack.profile.record47.client import Counters, Progress
@@ -511,7 +511,7 @@ class Publishing:
     @property
     def remarks(self) -> list[str]: ...
     @property
-    def faces(self) -> tuple[str, ...]: ...
+    def connectors(self) -> tuple[str, ...]: ...
     def __enter__(self) -> Publishing: ...
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

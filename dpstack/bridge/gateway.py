@@ -1,4 +1,4 @@
-"""``Gateway``: a live stream becomes the tree of a plant, and its changes go to the faces."""
+"""``Gateway``: a live stream becomes the tree of a plant, and its changes go to the connectors."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import time
 from collections.abc import AsyncIterable, Callable, Mapping, Sequence
 from typing import Any, Final
 
-from dpstack.bridge.face import Face, Tell
-from dpstack.bridge.quality import clean
-from dpstack.bridge.tree import Change, ClockSet, PlantTree, Remark
+from dpstack.bridge.connector import Connector, Tell
 from dpstack.errors import DpError
-from dpstack.live.state import end_of
+from dpstack.plant.quality import clean
+from dpstack.plant.state import end_of
+from dpstack.plant.tree import Change, ClockSet, PlantTree, Remark
 from dpstack.text import printable, shortened, traceback_text
 from dpstack.trace import Severity
 
 #: s between two looks at the time
 TICK_S: Final = 0.5
-#: s between two looks whether the faces have made their nodes
+#: s between two looks whether the connectors have made their nodes
 _LOOK_S: Final = 0.01
-#: s that the faces have for their end, all together
+#: s that the connectors have for their end, all together
 END_S: Final = 3.0
-#: s until a face that goes on in spite of its cancellation is left
+#: s until a connector that goes on in spite of its cancellation is left
 _LAST_S: Final = 0.5
 #: changes after which those of further slaves wait until others had their turn, some 20 us each
 MOST_CHANGES: Final = 500
@@ -34,17 +34,17 @@ _LOG: Final = logging.getLogger("dpstack.bridge")
 
 
 class Gateway:
-    """Feeds ``faces`` from ``items``, the live stream of a running bus or a recorded one.
+    """Feeds ``connectors`` from ``items``, the live stream of a running bus or a recorded one.
 
-    Nothing that a face does reaches another face or the bus: one that raises ends alone, and is told. ``tell``: takes
-    remarks, each with its severity. ``tree``: that of the faces. ``now``: the clock of the computer in s since 1970,
-    which may be set; times of the tree count by the clock of the stream.
+    Nothing that a connector does reaches another connector or the bus: one that raises ends alone, and is told.
+    ``tell``: takes remarks, each with its severity. ``tree``: that of the connectors. ``now``: the clock of the
+    computer in s since 1970, which may be set; times of the tree count by the clock of the stream.
     """
 
     def __init__(
         self,
         items: AsyncIterable[Mapping[str, Any]],
-        faces: Sequence[Face],
+        connectors: Sequence[Connector],
         *,
         tree: PlantTree,
         tell: Tell,
@@ -54,39 +54,42 @@ class Gateway:
         #: the clock of the computer minus that of the stream in s, as given out
         self.offset = 0.0
         self._items = items
-        self._faces = list(faces)
-        #: the faces that have ended by a fault or by themselves, before the end of all
-        self.failed: list[Face] = []
-        for face in self._faces:
-            face.spread = self._spread
+        self._connectors = list(connectors)
+        #: the connectors that have ended by a fault or by themselves, before the end of all
+        self.failed: list[Connector] = []
+        for connector in self._connectors:
+            connector.spread = self._spread
         self._tell = tell
         self._now = now
-        self._serving: dict[asyncio.Task[None], Face] = {}
+        self._serving: dict[asyncio.Task[None], Connector] = {}
         self._waiting: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(MOST_ITEMS)
 
     @property
-    def faces(self) -> tuple[Face, ...]:
-        """The faces that have not ended."""
-        return tuple(self._faces)
+    def connectors(self) -> tuple[Connector, ...]:
+        """The connectors that have not ended."""
+        return tuple(self._connectors)
 
     async def built(self) -> None:
-        """Wait until the tree has the plant of a bus whose rate is known, and each face its nodes, or has ended."""
+        """Wait until the tree has the plant of a bus whose rate is known, and each connector its nodes, or has
+        ended."""
 
         def is_built() -> bool:
-            return (self.tree.plant or {}).get("baud") is not None and all(face.is_built for face in self._faces)
+            return (self.tree.plant or {}).get("baud") is not None and all(
+                connector.is_built for connector in self._connectors
+            )
 
-        while not is_built():  # noqa: ASYNC110  neither the tree nor the faces tell it
+        while not is_built():  # noqa: ASYNC110  neither the tree nor the connectors tell it
             await asyncio.sleep(_LOOK_S)
 
     async def run(self) -> None:
-        """Feed the faces until the stream ends; then end them, within about :data:`END_S`.
+        """Feed the connectors until the stream ends; then end them, within about :data:`END_S`.
 
         A cancellation ends them in the same way; a second one at once. Raises what the stream raises, behind that.
         """
         loop = asyncio.get_running_loop()
-        for face in self._faces:
-            task = loop.create_task(face.serve(), name=f"dpstack {face.name}")
-            self._serving[task] = face
+        for connector in self._connectors:
+            task = loop.create_task(connector.serve(), name=f"dpstack {connector.name}")
+            self._serving[task] = connector
             task.add_done_callback(self._served)
         reading = loop.create_task(self._read(), name="dpstack gateway: the live stream")
         try:
@@ -143,17 +146,17 @@ class Gateway:
             self._spread(changes)
 
     def _spread(self, changes: Sequence[Change]) -> None:
-        for face in tuple(self._faces):
-            self._hand_over(face, changes)
+        for connector in tuple(self._connectors):
+            self._hand_over(connector, changes)
 
-    def _hand_over(self, face: Face, changes: Sequence[Change]) -> None:
+    def _hand_over(self, connector: Connector, changes: Sequence[Change]) -> None:
         try:
-            face.take(changes)
+            connector.take(changes)
         except Exception as error:
-            self._report(face, error)
-            self._drop(face)
+            self._report(connector, error)
+            self._drop(connector)
             for task, served in self._serving.items():
-                if served is face:
+                if served is connector:
                     task.cancel()
 
     def _compare_clocks(self, now: float) -> list[Change]:
@@ -167,41 +170,42 @@ class Gateway:
         self.offset = offset
         return [ClockSet(offset)]
 
-    # --- the faces ------------------------------------------------------------------------------------------------
+    # --- the connectors
+    # ------------------------------------------------------------------------------------------------
 
     def _served(self, task: asyncio.Task[None]) -> None:
-        """A face has ended, by itself or with the gateway."""
-        face = self._serving.pop(task)
+        """A connector has ended, by itself or with the gateway."""
+        connector = self._serving.pop(task)
         error = None if task.cancelled() else task.exception()
-        serving = face in self._faces
-        self._drop(face)
+        serving = connector in self._connectors
+        self._drop(connector)
         if error is not None:
-            self._report(face, error)
+            self._report(connector, error)
         elif serving:
-            self._tell(f"{face.name}: it has ended by itself; the bus goes on without it", Severity.ERROR)
+            self._tell(f"{connector.name}: it has ended by itself; the bus goes on without it", Severity.ERROR)
 
-    def _drop(self, face: Face) -> None:
-        if face in self._faces:
-            self._faces.remove(face)
-            self.failed.append(face)
+    def _drop(self, connector: Connector) -> None:
+        if connector in self._connectors:
+            self._connectors.remove(connector)
+            self.failed.append(connector)
 
-    def _report(self, face: Face, error: BaseException) -> None:
+    def _report(self, connector: Connector, error: BaseException) -> None:
         if isinstance(error, DpError):
-            self._tell(f"{face.name}: {error}", Severity.ERROR)
+            self._tell(f"{connector.name}: {error}", Severity.ERROR)
             return
-        _LOG.error("%s has ended by a fault\n%s", face.name, traceback_text(error))
+        _LOG.error("%s has ended by a fault\n%s", connector.name, traceback_text(error))
         why = shortened(printable(f"{type(error).__name__}: {error}"), 200)
-        text = f"{face.name}: it has ended by a fault of its program ({why}); the bus goes on without it"
+        text = f"{connector.name}: it has ended by a fault of its program ({why}); the bus goes on without it"
         self._tell(text, Severity.ERROR)
 
     async def _end(self) -> None:
-        """Cancel the faces, and wait until they have ended."""
-        self._faces.clear()
+        """Cancel the connectors, and wait until they have ended."""
+        self._connectors.clear()
         for limit_s in (END_S, _LAST_S):
             ending = dict(self._serving)
             for task in ending:
                 task.cancel()
             if ending:
                 await asyncio.wait(ending, timeout=limit_s)
-        for face in self._serving.values():
-            self._tell(f"{face.name}: it did not end in time, and was left", Severity.WARNING)
+        for connector in self._serving.values():
+            self._tell(f"{connector.name}: it did not end in time, and was left", Severity.WARNING)

@@ -1,8 +1,9 @@
 """Names of slaves and values as Sparkplug B, OPC UA and Prometheus permit them.
 
-The rule is the same for all faces: a character that the face does not permit becomes ``_``, a name that is too long is
-cut, an empty one becomes ``_``. Where two names would then be the same, the one with the lower key keeps it, the others
-get their key behind it. So the names depend only on the plant, and not on the order in which its slaves come.
+The rule is the same for all connectors: a character that the connector does not permit becomes ``_``, a name that is
+too long is cut, an empty one becomes ``_``. Where two names would then be the same, the one with the lower key keeps
+it, the others get their key behind it. So the names depend only on the plant, and not on the order in which its slaves
+come.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from dpstack.text import is_plain, printable
 
 @dataclass(frozen=True, slots=True)
 class NameRule:
-    """The names of a face. ``reserved``: characters that it does not permit, besides controls and surrogates;
+    """The names of a connector. ``reserved``: characters that it does not permit, besides controls and surrogates;
     ``most``: octets of UTF-8 at most. ``fold``: names that differ in case only are the same."""
 
-    face: str
+    connector: str
     reserved: str
     most: int
     fold: bool = False
@@ -36,7 +37,7 @@ class NameRule:
         return is_plain(letter) and letter not in self.reserved and not _is_noncharacter(letter)
 
     def key(self, name: str) -> str:
-        """The part of a name by which the face tells it from another."""
+        """The part of a name by which the connector tells it from another."""
         return name.casefold() if self.fold else name
 
 
@@ -77,7 +78,7 @@ def unique_names(rule: NameRule, given: Iterable[tuple[str, str]]) -> Names:
         taken.add(rule.key(found))
         names[key] = found
         if found != wanted:
-            why = "another one has this name" if found != name else f"{rule.face} does not permit this name"
+            why = "another one has this name" if found != name else f"{rule.connector} does not permit this name"
             changed.append(f"{printable(wanted)!r} ({printable(key)}) is called {found!r}: {why}")
     return Names(names, tuple(changed))
 

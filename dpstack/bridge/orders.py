@@ -1,4 +1,4 @@
-"""``Orders``: the orders that faces may give to the run, with an allow list, an age, and one at a time a slave."""
+"""``Orders``: the orders that connectors may give to the run, with an allow list, an age, and one at a time a slave."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from contextlib import contextmanager
 from enum import Enum, auto
 from typing import Final, Literal, NamedTuple, cast
 
-from dpstack.bridge.face import Tell
-from dpstack.bridge.nodes import Order
-from dpstack.bridge.quality import Value, clean
-from dpstack.bridge.tree import PlantTree
+from dpstack.bridge.connector import Tell
 from dpstack.errors import ConfigError, DpError, SlaveError
+from dpstack.plant.nodes import OfferedOrder
 from dpstack.plant.orders import HALTS, Argument, DriveOrder, SetOutputs
+from dpstack.plant.quality import Value, clean
+from dpstack.plant.tree import PlantTree
 from dpstack.trace import Severity
 
 #: age of an order in s, as long as the configuration does not say otherwise
@@ -135,11 +135,11 @@ class Orders:
         return bool(self._allow)
 
     @property
-    def allowed(self) -> tuple[Order, ...]:
+    def allowed(self) -> tuple[OfferedOrder, ...]:
         """The orders of the plant that :meth:`give` takes."""
         return tuple(order for order in self._tree.orders.values() if is_allowed(self._allow, order.name))
 
-    def takes(self, order: Order) -> bool:
+    def takes(self, order: OfferedOrder) -> bool:
         """Whether ``order`` is one of :attr:`allowed`, without a search."""
         return self._tree.orders.get(order.name) == order and is_allowed(self._allow, order.name)
 
@@ -149,7 +149,7 @@ class Orders:
 
     async def give(
         self,
-        wanted: str | Order,
+        wanted: str | OfferedOrder,
         value: object = None,
         *,
         made_at: float | None,
@@ -182,7 +182,7 @@ class Orders:
 
     async def give_outputs(
         self,
-        given: Sequence[tuple[str | Order, object]],
+        given: Sequence[tuple[str | OfferedOrder, object]],
         *,
         made_at: float | None,
         late_s: float | None = None,
@@ -195,7 +195,7 @@ class Orders:
         batch = batch or self.batch()
         age = _Age(batch.came, made_at, late_s)
         results: list[OrderResult | None] = []
-        orders: list[Order] = []
+        orders: list[OfferedOrder] = []
         values: dict[str, Argument] = {}
         for wanted, value in given:
             try:
@@ -217,7 +217,7 @@ class Orders:
         rest = iter(OrderResult(one.name, "done") if failed is None else _refused(one.name, failed) for one in orders)
         return [self._told(next(rest)) if one is None else one for one in results]
 
-    def _judge(self, wanted: str | Order, value: object, age: _Age) -> tuple[Order, Argument | None]:
+    def _judge(self, wanted: str | OfferedOrder, value: object, age: _Age) -> tuple[OfferedOrder, Argument | None]:
         """An order that comes, and its argument. Raises _RefusedError."""
         order = self._find(_name(wanted))
         self._judge_slave(order)
@@ -235,7 +235,7 @@ class Orders:
         return order, argument
 
     async def _carry_in_turn(
-        self, orders: Sequence[Order], typed: SetOutputs | DriveOrder, age: _Age, batch: Batch
+        self, orders: Sequence[OfferedOrder], typed: SetOutputs | DriveOrder, age: _Age, batch: Batch
     ) -> None:
         """Carry out ``typed``, which stands for ``orders`` to one slave, when its turn has come."""
         slave = orders[0].slave
@@ -270,7 +270,7 @@ class Orders:
                 raise
             raise _RefusedError(f"no result after {_LONGEST_S:g} s", Refusal.NO_RESULT) from None
 
-    def _find(self, name: str) -> Order:
+    def _find(self, name: str) -> OfferedOrder:
         """The order ``name``. Raises _RefusedError for one that is not allowed, or that the plant does not have."""
         plant = self._tree.plant
         if plant is None:
@@ -284,7 +284,7 @@ class Orders:
             raise _RefusedError("the plant has no such order", Refusal.UNKNOWN)
         return order
 
-    def _judge_slave(self, order: Order) -> None:
+    def _judge_slave(self, order: OfferedOrder) -> None:
         """Raises _RefusedError where the slave is not in data exchange: it would get the order when it is back,
         whenever that is. A halt goes to the run, which keeps it for that moment: else the drive would go on then."""
         if order.operation not in HALTS and not self._tree.is_alive(order.slave):
@@ -359,7 +359,7 @@ class Orders:
         self._tell(f"order {result.name} refused: {result.reason}{more}", Severity.WARNING)
 
 
-def _name(wanted: str | Order) -> str:
+def _name(wanted: str | OfferedOrder) -> str:
     return clean(wanted) if isinstance(wanted, str) else wanted.name
 
 

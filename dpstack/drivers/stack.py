@@ -53,7 +53,7 @@ class Latency(Protocol):
     histogram: Histogram
 
 
-class Line(Protocol):
+class BusDriver(Protocol):
     """The driver that keeps the machines of a bus running."""
 
     @property
@@ -73,7 +73,7 @@ class Stack:
     read-only bus a guard refuses every request that could write. Raises ConfigError.
     """
 
-    line: Line
+    line: BusDriver
 
     def __init__(self, spec: StackSpec) -> None:
         params, read_only = spec.params, spec.master.read_only

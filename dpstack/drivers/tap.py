@@ -96,7 +96,7 @@ class Tap:
         self._gaps.append((position, lost))
 
 
-class Line(Protocol):
+class TappedPort(Protocol):
     """A port; ``baud``: its rate in bit/s."""
 
     baud: int
@@ -108,7 +108,7 @@ class TappedMachine:
 
     __slots__ = ("_line", "_receive", "_ring", "_tap", "sent", "take_tx", "wake", "wake_at")
 
-    def __init__(self, machine: Machine, line: Line, tap: Tap) -> None:
+    def __init__(self, machine: Machine, line: TappedPort, tap: Tap) -> None:
         self._line = line
         self._receive = machine.receive
         self._tap = tap

@@ -35,7 +35,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ModuleReading:
     """One row of places that give the octets in order."""
 
     places: tuple[Place, ...]
@@ -46,17 +46,17 @@ class Reading:
         return sum(len(place.octets) for place in self.places if place.unknown)
 
 
-def read_modules(device: Device, config: bytes, most: int = 16) -> tuple[tuple[Reading, ...], bool]:
+def read_modules(device: Device, config: bytes, most: int = 16) -> tuple[tuple[ModuleReading, ...], bool]:
     """The readings of ``config`` with the fewest unknown octets, at most ``most``, and whether there are more.
 
     Longer modules come first. Fixed presets stand in front only, and a module only in slots that allow it.
     """
     rows = _Rows(device, config)
-    found: list[Reading] = []
+    found: list[ModuleReading] = []
     for row in rows.all():
         if len(found) == most:
             return tuple(found), True
-        found.append(Reading(row))
+        found.append(ModuleReading(row))
     return tuple(found), False
 
 

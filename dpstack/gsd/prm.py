@@ -31,7 +31,7 @@ class Reading(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class PrmField:
     """One parameter at its place. ``at``: octet of the whole, ``offset``: octet of the device's or the module's part.
 
     ``place``: the number of the module's slot; of the device itself 0, or "device" where a module is in slot 0.
@@ -67,7 +67,7 @@ class Field:
 class Contradiction:
     """A default that is not what the constants say at its place."""
 
-    field: Field
+    field: PrmField
     const: int
 
     @property
@@ -173,7 +173,7 @@ class UserPrm:
         own = b"" if device.user_prm_data_ignored else device.user_prm_data or b""
         #: the constants of the device and of all modules, and the fields with their defaults
         self._const = bytearray(own)
-        self._fields: list[Field] = []
+        self._fields: list[PrmField] = []
         self._set: dict[str, int] = {}
         self._add(device.prm, 0, "device" if device.first_slot == 0 and any(modules[:1]) else "0", None)
         #: octets of the device itself
@@ -214,7 +214,7 @@ class UserPrm:
                     f"{_allowed(parameter)}; plug it there, or leave it out"
                 )
             value = slot if slot_number else parameter.default
-            self._fields.append(Field(place, ref.offset, at + ref.offset, parameter, value, slot_number))
+            self._fields.append(PrmField(place, ref.offset, at + ref.offset, parameter, value, slot_number))
 
     @property
     def length_note(self) -> str:
@@ -222,7 +222,7 @@ class UserPrm:
         return length_note(self.device, len(self._const), self._own)
 
     @property
-    def fields(self) -> tuple[Field, ...]:
+    def fields(self) -> tuple[PrmField, ...]:
         """Every named parameter with the value it has now, in the order of slots and of the file."""
         return self.read(self.octets())
 
@@ -250,7 +250,7 @@ class UserPrm:
             raise GsdError(f"parameter {field.key} may not be changed (Changeable = 0); leave it out")
         self._set[field.key] = value_of(parameter, value)
 
-    def find(self, key: str) -> Field:
+    def find(self, key: str) -> PrmField:
         """The one field that ``key`` names. Raises GsdError with the nearest names, or with those it may mean."""
         found = [field for field in self._fields if _matches(field, key)]
         if len(found) == 1:
@@ -261,12 +261,12 @@ class UserPrm:
         more = f" and {len(found) - 8} more" if len(found) > 8 else ""
         raise GsdError(f"{key!r} may be {len(found)} parameters; write one of {meant}{more}")
 
-    def shortest_key(self, field: Field) -> str:
+    def shortest_key(self, field: PrmField) -> str:
         """The parameter's name where that is enough to find it, else its key."""
         name = field.parameter.name
         return name if sum(_matches(other, name) for other in self._fields) == 1 else field.key
 
-    def read(self, octets: bytes) -> tuple[Field, ...]:
+    def read(self, octets: bytes) -> tuple[PrmField, ...]:
         """The named values that ``octets`` (of this device with these modules) hold. Raises GsdError on the length."""
         if len(octets) != len(self._const):
             raise GsdError(f"{len(octets)} octets of user parameters; this configuration has {len(self._const)}")
@@ -354,7 +354,7 @@ def containing(part: str, names: Sequence[str]) -> list[str]:
     return found or [name for name in names if whole and all(word in folded(name) for word in whole.split())]
 
 
-def _nearest_names(key: str, fields: Iterable[Field]) -> str:
+def _nearest_names(key: str, fields: Iterable[PrmField]) -> str:
     names = list(dict.fromkeys(field.parameter.name for field in fields))
     if not names:
         return "this device with these modules has none: leave it out"
@@ -364,7 +364,7 @@ def _nearest_names(key: str, fields: Iterable[Field]) -> str:
     return "known are " + ", ".join(map(repr, names[:12])) + (" ..." if len(names) > 12 else "")
 
 
-def _matches(field: Field, key: str) -> bool:
+def _matches(field: PrmField, key: str) -> bool:
     """Whether ``key`` is one of the ways to name ``field``."""
     name, wanted = field.parameter.name, folded(key)
     places = ("", f"@{field.offset}", field.key[field.key.rindex("@") :])

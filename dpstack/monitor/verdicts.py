@@ -28,7 +28,7 @@ _SEGMENT: Final = "the termination at both ends and its supply, the cable, its s
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Judgement:
     """``level``: good, warning, critical or unknown; ``reasons``: one line each, the most serious first."""
 
     level: str
@@ -58,13 +58,13 @@ class Heard:
 _Finding = tuple[str, str]
 
 
-def judge(heard: Heard) -> tuple[Verdict, dict[int, Verdict]]:
+def judge(heard: Heard) -> tuple[Judgement, dict[int, Judgement]]:
     """The verdict on the bus, and on each station that was heard or is used, by address. Unknown where there is no
     evidence that this is PROFIBUS: stations of other protocols are not judged by its rules."""
     counters = heard.counters
     used = [station for _, station in sorted(counters.stations.items()) if heard.is_user(station)]
     if not heard.is_profibus:  # of what another protocol means, nothing here is a finding
-        unknown = Verdict(UNKNOWN, (_bus_doubt(heard),))
+        unknown = Judgement(UNKNOWN, (_bus_doubt(heard),))
         return unknown, {station.address: unknown for station in used}
     stations = {one.address: _verdict(list(_findings(one, used, heard)), _doubt(one, heard)) for one in used}
     found = list(_of_bus(used, heard))
@@ -79,12 +79,12 @@ def judge(heard: Heard) -> tuple[Verdict, dict[int, Verdict]]:
     return _verdict(found, doubt), stations
 
 
-def _verdict(found: list[_Finding], doubt: str) -> Verdict:
+def _verdict(found: list[_Finding], doubt: str) -> Judgement:
     """The worst finding decides; without findings the verdict is unknown where there is a ``doubt``."""
     found.sort(key=lambda finding: -_ORDER.index(finding[0]))
     if found:
-        return Verdict(found[0][0], tuple(text for _, text in found) + ((doubt,) if doubt else ()))
-    return Verdict(UNKNOWN, (doubt,)) if doubt else Verdict(GOOD)
+        return Judgement(found[0][0], tuple(text for _, text in found) + ((doubt,) if doubt else ()))
+    return Judgement(UNKNOWN, (doubt,)) if doubt else Judgement(GOOD)
 
 
 # --- too little heard ---

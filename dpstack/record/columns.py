@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from enum import StrEnum
 from typing import Final
 
 from dpstack.dp.process_data import Field, FieldMap, Value
+from dpstack.plant.quality import is_news
 from dpstack.text import json_text
 
 #: the value of a cell; None: not valid, or not known
@@ -33,8 +33,6 @@ DRIVE_QUANTITIES: Final = (
 STATE: Final = "state"
 #: decimal places of a drive's quantities: as many as explained telegrams have
 _DIGITS: Final = 6
-#: 10.3 - 10.1 is 0.20000000000000107 for a float: a step as large as the dead band lies in it
-_EDGE: Final = 1 + 1e-9
 #: SLAVE.FIELD [UNIT]: the slave may have any letters, the field and the unit neither a point nor a bracket
 _TITLE: Final = re.compile(r"(?:(?P<slave>.*)\.)?(?P<field>[^.\[\]]+?)(?: \[(?P<unit>[^\[\]]*)\])?", re.DOTALL)
 
@@ -233,15 +231,6 @@ class Layout:
 def differs(column: Column, before: Cell, now: Cell, dead_band: float) -> bool:
     """Whether ``now`` is another value: of numbers, one outside the dead band around ``before``."""
     return is_news(before, now, max(column.dead_band, dead_band) if column.type == "number" else 0)
-
-
-def is_news(before: Cell, now: Cell, band: float) -> bool:
-    """Whether ``now`` is another value than ``before``; of numbers one that is more than ``band`` away."""
-    if before == now:
-        return False
-    if band and isinstance(before, (int, float)) and isinstance(now, (int, float)):
-        return not abs(now - before) <= band * _EDGE and not (math.isnan(now) and math.isnan(before))
-    return not (isinstance(before, float) and isinstance(now, float) and math.isnan(before) and math.isnan(now))
 
 
 def unique(columns: Sequence[Column]) -> dict[str, Column]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dpstack.errors import UsageError
-from dpstack.live.judge import DATA_EXCHANGE, DEACTIVATED
+from dpstack.plant.judge import DATA_EXCHANGE, DEACTIVATED
 from dpstack.record.columns import Cell, Column, Kind
 from dpstack.record.reader import Recording
 from dpstack.text import printable, shortened

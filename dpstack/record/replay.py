@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dpstack.errors import UsageError
-from dpstack.live.judge import exchanging, judge
+from dpstack.plant.judge import exchanging, judge
 from dpstack.record.columns import Cell, Column, Kind
 from dpstack.record.reader import Recording, Row
 from dpstack.record.rows import END, iso_time

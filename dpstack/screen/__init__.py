@@ -1,6 +1,6 @@
 """The live screen of ``dpstack run``: a process of its own that owns the terminal's drawing and keys.
 
-``run`` must not draw in the loop that drives a port. It sends the items of the live stream (:mod:`dpstack.live.state`)
+``run`` must not draw in the loop that drives a port. It sends the items of the live stream (:mod:`dpstack.plant.state`)
 as JSON lines over a socket pair; the screen sends orders of the person at the keys back.
 
 - ``__main__``: The process: its signals, its end of the socket pair

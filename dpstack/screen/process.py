@@ -1,6 +1,6 @@
 """The end of ``dpstack run``: starts the process of the screen, sends items to it, receives orders of the person.
 
-It never draws and never waits for the screen: items that the screen does not read are merged (:mod:`dpstack.live`).
+It never draws and never waits for the screen: items that the screen does not read are merged (:mod:`dpstack.plant`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from importlib.util import find_spec
 from typing import Any, Final, Protocol
 
-from dpstack.live.pending import portions
-from dpstack.live.state import Item
+from dpstack.plant.pending import portions
+from dpstack.plant.state import Item
 from dpstack.ports.posix import termios
 from dpstack.text import json_text
 

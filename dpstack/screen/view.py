@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any, Final
 
-from dpstack.live.items import check_item
-from dpstack.live.state import Item, LiveState
+from dpstack.plant.items import check_item
+from dpstack.plant.state import Item, LiveState
 
 #: without a snapshot for so long (s) nothing counts as fresh: one comes every 0.1 s
 SILENT_S: Final = 2.0

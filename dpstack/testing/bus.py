@@ -15,10 +15,10 @@ from dpstack.api.control.scenario import SimulatedPlant
 from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.injected import SIMULATION
 from dpstack.api.listen.names import decode_names
-from dpstack.api.server.server import AsyncRecords, serve_async
-from dpstack.api.server.virtual_bench import SimulatedSlave, VirtualBench
 from dpstack.api.slave.drive import Drive
 from dpstack.api.slave.slave import Slave
+from dpstack.api.slave_side.slave_server import AsyncRecords, serve_async
+from dpstack.api.slave_side.virtual_bench import SimulatedSlave, VirtualBench
 from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.slave.events import DeviceFailed
 from dpstack.drivers.virtual.loop import VirtualLoop, refuse_running_loop

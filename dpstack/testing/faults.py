@@ -11,8 +11,8 @@ from typing import Final, Literal
 from dpstack.api.config.table import Source, Table
 from dpstack.api.control.scenario import NORMAL, kind_of
 from dpstack.api.control.simulation_handlers import slave_handlers
-from dpstack.api.server.fault_steps import End
-from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.api.slave_side.fault_steps import End
+from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.errors import ConfigError
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World

@@ -12,8 +12,8 @@ WebSocket and the rights.
 - ``rights``: Tokens, the secret of a start, TLS
 - ``run_link``: The connection to the run: its stream of items, and commands
 - ``run_source``: The run of a configuration as a source: joins it, or starts one
-- ``server``: The web server: ``serve``
 - ``source``: Sources of items and answers: their base, and given items
+- ``web_server``: The web server: ``serve``
 """
 
 from typing import Final

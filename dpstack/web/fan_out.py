@@ -1,9 +1,9 @@
 """One stream of items for any number of pages: what each still has to get is merged where it does not read.
 
-The items of the source change one :class:`~dpstack.live.state.LiveState`. Five times a second the fan-out hands the new
-ones to its readers. A page that is up to date gets the same encoded texts as all others. For one that is still reading,
-snapshots are merged and events are kept, up to a number; those beyond it are counted as lost. So a page costs one
-plant, one whole snapshot and :data:`MOST_EVENTS` events at most between two answers to it, of which
+The items of the source change one :class:`~dpstack.plant.state.LiveState`. Five times a second the fan-out hands the
+new ones to its readers. A page that is up to date gets the same encoded texts as all others. For one that is still
+reading, snapshots are merged and events are kept, up to a number; those beyond it are counted as lost. So a page costs
+one plant, one whole snapshot and :data:`MOST_EVENTS` events at most between two answers to it, of which
 :data:`MOST_ANSWERS` wait at most.
 """
 
@@ -15,9 +15,9 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
-from dpstack.live.judge import JUDGED, judge
-from dpstack.live.pending import Pending, portions
-from dpstack.live.state import LiveState, begins_plant, difference
+from dpstack.plant.judge import JUDGED, judge
+from dpstack.plant.pending import Pending, portions
+from dpstack.plant.state import LiveState, begins_plant, difference
 from dpstack.web.messages import encode
 
 Item = Mapping[str, Any]

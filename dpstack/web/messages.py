@@ -53,7 +53,7 @@ class Ask(Struct, frozen=True):
     args: _Args = ()
 
 
-class Order(Struct, frozen=True):
+class PageOrder(Struct, frozen=True):
     """Something that changes the plant. ``confirmed``: the person at the page has confirmed it there."""
 
     id: Id
@@ -80,14 +80,14 @@ class _Numbered(Struct):
 
 
 #: type of the body of each message, and an example
-_KINDS: Final[dict[str, tuple[type[Hello | Ask | Order], str]]] = {
+_KINDS: Final[dict[str, tuple[type[Hello | Ask | PageOrder], str]]] = {
     "hello": (Hello, '{"hello":{"token":null}}'),
     "ask": (Ask, '{"ask":{"id":1,"what":"why","args":["valves"]}}'),
-    "order": (Order, '{"order":{"id":1,"command":"set","args":["valves.limit=on"],"confirmed":true}}'),
+    "order": (PageOrder, '{"order":{"id":1,"command":"set","args":["valves.limit=on"],"confirmed":true}}'),
 }
 
 
-def parse(text: str) -> Hello | Ask | Order:
+def parse(text: str) -> Hello | Ask | PageOrder:
     """The message in ``text``. Raises MessageError."""
     try:
         octets = text.encode()

@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol
 
 from dpstack.api.control.commands import NOW
 from dpstack.errors import DpError, UsageError
-from dpstack.web.messages import Order
+from dpstack.web.messages import PageOrder
 from dpstack.web.rights import Visitor
 from dpstack.web.source import Source
 
@@ -40,7 +40,7 @@ START: Final = "start"
 ORDERS: Final = (*_COMMANDS, START)
 
 
-async def carry_out(source: Source, visitor: Visitor, order: Order, tell: Tell) -> object:
+async def carry_out(source: Source, visitor: Visitor, order: PageOrder, tell: Tell) -> object:
     """Carry ``order`` out for ``visitor``, and return the answer of the run. The log has each order that may be given
     before it is carried out, with the name of who gave it; log and pages have its result. Raises DpError.
     """

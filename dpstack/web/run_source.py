@@ -18,8 +18,8 @@ from typing import Final
 from dpstack.api.config.config import Config, file_digest
 from dpstack.api.control.client import ControlClient, connect, find_run
 from dpstack.errors import BusError, DpError, PortError, UsageError
-from dpstack.live.items import check_item
-from dpstack.live.state import begins_plant
+from dpstack.plant.items import check_item
+from dpstack.plant.state import begins_plant
 from dpstack.web.child import Child
 from dpstack.web.fan_out import Item
 from dpstack.web.run_link import Find, RunLink

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from dpstack.errors import UsageError
-from dpstack.live.items import check_item
+from dpstack.plant.items import check_item
 from dpstack.record.reader import Recording
 from dpstack.record.replay import replay_items
 from dpstack.web.fan_out import Item

@@ -59,7 +59,7 @@ class Ring:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class LineCounters:
     """Counters of the whole line. ``bad``: damaged telegrams and octets outside of telegrams, by cause.
 
     ``longest_ns``: the longest time between two rounds that was measured, 0: none. ``planned_ns``: the longest one of
@@ -100,7 +100,7 @@ class Evidence:
     setup: SlaveParams
     state: SlaveState
     ring: Ring
-    line: Line
+    line: LineCounters
     source: str = RUN
     now_ns: int = 0
     started_ns: int = 0

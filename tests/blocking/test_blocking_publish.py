@@ -1,4 +1,4 @@
-"""``dpstack.blocking.publish``: faces that begin before the bus and end after it, or within it."""
+"""``dpstack.blocking.publish``: connectors that begin before the bus and end after it, or within it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import socket
 from collections.abc import Iterator
 from typing import Any
 
-import probe_face
+import probe_connector
 import pytest
-from probe_face import ProbeFace
+from probe_connector import ProbeConnector
 from process_kit import eventually
 
 import dpstack
@@ -21,9 +21,9 @@ FAN: dict[str, Any] = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
 
 @pytest.fixture(autouse=True)
 def probe() -> Iterator[None]:
-    probe_face.register()
+    probe_connector.register()
     yield
-    probe_face.forget()
+    probe_connector.forget()
 
 
 def opened() -> blocking.Bus:
@@ -32,30 +32,30 @@ def opened() -> blocking.Bus:
 
 def test_around_the_bus_and_inside_it() -> None:
     bus = opened()
-    with blocking.publish(bus, probe={}) as faces:
-        [face] = ProbeFace.made
-        assert list(faces.faces) == ["probe"]
-        assert face.course[0] == "open"
+    with blocking.publish(bus, probe={}) as connectors:
+        [connector] = ProbeConnector.made
+        assert list(connectors.connectors) == ["probe"]
+        assert connector.course[0] == "open"
         assert not target_of(bus).is_open
         with bus:
             bus.ready(60)
             bus.operate()
-            eventually(lambda: len(face.lives) == 2, "births")
+            eventually(lambda: len(connector.lives) == 2, "births")
             with blocking.publish(bus, probe={}):
-                within = ProbeFace.made[1]
-                eventually(lambda: len(within.lives) == 2, "births of the face within")
+                within = ProbeConnector.made[1]
+                eventually(lambda: len(within.lives) == 2, "births of the connector within")
             assert within.course[-1] == "close"
             assert bus.is_open
-    assert face.course[2:] == ["last: Died 4, Died None", "close"]
-    assert list(faces.faces) == []
-    assert faces.remarks == []
+    assert connector.course[2:] == ["last: Died 4, Died None", "close"]
+    assert list(connectors.connectors) == []
+    assert connectors.remarks == []
 
 
 def test_what_cannot_begin_is_an_error_before_the_bus_opens() -> None:
     bus = opened()
     with pytest.raises(UsageError, match="takes a bus of the same module"):
         dpstack.publish(bus, probe={})  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="no face is given"):
+    with pytest.raises(UsageError, match="no connector is given"):
         blocking.publish(bus)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         table = {"port": taken.getsockname()[1]}
@@ -64,7 +64,7 @@ def test_what_cannot_begin_is_an_error_before_the_bus_opens() -> None:
     assert not bus.is_open
 
 
-def test_ctrl_c_in_the_block_ends_bus_and_faces() -> None:
+def test_ctrl_c_in_the_block_ends_bus_and_connectors() -> None:
     bus = opened()
 
     def use() -> None:
@@ -73,5 +73,5 @@ def test_ctrl_c_in_the_block_ends_bus_and_faces() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         use()
-    assert ProbeFace.made[0].course[-1] == "close"
+    assert ProbeConnector.made[0].course[-1] == "close"
     assert not target_of(bus).is_open

@@ -1,4 +1,5 @@
-"""A gateway between a live stream and faces that fail in every way: the others get every change, and the end comes."""
+"""A gateway between a live stream and connectors that fail in every way: the others get every change, and the end
+comes."""
 
 from __future__ import annotations
 
@@ -10,12 +11,12 @@ from typing import Any, ClassVar
 import pytest
 from api_kit import in_virtual_time
 
-from dpstack.bridge.conditions import Condition
-from dpstack.bridge.face import Face, Tell, Teller
+from dpstack.bridge.connector import Connector, Tell, Teller
 from dpstack.bridge.gateway import END_S, MOST_CHANGES, MOST_ITEMS, TICK_S, Gateway
-from dpstack.bridge.quality import Quality
-from dpstack.bridge.tree import SILENT_S, Born, Change, Changed, ClockSet, Died, PlantTree
 from dpstack.errors import ConfigError
+from dpstack.plant.conditions import Condition
+from dpstack.plant.quality import Quality
+from dpstack.plant.tree import SILENT_S, Born, Change, Changed, ClockSet, Died, PlantTree
 from dpstack.trace import Severity
 
 FINE: dict[str, Any] = {"state": "data_exchange", "inputs_valid": True, "inputs_age_ms": 1.0, "inputs_limit_ms": 100.0}
@@ -40,7 +41,7 @@ async def nothing() -> AsyncIterator[dict[str, Any]]:
         yield item
 
 
-class Recorder(Face):
+class Recorder(Connector):
     """Keeps all changes, and what it was asked for."""
 
     name: ClassVar[str] = "recorder"
@@ -130,16 +131,16 @@ class Stubborn(Recorder):
 
 
 class World:
-    """A gateway with faces, fed by hand."""
+    """A gateway with connectors, fed by hand."""
 
     def __init__(self, *kinds: type[Recorder], wall: float = 1_700_000_000.0) -> None:
         self.told: list[tuple[str, Severity]] = []
         self.tree = PlantTree()
-        self.faces = [kind(self.tree, Teller(kind.name, self.tell)) for kind in kinds]
+        self.connectors = [kind(self.tree, Teller(kind.name, self.tell)) for kind in kinds]
         self.items: asyncio.Queue[dict[str, Any] | Exception | None] = asyncio.Queue()
         self.begun = asyncio.get_running_loop().time()
         self.wall = wall
-        self.gateway = Gateway(self._stream(), self.faces, tree=self.tree, tell=self.tell, now=self._now)
+        self.gateway = Gateway(self._stream(), self.connectors, tree=self.tree, tell=self.tell, now=self._now)
         self.running = asyncio.ensure_future(self.gateway.run())
 
     def tell(self, text: str, severity: Severity) -> None:
@@ -170,11 +171,11 @@ class World:
 
 
 @in_virtual_time
-async def test_faces_that_fail_in_every_way_end_alone() -> None:
+async def test_connectors_that_fail_in_every_way_end_alone() -> None:
     world = World(Raising, Wrong, Recorder, Leaving, Cancelled)
     await world.up()
-    raising, wrong, recorder, leaving, cancelled = world.faces
-    assert world.gateway.faces == (recorder,)
+    raising, wrong, recorder, leaving, cancelled = world.connectors
+    assert world.gateway.connectors == (recorder,)
     assert recorder.levels == [0, 1, 2, 3, 4]
     assert raising.levels == [0]
     assert raising.ended_at is not None
@@ -195,10 +196,10 @@ async def test_faces_that_fail_in_every_way_end_alone() -> None:
 
 
 @in_virtual_time
-async def test_a_face_that_does_not_end_holds_up_nobody_for_long() -> None:
+async def test_a_connector_that_does_not_end_holds_up_nobody_for_long() -> None:
     world = World(Deaf, Recorder)
     await world.up()
-    deaf, recorder = world.faces
+    deaf, recorder = world.connectors
     begun = world.t
     world.running.cancel()
     with pytest.raises(asyncio.CancelledError):
@@ -211,7 +212,7 @@ async def test_a_face_that_does_not_end_holds_up_nobody_for_long() -> None:
 
 
 @in_virtual_time
-async def test_a_face_that_never_ends_is_left() -> None:
+async def test_a_connector_that_never_ends_is_left() -> None:
     world = World(Stubborn, Recorder)
     await world.up()
     begun = world.t
@@ -219,7 +220,7 @@ async def test_a_face_that_never_ends_is_left() -> None:
     await world.running
     assert END_S < world.t - begun < END_S + 1
     assert world.told == [("stubborn: it did not end in time, and was left", Severity.WARNING)]
-    stubborn = world.faces[0]
+    stubborn = world.connectors[0]
     assert isinstance(stubborn, Stubborn)
     stubborn.may_end.set()
     await asyncio.sleep(0.1)
@@ -243,7 +244,7 @@ async def test_a_second_cancellation_waits_for_nobody() -> None:
 async def test_a_stream_that_stops_kills_within_its_limit() -> None:
     world = World(Recorder)
     await world.up()
-    [recorder] = world.faces
+    [recorder] = world.connectors
     silent_since = world.t - 0.1
     while recorder.lives == [Born(None), Born(8)]:  # noqa: ASYNC110  virtual time
         await asyncio.sleep(0.05)
@@ -296,7 +297,7 @@ def test_a_stream_that_ends_without_a_word_is_the_death_of_all(broken: bool) -> 
     async def run() -> None:
         world = World(Recorder)
         await world.up()
-        [recorder] = world.faces
+        [recorder] = world.connectors
         world.items.put_nowait(OSError("cut") if broken else None)
         if broken:
             with pytest.raises(OSError, match="cut"):
@@ -317,7 +318,7 @@ async def test_a_burst_of_old_items_is_no_storm_of_deaths_and_births() -> None:
     """The program was stopped for a minute; 800 items wait, and the bus is well."""
     world = World(Recorder)
     await world.up()
-    [recorder] = world.faces
+    [recorder] = world.connectors
     batches = recorder.batches
     world.wall -= 60  # both clocks went on, only this loop did not
     world.begun -= 60
@@ -349,11 +350,11 @@ async def test_a_source_that_never_waits_fills_no_memory() -> None:
     running.cancel()
 
 
-def test_an_acknowledgement_by_one_face_reaches_all() -> None:
+def test_an_acknowledgement_by_one_connector_reaches_all() -> None:
     tree = PlantTree()
     first, second = (Recorder(tree, lambda text, severity: None) for _ in range(2))
     gateway = Gateway(nothing(), [first, second], tree=tree, tell=lambda text, severity: None)
-    assert gateway.faces == (first, second)
+    assert gateway.connectors == (first, second)
     for item in (plant(), snapshot(0.1, 5), {"event": ALARM}):
         tree.apply(item, 0.1)
     [condition] = tree.conditions
@@ -369,7 +370,7 @@ def test_an_acknowledgement_by_one_face_reaches_all() -> None:
 async def test_a_clock_that_is_set_is_given_out_once() -> None:
     """The computer began in 1970, the network sets its clock later; then it is set back a little, and once by hours."""
     world = World(Recorder, wall=5.0)
-    [recorder] = world.faces
+    [recorder] = world.connectors
     world.items.put_nowait(plant(started=5.0))
     await world.play(0.5)
     for moved in (1_700_000_000.0, -0.4, -7200.0):

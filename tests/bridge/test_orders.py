@@ -1,4 +1,5 @@
-"""Orders of faces: allowed by name, no older than their limit, once, one at a time a slave; the run judges values."""
+"""Orders of connectors: allowed by name, no older than their limit, once, one at a time a slave; the run judges
+values."""
 
 from __future__ import annotations
 
@@ -10,9 +11,9 @@ import pytest
 from api_kit import in_virtual_time
 
 from dpstack.bridge.orders import MOST_OF_A_SLAVE, Orders, Refusal, check_allowed, is_allowed
-from dpstack.bridge.tree import PlantTree
 from dpstack.errors import ConfigError, SlaveError, UsageError
 from dpstack.plant.orders import DriveOrder, SetOutputs
+from dpstack.plant.tree import PlantTree
 from dpstack.trace import Severity
 
 NOW = 1_700_000_000.0
@@ -111,7 +112,7 @@ async def test_types_and_ranges_are_judged_by_plant_and_run() -> None:
     absent = await run.orders.give("valves.speed", 202, made_at=None)
     assert absent.reason == "slave 8 is not in data exchange: it is in diagnosis"
     assert absent.kind is Refusal.NO_EXCHANGE
-    # a face writes a value to an order without an argument: nothing starts because of false
+    # a connector writes a value to an order without an argument: nothing starts because of false
     assert await run.reason("hoist.start", False) == "hoist.start takes true, not False"
     assert await run.reason("hoist.start", True) == ""
     assert run.carried == [DriveOrder(3, "start")]

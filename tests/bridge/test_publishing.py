@@ -1,4 +1,4 @@
-"""Faces beside a simulated bus: whatever they do, the bus goes on and its outputs keep their safe end."""
+"""Connectors beside a simulated bus: whatever they do, the bus goes on and its outputs keep their safe end."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import socket
 from collections.abc import Iterator
 from typing import Any, Literal
 
-import probe_face
+import probe_connector
 import pytest
 from api_kit import in_virtual_time, slave_in
 from far_ends import until
-from probe_face import ProbeFace
+from probe_connector import ProbeConnector
 from process_kit import SPEC, Driver, bus_on, octet_slaves
 from process_kit import VALVES as PTY_VALVES
 from support import WorldFactory
@@ -20,17 +20,17 @@ from support import WorldFactory
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import parse_config
+from dpstack.api.connectors.kinds import KINDS, ConnectorKind
+from dpstack.api.connectors.publishing import Publishing
 from dpstack.api.control.orders import carry_out
-from dpstack.api.faces.kinds import KINDS, FaceKind
-from dpstack.api.faces.publishing import Publishing
-from dpstack.bridge.nodes import Kind, slave_of
 from dpstack.bridge.orders import Refusal
-from dpstack.bridge.tree import Born, NodesChanged
 from dpstack.dp.master.commands import Mode
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import BusError, ConfigError, PortError, SlaveError, UsageError
+from dpstack.plant.nodes import Kind, slave_of
 from dpstack.plant.orders import DriveOrder, SetOutputs
+from dpstack.plant.tree import Born, NodesChanged
 from dpstack.sim.world import World
 from dpstack.trace import Notice
 
@@ -48,14 +48,14 @@ PUMP: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "te
 
 @pytest.fixture(autouse=True)
 def probe() -> Iterator[None]:
-    probe_face.register()
+    probe_connector.register()
     yield
-    probe_face.forget()
+    probe_connector.forget()
 
 
 def notices(bus: dpstack.Bus) -> list[str]:
     events = core_of(bus).past_events()
-    return [one.message for one in events if isinstance(one, Notice) and one.source == "faces"]
+    return [one.message for one in events if isinstance(one, Notice) and one.source == "connectors"]
 
 
 class Plant:
@@ -89,7 +89,7 @@ class Plant:
 @pytest.mark.parametrize("fails", ["no", "take", "serve", "end", "close"])
 @pytest.mark.parametrize("how", ["end", "exception", "cancelled", "outside"])
 @in_virtual_time
-async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFactory, fails: str, how: str) -> None:
+async def test_outputs_keep_their_safe_end_whatever_a_connector_does(world: WorldFactory, fails: str, how: str) -> None:
     plant, loop, left_at = Plant(world()), asyncio.get_running_loop(), 0.0
 
     async def inside() -> None:
@@ -97,7 +97,7 @@ async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFact
             await use()
 
     async def around() -> None:
-        """As `dpstack run` does: the faces begin before the bus, and end after it."""
+        """As `dpstack run` does: the connectors begin before the bus, and end after it."""
         async with dpstack.publish(plant.bus, probe={"fails": fails}), plant.bus:
             await use()
 
@@ -123,9 +123,9 @@ async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFact
         assert type(task.exception()) is kinds.get(how, type(None))
     assert plant.ended_safely()
     assert plant.safe_at - left_at < (0.1 if how == "outside" or fails != "end" else 1.2)
-    [face] = ProbeFace.made
-    assert face.course[:2] == ["open", "serve"]
-    assert face.course[-1] == "close"
+    [connector] = ProbeConnector.made
+    assert connector.course[:2] == ["open", "serve"]
+    assert connector.course[-1] == "close"
     told = [text for text in notices(plant.bus) if "fault" in text]
     if fails in ("take", "serve"):
         assert told == [
@@ -133,28 +133,28 @@ async def test_outputs_keep_their_safe_end_whatever_a_face_does(world: WorldFact
         ]
     else:
         assert told == []
-        # the end of the bus reaches a face that ends after it
-        assert face.course[2] == ("last: Died 9, Died None" if how == "outside" else "last: Born None, Born 9")
+        # the end of the bus reaches a connector that ends after it
+        assert connector.course[2] == ("last: Died 9, Died None" if how == "outside" else "last: Born None, Born 9")
 
 
 @in_virtual_time
-async def test_nothing_is_sent_before_the_faces_have_made_their_nodes(world: WorldFactory) -> None:
-    """A face that makes many nodes holds up the event loop, and so the safe end of a bus that runs."""
+async def test_nothing_is_sent_before_the_connectors_have_made_their_nodes(world: WorldFactory) -> None:
+    """A connector that makes many nodes holds up the event loop, and so the safe end of a bus that runs."""
     w = world()
     plant = Plant(w)
     async with dpstack.publish(plant.bus, probe={"fails": "build"}):
         opening = asyncio.ensure_future(plant.bus.open())
         await asyncio.sleep(2)
-        [face] = ProbeFace.made
-        assert [node.id for node in face.tree.nodes if node.slave == 9 and node.kind is Kind.VALUE] == [
+        [connector] = ProbeConnector.made
+        assert [node.id for node in connector.tree.nodes if node.slave == 9 and node.kind is Kind.VALUE] == [
             "slave/9/input/level", "slave/9/output/lamp", "slave/9/output/target"
         ]  # fmt: skip
         assert (opening.done(), list(w.log)) == (False, [])
-        face.is_built = True
+        connector.is_built = True
         await opening
         await plant.operate()
         # the nodes are those of before
-        assert sum(isinstance(one, NodesChanged) for one in face.changes) == 1
+        assert sum(isinstance(one, NodesChanged) for one in connector.changes) == 1
         await plant.bus.close()
     assert plant.ended_safely()
 
@@ -171,23 +171,23 @@ async def test_nodes_are_made_behind_the_search_for_the_baud_rate(world: WorldFa
             opening = asyncio.ensure_future(second.open())
             await asyncio.sleep(2)
             assert (second.searching, opening.done(), plant.bus.snapshot.las) == (False, False, frozenset({2}))
-            [face] = ProbeFace.made
-            assert "slave/7/input/full" in [node.id for node in face.tree.nodes]
-            face.is_built = True
+            [connector] = ProbeConnector.made
+            assert "slave/7/input/full" in [node.id for node in connector.tree.nodes]
+            connector.is_built = True
             await opening
             await second.close()
 
 
 @in_virtual_time
-async def test_a_face_that_fails_as_it_makes_its_nodes_does_not_hold_up_the_bus(world: WorldFactory) -> None:
+async def test_a_connector_that_fails_as_it_makes_its_nodes_does_not_hold_up_the_bus(world: WorldFactory) -> None:
     plant, loop = Plant(world()), asyncio.get_running_loop()
 
     def fail() -> None:
-        face.breaks = True
-        face.spread([])
+        connector.breaks = True
+        connector.spread([])
 
     async with dpstack.publish(plant.bus, probe={"fails": "build"}):
-        [face] = ProbeFace.made
+        [connector] = ProbeConnector.made
         loop.call_later(0.5, fail)
         begun = loop.time()
         async with plant.bus:
@@ -204,17 +204,17 @@ async def test_a_bus_that_is_closed_while_nodes_are_made_is_never_opened(world: 
         opening = asyncio.ensure_future(plant.bus.open())
         await asyncio.sleep(1)
         await plant.bus.close()
-        ProbeFace.made[0].is_built = True
+        ProbeConnector.made[0].is_built = True
         with pytest.raises(UsageError, match="the bus was closed before its port was opened"):
             await opening
     assert list(w.log) == []
 
 
 @in_virtual_time
-async def test_somebody_in_a_hurry_does_not_wait_for_faces(world: WorldFactory) -> None:
+async def test_somebody_in_a_hurry_does_not_wait_for_connectors(world: WorldFactory) -> None:
     plant, loop = Plant(world()), asyncio.get_running_loop()
     hurried: list[float] = []
-    table = probe_face.ProbeConfig(fails="end")
+    table = probe_connector.ProbeConfig(fails="end")
     async with Publishing(plant.bus, {"probe": table}, hurried=lambda: bool(hurried)), plant.bus:
         await plant.operate()
         loop.call_later(1.0, lambda: hurried.append(loop.time()))
@@ -227,14 +227,14 @@ async def test_somebody_in_a_hurry_does_not_wait_for_faces(world: WorldFactory) 
 async def test_values_go_out_and_orders_come_back(world: WorldFactory) -> None:
     allowed = {"allow_commands": ["valves.*"]}
     plant = Plant(world())
-    async with plant.bus as bus, dpstack.publish(bus, probe=allowed) as faces:
+    async with plant.bus as bus, dpstack.publish(bus, probe=allowed) as connectors:
         await plant.operate()
-        [face] = ProbeFace.made
-        assert faces.faces == ("probe",)
-        assert face.lives == [Born(None), Born(9)]
+        [connector] = ProbeConnector.made
+        assert connectors.connectors == ("probe",)
+        assert connector.lives == [Born(None), Born(9)]
         outside = "slave 9 (valves): target = 999.0 is outside 0.0..127.5 bar (u8, scale 0.5, offset 0)"
         orders = (("valves.lamp", True), ("valves.target", 7.5), ("valves.target", 999.0), ("pump.stop", 1))
-        given = [await face.orders.give(name, value, made_at=None) for name, value in orders]
+        given = [await connector.orders.give(name, value, made_at=None) for name, value in orders]
         assert [(one.result, one.reason) for one in given] == [
             ("done", ""),
             ("done", ""),
@@ -244,13 +244,13 @@ async def test_values_go_out_and_orders_come_back(world: WorldFactory) -> None:
         await asyncio.sleep(0.5)
         assert plant.outputs[-1] == bytes([0x77 | 2, 15])
         # the value comes back from the bus, and is no echo of the order
-        assert face.values("slave/9/output/target")[-1] == 7.5
+        assert connector.values("slave/9/output/target")[-1] == 7.5
     assert [text for text in notices(bus) if "order" in text] == [
         "probe: order valves.lamp: done",
         "probe: order valves.target: done",
         f"probe: order valves.target refused: {outside}",
     ]
-    assert face.lives == [Born(None), Born(9)]
+    assert connector.lives == [Born(None), Born(9)]
 
 
 @in_virtual_time
@@ -259,11 +259,11 @@ async def test_an_output_that_cannot_reach_its_slave_now_is_refused_and_never_ac
     w = world()
     plant = Plant(w, application_watchdog_ms=100)
     async with plant.bus as bus, dpstack.publish(bus, probe={"allow_commands": ["valves.*"]}):
-        [face] = ProbeFace.made
+        [connector] = ProbeConnector.made
 
         async def refused() -> tuple[str, Refusal]:
-            one = await face.orders.give("valves.target", 7.5, made_at=None)
-            both = await face.orders.give_outputs([("valves.target", 7.5), ("valves.lamp", True)], made_at=None)
+            one = await connector.orders.give("valves.target", 7.5, made_at=None)
+            both = await connector.orders.give_outputs([("valves.target", 7.5), ("valves.lamp", True)], made_at=None)
             assert {(two.result, two.reason, two.kind) for two in both} == {one[1:]}
             assert one.result == "refused"
             return one.reason, one.kind
@@ -276,7 +276,7 @@ async def test_an_output_that_cannot_reach_its_slave_now_is_refused_and_never_ac
         await bus.operate()
         bus.alive()
         await asyncio.sleep(0.05)
-        assert (await face.orders.give("valves.target", 8.0, made_at=None)).reason == ""
+        assert (await connector.orders.give("valves.target", 8.0, made_at=None)).reason == ""
         await asyncio.sleep(0.5)
         assert bus.forced_clear is not None
         reason, kind = await refused()
@@ -300,19 +300,19 @@ async def test_orders_to_a_drive() -> None:
         await bus.ready()
         async with dpstack.publish(bus, probe={"allow_commands": ["pump.*"]}):
             await asyncio.sleep(0.5)
-            [face] = ProbeFace.made
+            [connector] = ProbeConnector.made
             for name, value in (("pump.start", None), ("pump.speed", 0.25)):
-                assert (await face.orders.give(name, value, made_at=None)).reason == ""
+                assert (await connector.orders.give(name, value, made_at=None)).reason == ""
             await bus.drive("pump").reached()
             assert bus.drive("pump").status.running
-            assert (await face.orders.give("pump.speed", 77.0, made_at=None)).result == "refused"
-            assert (await face.orders.give("pump.stop", True, made_at=None)).reason == ""
+            assert (await connector.orders.give("pump.speed", 77.0, made_at=None)).result == "refused"
+            assert (await connector.orders.give("pump.stop", True, made_at=None)).reason == ""
             await asyncio.sleep(0.5)
             assert not bus.drive("pump").status.running
-            assert face.values("slave/6/drive/running")[-1] is False
+            assert connector.values("slave/6/drive/running")[-1] is False
             await bus.clear()
             await bus.wait_state(Mode.CLEAR)
-            reason = (await face.orders.give("pump.speed", 0.5, made_at=None)).reason
+            reason = (await connector.orders.give("pump.speed", 0.5, made_at=None)).reason
             assert "the bus is in Clear, nothing reaches pump: call operate() first" in reason
             await bus.operate()
             await asyncio.sleep(1)
@@ -320,16 +320,16 @@ async def test_orders_to_a_drive() -> None:
 
 
 @pytest.mark.parametrize("baud", [500_000, "auto"])
-async def test_a_bus_that_cannot_be_opened_ends_its_faces(baud: int | Literal["auto"]) -> None:
+async def test_a_bus_that_cannot_be_opened_ends_its_connectors(baud: int | Literal["auto"]) -> None:
     bus = dpstack.open_bus(port="/dev/there-is-none", baud=baud, slaves=[VALVES], driver="asyncio")
     with pytest.raises(PortError):
-        await _open_beside_faces(bus)
-    [face] = ProbeFace.made
-    assert face.lives == []
-    assert face.course == ["open", "serve", "last: ", "close"]
+        await _open_beside_connectors(bus)
+    [connector] = ProbeConnector.made
+    assert connector.lives == []
+    assert connector.course == ["open", "serve", "last: ", "close"]
 
 
-async def _open_beside_faces(bus: dpstack.Bus) -> None:
+async def _open_beside_connectors(bus: dpstack.Bus) -> None:
     async with dpstack.publish(bus, probe={}):
         await asyncio.sleep(0.05)
         await bus.open()
@@ -346,19 +346,21 @@ async def test_what_cannot_begin_is_an_error_before_anything_is_sent(world: Worl
         with pytest.raises(PortError, match=rf"^\[probe\] port {port}: Address already in use; give another one$"):
             async with dpstack.publish(plant.bus, probe={"port": port}), plant.bus:
                 raise AssertionError("it must not begin")
-    assert ProbeFace.made[-1].course == ["open", "close"]
+    assert ProbeConnector.made[-1].course == ["open", "close"]
     with pytest.raises(ConfigError, match=r"'valves\.lmap' fits no order of this plant; did you mean 'valves\.lamp'\?"):
         async with dpstack.publish(plant.bus, probe={"allow_commands": ["valves.lmap"]}), plant.bus:
             raise AssertionError("it must not begin")
-    KINDS["probe"] = FaceKind("probe_face", ("no_such_package",), ProbeFace)
+    KINDS["probe"] = ConnectorKind("probe_connector", ("no_such_package",), ProbeConnector)
     with pytest.raises(UsageError, match=r"^\[probe\] needs no_such_package: pip install 'dpstack\[probe\]'$"):
         async with dpstack.publish(plant.bus, probe={}), plant.bus:
             raise AssertionError("it must not begin")
-    KINDS["probe"] = FaceKind("no_such_module", (), ProbeFace)
-    with pytest.raises(UsageError, match=r"^a face cannot be loaded \(No module named 'no_such_module'\): pip install"):
+    KINDS["probe"] = ConnectorKind("no_such_module", (), ProbeConnector)
+    with pytest.raises(
+        UsageError, match=r"^a connector cannot be loaded \(No module named 'no_such_module'\): pip install"
+    ):
         async with dpstack.publish(plant.bus, probe={}), plant.bus:
             raise AssertionError("it must not begin")
-    with pytest.raises(UsageError, match="no face is given"):
+    with pytest.raises(UsageError, match="no connector is given"):
         dpstack.publish(plant.bus)
     with pytest.raises(ConfigError, match=r"publish: unknown table or key 'prob'; did you mean 'probe'\?"):
         dpstack.publish(plant.bus, prob={})
@@ -375,7 +377,7 @@ async def test_what_cannot_begin_is_an_error_before_anything_is_sent(world: Worl
     ],
 )
 @in_virtual_time
-async def test_too_little_memory_for_the_faces_is_one_clear_line(
+async def test_too_little_memory_for_the_connectors_is_one_clear_line(
     fails: Exception | None, why: str, world: WorldFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As under `ulimit -v`; a package that is written in Rust ends the program there, so it is not loaded."""
@@ -388,7 +390,7 @@ async def test_too_little_memory_for_the_faces_is_one_clear_line(
     plant = Plant(w)
     KINDS["probe"] = KINDS["probe"]._replace(room_mb=1_000_000_000 if fails is None else 0)
     monkeypatch.setattr(resource, "getrlimit", lambda which: (1 << 44, 1 << 44))
-    monkeypatch.setattr("dpstack.api.faces.publishing.load_beside", load)
+    monkeypatch.setattr("dpstack.api.connectors.publishing.load_beside", load)
     todo = r"raise that limit \(ulimit -v, LimitAS= of systemd\), or take one of these tables out"
     with pytest.raises(BusError, match=rf"^probe: there is too little memory for them \({why}\): {todo}$"):
         async with dpstack.publish(plant.bus, probe={}), plant.bus:
@@ -397,19 +399,19 @@ async def test_too_little_memory_for_the_faces_is_one_clear_line(
 
 
 @pytest.mark.parametrize("driver", ["asyncio", "process"])
-async def test_faces_of_a_bus_on_a_port(driver: Driver) -> None:
+async def test_connectors_of_a_bus_on_a_port(driver: Driver) -> None:
     """Both drivers at the octet slaves of a pty; where the loop is shared, a remark says so once."""
     with octet_slaves(SPEC) as (path, there):
         bus = bus_on(path, driver, PTY_VALVES | {"outputs": {"speed": "u8@0"}})
         async with dpstack.publish(bus, probe={"allow_commands": ["valves.speed"]}), bus:
-            [face] = ProbeFace.made
+            [connector] = ProbeConnector.made
             await bus.operate()
             await bus.ready(30)
-            await until(lambda: Born(4) in face.lives, "the birth of the slave")
-            assert (await face.orders.give("valves.speed", 0x5A, made_at=None)).reason == ""
+            await until(lambda: Born(4) in connector.lives, "the birth of the slave")
+            assert (await connector.orders.give("valves.speed", 0x5A, made_at=None)).reason == ""
             await until(lambda: there.slaves[4].outputs[:1] == b"\x5a", "the output at the slave")
-            await until(lambda: face.values("slave/4/output/speed")[-1] == 0x5A, "the output in the tree")
-        assert face.course[2] == "last: Died 4, Died None"
+            await until(lambda: connector.values("slave/4/output/speed")[-1] == 0x5A, "the output in the tree")
+        assert connector.course[2] == "last: Died 4, Died None"
         # safe values, then Clear
         assert (there.slaves[4].outputs, there.slaves[4].control) == (bytes(2), b"\x02\x00")
         where = 'probe: in the event loop of the bus; with driver = "process" in [bus] they cannot delay it'
@@ -430,12 +432,12 @@ async def test_remarks_wait_for_the_bus(world: WorldFactory) -> None:
             assert notices(plant.bus) == [f"probe: on port {port}", "probe: born None", "probe: born 9"]
 
 
-def test_tables_of_faces_are_read_with_the_configuration() -> None:
+def test_tables_of_connectors_are_read_with_the_configuration() -> None:
     plant = '[bus]\nport = "virtual"\nbaud = 500000\n'
     config = parse_config(plant + "[probe]\nport = 1234\n")
-    assert config.faces == {"probe": probe_face.ProbeConfig(port=1234)}
-    assert config.with_bus(address=7).faces == config.faces
-    assert parse_config(plant).faces == {}
+    assert config.connectors == {"probe": probe_connector.ProbeConfig(port=1234)}
+    assert config.with_bus(address=7).connectors == config.connectors
+    assert parse_config(plant).connectors == {}
     for text, error in {
         "[probe]\nprot = 1": "config:5: [probe]: unknown key 'prot'; did you mean 'port'?",
         "[probe]\nport = 99999": "config:5: [probe]: port = 99999 is outside 0..65535; correct it or leave it out",

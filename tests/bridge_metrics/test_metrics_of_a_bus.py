@@ -20,8 +20,8 @@ from support import WorldFactory
 from wire_truth import truth_of
 
 import dpstack
-from dpstack.api.faces.publishing import Publishing
-from dpstack.bridge.metrics.face import MetricsFace
+from dpstack.api.connectors.publishing import Publishing
+from dpstack.bridge.metrics.connector import MetricsConnector
 from dpstack.bridge.metrics.health import liveness, readiness
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
@@ -31,22 +31,22 @@ DESCRIPTION = SlaveDescription(ident=0x1234, configs=(bytes.fromhex("21 11"),))
 NINE = {"address": "9", "slave": "valves"}
 
 
-def face_of(publishing: Publishing) -> MetricsFace:
-    [face] = publishing._faces
-    assert isinstance(face, MetricsFace)
-    return face
+def connector_of(publishing: Publishing) -> MetricsConnector:
+    [connector] = publishing._connectors
+    assert isinstance(connector, MetricsConnector)
+    return connector
 
 
 @contextlib.asynccontextmanager
-async def published(bus: dpstack.Bus) -> AsyncIterator[MetricsFace]:
+async def published(bus: dpstack.Bus) -> AsyncIterator[MetricsConnector]:
     async with bus, dpstack.publish(bus, metrics={"listen": "127.0.0.1:0"}) as publishing:
-        yield face_of(publishing)
+        yield connector_of(publishing)
 
 
-async def settled(face: MetricsFace) -> Scrape:
+async def settled(connector: MetricsConnector) -> Scrape:
     """A scrape behind the next counters, which the stream brings once a second."""
     await asyncio.sleep(1.3)
-    return await scrape(face)
+    return await scrape(connector)
 
 
 @in_virtual_time
@@ -55,15 +55,15 @@ async def test_counters_and_histograms_are_those_of_the_wire(world: WorldFactory
     station, _ = slave_in(here, DpSlave(DESCRIPTION, lambda outputs, elapsed: outputs), 9)
     # no watchdog, and 15 repetitions: it stays in data exchange while it is silent for a moment
     bus = dpstack.open_bus(port="virtual", baud=500_000, max_retry=7, slaves=[VALVES], world=here)
-    async with published(bus) as face:
+    async with published(bus) as connector:
         await bus.operate()
         await bus.ready()
-        before = await settled(face)
+        before = await settled(connector)
         assert before("dpstack_slave_retries_total", **NINE) == 0
         here.silence(station, 2_000_000)
         await asyncio.sleep(0.5)
         await bus.stop()
-        seen = await settled(face)
+        seen = await settled(connector)
         truth = truth_of(here.log)
         assert seen("dpstack_slave_retries_total", **NINE) == truth.repetitions[9] + truth.repeated_polls[9] > 0
         assert seen("dpstack_bus_retries_total") == truth.repetitions[9] + truth.repeated_polls[9]
@@ -91,22 +91,22 @@ async def test_counters_and_histograms_are_those_of_the_wire(world: WorldFactory
 @in_virtual_time
 async def test_a_slave_that_goes_has_no_value_that_looks_fresh() -> None:
     bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[VALVES])
-    async with published(bus) as face:
+    async with published(bus) as connector:
         await bus.operate()
         await bus.ready()
-        seen = await settled(face)
+        seen = await settled(connector)
         assert seen("dpstack_bus_up") == seen("dpstack_stream_up") == 1
         assert seen("dpstack_bus_mode", mode="operate") == 1
         assert seen("dpstack_slave_state", **NINE, state="data_exchange") == 1
         assert sum(seen.of("dpstack_slave_state").values()) == 1
         assert seen("dpstack_slave_in_data_exchange", **NINE) == seen("dpstack_slave_inputs_valid", **NINE) == 1
         assert seen("dpstack_slave_inputs_age_seconds", **NINE) < 0.1
-        assert readiness(face.tree, face.collector.verdict) == (
+        assert readiness(connector.tree, connector.collector.verdict) == (
             True,
             "the bus operates; in data exchange: all slaves (1)\n",
         )
         bench_of(bus).power(9, False)
-        seen = await settled(face)
+        seen = await settled(connector)
         assert seen("dpstack_bus_up") == 1
         assert seen("dpstack_slave_in_data_exchange", **NINE) == seen("dpstack_slave_inputs_valid", **NINE) == 0
         assert seen("dpstack_slave_state", **NINE, state="data_exchange") == 0
@@ -114,27 +114,27 @@ async def test_a_slave_that_goes_has_no_value_that_looks_fresh() -> None:
         assert seen("dpstack_slave_conditions_active", **NINE, level="error") == 1
         assert not seen.has("dpstack_slave_inputs_age")
         assert seen("dpstack_slave_timeouts_total", **NINE) > 0
-        assert liveness(face.tree).good
-        good, text = readiness(face.tree, face.collector.verdict)
+        assert liveness(connector.tree).good
+        good, text = readiness(connector.tree, connector.collector.verdict)
         assert not good
         assert text.startswith("slave 9 (valves) is not in data exchange: ")
         await bus.clear()
         await asyncio.sleep(0.5)
-        assert "the master is in clear, not in operate\n" in readiness(face.tree, face.collector.verdict).text
+        assert "the master is in clear, not in operate\n" in readiness(connector.tree, connector.collector.verdict).text
 
 
 async def test_a_bus_process_has_its_own_metrics_and_its_death_is_told() -> None:
     with octet_slaves(SPEC) as (path, _):
         bus = bus_on(path, "process", PTY_VALVES)
         async with dpstack.publish(bus, metrics={"listen": "127.0.0.1:0"}) as publishing:
-            face = face_of(publishing)
-            assert liveness(face.tree) == (False, "the bus is not open yet\n")
+            connector = connector_of(publishing)
+            assert liveness(connector.tree) == (False, "the bus is not open yet\n")
             async with bus:
                 await bus.ready(60)
-                await until(lambda: face.tree.is_alive(None), "the birth of the bus")
-                pid = face.collector._bus_pid()
+                await until(lambda: connector.tree.is_alive(None), "the birth of the bus")
+                pid = connector.collector._bus_pid()
                 assert pid is not None
-                seen = await scrape(face)
+                seen = await scrape(connector)
                 for process, one in (("run", os.getpid()), ("bus", pid)):
                     assert seen("dpstack_process_open_fds", process=process) > 2
                     stat = Path(f"/proc/{one}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
@@ -143,11 +143,11 @@ async def test_a_bus_process_has_its_own_metrics_and_its_death_is_told() -> None
                 starts = seen.of("dpstack_process_start_time_seconds")
                 assert starts[frozenset({("process", "run")})] < starts[frozenset({("process", "bus")})]
                 os.kill(pid, signal.SIGKILL)
-                await until(lambda: not face.tree.is_alive(None), "the death of the bus")
-                seen = await scrape(face)
+                await until(lambda: not connector.tree.is_alive(None), "the death of the bus")
+                seen = await scrape(connector)
                 assert seen("dpstack_bus_up") == 0
                 assert {dict(one)["process"] for one in seen.of("dpstack_process_open_fds")} == {"run"}
-                assert liveness(face.tree).text.startswith("a fault has ended the bus: the bus process was killed")
+                assert liveness(connector.tree).text.startswith("a fault has ended the bus: the bus process was killed")
                 assert seen("dpstack_bus_verdict", verdict="critical") == 1
 
 
@@ -156,22 +156,22 @@ async def test_of_a_dead_bus_nothing_but_its_death_is_left() -> None:
     bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[VALVES])
     publishing = dpstack.publish(bus, metrics={"listen": "127.0.0.1:0"})
     async with publishing:
-        face = face_of(publishing)
-        assert not liveness(face.tree).good
-        assert not readiness(face.tree, face.collector.verdict).good
+        connector = connector_of(publishing)
+        assert not liveness(connector.tree).good
+        assert not readiness(connector.tree, connector.collector.verdict).good
         async with bus:
             await bus.operate()
             await bus.ready()
-            assert (await settled(face)).has("dpstack_slave_exchanges")
+            assert (await settled(connector)).has("dpstack_slave_exchanges")
         await asyncio.sleep(0.1)
-        seen = await scrape(face)
+        seen = await scrape(connector)
         assert seen("dpstack_bus_up") == seen("dpstack_stream_up") == 0
-        assert seen("dpstack_face_up", face="metrics") == 1, "it ends with the run, and not by a fault"
+        assert seen("dpstack_connector_up", connector="metrics") == 1, "it ends with the run, and not by a fault"
         assert not seen.has("dpstack_slave_")
         assert {name for name, _ in seen.series if name.startswith("dpstack_bus_")} == {
             "dpstack_bus_up",
             "dpstack_bus_verdict",
         }
         assert seen("dpstack_bus_verdict", verdict="unknown") == 1
-        assert liveness(face.tree).text.startswith("the bus has ended")
-        assert readiness(face.tree, face.collector.verdict).text.startswith("the bus has ended")
+        assert liveness(connector.tree).text.startswith("the bus has ended")
+        assert readiness(connector.tree, connector.collector.verdict).text.startswith("the bus has ended")

@@ -18,7 +18,7 @@ def test_the_table_of_the_page_is_that_of_a_scrape() -> None:
         for name, kind, labels in re.findall(r"^\| `(dpstack_\w+)` \| (\w+) \| ([^|]*) \|", page, re.MULTILINE)
     }
     bench = Bench(plant("valves"), snapshot(1.0, FINE))
-    bench.face.collector.requests[200] += 1
-    seen = asyncio.run(scrape(bench.face))
+    bench.connector.collector.requests[200] += 1
+    seen = asyncio.run(scrape(bench.connector))
     assert written == {name: (kind, *seen.labels[name]) for name, kind in seen.kinds.items()}
     assert len(written) > 40

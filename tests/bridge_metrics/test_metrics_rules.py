@@ -10,15 +10,15 @@ from metrics_kit import FINE, Bench, plant, snapshot
 
 from dpstack.api.bus.live import LIMITS_US
 from dpstack.api.config.config import parse_config
-from dpstack.api.config.faces import MetricsConfig
+from dpstack.api.config.connectors import MetricsConfig
 from dpstack.bridge.metrics import table
 from dpstack.bridge.metrics.health import liveness, readiness
 from dpstack.bridge.metrics.processes import usage_of
-from dpstack.bridge.tree import SILENT_S
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.errors import ConfigError
-from dpstack.live.judge import STATES
+from dpstack.plant.judge import STATES
+from dpstack.plant.tree import SILENT_S
 
 EVIL = 'a"} 1\n\x1b[31mdpstack_bus_up 7\\ \ud800 é'
 
@@ -29,14 +29,14 @@ def labels(address: int, slave: str) -> dict[str, str]:
 
 def test_a_scrape_has_every_metric_of_the_table_and_no_other() -> None:
     bench = Bench(plant("valves"), snapshot(1.0, FINE))
-    bench.face.collector.requests[200] += 1
+    bench.connector.collector.requests[200] += 1
     seen = bench.scrape()
     assert {
         name: (kind, {frozenset(seen_labels) for seen_labels in seen.labels[name]}) for name, kind in seen.kinds.items()
     } == {one.name: (one.kind, {frozenset(one.labels)}) for one in table.METRICS}
-    assert seen("dpstack_face_up", face="mqtt") == 0
-    assert seen("dpstack_face_dropped_total", face="mqtt") == 12
-    assert seen.of("dpstack_face_connected") == {frozenset({("face", "mqtt")}): 0}
+    assert seen("dpstack_connector_up", connector="mqtt") == 0
+    assert seen("dpstack_connector_dropped_total", connector="mqtt") == 12
+    assert seen.of("dpstack_connector_connected") == {frozenset({("connector", "mqtt")}): 0}
     assert seen("dpstack_bus_counters_age_seconds") == 0.1
     assert seen("dpstack_bus_planned_rotation_seconds", case="max") == 0.003
     assert seen("dpstack_bus_masters") == 2
@@ -68,7 +68,7 @@ def test_hostile_and_equal_names_become_labels_that_are_different() -> None:
     assert [line for line in bench.told if "pump slave 5" in line]
     assert all(line.isprintable() for line in bench.told)
     bench.give(2.0, snapshot(2.0, *[FINE | {"state": "fault", "fault": {"kind": "lost", "text": EVIL}}] * 4))
-    text = readiness(bench.tree, bench.face.collector.verdict).text
+    text = readiness(bench.tree, bench.connector.collector.verdict).text
     assert len(text.splitlines()) == 4
     assert all(line.isprintable() for line in text.splitlines())
 
@@ -104,7 +104,7 @@ def test_a_bus_that_is_dead_in_any_way_loses_its_series(how: str) -> None:
     assert not seen.has("dpstack_slave_")
     assert not seen.has("dpstack_bus_rotation")
     assert liveness(bench.tree).good == (how in ("stale", "searching"))
-    good, text = readiness(bench.tree, bench.face.collector.verdict)
+    good, text = readiness(bench.tree, bench.connector.collector.verdict)
     assert not good
     assert text.rstrip("\n").isprintable()
 
@@ -118,7 +118,7 @@ def test_a_slave_that_the_stream_does_not_show_any_more_is_unknown() -> None:
     assert seen("dpstack_slave_state", **labels(4, "pump"), state="unknown") == 1
     assert seen("dpstack_slave_in_data_exchange", **labels(4, "pump")) == 0
     assert {dict(one)["slave"] for one in seen.of("dpstack_slave_exchanges_total")} == {"valves"}
-    assert "slave 4 (pump)" in readiness(bench.tree, bench.face.collector.verdict).text
+    assert "slave 4 (pump)" in readiness(bench.tree, bench.connector.collector.verdict).text
 
 
 def test_a_new_configuration_leaves_no_series_of_the_old_one() -> None:
@@ -147,14 +147,14 @@ def test_the_series_of_a_full_bus_are_bounded() -> None:
 
 def test_a_slave_out_of_service_does_not_count_and_a_reading_run_is_ready_in_the_ring() -> None:
     bench = Bench(plant("valves", "pump"), snapshot(1.0, FINE, FINE | {"state": "deactivated"}))
-    assert readiness(bench.tree, bench.face.collector.verdict) == (
+    assert readiness(bench.tree, bench.connector.collector.verdict) == (
         True,
         "the bus operates; in data exchange: all slaves (1)\n",
     )
     bench = Bench(plant("valves", read_only=True), snapshot(1.0, FINE, mode="stop"))
-    assert readiness(bench.tree, bench.face.collector.verdict).good
+    assert readiness(bench.tree, bench.connector.collector.verdict).good
     bench.give(1.2, snapshot(1.2, FINE, mode="stop", in_ring=False))
-    assert readiness(bench.tree, bench.face.collector.verdict).text == "the master is not in the token ring\n"
+    assert readiness(bench.tree, bench.connector.collector.verdict).text == "the master is not in the token ring\n"
 
 
 def test_the_usage_of_a_process_is_that_of_the_system() -> None:
@@ -170,10 +170,10 @@ def test_the_usage_of_a_process_is_that_of_the_system() -> None:
 
 def test_the_table_of_the_configuration() -> None:
     bus = '[bus]\nport = "virtual"\nbaud = 500000\n'
-    config = parse_config(bus + '[metrics]\nlisten = "[::1]:9999"\n', "plant.toml").faces["metrics"]
+    config = parse_config(bus + '[metrics]\nlisten = "[::1]:9999"\n', "plant.toml").connectors["metrics"]
     assert isinstance(config, MetricsConfig)
     assert config.listen == "[::1]:9999"
-    default = parse_config(bus + "[metrics]\n", "plant.toml").faces["metrics"]
+    default = parse_config(bus + "[metrics]\n", "plant.toml").connectors["metrics"]
     assert isinstance(default, MetricsConfig)
     assert default.listen == "127.0.0.1:9464"
     for wrong in ('listen = "here"', "listen = 9464", 'listen = "127.0.0.1:99999"', 'lisen = "127.0.0.1:1"'):

@@ -16,29 +16,29 @@ from http import HTTPStatus
 import pytest
 from metrics_kit import FINE, Bench, ask, plant, read, request, snapshot
 
-from dpstack.bridge.metrics import face as metrics_face
+from dpstack.bridge.metrics import connector as metrics_connector
 from dpstack.bridge.metrics import http_server
-from dpstack.bridge.metrics.face import MetricsFace
+from dpstack.bridge.metrics.connector import MetricsConnector
 from dpstack.bridge.metrics.http_server import MOST_CONNECTIONS, MOST_OCTETS, MOST_OF_ONE, Answer, Pace
 from dpstack.errors import PortError
 from dpstack.tcp_address import Listen
 
 
 @contextlib.asynccontextmanager
-async def serving() -> AsyncIterator[tuple[MetricsFace, int]]:
-    face = Bench(plant("valves"), snapshot(1.0, FINE)).face
-    await face.open()
+async def serving() -> AsyncIterator[tuple[MetricsConnector, int]]:
+    connector = Bench(plant("valves"), snapshot(1.0, FINE)).connector
+    await connector.open()
     try:
-        assert face.address is not None
-        yield face, face.address[1]
+        assert connector.address is not None
+        yield connector, connector.address[1]
     finally:
-        face.close()
+        connector.close()
 
 
-def served(test: Callable[[MetricsFace, int], Awaitable[None]]) -> None:
+def served(test: Callable[[MetricsConnector, int], Awaitable[None]]) -> None:
     async def run() -> None:
-        async with serving() as (face, port):
-            await test(face, port)
+        async with serving() as (connector, port):
+            await test(connector, port)
 
     asyncio.run(run())
 
@@ -49,16 +49,16 @@ async def until(condition: Callable[[], object]) -> None:
             await asyncio.sleep(0.02)
 
 
-def count_pages(face: MetricsFace) -> list[int]:
+def count_pages(connector: MetricsConnector) -> list[int]:
     """A list that grows with each page that is made."""
     made: list[int] = []
-    families = face.collector.families
+    families = connector.collector.families
 
     def counted() -> object:
         made.append(1)
         return families()
 
-    face.collector.families = counted  # type: ignore[method-assign,assignment]
+    connector.collector.families = counted  # type: ignore[method-assign,assignment]
     return made
 
 
@@ -68,29 +68,29 @@ def status_of(answer: bytes) -> int:
 
 
 def test_a_server_whose_tree_nobody_changes_any_more_gives_no_values() -> None:
-    """Behind the end of the bus it says so; behind a fault of the faces it is gone."""
+    """Behind the end of the bus it says so; behind a fault of the connectors it is gone."""
 
-    async def end(face: MetricsFace, port: int) -> bytes:
-        serving = asyncio.create_task(face.serve())
+    async def end(connector: MetricsConnector, port: int) -> bytes:
+        serving = asyncio.create_task(connector.serve())
         await asyncio.sleep(0)
         serving.cancel()
         await asyncio.wait((serving,))
         return await ask(port, request("/healthz"))
 
-    async def test_a_fault(face: MetricsFace, port: int) -> None:
+    async def test_a_fault(connector: MetricsConnector, port: int) -> None:
         with pytest.raises(ConnectionRefusedError):
-            await end(face, port)
+            await end(connector, port)
 
-    async def test_an_end(face: MetricsFace, port: int) -> None:
-        face.tree.apply({"end": {"text": "the bus has ended", "failed": False}}, 2.0)
-        assert status_of(await end(face, port)) == 503
+    async def test_an_end(connector: MetricsConnector, port: int) -> None:
+        connector.tree.apply({"end": {"text": "the bus has ended", "failed": False}}, 2.0)
+        assert status_of(await end(connector, port)) == 503
 
     served(test_a_fault)
     served(test_an_end)
 
 
 def test_the_pages_by_the_client_of_the_standard_library() -> None:
-    async def test(face: MetricsFace, port: int) -> None:
+    async def test(connector: MetricsConnector, port: int) -> None:
         def get(path: str, method: str = "GET") -> tuple[int, str | None, bytes]:
             link = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
             link.request(method, path)
@@ -106,10 +106,10 @@ def test_the_pages_by_the_client_of_the_standard_library() -> None:
         assert (await asyncio.to_thread(get, "/metrics", "HEAD"))[::2] == (200, b"")
         assert await asyncio.to_thread(get, "/healthz") == (200, kind, b"the live stream of the bus comes\n")
         assert (await asyncio.to_thread(get, "/readyz"))[0] == 200
-        face.tree.tick(100.0)
+        connector.tree.tick(100.0)
         assert (await asyncio.to_thread(get, "/healthz"))[0] == 503
         assert (await asyncio.to_thread(get, "/readyz"))[0] == 503
-        assert face.collector.requests == {200: 5, 503: 2}
+        assert connector.collector.requests == {200: 5, 503: 2}
 
     served(test)
 
@@ -142,7 +142,7 @@ OWN = request("/healthz")
     ],
 )
 def test_a_request_that_is_none_is_refused_and_the_next_is_served(octets: bytes, status: int) -> None:
-    async def test(_: MetricsFace, port: int) -> None:
+    async def test(_: MetricsConnector, port: int) -> None:
         assert status_of(await ask(port, octets, whole=False)) == status
         assert status_of(await ask(port, OWN)) == 200
 
@@ -150,7 +150,7 @@ def test_a_request_that_is_none_is_refused_and_the_next_is_served(octets: bytes,
 
 
 def test_pipelined_requests_and_a_body_get_one_answer() -> None:
-    async def test(face: MetricsFace, port: int) -> None:
+    async def test(connector: MetricsConnector, port: int) -> None:
         own = request("/healthz")
         answer = await ask(port, own * 5)
         assert answer.count(b"HTTP/1.1") == 1
@@ -158,7 +158,7 @@ def test_pipelined_requests_and_a_body_get_one_answer() -> None:
         answer = await ask(port, request("/metrics") + b"x" * 1_000_000)
         assert status_of(answer) == 200
         assert read(answer.partition(b"\r\n\r\n")[2])("dpstack_bus_up") == 1
-        assert face.collector.requests == {200: 2}
+        assert connector.collector.requests == {200: 2}
 
     served(test)
 
@@ -166,8 +166,8 @@ def test_pipelined_requests_and_a_body_get_one_answer() -> None:
 def test_silent_clients_lose_their_place_and_a_thousand_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(http_server, "LONGEST_S", 1.5)
 
-    async def test(face: MetricsFace, port: int) -> None:
-        server = face._server
+    async def test(connector: MetricsConnector, port: int) -> None:
+        server = connector._server
         assert server is not None
         own = request("/healthz")
         links = []
@@ -178,7 +178,7 @@ def test_silent_clients_lose_their_place_and_a_thousand_are_bounded(monkeypatch:
                 await asyncio.get_running_loop().sock_connect(link, ("127.0.0.1", port))
             links.append(link)
             assert len(server.open) <= MOST_OF_ONE <= MOST_CONNECTIONS, number
-        await until(lambda: face.collector.refused >= 1000 - MOST_OF_ONE)
+        await until(lambda: connector.collector.refused >= 1000 - MOST_OF_ONE)
         assert len(server.open) == MOST_OF_ONE
         # the first ones said nothing, and are gone when their time is over
         await until(lambda: not server.open)
@@ -193,8 +193,8 @@ def test_silent_clients_lose_their_place_and_a_thousand_are_bounded(monkeypatch:
 def test_clients_that_never_read_lose_their_place(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(http_server, "LONGEST_S", 0.5)
 
-    async def test(face: MetricsFace, port: int) -> None:
-        server = face._server
+    async def test(connector: MetricsConnector, port: int) -> None:
+        server = connector._server
         assert server is not None
 
         async def much() -> Answer:
@@ -213,9 +213,9 @@ def test_clients_that_never_read_lose_their_place(monkeypatch: pytest.MonkeyPatc
 
 
 def test_those_who_ask_together_get_one_text() -> None:
-    async def test(face: MetricsFace, port: int) -> None:
+    async def test(connector: MetricsConnector, port: int) -> None:
         own = request()
-        made = count_pages(face)
+        made = count_pages(connector)
         answers = await asyncio.gather(*(ask(port, own) for _ in range(10)))
         assert [status_of(one) for one in answers] == [200] * 10
         assert len(made) < 5  # one for each 0.2 s
@@ -241,18 +241,18 @@ def test_a_pace_lets_a_few_pass_at_once_and_then_one_by_one() -> None:
 
 def test_a_flood_waits_and_gets_old_texts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(http_server, "MOST_ANSWERS", 10)
-    monkeypatch.setattr(metrics_face, "FRESH_S", 0.0)
-    monkeypatch.setattr(metrics_face, "_MADE_AT_ONCE", 1)
+    monkeypatch.setattr(metrics_connector, "FRESH_S", 0.0)
+    monkeypatch.setattr(metrics_connector, "_MADE_AT_ONCE", 1)
 
-    async def test(face: MetricsFace, port: int) -> None:
-        made = count_pages(face)
+    async def test(connector: MetricsConnector, port: int) -> None:
+        made = count_pages(connector)
         loop = asyncio.get_running_loop()
         began = loop.time()
         asked = [request("/metrics")] * 7 + [request("/nothing")] * 4 + [b"GET /metrics\r\n\r\n"] * 3
         answers = await asyncio.gather(*(ask(port, octets) for octets in asked))
         took_s = loop.time() - began
         assert sorted(map(status_of, answers)) == [200] * 7 + [400] * 3 + [404] * 4
-        assert face.collector.requests == {200: 7, 400: 3, 404: 4}
+        assert connector.collector.requests == {200: 7, 400: 3, 404: 4}
         assert took_s > (14 - 10) / 10 - 0.01
         assert len(made) <= 1 + took_s
 
@@ -262,8 +262,8 @@ def test_a_flood_waits_and_gets_old_texts(monkeypatch: pytest.MonkeyPatch) -> No
 def test_clients_that_go_away_while_they_wait_take_no_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(http_server, "MOST_ANSWERS", 2)
 
-    async def test(face: MetricsFace, port: int) -> None:
-        server = face._server
+    async def test(connector: MetricsConnector, port: int) -> None:
+        server = connector._server
         assert server is not None
         for _ in range(2):
             assert status_of(await ask(port, OWN)) == 200
@@ -299,11 +299,11 @@ def test_a_client_that_resets_its_connection_is_no_fault_of_the_program(monkeypa
     def shut_down(_: object) -> None:
         raise OSError(errno.ENOTCONN, "the connection was reset")
 
-    async def test(face: MetricsFace, port: int) -> None:
+    async def test(connector: MetricsConnector, port: int) -> None:
         asyncio.get_running_loop().set_exception_handler(lambda _, context: troubles.append(context))
         # without an end of its own, for which this client would call the same method
         assert status_of(await ask(port, OWN, whole=False)) == 200
-        server = face._server
+        server = connector._server
         assert server is not None
         await until(lambda: not server.open)
 
@@ -314,12 +314,12 @@ def test_a_client_that_resets_its_connection_is_no_fault_of_the_program(monkeypa
 
 
 def test_a_defect_is_told_and_the_next_page_is_served(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metrics_face, "FRESH_S", 0.0)
-    monkeypatch.setattr(metrics_face, "_MADE_AT_ONCE", 2)
+    monkeypatch.setattr(metrics_connector, "FRESH_S", 0.0)
+    monkeypatch.setattr(metrics_connector, "_MADE_AT_ONCE", 2)
 
-    async def test(face: MetricsFace, port: int) -> None:
+    async def test(connector: MetricsConnector, port: int) -> None:
         assert status_of(await ask(port, request())) == 200
-        face.collector.families = lambda: [][0]  # type: ignore[method-assign]
+        connector.collector.families = lambda: [][0]  # type: ignore[method-assign]
         # neither the pace nor a text of before hides it
         assert [status_of(await ask(port, request())) for _ in range(4)] == [500] * 4
         assert status_of(await ask(port, request("/healthz"))) == 200
@@ -333,11 +333,11 @@ def test_a_defect_of_health_is_answered_counted_and_told(path: str, monkeypatch:
         raise KeyError("slave")
 
     for name in ("readiness", "liveness"):
-        monkeypatch.setattr(metrics_face, name, judge)
+        monkeypatch.setattr(metrics_connector, name, judge)
 
-    async def test(face: MetricsFace, port: int) -> None:
+    async def test(connector: MetricsConnector, port: int) -> None:
         assert status_of(await ask(port, request(path))) == 500
-        assert face.collector.requests[500] == 1
+        assert connector.collector.requests[500] == 1
 
     served(test)
 
@@ -345,16 +345,16 @@ def test_a_defect_of_health_is_answered_counted_and_told(path: str, monkeypatch:
 def test_clients_that_go_away_while_the_text_is_made_leave_no_old_text(monkeypatch: pytest.MonkeyPatch) -> None:
     """They have used up the pace: the next one must get the text that was made for them."""
 
-    async def test(face: MetricsFace, port: int) -> None:
-        made, go_on = count_pages(face), asyncio.Event()
-        render = metrics_face.rendered
+    async def test(connector: MetricsConnector, port: int) -> None:
+        made, go_on = count_pages(connector), asyncio.Event()
+        render = metrics_connector.rendered
 
         async def slowly(families: object) -> bytes:
             await go_on.wait()
             return await render(families)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(metrics_face, "rendered", slowly)
-        for _ in range(metrics_face._MADE_AT_ONCE + 3):
+        monkeypatch.setattr(metrics_connector, "rendered", slowly)
+        for _ in range(metrics_connector._MADE_AT_ONCE + 3):
             _, writer = await asyncio.open_connection("127.0.0.1", port)
             writer.write(request().replace(b"PORT", str(port).encode()))
             await until(lambda: made)
@@ -377,7 +377,7 @@ def test_random_octets_never_reach_the_handler_of_the_loop(monkeypatch: pytest.M
     chance = random.Random(21)
     troubles: list[object] = []
 
-    async def test(face: MetricsFace, port: int) -> None:
+    async def test(connector: MetricsConnector, port: int) -> None:
         asyncio.get_running_loop().set_exception_handler(lambda _, context: troubles.append(context))
         for _ in range(100):
             octets = bytearray(request().replace(b"PORT", str(port).encode()))
@@ -385,7 +385,7 @@ def test_random_octets_never_reach_the_handler_of_the_loop(monkeypatch: pytest.M
                 octets[chance.randrange(len(octets))] = chance.randrange(256)
             answer = await ask(port, bytes(octets[: chance.randrange(len(octets) + 40)]))
             assert not answer or status_of(answer) in (200, 400, 404, 405, 421, 431)
-        server = face._server
+        server = connector._server
         assert server is not None
         await until(lambda: not server.open)
 
@@ -398,24 +398,24 @@ def test_a_port_that_is_taken_is_one_clear_line() -> None:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        face = Bench().face
-        face._listen = Listen("127.0.0.1", port, "[metrics] listen")
+        connector = Bench().connector
+        connector._listen = Listen("127.0.0.1", port, "[metrics] listen")
         with pytest.raises(PortError, match=rf"\[metrics\] listen 127.0.0.1:{port}: .*in use; give another address"):
-            asyncio.run(face.open())
-        face.close()
+            asyncio.run(connector.open())
+        connector.close()
 
 
 def test_an_address_that_others_reach_is_told_and_takes_every_host() -> None:
     async def run() -> None:
         bench = Bench(plant("valves"), snapshot(1.0, FINE))
-        bench.face._listen = Listen("0.0.0.0", 0, "listen")
-        await bench.face.open()
+        bench.connector._listen = Listen("0.0.0.0", 0, "listen")
+        await bench.connector.open()
         try:
-            assert bench.face.address is not None
+            assert bench.connector.address is not None
             assert [line for line in bench.told if "other computers reach it, without TLS and password" in line]
-            answer = await ask(bench.face.address[1], request("/healthz", headers={"Host": "plant-7.example"}))
+            answer = await ask(bench.connector.address[1], request("/healthz", headers={"Host": "plant-7.example"}))
             assert status_of(answer) == 200
         finally:
-            bench.face.close()
+            bench.connector.close()
 
     asyncio.run(run())

@@ -30,7 +30,7 @@ from dpstack.bridge.mqtt.history_file import (
     move_aside,
 )
 from dpstack.bridge.mqtt.payload import DataType
-from dpstack.bridge.quality import Reason, Value
+from dpstack.plant.quality import Reason, Value
 
 
 def numbers(found: Sequence[Kept]) -> list[Value]:

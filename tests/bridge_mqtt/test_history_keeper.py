@@ -18,7 +18,7 @@ from dpstack.bridge.mqtt.history import Entry, History
 from dpstack.bridge.mqtt.history_file import NAME, HistoryError, HistoryFile
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.payload import DataType, MetricKind
-from dpstack.bridge.quality import Value
+from dpstack.plant.quality import Value
 from dpstack.trace import Severity
 
 NOW = OFFSET + 10**9

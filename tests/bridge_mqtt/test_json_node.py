@@ -19,8 +19,8 @@ from property_kit import examples
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.json_payload import read_order
 from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, NodeSetup, OrderWish, Publish
-from dpstack.bridge.quality import Value
-from dpstack.bridge.tree import ClockSet, PlantTree
+from dpstack.plant.quality import Value
+from dpstack.plant.tree import ClockSet, PlantTree
 
 BASE = f"dpstack/{GROUP}/{NODE}"
 ALLOWED = ("valves.lamp", "valves.speed", "hoist.start", "hoist.speed")

@@ -17,13 +17,13 @@ from paho.mqtt.reasoncodes import ReasonCode
 from tls_kit import CERT, KEY, KEY_WITH_PASSWORD, OTHER_KEY
 
 from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
-from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.client import MqttConnector
 from dpstack.bridge.mqtt.connection import LastError, text_of, why_lost
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.plant_node import NodeSetup
-from dpstack.bridge.tree import PlantTree
 from dpstack.errors import ConfigError
+from dpstack.plant.tree import PlantTree
 
 
 @pytest.mark.parametrize(
@@ -175,9 +175,9 @@ def test_every_edge_node_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch
     assert len(state_folder("a" * 120, "b" * 120).name) == 241
 
 
-def face_at(folder: Path, told: list[str] | None = None, **options: Any) -> MqttFace:
-    """A face whose broker is not there. ``told``: gets its remarks."""
-    return MqttFace(
+def connector_at(folder: Path, told: list[str] | None = None, **options: Any) -> MqttConnector:
+    """A connector whose broker is not there. ``told``: gets its remarks."""
+    return MqttConnector(
         PlantTree(),
         lambda text, severity: None if told is None else told.append(text),
         broker=Broker(url="mqtt://127.0.0.1:1"),
@@ -188,21 +188,21 @@ def face_at(folder: Path, told: list[str] | None = None, **options: Any) -> Mqtt
 
 
 @asynccontextmanager
-async def serving(face: MqttFace) -> AsyncIterator[None]:
-    await face.open()
-    task = asyncio.create_task(face.serve())
+async def serving(connector: MqttConnector) -> AsyncIterator[None]:
+    await connector.open()
+    task = asyncio.create_task(connector.serve())
     try:
         async with asyncio.timeout(10):
             yield
     finally:
         task.cancel()
         await asyncio.wait((task,))
-        face.close()
+        connector.close()
     assert task.cancelled()
 
 
 async def until(condition: Callable[[], object]) -> None:
-    while not condition():  # noqa: ASYNC110  the face tells nobody else
+    while not condition():  # noqa: ASYNC110  the connector tells nobody else
         await asyncio.sleep(0.001)
 
 
@@ -211,9 +211,9 @@ async def test_without_room_for_the_number_no_session_begins(tmp_path: Path, mon
         raise OSError(28, "No space left on device")
 
     told: list[str] = []
-    face = face_at(tmp_path, told, again_s=0.001)
+    connector = connector_at(tmp_path, told, again_s=0.001)
     with monkeypatch.context() as patch:
-        async with serving(face):
+        async with serving(connector):
             patch.setattr("dpstack.bridge.mqtt.session_file.os.write", full)
             await until(lambda: told)
     assert f"the number of the session cannot be written in {tmp_path}: No space left on device" in told[0]
@@ -221,7 +221,7 @@ async def test_without_room_for_the_number_no_session_begins(tmp_path: Path, mon
 
 async def test_a_broker_that_is_not_there_is_told_once_in_a_row_and_the_end_waits_for_nobody(tmp_path: Path) -> None:
     told: list[str] = []
-    async with serving(face_at(tmp_path, told, again_s=0.001)):
+    async with serving(connector_at(tmp_path, told, again_s=0.001)):
         await until(lambda: len(told) >= 3)
     assert len(set(told)) == 1
     assert "Connection refused; it is tried again" in told[0]
@@ -231,14 +231,14 @@ async def test_a_broker_that_is_not_there_is_told_once_in_a_row_and_the_end_wait
 @pytest.mark.parametrize("drawn", [0.0, 1.0])
 async def test_the_first_connection_of_a_program_waits_a_moment_by_chance(tmp_path: Path, drawn: float) -> None:
     told: list[str] = []
-    async with serving(face_at(tmp_path, told, draw=lambda: drawn)):
+    async with serving(connector_at(tmp_path, told, draw=lambda: drawn)):
         await asyncio.sleep(0.1)
         if not drawn:
             await until(lambda: told)
         assert (tmp_path / "bdseq").exists() == (not drawn)
 
 
-async def test_the_end_of_the_way_to_the_disk_is_told_and_the_face_goes_on(
+async def test_the_end_of_the_way_to_the_disk_is_told_and_the_connector_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def step(_: HistoryKeeper) -> None:
@@ -247,18 +247,18 @@ async def test_the_end_of_the_way_to_the_disk_is_told_and_the_face_goes_on(
     monkeypatch.setattr(HistoryKeeper, "step", step)
     told: list[str] = []
     text = "values that cannot be delivered are not kept on the disk any more (ZeroDivisionError: a fault)"
-    async with serving(face_at(tmp_path, told, store_mb=1, again_s=0.001)):
+    async with serving(connector_at(tmp_path, told, store_mb=1, again_s=0.001)):
         await until(lambda: text in told and len(told) >= 3)
 
 
 async def test_results_that_were_lost_are_counted(tmp_path: Path) -> None:
-    face = face_at(tmp_path, make_node=JsonNode)
-    await face.open()
-    assert face._node is not None
-    face._node.connect(0, 1.0)
-    face._node.connected()
+    connector = connector_at(tmp_path, make_node=JsonNode)
+    await connector.open()
+    assert connector._node is not None
+    connector._node.connect(0, 1.0)
+    connector._node.connected()
     for _ in range(300):
-        face._node.receive("dpstack/group/node/slave/valves/set/lamp", b"", 1.0)
-    face.take([])
-    assert face.dropped == 300 - 256
-    face.close()
+        connector._node.receive("dpstack/group/node/slave/valves/set/lamp", b"", 1.0)
+    connector.take([])
+    assert connector.dropped == 300 - 256
+    connector.close()

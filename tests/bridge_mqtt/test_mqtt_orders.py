@@ -18,12 +18,12 @@ from plant_items import HOIST, PLANT, VALVES
 
 from dpstack.bridge.mqtt import sparkplug_pb2 as pb
 from dpstack.bridge.mqtt.broker import Broker
-from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.client import MqttConnector
 from dpstack.bridge.mqtt.connection import Inbox
 from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.orders import Orders
-from dpstack.bridge.tree import PlantTree
 from dpstack.plant.orders import DriveOrder, SetOutputs
+from dpstack.plant.tree import PlantTree
 
 
 async def test_outputs_of_one_command_change_together(tmp_path: Path) -> None:
@@ -34,7 +34,7 @@ async def test_outputs_of_one_command_change_together(tmp_path: Path) -> None:
         carried.append(order)
 
     async with FakeBroker() as broker:
-        face = MqttFace(
+        connector = MqttConnector(
             tree,
             lambda remark, severity: None,
             broker=Broker(url=broker.url),
@@ -42,11 +42,11 @@ async def test_outputs_of_one_command_change_together(tmp_path: Path) -> None:
             folder=tmp_path / "state",
             orders=Orders(tree, carry_out, ["valves.*"]),
         )
-        await face.open()
+        await connector.open()
         whole = {"t": 1.0, "whole": True, "bus": {"stale": False}, "slaves": {"3": HOIST, "8": VALVES}}
         for item in ({"plant": PLANT}, {"snapshot": whole}):
-            face.take(tree.apply(copy.deepcopy(item), 0.0))
-        serving = asyncio.create_task(face.serve())
+            connector.take(tree.apply(copy.deepcopy(item), 0.0))
+        serving = asyncio.create_task(connector.serve())
         async with asyncio.timeout(10):
             birth = text(f"spBv1.0/{GROUP}/DBIRTH/{NODE}/valves")
             while not any(body.startswith(birth) for _, body in broker.received):  # noqa: ASYNC110
@@ -59,13 +59,13 @@ async def test_outputs_of_one_command_change_together(tmp_path: Path) -> None:
         serving.cancel()
         with suppress(asyncio.CancelledError):
             await serving
-        face.close()
+        connector.close()
     assert carried == [SetOutputs(8, {"lamp": True, "speed": 7})]
 
 
 async def test_messages_that_came_too_fast_are_counted_and_told_while_the_connection_stands(tmp_path: Path) -> None:
     told: list[str] = []
-    face = MqttFace(
+    connector = MqttConnector(
         PlantTree(),
         lambda remark, severity: told.append(remark),
         broker=Broker(url="mqtt://127.0.0.1:1"),
@@ -79,9 +79,9 @@ async def test_messages_that_came_too_fast_are_counted_and_told_while_the_connec
         for _ in range(0 if told_now is None and is_end else 3):
             inbox.put_nowait(message)
         before = len(told)
-        face._count_lost(client, is_end=is_end)
+        connector._count_lost(client, is_end=is_end)
         assert told[before:] == ([] if told_now is None else [text.format(told_now)])
-    assert face.dropped == 8
+    assert connector.dropped == 8
 
 
 @pytest.mark.parametrize("good_s", [30.0, 0.0])
@@ -92,7 +92,7 @@ async def test_a_broker_that_closes_again_and_again_names_the_likely_cause(
     monkeypatch.setattr("dpstack.bridge.mqtt.client._GOOD_S", good_s)
     told: list[str] = []
     async with FakeBroker() as broker:
-        face = MqttFace(
+        connector = MqttConnector(
             PlantTree(),
             lambda remark, severity: told.append(remark),
             broker=Broker(url=broker.url),
@@ -100,17 +100,17 @@ async def test_a_broker_that_closes_again_and_again_names_the_likely_cause(
             folder=tmp_path,
             again_s=0.001,
         )
-        await face.open()
-        serving = asyncio.create_task(face.serve())
+        await connector.open()
+        serving = asyncio.create_task(connector.serve())
         place = f"broker 127.0.0.1:{broker.port}"
         cause = f"another gateway uses this node's name (group {GROUP!r}, node {NODE!r}); give one of them another node"
         async with asyncio.timeout(20):
             while f"{place} closes the connection again and again: probably {cause}" not in told:
-                if face.connected:
+                if connector.connected:
                     broker.cut()
                 await asyncio.sleep(0.002)  # the broker tells nobody of its clients
         assert sum("it is tried again" in text for text in told) == 3
         serving.cancel()
         with suppress(asyncio.CancelledError):
             await serving
-        face.close()
+        connector.close()

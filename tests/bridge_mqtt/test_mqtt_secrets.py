@@ -1,4 +1,5 @@
-"""The faces of MQTT at a broker that the test holds: no secret in what they publish; wills, sessions and expiry."""
+"""The connectors of MQTT at a broker that the test holds: no secret in what they publish; wills, sessions and
+expiry."""
 
 from __future__ import annotations
 
@@ -12,11 +13,11 @@ from fake_broker import CONNECT, PUBLISH, FakeBroker, text, user_property
 from plant_items import FINE, HOIST, PLANT, VALVES
 
 from dpstack.bridge.mqtt.broker import Broker, read_password
-from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.client import MqttConnector
 from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.plant_node import NodeSetup, PlantNode
-from dpstack.bridge.tree import PlantTree
+from dpstack.plant.tree import PlantTree
 
 BASE, SPARKPLUG = f"dpstack/{GROUP}/{NODE}", f"spBv1.0/{GROUP}"
 SESSION = user_property("session", "0")
@@ -41,7 +42,7 @@ async def test_no_secret_is_published_and_a_will_has_the_number_of_its_session(
     told: list[str] = []
     async with FakeBroker(topics=1) as broker:
         tree = PlantTree()
-        face = MqttFace(
+        connector = MqttConnector(
             tree,
             lambda remark, severity: told.append(remark),
             broker=Broker(url=broker.url, user="the gateway", password=read_password("", secret)),
@@ -50,21 +51,21 @@ async def test_no_secret_is_published_and_a_will_has_the_number_of_its_session(
             versions={"dpstack": "0.1.0"},
             make_node=make_node,
         )
-        await face.open()
+        await connector.open()
         slaves = {"3": HOIST, "8": VALVES | FINE}
         for item in (
             {"plant": PLANT},
             {"snapshot": {"t": 1.0, "whole": True, "bus": {"stale": False}, "slaves": slaves}},
         ):
-            face.take(tree.apply(copy.deepcopy(item), 0.0))
-        serving = asyncio.create_task(face.serve())
+            connector.take(tree.apply(copy.deepcopy(item), 0.0))
+        serving = asyncio.create_task(connector.serve())
         async with asyncio.timeout(10):
             while not any(body.startswith(text(topics[-1])) for _, body in broker.received):  # noqa: ASYNC110
                 await asyncio.sleep(0.005)  # the broker tells nobody of its packets
         serving.cancel()
         with pytest.raises(asyncio.CancelledError):
             await serving
-        face.close()
+        connector.close()
     sent = [body for kind, body in broker.received if kind == PUBLISH]
     for topic in topics:
         assert any(body.startswith(text(topic)) for body in sent), topic

@@ -22,9 +22,9 @@ from dpstack.bridge.mqtt.status import (
     content_of,
     read_status,
 )
-from dpstack.bridge.tree import Change, PlantTree
-from dpstack.bridge.verdicts import Judge
-from dpstack.live.state import end_of
+from dpstack.plant.state import end_of
+from dpstack.plant.tree import Change, PlantTree
+from dpstack.plant.verdicts import Judge
 
 VERSIONS = {"dpstack": "0.1.0", "python": "3.11.2"}
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "segment-status.md"

@@ -28,7 +28,7 @@ from dpstack.bridge.mqtt.payload import (
     read_command,
     value_given,
 )
-from dpstack.bridge.quality import LIMITS, TYPES, Reading, Reason, Value
+from dpstack.plant.quality import LIMITS, TYPES, Reading, Reason, Value
 from tools import make_sparkplug_proto
 
 NOW = 1_700_000_000_123

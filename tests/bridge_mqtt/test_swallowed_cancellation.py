@@ -1,4 +1,5 @@
-"""The face ends although a library swallows the cancellation of its task; the program ends although a call blocks."""
+"""The connector ends although a library swallows the cancellation of its task; the program ends although a call
+blocks."""
 
 from __future__ import annotations
 
@@ -11,11 +12,11 @@ import aiomqtt
 import pytest
 
 from dpstack.bridge.mqtt.broker import Broker
-from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.client import MqttConnector
 from dpstack.bridge.mqtt.connection import cancellations, end_if_cancelled
 from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.mqtt.session_file import SessionFile
-from dpstack.bridge.tree import PlantTree
+from dpstack.plant.tree import PlantTree
 
 
 async def test_a_swallowed_cancellation_ends_the_task_after_all() -> None:
@@ -66,15 +67,17 @@ def test_a_network_or_disk_that_blocks_does_not_delay_the_end_of_the_program(
 
     async def program() -> None:
         setup = NodeSetup("g", "n")
-        face = MqttFace(PlantTree(), lambda *_: None, broker=Broker(url="mqtt://a"), setup=setup, folder=tmp_path / "s")
-        await face.open()
-        serving = asyncio.create_task(face.serve())
+        connector = MqttConnector(
+            PlantTree(), lambda *_: None, broker=Broker(url="mqtt://a"), setup=setup, folder=tmp_path / "s"
+        )
+        await connector.open()
+        serving = asyncio.create_task(connector.serve())
         async with asyncio.timeout(5):
             while not began.is_set():  # noqa: ASYNC110  told by a thread
                 await asyncio.sleep(0.001)
         serving.cancel()
         await asyncio.gather(serving, return_exceptions=True)
-        face.close()
+        connector.close()
 
     asyncio.run(program())
     assert not went_on.is_set()

@@ -10,7 +10,7 @@ from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 from asyncua.server.internal_subscription import InternalSubscription
 
-from dpstack.bridge.opcua.server import MOST_UNACKED
+from dpstack.bridge.opcua.sessions import MOST_UNACKED
 from dpstack.bridge.opcua.standard_nodes import add_standard_nodes
 from dpstack.bridge.opcua.subscriptions import (
     MOST_FIELDS_IN_MESSAGE,

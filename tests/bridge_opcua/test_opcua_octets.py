@@ -16,7 +16,8 @@ from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.ua import ua_binary
 from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
 
-from dpstack.bridge.opcua import connection, decoding, server
+from dpstack.bridge.opcua import connection, decoding
+from dpstack.bridge.opcua import sessions as server
 from dpstack.bridge.opcua.decoding import READS, READS_BEFORE_SESSION, Octets, guard
 from dpstack.bridge.opcua.subscriptions import Losses, WhereClause, bound
 from dpstack.errors import DpError

@@ -10,18 +10,18 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, cast
 
-import probe_face
+import probe_connector
 import pytest
 from api_kit import in_virtual_time
 from asyncua import ua
 from opcua_rig import id_of
-from probe_face import ProbeFace
+from probe_connector import ProbeConnector
 
 import dpstack
-from dpstack.bridge.opcua.face import OpcUaFace, OpcUaSettings
-from dpstack.bridge.opcua.server import LimitedSession
+from dpstack.bridge.opcua.connector import OpcUaConnector, OpcUaSettings
+from dpstack.bridge.opcua.sessions import LimitedSession
 from dpstack.bridge.opcua.users import Account
-from dpstack.bridge.tree import NodesChanged
+from dpstack.plant.tree import NodesChanged
 
 VALVES: Final[dict[str, Any]] = {
     "name": "valves",
@@ -40,9 +40,9 @@ MOST_CALLS: Final = 120
 
 @pytest.fixture(autouse=True)
 def probe() -> Iterator[None]:
-    probe_face.register()
+    probe_connector.register()
     yield
-    probe_face.forget()
+    probe_connector.forget()
 
 
 class Walk:
@@ -88,15 +88,15 @@ def texts_in(found: object) -> Iterator[str]:
         yield from texts_in((*found.keys(), *found.values()))
 
 
-async def served(folder: Path) -> OpcUaFace:
+async def served(folder: Path) -> OpcUaConnector:
     """The OPC UA connector of the plant, with its nodes, and no client."""
-    [probe] = ProbeFace.made
+    [probe] = ProbeConnector.made
     settings = OpcUaSettings("127.0.0.1:0", "plant", folder / "c.der", folder / "k.pem", anonymous=True)
-    face = OpcUaFace(probe.tree, lambda *_: None, settings, probe.orders)
-    await face.open()
-    face.take([NodesChanged()])
-    await face.write_changes()
-    return face
+    connector = OpcUaConnector(probe.tree, lambda *_: None, settings, probe.orders)
+    await connector.open()
+    connector.take([NodesChanged()])
+    await connector.write_changes()
+    return connector
 
 
 @in_virtual_time
@@ -108,16 +108,18 @@ async def test_no_text_is_made_of_an_order_between_connector_and_image(tmp_path:
         await bus.operate()
         await bus.ready()
         await asyncio.sleep(1)
-        face, anna = await served(tmp_path), Account("anna", True, "")
+        connector, anna = await served(tmp_path), Account("anna", True, "")
         session = cast("LimitedSession", None)  # an order needs none
 
         def written(value: int) -> Awaitable[list[ua.StatusCode]]:
             given = ua.DataValue(ua.Variant(value, ua.VariantType.UInt16))
-            return face.write([ua.WriteValue(id_of("slave/9/output/flow"), ua.AttributeIds.Value, None, given)], anna)
+            return connector.write(
+                [ua.WriteValue(id_of("slave/9/output/flow"), ua.AttributeIds.Value, None, given)], anna
+            )
 
         def called(value: float) -> Awaitable[list[ua.CallMethodResult]]:
             drive, method = id_of("slave/6/drive"), id_of("slave/6/drive/method/speed")
-            return face.call([ua.CallMethodRequest(drive, method, [ua.Variant(value)])], anna, session)
+            return connector.call([ua.CallMethodRequest(drive, method, [ua.Variant(value)])], anna, session)
 
         await written(1)  # so that modules which are loaded at their first use are there
         output = Walk("Stack.set_outputs", str(FLOW), f"{FLOW:x}")
@@ -129,11 +131,11 @@ async def test_no_text_is_made_of_an_order_between_connector_and_image(tmp_path:
         assert result.StatusCode.value == 0
         assert bus.drive("pump").status.setpoint == pytest.approx(SPEED, abs=1e-3)
         # MQTT gives its orders by name
-        [probe] = ProbeFace.made
+        [probe] = ProbeConnector.made
         named = Walk("Stack.set_outputs", str(FLOW + 1), f"{FLOW + 1:x}")
         done = await named.follow(lambda: probe.orders.give("valves.flow", FLOW + 1, made_at=time.time()))
         assert done.reason == ""
-        face.close()
+        connector.close()
     assert [*output.texts, *drive.texts, *named.texts] == []
     assert len(output.calls) <= MOST_CALLS, output.calls
     # the slave is looked up once, and its field once

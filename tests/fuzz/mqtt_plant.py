@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from dpstack.bridge.mqtt.plant_node import PlantNode
-from dpstack.bridge.tree import PlantTree
+from dpstack.plant.tree import PlantTree
 
 #: the time at which the plant is shown, and at which orders come
 NOW: Final = 1_700_000_010.0

@@ -11,8 +11,8 @@ from asyncua.common.connection import TransportLimits
 from asyncua.crypto.security_policies import SecurityPolicyNone
 from asyncua.ua.ua_binary import nodeid_to_binary, struct_to_binary
 
-from dpstack.bridge.opcua.connection import MOST_REQUEST, Connection
-from dpstack.bridge.opcua.server import LimitedServer, ProcessorShare
+from dpstack.bridge.opcua.connection import MOST_REQUEST, ClientConnection
+from dpstack.bridge.opcua.sessions import LimitedServer, ProcessorShare
 from tests.fuzz.memory_transport import MemoryTransport
 
 #: Part 6, 7.1.2.3: version, both buffers, no limit of messages and chunks; the text of an address
@@ -64,7 +64,7 @@ class Wire(MemoryTransport):
         limits = TransportLimits(max_message_size=MOST_REQUEST, max_chunk_count=17)
         self.clients = server_clients(server)
         none: Any = type("None_", (), {"matches": lambda *_: True, "create": lambda *_: SecurityPolicyNone()})
-        self.protocol: Connection = Connection(server, [none()], self.clients, [], limits)
+        self.protocol: ClientConnection = ClientConnection(server, [none()], self.clients, [], limits)
         self.protocol.connection_made(self)
 
     def get_write_buffer_size(self) -> int:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from property_kit import examples
 
 from dpstack.gsd.model import Device
-from dpstack.gsd.module_readings import Reading, read_modules
+from dpstack.gsd.module_readings import ModuleReading, read_modules
 
 PAIRS = (
     'Module = "a" 0x10\n1\nEndModule\nModule = "a too" 0x10\n2\nEndModule\n'
@@ -19,11 +19,11 @@ PAIRS = (
 )
 
 
-def brief(reading: Reading) -> list[tuple[int, str, list[str]]]:
+def brief(reading: ModuleReading) -> list[tuple[int, str, list[str]]]:
     return [(place.slot, place.octets.hex(), [module.name for module in place.modules]) for place in reading.places]
 
 
-def one(device: Device, octets: str) -> Reading:
+def one(device: Device, octets: str) -> ModuleReading:
     found, more = read_modules(device, bytes.fromhex(octets))
     assert (len(found), more) == (1, False)
     return found[0]
@@ -61,7 +61,7 @@ def test_all_readings_of_ambiguous_octets() -> None:
     ]
     found, more = read_modules(made(PAIRS).device, b"\x10" * 244, most=5)
     assert (len(found), more) == (5, True)
-    assert read_modules(made(PAIRS).device, b"") == ((Reading(()),), False)
+    assert read_modules(made(PAIRS).device, b"") == ((ModuleReading(()),), False)
 
 
 @pytest.mark.parametrize("octets", ["43", "C3", "20 C3 81"])

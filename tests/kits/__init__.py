@@ -43,9 +43,10 @@ Drivers, ports, programs:
 
 Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``; ``acyclic_kit`` (record 47).
 
-Faces of a bus to other programs:
+Connectors of a bus to other programs:
 
-- ``plant_items``: items of the live stream of a plant, for trees and faces; ``probe_face``: a face for tests.
+- ``plant_items``: items of the live stream of a plant, for trees and connectors; ``probe_connector``: a connector for
+tests.
 - Sparkplug B: ``edge_node_rig`` (an edge node in virtual time), ``history_rig`` (with store and forward),
   ``sparkplug_host`` (a host that knows only the specification), ``fake_broker`` (a broker of MQTT 5); ``fleet_kit``
   (statuses of segments).

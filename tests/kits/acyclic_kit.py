@@ -7,8 +7,8 @@ from typing import TypeVar
 
 from dpstack.dpv1.master.plugin_queue import Outcome, ServiceFailure
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
+from dpstack.profile.record47.parameter_server import ParameterServer
 from dpstack.profile.record47.pdu import Answer, Pause, Refused, Service, Silent, Transport
-from dpstack.profile.record47.server import ParameterServer
 
 T = TypeVar("T")
 MS = 1_000_000

@@ -11,8 +11,8 @@ from slave_kit import make_slave
 
 import dpstack
 from dpstack.api.bus.bus import core_of
-from dpstack.api.server.server import ServedSlave
-from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.api.slave_side.slave_server import ServedSlave
+from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.user_slave import SlaveOptions

@@ -12,7 +12,7 @@ from sparkplug_host import Host, read_payload, tag
 
 from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.plant_node import (
-    Connection,
+    ConnectionNeeds,
     Disconnect,
     NodeOptions,
     NodeSetup,
@@ -22,7 +22,7 @@ from dpstack.bridge.mqtt.plant_node import (
     no_pause,
 )
 from dpstack.bridge.mqtt.session_file import SessionFile
-from dpstack.bridge.tree import Change, ClockSet, PlantTree
+from dpstack.plant.tree import Change, ClockSet, PlantTree
 
 GROUP, NODE = "plant 1", "segment 4"
 
@@ -54,7 +54,7 @@ class Rig:
         self.host = Host(GROUP, NODE)
         self.told: list[str] = []
         self.orders: list[OrderWish] = []
-        self.connection: Connection | None = None
+        self.connection: ConnectionNeeds | None = None
         self.wills: list[Publish] = []
         self.sent: list[Publish] = []
         self.numbers: SessionFile | None = None

@@ -15,8 +15,8 @@ from dpstack.bridge.mqtt.history_file import HistoryFile
 from dpstack.bridge.mqtt.payload import DataType
 from dpstack.bridge.mqtt.plant_node import NodeOptions, Publish
 from dpstack.bridge.mqtt.session_file import SessionFile
-from dpstack.bridge.quality import Reason
-from dpstack.bridge.tree import PlantTree
+from dpstack.plant.quality import Reason
+from dpstack.plant.tree import PlantTree
 
 #: a folder in memory where there is one: the file writes to the disk each time
 MEMORY: Final = "/dev/shm" if os.path.isdir("/dev/shm") else None

@@ -1,4 +1,5 @@
-"""Scrapes of the metrics face, read back by the parser of ``prometheus_client``, and requests to it over a socket."""
+"""Scrapes of the metrics connector, read back by the parser of ``prometheus_client``, and requests to it over a
+socket."""
 
 from __future__ import annotations
 
@@ -10,10 +11,10 @@ from typing import Any
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from dpstack.bridge.face import FaceState
+from dpstack.bridge.connector import ConnectorState
 from dpstack.bridge.metrics import table
-from dpstack.bridge.metrics.face import MetricsFace, rendered
-from dpstack.bridge.tree import PlantTree
+from dpstack.bridge.metrics.connector import MetricsConnector, rendered
+from dpstack.plant.tree import PlantTree
 from dpstack.tcp_address import Listen
 
 Labels = frozenset[tuple[str, str]]
@@ -51,8 +52,8 @@ def read(text: bytes) -> Scrape:
     return found
 
 
-async def scrape(face: MetricsFace) -> Scrape:
-    return read(await rendered(face.collector.families()))
+async def scrape(connector: MetricsConnector) -> Scrape:
+    return read(await rendered(connector.collector.families()))
 
 
 async def ask(port: int, octets: bytes, *, whole: bool = True) -> bytes:
@@ -119,22 +120,22 @@ def snapshot(t: float, *slaves: dict[str, Any], **bus: Any) -> dict[str, Any]:
 
 
 class Bench:
-    """A face that has got items. ``told``: its remarks."""
+    """A connector that has got items. ``told``: its remarks."""
 
     def __init__(self, *items: dict[str, Any]) -> None:
         self.told: list[str] = []
         self.tree = PlantTree()
-        self.face = MetricsFace(
+        self.connector = MetricsConnector(
             self.tree,
             lambda text, severity: self.told.append(text),
             Listen("127.0.0.1", 0),
-            faces=lambda: [FaceState("metrics", True), FaceState("mqtt", False, 12, connected=False)],
+            connectors=lambda: [ConnectorState("metrics", True), ConnectorState("mqtt", False, 12, connected=False)],
             bus_pid=os.getpid,
         )
         self.give(1.0, *items)
 
     def give(self, now: float, *items: dict[str, Any]) -> None:
-        self.face.take(self.tree.apply_all(items, now))
+        self.connector.take(self.tree.apply_all(items, now))
 
     def scrape(self) -> Scrape:
-        return asyncio.run(scrape(self.face))
+        return asyncio.run(scrape(self.connector))

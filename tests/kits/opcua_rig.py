@@ -1,4 +1,4 @@
-"""An OPC UA face over literal items of a plant: a server on a free port, with users, and clients of asyncua."""
+"""An OPC UA connector over literal items of a plant: a server on a free port, with users, and clients of asyncua."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import NameOID
 
 from dpstack.bridge.opcua.certificate import utc_now
-from dpstack.bridge.opcua.face import OpcUaFace, OpcUaSettings
+from dpstack.bridge.opcua.connector import OpcUaConnector, OpcUaSettings
 from dpstack.bridge.opcua.users import hash_password
 from dpstack.bridge.orders import Orders
-from dpstack.bridge.tree import PlantTree
 from dpstack.errors import UsageError
 from dpstack.plant.orders import DriveOrder, SetOutputs
+from dpstack.plant.tree import PlantTree
 from dpstack.trace import Severity
 
 ANNA, BOB = ("anna", "secret of anna"), ("bob", "secret of bob")
@@ -46,7 +46,7 @@ class Rig:
         orders = Orders(self.tree, self._carry_out, ALLOWED)
         made: dict[str, Any] = {"users_file": users, "anonymous": True, "lock": folder / "lock"} | settings
         chosen = OpcUaSettings("127.0.0.1:0", "plant", folder / "own" / "c.der", folder / "own" / "k.pem", **made)
-        self.face = OpcUaFace(self.tree, self._tell, chosen, orders)
+        self.connector = OpcUaConnector(self.tree, self._tell, chosen, orders)
         self.t = 0.0
         #: a start goes on when this is set
         self.slow = asyncio.Event()
@@ -71,30 +71,30 @@ class Rig:
 
     def plant(self) -> None:
         plant = {"started": 1_700_000_000.0, "baud": 500_000, "port": "virtual", "read_only": False}
-        self.face.take(self.tree.apply({"plant": plant | {"slaves": self.slaves}}, self.t))
+        self.connector.take(self.tree.apply({"plant": plant | {"slaves": self.slaves}}, self.t))
 
     def snapshot(self) -> None:
         self.t += 0.1
         item = {"t": self.t, "whole": True, "bus": {"stale": False, "mode": "operate"}, "slaves": self.values}
-        self.face.take(self.tree.apply({"snapshot": item}, self.t))
+        self.connector.take(self.tree.apply({"snapshot": item}, self.t))
 
     @contextlib.asynccontextmanager
     async def serving(self) -> AsyncIterator[Rig]:
-        await self.face.open()
+        await self.connector.open()
         self.plant()
         self.snapshot()
-        task = asyncio.create_task(self.face.serve())
+        task = asyncio.create_task(self.connector.serve())
         try:
             await self.until(lambda: "slave/9/drive/settings" in self.ids())
             yield self
         finally:
             task.cancel()
             await asyncio.wait((task,))
-            self.face.close()
+            self.connector.close()
 
     def ids(self) -> set[object]:
-        assert self.face._space is not None
-        return {one.Identifier for one in self.face._space.values}
+        assert self.connector._space is not None
+        return {one.Identifier for one in self.connector._space.values}
 
     async def until(self, found: Any) -> None:
         async with asyncio.timeout(20):
@@ -103,7 +103,7 @@ class Rig:
 
     def client(self, user: tuple[str, str] | None = None, *, days: int = 30) -> Client:
         cert, key = make_certificate(self.folder, days)
-        client = Client(f"opc.tcp://127.0.0.1:{self.face.port}", timeout=10)
+        client = Client(f"opc.tcp://127.0.0.1:{self.connector.port}", timeout=10)
         client.application_uri = "urn:client"
         self.security = f"Basic256Sha256,SignAndEncrypt,{cert},{key}"
         if user is not None:

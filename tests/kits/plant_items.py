@@ -1,4 +1,4 @@
-"""Items of the live stream of a plant with a drive (3) and valves (8), for its tree and its faces."""
+"""Items of the live stream of a plant with a drive (3) and valves (8), for its tree and its connectors."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ _CONTROL: Final = "api/control/test_control.py::"
 _TRUST: Final = "api/control/test_control_trust.py::"
 _RIGHTS: Final = "web/test_web_rights.py::"
 _SERVER: Final = "web/test_web_server.py::"
-_OPCUA: Final = "bridge_opcua/test_opcua_face.py::"
+_OPCUA: Final = "bridge_opcua/test_opcua_connector.py::"
 _FLEET: Final = "bridge_mqtt/"
 _JSON: Final = "bridge_mqtt/test_json_node.py::"
 _CODE: Final = "security/test_no_code.py::"
@@ -150,9 +150,9 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "bridge/test_publishing.py::test_values_go_out_and_orders_come_back",
     ),
     "G4": (
-        "bridge/test_publishing.py::test_outputs_keep_their_safe_end_whatever_a_face_does",
-        "bridge/test_gateway.py::test_faces_that_fail_in_every_way_end_alone",
-        "bridge/test_gateway.py::test_a_face_that_never_ends_is_left",
+        "bridge/test_publishing.py::test_outputs_keep_their_safe_end_whatever_a_connector_does",
+        "bridge/test_gateway.py::test_connectors_that_fail_in_every_way_end_alone",
+        "bridge/test_gateway.py::test_a_connector_that_never_ends_is_left",
     ),
     "G5": ("cli/commands/test_what_commands_load.py::test_a_run_loads_what_it_uses",),
     "G6": (
@@ -222,7 +222,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",
-        "api/server/test_inputs_over_time.py::test_code_needs_a_word_for_it",
+        "api/slave_side/test_inputs_over_time.py::test_code_needs_a_word_for_it",
     ),
     "F2": (_CODE + "test_the_places_in_the_source",),
     "F3": (_CODE + "test_the_places_in_the_source",),
@@ -277,7 +277,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "E2": (
         "api/bus/test_bus.py::test_a_plugin_that_raises_stops_its_drive_only",
-        "api/server/test_inputs_over_time.py::test_an_ill_function_is_told_once_and_the_last_inputs_stay",
+        "api/slave_side/test_inputs_over_time.py::test_an_ill_function_is_told_once_and_the_last_inputs_stay",
     ),
     "E3": (_CODE + "test_children_take_no_modules_of_the_working_directory",),
     "E4": (

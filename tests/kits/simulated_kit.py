@@ -5,7 +5,7 @@ from __future__ import annotations
 from octet_wire import PARAMS, Wire, framed
 
 from dpstack.api.config.config import slave_config
-from dpstack.api.server.virtual_bench import SimulatedSlave, VirtualBench
+from dpstack.api.slave_side.virtual_bench import SimulatedSlave, VirtualBench
 from dpstack.sim.world import World
 
 SC = "E5"

@@ -17,7 +17,7 @@ from property_kit import examples
 
 from dpstack.dp.process_data import Field, FieldMap, with_scale
 from dpstack.errors import UsageError
-from dpstack.live.state import LiveState
+from dpstack.plant.state import LiveState
 from dpstack.record.columns import Column, Layout, RecordedSlave
 from dpstack.record.reader import Recording
 from dpstack.record.replay import Item, Replay, replay_items
@@ -317,7 +317,7 @@ async def test_replay_from_the_middle(tmp_path: Path) -> None:
         await _items(path)
 
 
-async def test_a_replay_feeds_the_state_of_any_face(tmp_path: Path) -> None:
+async def test_a_replay_feeds_the_state_of_any_connector(tmp_path: Path) -> None:
     path = tmp_path / "plant.csv"
     plant = layout(boiler(), RecordedSlave(3, "hoist", is_drive=True))
     rows = Rows(plant, "csv")

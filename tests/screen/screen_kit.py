@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dpstack.live.judge import judge
+from dpstack.plant.judge import judge
 
 LONG = "[bold red]x[/] <b>\u202e\x1b[31m 🚀日本" + "long" * 50
 

@@ -11,7 +11,7 @@ import termios
 from collections.abc import Mapping
 from typing import Any
 
-from dpstack.live.pending import Pending
+from dpstack.plant.pending import Pending
 from dpstack.screen.process import ScreenProcess, Terminal
 from tests.screen.screen_kit import Item, plant, slave_plant, snapshot, values
 

@@ -246,9 +246,14 @@ def test_a_running_bus_loads_only_modules_named_in_the_source() -> None:
     """No command, configuration or octets of others decide about the modules that ``load_beside`` imports."""
     found = {words for text in sources().values() for words in re.findall(r"await load_beside\((.*)\)", text)}
     literal = {word for words in found for word in words.split(", ") if word.startswith('"dpstack.')}
-    faces = "*(kind.module for kind in kinds.values())"
-    assert {word for words in found for word in words.split(", ")} - literal == {"place", "*_WHY", '"construct"', faces}
-    modules = re.findall(r"FaceKind\((\S+),", sources()["dpstack/api/faces/kinds.py"])
+    connectors = "*(kind.module for kind in kinds.values())"
+    assert {word for words in found for word in words.split(", ")} - literal == {
+        "place",
+        "*_WHY",
+        '"construct"',
+        connectors,
+    }
+    modules = re.findall(r"ConnectorKind\((\S+),", sources()["dpstack/api/connectors/kinds.py"])
     assert modules
     assert all(re.fullmatch(r'"dpstack\.bridge\.\w+\.\w+"', word) for word in modules)
     assert 'place = f"{__package__}.{module}"' in sources()["dpstack/api/control/handlers.py"]

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from dpstack.api.control.commands import COMMON
-from dpstack.api.control.server import ControlServer
+from dpstack.api.control.control_server import ControlServer
 from dpstack.drivers.process.shared_image import SIZE, make_memory
 
 #: "nobody" on most systems

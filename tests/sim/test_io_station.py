@@ -12,7 +12,7 @@ import dpstack
 from dpstack import ConfigError, IoStation
 from dpstack.api.config.config import slave_config
 from dpstack.api.gsd_info import read_gsd
-from dpstack.api.server.virtual_bench import device_of
+from dpstack.api.slave_side.virtual_bench import device_of
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import RS_REPLY

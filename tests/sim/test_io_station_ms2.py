@@ -15,7 +15,7 @@ import dpstack
 from dpstack import Im0, IoStation
 from dpstack.api.config.config import make_config
 from dpstack.api.gsd_info import check_gsd, read_gsd
-from dpstack.api.server.simulation import Simulation
+from dpstack.api.slave_side.simulation import Simulation
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.drivers.segment.hub import Segment

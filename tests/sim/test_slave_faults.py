@@ -12,7 +12,7 @@ from property_kit import examples
 from simulated_kit import SC, VALVES, Asked
 
 from dpstack.api.config.config import slave_config
-from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.dp.pdu.diag_blocks import UserDiag
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.telegram import Resp

@@ -18,13 +18,13 @@ from edge_node_rig import GROUP, NODE
 from plant_items import HOIST, PLANT, VALVES
 from sparkplug_host import Host
 
-from dpstack.bridge.face import Tell
+from dpstack.bridge.connector import Tell
 from dpstack.bridge.mqtt.broker import Broker
-from dpstack.bridge.mqtt.client import MqttFace
+from dpstack.bridge.mqtt.client import MqttConnector
 from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.bridge.orders import Orders
-from dpstack.bridge.tree import PlantTree
 from dpstack.plant.orders import DriveOrder, SetOutputs
+from dpstack.plant.tree import PlantTree
 from dpstack.trace import Severity
 
 LONGEST_S = 30.0
@@ -149,7 +149,7 @@ class Subscriber:
 
 
 class Plant:
-    """A tree with two slaves, fed by the test, and a face on it."""
+    """A tree with two slaves, fed by the test, and a connector on it."""
 
     def __init__(
         self, folder: Path, broker: Broker, *, primary_host: str = "", orders: bool = True, store_mb: int = 0
@@ -160,7 +160,7 @@ class Plant:
         self.tree = PlantTree()
         self.carried_out: list[SetOutputs | DriveOrder] = []
         tell: Tell = self.tell
-        self.face = MqttFace(
+        self.connector = MqttConnector(
             self.tree,
             tell,
             broker=broker,
@@ -181,7 +181,7 @@ class Plant:
             self.values["8"]["fields"]["lamp"] = True
 
     async def feed(self) -> None:
-        self.face.take(self.tree.apply({"plant": self.plant}, time.monotonic()))
+        self.connector.take(self.tree.apply({"plant": self.plant}, time.monotonic()))
         while True:
             now = time.monotonic()
             body = {
@@ -190,20 +190,20 @@ class Plant:
                 "bus": {"stale": False, "mode": "operate"},
                 "slaves": copy.deepcopy(self.values),
             }
-            self.face.take(self.tree.apply({"snapshot": body}, now))
+            self.connector.take(self.tree.apply({"snapshot": body}, now))
             await asyncio.sleep(0.05)
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        await self.face.open()
-        tasks = [asyncio.create_task(self.feed()), asyncio.create_task(self.face.serve())]
+        await self.connector.open()
+        tasks = [asyncio.create_task(self.feed()), asyncio.create_task(self.connector.serve())]
         try:
             yield
         finally:
             for task in tasks:
                 task.cancel()
             ends = await asyncio.gather(*tasks, return_exceptions=True)
-            self.face.close()
+            self.connector.close()
             assert [type(one) for one in ends] == [asyncio.CancelledError] * 2, ends
 
     async def until(self, found: Callable[[], object]) -> None:

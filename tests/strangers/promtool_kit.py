@@ -12,7 +12,7 @@ from typing import Any, Final
 from metrics_kit import scrape
 from prometheus_expressions import FOLDER
 
-from dpstack.bridge.metrics.face import MetricsFace
+from dpstack.bridge.metrics.connector import MetricsConnector
 from tests.strangers.stranger_kit import HANGS_S, program
 
 #: s between two scrapes, and two evaluations of the rules
@@ -34,17 +34,17 @@ class Recording:
         self.steps = 0
         self._samples: dict[str, list[str]] = {}
 
-    async def take(self, face: MetricsFace | None, steps: int) -> None:
-        """Wait and scrape ``face`` (None: it does not answer) so many times."""
+    async def take(self, connector: MetricsConnector | None, steps: int) -> None:
+        """Wait and scrape ``connector`` (None: it does not answer) so many times."""
         for _ in range(steps):
             await asyncio.sleep(STEP_S)
-            await self.scrape(face)
+            await self.scrape(connector)
 
-    async def scrape(self, face: MetricsFace | None) -> None:
-        """Scrape ``face`` at this moment, as the next step."""
-        self._note("up", {}, float(face is not None))
-        if face is not None:
-            for (name, labels), value in (await scrape(face)).series.items():
+    async def scrape(self, connector: MetricsConnector | None) -> None:
+        """Scrape ``connector`` at this moment, as the next step."""
+        self._note("up", {}, float(connector is not None))
+        if connector is not None:
+            for (name, labels), value in (await scrape(connector)).series.items():
                 self._note(name, dict(labels), value)
         self.steps += 1
 
@@ -67,11 +67,11 @@ class Recording:
         ]
 
     def firing(self, folder: Path, steps: list[int]) -> list[set[str]]:
-        """The alerts that fire at each of ``steps``, as names with the address of a slave or the name of a face or
+        """The alerts that fire at each of ``steps``, as names with the address of a slave or the name of a connector or
         process, if there is one."""
         asked = [
             {
-                "expr": 'group by (alertname, address, face, process) (ALERTS{alertstate="firing"})',
+                "expr": 'group by (alertname, address, connector, process) (ALERTS{alertstate="firing"})',
                 "eval_time": f"{step * STEP_S}s",
                 # no alert is called so: promtool tells what it has got instead
                 "exp_samples": [{"labels": f'{{alertname="none", at="{step}"}}', "value": 1}],
@@ -107,5 +107,5 @@ class Recording:
 
 def _alert(labels: str) -> str:
     found: dict[str, Any] = dict(_LABEL.findall(labels))
-    more = [found[key] for key in ("address", "face", "process") if key in found]
+    more = [found[key] for key in ("address", "connector", "process") if key in found]
     return " ".join([found["alertname"].removeprefix("Dpstack"), *more])

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from dpstack.web.rights import Rights
-from dpstack.web.server import serve
 from dpstack.web.source import GivenItems, Kind
+from dpstack.web.web_server import serve
 
 #: t = 0 of the plant, seconds since 1970
 STARTED: Final = 1_763_830_000.0

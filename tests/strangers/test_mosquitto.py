@@ -1,4 +1,4 @@
-"""The face of MQTT against mosquitto and its own clients: births, wills, restarts, commands, TLS; plain JSON.
+"""The connector of MQTT against mosquitto and its own clients: births, wills, restarts, commands, TLS; plain JSON.
 
 A subscriber is mosquitto_sub; what it gets is judged by a host that knows only the specification.
 """
@@ -242,7 +242,7 @@ async def test_the_primary_host(tmp_path: Path, broker: Mosquitto) -> None:
     async with following(broker) as subscriber, plant.running():
         host = subscriber.host
         await plant.until(lambda: f"connected to 127.0.0.1:{broker.port}" in plant.told)
-        assert plant.face.connected
+        assert plant.connector.connected
         await state('{"online": false, "timestamp": 1000}')
         await asyncio.sleep(0.5)
         assert host.messages == []
@@ -377,9 +377,9 @@ async def test_a_run_publishes_its_plant_and_takes_the_orders_that_are_listed(
         kinds = subscriber.kinds()
         assert "DDEATH" in kinds[-3:], kinds
         told = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
-        texts = [line["text"] for line in told if line["text"].startswith("faces: mqtt")]
-        assert texts[0] == f"faces: mqtt: connected to 127.0.0.1:{broker.port}"
-        assert "faces: mqtt: order valves.lamp: done" in texts
+        texts = [line["text"] for line in told if line["text"].startswith("connectors: mqtt")]
+        assert texts[0] == f"connectors: mqtt: connected to 127.0.0.1:{broker.port}"
+        assert "connectors: mqtt: order valves.lamp: done" in texts
 
 
 JSON = f"dpstack/{GROUP}/{NODE}"

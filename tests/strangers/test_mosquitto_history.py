@@ -115,7 +115,7 @@ async def test_the_broker_is_killed_and_the_primary_host_goes_and_no_number_is_m
         assert history == sorted(history, key=lambda one: one[1])
         assert [number for number, _ in history] == sorted(number for number, _ in history)
         assert len(history) >= 6
-        assert plant.face.dropped == 0
+        assert plant.connector.dropped == 0
         all_of = [*found, *arrived(host, "Inputs/number", "valves")]
         times = {number: time for number, time, old in all_of if old}
         steps = [times[number + 1] - times[number] for number in times if number + 1 in times]

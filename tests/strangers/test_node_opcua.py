@@ -1,4 +1,4 @@
-"""The OPC UA face with node-opcua from npm as client: browse, subscribe, methods, alarms, history, refusals."""
+"""The OPC UA connector with node-opcua from npm as client: browse, subscribe, methods, alarms, history, refusals."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ async def test_a_foreign_client_browses_subscribes_calls_and_is_refused(folder: 
         for change in ({"fields": {"level": 6.5}}, {"state": "fault", "fault": {"text": "no answer"}}, {}):
             rig.values["8"] = fine | change
             rig.snapshot()
-            await rig.face.write_changes()
+            await rig.connector.write_changes()
         client = await asyncio.create_subprocess_exec(
-            "node", CLIENT.name, f"opc.tcp://127.0.0.1:{rig.face.port}",
+            "node", CLIENT.name, f"opc.tcp://127.0.0.1:{rig.connector.port}",
             cwd=folder,
             env=os.environ | {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)},
             stdout=asyncio.subprocess.PIPE,

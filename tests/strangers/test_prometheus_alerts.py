@@ -15,16 +15,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import probe_face
+import probe_connector
 import pytest
 from api_kit import bench_of
 from foreign_master import ForeignMaster, fdl_status
-from probe_face import ProbeFace
+from probe_connector import ProbeConnector
 from prometheus_expressions import FOLDER, expressions
 
 import dpstack
 from dpstack.api.bus.bus import core_of
-from dpstack.bridge.metrics.face import MetricsFace
+from dpstack.bridge.metrics.connector import MetricsConnector
 from dpstack.sim.world import World
 from dpstack.testing.faults import Faults
 from tests.strangers.promtool_kit import STEP_S, Recording
@@ -52,13 +52,13 @@ class Plant:
     """A simulated plant whose metrics are recorded."""
 
     bus: dpstack.Bus
-    face: MetricsFace
+    connector: MetricsConnector
     faults: Faults
     world: World
     recording: Recording = field(default_factory=Recording)
 
     async def take(self, scrapes: int) -> None:
-        await self.recording.take(self.face, scrapes)
+        await self.recording.take(self.connector, scrapes)
 
 
 @contextlib.asynccontextmanager
@@ -70,8 +70,8 @@ async def plant(**bus_keys: Any) -> AsyncIterator[Plant]:
     async with dpstack.publish(bus, **tables) as publishing, bus:
         core = core_of(bus)
         assert core.world is not None
-        [face] = [one for one in publishing._faces if isinstance(one, MetricsFace)]
-        made = Plant(bus, face, Faults(bench_of(bus), core.world, 1), core.world)
+        [connector] = [one for one in publishing._connectors if isinstance(one, MetricsConnector)]
+        made = Plant(bus, connector, Faults(bench_of(bus), core.world, 1), core.world)
         await bus.operate()
         await bus.ready()
         await made.take(QUIET)
@@ -167,7 +167,7 @@ async def other_master(plant: Plant) -> None:
 async def watchdog_near(plant: Plant) -> None:
     with plant.faults.silence("pump"):
         await asyncio.sleep(1.5)
-        await plant.recording.scrape(plant.face)
+        await plant.recording.scrape(plant.connector)
 
 
 async def verdict(plant: Plant) -> None:
@@ -181,25 +181,25 @@ async def bus_dead(plant: Plant) -> None:
 
 
 async def gone(plant: Plant) -> None:
-    plant.face.close()
+    plant.connector.close()
     await plant.recording.take(None, 6)
 
 
-async def face_ended(plant: Plant) -> None:
-    ProbeFace.made[-1].breaks = True
+async def connector_ended(plant: Plant) -> None:
+    ProbeConnector.made[-1].breaks = True
     plant.faults.power_off("pump", 1)
     await plant.take(2)
 
 
 async def broker_gone(plant: Plant) -> None:
-    ProbeFace.made[-1].connected = True
+    ProbeConnector.made[-1].connected = True
     await plant.take(1)
-    ProbeFace.made[-1].connected = False
+    ProbeConnector.made[-1].connected = False
     await plant.take(22)
 
 
 async def changes_dropped(plant: Plant) -> None:
-    ProbeFace.made[-1].dropped += 1
+    ProbeConnector.made[-1].dropped += 1
     await plant.take(2)
 
 
@@ -215,7 +215,7 @@ async def few_descriptors(plant: Plant) -> None:
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:  # noqa: ASYNC220
         assert process.stdout is not None
         process.stdout.readline()
-        plant.face.collector._bus_pid = lambda: process.pid
+        plant.connector.collector._bus_pid = lambda: process.pid
         await plant.take(22)
 
 
@@ -244,8 +244,8 @@ CASES: Final[dict[str, Case]] = {
     "VerdictCritical": Case(verdict, {"SlaveLost 8"}),
     "BusDead": Case(bus_dead),
     "Gone": Case(gone),
-    "FaceEnded probe": Case(face_ended),
-    "FaceNotConnected probe": Case(broker_gone),
+    "ConnectorEnded probe": Case(connector_ended),
+    "ConnectorNotConnected probe": Case(broker_gone),
     "Losses probe": Case(changes_dropped),
     "Losses": Case(events_lost),
     "FewFileDescriptors bus": Case(few_descriptors),
@@ -254,9 +254,9 @@ CASES: Final[dict[str, Case]] = {
 
 @pytest.fixture(autouse=True)
 def probe() -> Iterator[None]:
-    probe_face.register()
+    probe_connector.register()
     yield
-    probe_face.forget()
+    probe_connector.forget()
 
 
 def waits() -> dict[str, int]:

@@ -12,7 +12,7 @@ import pytest
 from edge_node_rig import Rig
 
 from dpstack.bridge.mqtt.payload import DATA_TYPES, DataType, MetricKind, Sample, birth, read_command, value_given
-from dpstack.bridge.quality import LIMITS, Reading, Reason, Value
+from dpstack.plant.quality import LIMITS, Reading, Reason, Value
 from tests.strangers.stranger_kit import environment
 
 pytestmark = pytest.mark.strangers

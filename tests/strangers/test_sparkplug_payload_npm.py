@@ -13,7 +13,7 @@ from edge_node_rig import GROUP, NODE, Rig
 from history_rig import HistoryRig
 
 from dpstack.bridge.mqtt.payload import DATA_TYPES, DataType, MetricKind, Sample, birth, read_command, value_given
-from dpstack.bridge.quality import LIMITS, Reading, Reason, Value
+from dpstack.plant.quality import LIMITS, Reading, Reason, Value
 from tests.strangers.stranger_kit import program
 
 pytestmark = pytest.mark.strangers

@@ -20,8 +20,8 @@ from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import make_config
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.simulation_handlers import control_segment, control_sim
-from dpstack.api.server.simulation import Simulation
-from dpstack.api.server.virtual_bench import Bench
+from dpstack.api.slave_side.simulation import Simulation
+from dpstack.api.slave_side.virtual_bench import Bench
 from dpstack.drivers.segment.hub import Segment
 from dpstack.profile import DriveDevice
 from dpstack.testing import Faults
@@ -330,10 +330,10 @@ ROWS: Final = (
 #: commands of ``ctl`` to a simulated slave that are no fault of this plant: other drives have them
 ELSEWHERE: Final = {
     "jog": "tests/drives/test_ls_simulator.py",
-    "acknowledge": "tests/api/server/test_simulated_orders.py",
-    "contact": "tests/api/server/test_simulated_orders.py",
-    "link": "tests/api/server/test_simulated_orders.py",
-    "set-point": "tests/api/server/test_simulated_orders.py",
+    "acknowledge": "tests/api/slave_side/test_simulated_orders.py",
+    "contact": "tests/api/slave_side/test_simulated_orders.py",
+    "link": "tests/api/slave_side/test_simulated_orders.py",
+    "set-point": "tests/api/slave_side/test_simulated_orders.py",
 }
 
 

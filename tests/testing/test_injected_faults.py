@@ -10,7 +10,7 @@ from api_kit import virtual
 
 from dpstack import SlaveState
 from dpstack.api.control.commands import SEGMENT, SLAVES
-from dpstack.api.server.fault_steps import KINDS
+from dpstack.api.slave_side.fault_steps import KINDS
 from dpstack.testing import BusFactory, Fault, Faults
 from tests.testing.injected_faults import ELSEWHERE, FAN, ROWS, Place, Row, call, carry_out, port_place, virtual_place
 

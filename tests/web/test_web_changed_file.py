@@ -13,10 +13,10 @@ import pytest
 
 from dpstack.api.config.config import file_digest, load_config
 from dpstack.api.control.commands import KINDS
-from dpstack.api.control.server import ControlServer
+from dpstack.api.control.control_server import ControlServer
 from dpstack.web import run_source
 from dpstack.web.run_source import RunSource
-from dpstack.web.server import serve
+from dpstack.web.web_server import serve
 from tests.web.web_kit import PLANT, WHOLE, page_of
 
 TEXT = '[bus]\nport = "virtual"\nbaud = 500000\n# ümlaut\n'

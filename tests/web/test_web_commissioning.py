@@ -11,8 +11,8 @@ from gsd_kit import HEAD
 
 from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.errors import UsageError
-from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from dpstack.web.web_server import serve
 from tests.web.web_kit import page_of
 
 ISLAND = (

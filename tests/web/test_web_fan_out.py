@@ -9,10 +9,10 @@ import socket
 from collections.abc import AsyncGenerator
 from typing import Any
 
-from dpstack.live.pending import Pending
+from dpstack.plant.pending import Pending
 from dpstack.web.fan_out import MOST_EVENTS, FanOut, Item
-from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from dpstack.web.web_server import serve
 from tests.web.web_kit import PLANT, WHOLE, delta, event, page_of
 
 

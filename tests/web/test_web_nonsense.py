@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, Order, answer, parse
-from dpstack.web.server import serve
+from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, PageOrder, answer, parse
 from dpstack.web.source import GivenItems
+from dpstack.web.web_server import serve
 from tests.web.web_kit import PLANT, WHOLE, delta, page_of
 
 JSON = st.recursive(
@@ -41,7 +41,7 @@ MESSAGES = st.one_of(
 )
 
 
-def parsed(text: str) -> Hello | Ask | Order | MessageError:
+def parsed(text: str) -> Hello | Ask | PageOrder | MessageError:
     try:
         return parse(text)
     except MessageError as error:
@@ -65,7 +65,7 @@ def test_a_message_is_one_with_right_types_or_an_error_in_one_line(text: str) ->
             assert (given_["ask"]["id"], given_["ask"]["what"]) == (id, what)
             assert json.dumps(list(args)) == json.dumps(given_["ask"].get("args", []))
             assert type(id) is int
-        case Order(id, command, order_args, confirmed):
+        case PageOrder(id, command, order_args, confirmed):
             assert (given_["order"]["id"], given_["order"]["command"]) == (id, command)
             assert all(type(one) is str for one in order_args)
             assert given_["order"].get("confirmed", False) is confirmed

@@ -11,8 +11,8 @@ import pytest
 from dpstack.errors import BusError, UsageError
 from dpstack.web.orders import ORDERS
 from dpstack.web.rights import Rights
-from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from dpstack.web.web_server import serve
 from tests.web.web_kit import PLANT, WHOLE, page_of
 
 TOKEN = "anna-0123456789abcdef"
@@ -95,7 +95,7 @@ async def test_orders_become_commands_of_the_run_and_all_pages_are_told() -> Non
 
 
 async def test_no_order_without_confirmation_or_without_rights(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dpstack.web.server._BURST", 100.0)
+    monkeypatch.setattr("dpstack.web.web_server._BURST", 100.0)
     run, log = Run(), list[str]()
     async with serve(run, rights=RIGHTS, log=log.append) as server, page_of(server, TOKEN) as page:
         for command in ORDERS:

@@ -159,7 +159,7 @@ def test_wrong_use_is_one_line(args: list[str], why: str, tmp_path: Path, capsys
 
 
 def test_nothing_else_listens_on_a_network() -> None:
-    """Sockets that wait for connections: those of the page and of the faces, and the Unix socket for commands."""
+    """Sockets that wait for connections: those of the page and of the connectors, and the Unix socket for commands."""
     waiting = re.compile(r"create_server\(|start_server\(|SockSite|TCPSite|socketserver|AF_INET|listening\.listen\(")
     root = Path(dpstack.__file__).parent
     found = {
@@ -168,9 +168,9 @@ def test_nothing_else_listens_on_a_network() -> None:
         if waiting.search(path.read_text(encoding="utf-8"))
     }
     assert found == {
-        "api/control/server.py",
+        "api/control/control_server.py",
         "bridge/metrics/http_server.py",
         "bridge/opcua/connection.py",
         "tcp_address.py",
-        "web/server.py",
+        "web/web_server.py",
     }

@@ -9,8 +9,8 @@ import pytest
 
 from dpstack.cli.main import main
 from dpstack.web import source
-from dpstack.web.server import serve
 from dpstack.web.source import ReplaySource
+from dpstack.web.web_server import serve
 from tests.web.web_kit import PLANT, page_of
 
 #: a CSV file of somebody else: no description, one unit

@@ -17,8 +17,8 @@ from dpstack.errors import ConfigError, PortError, UsageError
 from dpstack.tcp_address import Listen, Origins, is_local
 from dpstack.web import rights as rights_module
 from dpstack.web.rights import Rights, make_rights, read_tokens, tls_context, who_may
-from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from dpstack.web.web_server import serve
 from tests.web.web_kit import PLANT, page_of, stranger
 
 ANNA, BERT = "anna-0123456789abcdef", "bert-0123456789abcdef"
@@ -79,7 +79,7 @@ async def test_the_secret_of_a_start_gives_orders_and_without_it_one_may_look(un
 
 
 async def test_the_first_message_is_hello_and_comes_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dpstack.web.server._HELLO_S", 0.05)
+    monkeypatch.setattr("dpstack.web.web_server._HELLO_S", 0.05)
     async with serve(GivenItems([PLANT])) as server:
         messages: list[object] = [{"ask": {"id": 1, "what": "why"}}, {"hello": {"token": 7}}, [], "hello"]
         for message in messages:
@@ -222,7 +222,7 @@ async def test_tokens_of_one_network_do_not_pile_up() -> None:
 
 
 async def test_one_network_does_not_take_all_places_before_hello(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dpstack.web.server._MOST_OF_A_NETWORK", 1)
+    monkeypatch.setattr("dpstack.web.web_server._MOST_OF_A_NETWORK", 1)
     async with serve(GivenItems([PLANT])) as server, stranger(server) as silent:
         with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
             async with stranger(server):
@@ -258,8 +258,8 @@ async def test_a_page_over_tls(tmp_path: Path) -> None:
 async def test_connections_without_a_handshake_are_closed_and_their_number_is_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dpstack.web.server._HELLO_S", 0.2)
-    monkeypatch.setattr("dpstack.web.server._MOST_CONNECTIONS", 3)
+    monkeypatch.setattr("dpstack.web.web_server._HELLO_S", 0.2)
+    monkeypatch.setattr("dpstack.web.web_server._MOST_CONNECTIONS", 3)
     cert, key = write(tmp_path / "cert.pem", CERT), write(tmp_path / "key.pem", KEY)
     context, names = tls_context(cert, key)
     trusting = ssl.create_default_context(cafile=str(cert))

@@ -18,14 +18,14 @@ from dpstack.api.config.config import load_config
 from dpstack.api.control import stream
 from dpstack.api.control.client import ControlClient
 from dpstack.api.control.commands import KINDS
+from dpstack.api.control.control_server import ControlServer, Handler
 from dpstack.api.control.handlers import control_run
-from dpstack.api.control.server import ControlServer, Handler
-from dpstack.live import items
+from dpstack.plant import items
 from dpstack.web import run_source
 from dpstack.web.child import Child
 from dpstack.web.rights import Rights
 from dpstack.web.run_source import RunSource
-from dpstack.web.server import serve
+from dpstack.web.web_server import serve
 from tests.web.web_kit import PLANT, WHOLE, Page, delta, event, page_of
 
 TOKEN = "anna-0123456789abcdef"

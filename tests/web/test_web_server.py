@@ -9,8 +9,8 @@ import aiohttp
 import pytest
 from far_ends import HANG_S
 
-from dpstack.web.server import serve
 from dpstack.web.source import GivenItems
+from dpstack.web.web_server import serve
 from tests.web.web_kit import PLANT, WHOLE, delta, event, page_of, stranger
 
 
@@ -138,8 +138,8 @@ async def test_other_versions_of_http_are_refused_in_one_of_ours(version: str) -
 async def test_connections_without_a_request_are_closed_and_their_number_is_bounded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("dpstack.web.server._HELLO_S", 0.05)
-    monkeypatch.setattr("dpstack.web.server._MOST_CONNECTIONS", 3)
+    monkeypatch.setattr("dpstack.web.web_server._HELLO_S", 0.05)
+    monkeypatch.setattr("dpstack.web.web_server._MOST_CONNECTIONS", 3)
     async with serve(GivenItems([PLANT])) as server, page_of(server) as page:
         host, port = server.url.removeprefix("http://").rstrip("/").split(":")
         opened = [await asyncio.open_connection(host, int(port)) for _ in range(4)]

@@ -10,8 +10,8 @@ from typing import Any
 import aiohttp
 from far_ends import HANG_S
 
-from dpstack.live.judge import judge
-from dpstack.web.server import WebServer
+from dpstack.plant.judge import judge
+from dpstack.web.web_server import WebServer
 
 #: the items of a plant with one slave, as the control socket of a run sends them
 PLANT: dict[str, Any] = {

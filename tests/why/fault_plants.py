@@ -21,7 +21,7 @@ from bus_kit import add_station
 import dpstack
 from dpstack.api.config.config import slave_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.server.virtual_bench import device_of
+from dpstack.api.slave_side.virtual_bench import device_of
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings

@@ -20,7 +20,7 @@ from faults.devices import Babbler, DpV0Only, Hasty, Ill, NeedsDpV1, Picky, Refu
 from faults.slaves import NeverReady, WrongLength, locked_by
 
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.server.virtual_bench import device_of
+from dpstack.api.slave_side.virtual_bench import device_of
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_SET_PRM, SAP_SLAVE_DIAG

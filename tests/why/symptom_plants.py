@@ -21,7 +21,7 @@ from faults import devices
 import dpstack
 from dpstack.api.config.config import slave_config
 from dpstack.api.doctor import Computer, Level, examine
-from dpstack.api.server.virtual_bench import device_of
+from dpstack.api.slave_side.virtual_bench import device_of
 from dpstack.cli.main import main
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.loopback_device import MirrorDevice

@@ -21,7 +21,7 @@ from dpstack.fdl.telegram import StationType
 from dpstack.gsd.configuration import configure
 from dpstack.gsd.parser import load_gsd
 from dpstack.why.causes import Cause
-from dpstack.why.evidence import Evidence, Line, Neighbour, Ring
+from dpstack.why.evidence import Evidence, LineCounters, Neighbour, Ring
 from dpstack.why.steps import refused_by, words
 from dpstack.why.story import Likely, story_lines, tell
 
@@ -29,7 +29,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "why.md"
 SETUP = SlaveParams(address=8, name="valves", ident=0x1234, config=b"\x20\x10", user_prm=b"\x00\x07")
 EMPTY = Evidence(
-    setup=SETUP, state=SlaveState.OFFLINE, ring=Ring(own=2), line=Line(baud=500_000, slot_bits=200)
+    setup=SETUP, state=SlaveState.OFFLINE, ring=Ring(own=2), line=LineCounters(baud=500_000, slot_bits=200)
 )  # fmt: skip
 
 
@@ -206,7 +206,7 @@ def test_answers_that_the_port_dropped_as_damaged_are_noise_and_no_missing_slave
     silent = History((BringUp((Step(1, "Data_Exchange", b"\x01", "nothing"),)),))
     link = StationStats(requests=20, answers=18, retries=2, timeouts=2)
     clean = Neighbour(3, "hoist", SlaveState.DATA_EXCHANGE, 0x0696, StationStats(requests=90, answers=90))
-    line = Line(baud=187_500, slot_bits=200, heard=110, bad={"uart_marked": 52, "uart_parity": 4})
+    line = LineCounters(baud=187_500, slot_bits=200, heard=110, bad={"uart_marked": 52, "uart_parity": 4})
     facts = dataclasses.replace(EMPTY, history=silent, link=link, neighbours=(clean,), line=line)
     story = tell(facts)
     assert story.first.cause == "noise_on_stub"
@@ -221,7 +221,7 @@ def test_answers_that_the_port_dropped_as_damaged_are_noise_and_no_missing_slave
 def test_another_program_at_the_port_explains_lost_slaves() -> None:
     silent = History((BringUp((Step(1, "Data_Exchange", b"\x01", "nothing", times=40),)),))
     link = StationStats(requests=900, answers=900, timeouts=40, late=9)
-    line = Line(baud=187_500, slot_bits=200, heard=900, disturbed="gpsd (pid 41) has it open, too")
+    line = LineCounters(baud=187_500, slot_bits=200, heard=900, disturbed="gpsd (pid 41) has it open, too")
     facts = dataclasses.replace(EMPTY, history=silent, link=link, line=line)
     story = tell(facts)
     assert story.first.cause == "another_program"
@@ -316,7 +316,7 @@ EVIDENCE = st.builds(
         tokens_lost=COUNTS,
     ),
     line=st.builds(
-        Line,
+        LineCounters,
         baud=st.sampled_from((9600, 500_000)),
         slot_bits=st.integers(37, 16_383),
         heard=COUNTS,

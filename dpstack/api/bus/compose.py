@@ -27,8 +27,8 @@ from dpstack.ports import Delivery, Port
 from dpstack.units import NS_PER_MS
 
 if TYPE_CHECKING:
-    from dpstack.api.server.virtual_bench import VirtualBench
     from dpstack.api.slave.drive import DrivePlugin
+    from dpstack.api.slave_side.virtual_bench import VirtualBench
     from dpstack.dp.master.master import Master
     from dpstack.drivers.process.client import ProcessRuntime
     from dpstack.drivers.process.plugins import AttachPlugin
@@ -199,7 +199,7 @@ def compose(
             from dpstack.drivers.virtual.runtime import VirtualRuntime
 
             if world is None:
-                from dpstack.api.server.virtual_bench import VirtualBench
+                from dpstack.api.slave_side.virtual_bench import VirtualBench
                 from dpstack.sim.world import World
 
                 world = World(referee=False)

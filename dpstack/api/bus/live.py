@@ -1,4 +1,4 @@
-"""``bus.live()``: plant, snapshots and events of a bus as one stream (:mod:`dpstack.live.state`).
+"""``bus.live()``: plant, snapshots and events of a bus as one stream (:mod:`dpstack.plant.state`).
 
 Nothing is added to the work of the bus a telegram or a cycle: while there are readers, a task reads the snapshots that
 the bus has anyway, a few slaves at a time, with pauses in which the bus goes on.
@@ -29,9 +29,9 @@ from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.drivers.snapshots import BusSnapshot, Counters, SlaveSnapshot
 from dpstack.errors import UsageError
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.live.judge import JUDGED, judge
-from dpstack.live.pending import Pending
-from dpstack.live.state import Item, difference, end_of
+from dpstack.plant.judge import JUDGED, judge
+from dpstack.plant.pending import Pending
+from dpstack.plant.state import Item, difference, end_of
 from dpstack.record.rows import iso_time
 from dpstack.stats import Histogram
 from dpstack.trace import Event

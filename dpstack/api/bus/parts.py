@@ -32,8 +32,8 @@ from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
-    from dpstack.api.server.virtual_bench import VirtualBench
     from dpstack.api.slave.drive import Drive
+    from dpstack.api.slave_side.virtual_bench import VirtualBench
     from dpstack.sim.world import World
 
 SEARCHING: Final = "searching for the baud rate"

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dpstack.api.config.config import Config, rate_findings
-from dpstack.dp.plan.cycle_check import Verdict, judge_cycle, slowest_rates
+from dpstack.dp.plan.cycle_check import CycleVerdict, judge_cycle, slowest_rates
 from dpstack.dp.plan.plan import Plan, make_plan
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave_params import SlaveParams
@@ -14,7 +14,7 @@ from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
 
-__all__ = ["Verdict"]  # for the command line
+__all__ = ["CycleVerdict"]  # for the command line
 
 #: time (ns) of an exchange and of the token over an adapter with a latency timer of 1 ms
 #: (docs/reference/bus-parameters.md)
@@ -64,7 +64,7 @@ def new_plan_texts(config: Config, plan: Plan, setups: Sequence[SlaveParams], ad
     return [text for text in texts([*setups, added]) if text not in known]
 
 
-def cycle_rates(config: Config, cycle_ns: int) -> dict[Verdict, int | None]:
+def cycle_rates(config: Config, cycle_ns: int) -> dict[CycleVerdict, int | None]:
     """For each verdict the slowest baud rate, known by all slaves, at which ``cycle_ns`` gets it or a better one."""
     return slowest_rates(_at_rates(config), cycle_ns)
 
@@ -103,7 +103,7 @@ def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveParams]) -> 
         return
     what, todo, address = refusals[0]
     if address is None:
-        faster = cycle_rates(config, cycle_ns)[Verdict.POSSIBLE]
+        faster = cycle_rates(config, cycle_ns)[CycleVerdict.POSSIBLE]
         hint = f" ({baud_text(faster)} would do)" if faster is not None and faster > plan.params.baud else ""
         raise config.source.error(("bus", "cycle_ms"), f"[bus]: {what}", f"{todo}{hint}")
     numbers = {slave.address: number for number, slave in enumerate(config.slaves)}

@@ -8,7 +8,7 @@ from typing import Literal, TypeVar
 from dpstack.api.bus.bus import SlaveTable
 from dpstack.api.config.config import AUTO, slave_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.drivers.virtual import loop
 from dpstack.errors import UsageError
 from dpstack.params import BusParams

@@ -23,7 +23,7 @@ from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.gsd.prm import UserPrm
 from dpstack.params import MAX_STATION
 from dpstack.units import NS_PER_S
-from dpstack.why.evidence import CLASS2, RUN, Evidence, Line, Neighbour, Ring
+from dpstack.why.evidence import CLASS2, RUN, Evidence, LineCounters, Neighbour, Ring
 from dpstack.why.facts import Facts, attempts, failures
 from dpstack.why.story import Story, tell
 
@@ -190,7 +190,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
             withdrawn=link.withdrawn,
             token_retries=link.token_retries,
         ),
-        line=Line(
+        line=LineCounters(
             baud=bus.params.baud,
             slot_bits=bus.params.t_sl,
             min_tsdr=bus.params.min_tsdr,

@@ -16,7 +16,7 @@ from dpstack.fdl.telegram import StationType
 from dpstack.gsd.configuration import default_modules, plug
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module, in_ranges
-from dpstack.gsd.module_readings import Reading, read_modules
+from dpstack.gsd.module_readings import ModuleReading, read_modules
 from dpstack.profile import DriveProfile, registry
 from dpstack.text import octets_text
 
@@ -211,7 +211,7 @@ def _of_octets(ident: int, config: bytes) -> Iterator[Candidate]:
 
 def module_choice(entry: GsdEntry, device: Device, config: bytes | None) -> dict[str, object]:
     """The modules of a GSD file as plain data, with the readings of ``config``: see :meth:`Commissioning.modules`."""
-    readings: tuple[Reading, ...] = ()
+    readings: tuple[ModuleReading, ...] = ()
     more = False
     if config is not None:
         readings, more = read_modules(device, config, _READINGS)

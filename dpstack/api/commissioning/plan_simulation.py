@@ -13,8 +13,8 @@ from msgspec import Struct, field
 from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.opening import open_bus
 from dpstack.api.config.config import Config
-from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.api.slave.slave import Slave
+from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.dp.master.fixed_cycle import CycleStats
 from dpstack.dp.plan.plan import Plan
 from dpstack.dp.plan.rotation_time import TYPICAL_TSDR, Case, tsdr_bits

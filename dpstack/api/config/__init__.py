@@ -2,9 +2,9 @@
 
 - ``bus``: The [bus] table: keys of the whole bus
 - ``config``: ``Config``: configuration files, read and checked
+- ``connectors``: The tables of the connectors that publish a plant
 - ``dpv1``: The table [slave.dpv1]: DPV1_Status, alarms, class 2 connections
 - ``drive_source``: A [[slave]] table with a drive, alone or with its maker's GSD file
-- ``faces``: The tables of the faces that publish a plant
 - ``gsd_choice``: A [[slave]] table from the modules and parameters chosen in a GSD file
 - ``gsd_source``: A [[slave]] table with a GSD file: modules, user parameters, limits
 - ``simulate``: The table [slave.simulate]: inputs of a simulated slave from a recording or from a function

@@ -34,7 +34,7 @@ from dpstack.text import octets_text
 from dpstack.units import baud_text
 
 if TYPE_CHECKING:
-    from dpstack.api.config.faces import FaceConfig
+    from dpstack.api.config.connectors import ConnectorConfig
 
 #: keys of [bus] that are bus parameters
 _PARAMETERS: Final = ("t_sl", "t_tr", "gap", "hsa", "max_retry", "address")
@@ -49,8 +49,8 @@ class Config:
     bus: BusConfig
     slaves: tuple[SlaveConfig, ...]
     source: Source = field(repr=False, compare=False)
-    #: the tables of the faces that publish the plant, by name
-    faces: Mapping[str, FaceConfig] = field(default_factory=dict)
+    #: the tables of the connectors that publish the plant, by name
+    connectors: Mapping[str, ConnectorConfig] = field(default_factory=dict)
 
     def with_bus(self, **changes: object) -> Config:
         """A copy with other bus settings, checked again; None leaves a setting as it is."""
@@ -234,14 +234,14 @@ def check_config(
     bus: BusConfig | None = None
     slaves: list[SlaveConfig] = []
     entries: object = []
-    faces: Mapping[str, FaceConfig] = {}
+    connectors: Mapping[str, ConnectorConfig] = {}
     try:
         top = Table(source, (), data, name)
         others = {key: table for key, table in data.items() if key not in ("bus", "slave")}
         if others:
-            from dpstack.api.config.faces import read_faces  # here, as most configurations have none
+            from dpstack.api.config.connectors import read_connectors  # here, as most configurations have none
 
-            faces = read_faces(source, others)
+            connectors = read_connectors(source, others)
         if "bus" not in top:
             raise source.error((), "no [bus] table", "add [bus] with port and baud")
         bus = read_bus(source, data["bus"])
@@ -261,7 +261,7 @@ def check_config(
             errors.append(error)
     if bus is None or errors:
         return None, errors
-    config = Config(bus=bus, slaves=tuple(slaves), source=source, faces=faces)
+    config = Config(bus=bus, slaves=tuple(slaves), source=source, connectors=connectors)
     errors += [source.error(*conflict) for conflict in itertools.islice(_conflicts(config), most)]
     return config, errors
 

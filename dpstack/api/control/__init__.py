@@ -10,6 +10,7 @@ the requests of one connection one after the other.
 - ``arguments``: Parsers of command arguments: times, numbers, switches, octets
 - ``client``: The client's end of the control socket: finds a running program by its port and sends commands
 - ``commands``: Tables of the commands that running programs accept; ``Order``: a parsed command
+- ``control_server``: The server's end of the control socket of a run, sim or segment
 - ``drive_orders``: Orders to a drive (``speed``, ``stop``, ``read`` ...): words, parser, execution, answers in JSON
 - ``errors``: Errors over the control socket: an error in the program raises the same error in its client
 - ``handlers``: The control server of a run, and the handlers of its commands
@@ -18,7 +19,6 @@ the requests of one connection one after the other.
 - ``record_orders``: Orders to the records of a slave (``read``, ``write`` ...): words, parser, execution, answers
 - ``remote``: Orders to the ``run`` that holds the port: to a drive, or to the records of a slave
 - ``scenario``: Scenarios: a TOML file of steps in time that happen to simulated slaves
-- ``server``: The server's end of the control socket of a run, sim or segment
 - ``simulation_handlers``: The control servers of sim and segment, and the commands to simulated slaves
 - ``socket_path``: Control sockets as files: names, directory, owner of the peer process
 - ``stream``: The lines of a long command from a running program, without blocking the event loop

@@ -1,4 +1,4 @@
-"""Tables of the commands that running programs accept over the control socket; ``Order``: a parsed command."""
+"""Tables of the commands that running programs accept over the control socket; ``ParsedCommand``: a parsed command."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dpstack.errors import UsageError
 Arguments = Mapping[str, tuple[str, Callable[[str], object]]]
 
 
-class Order(NamedTuple):
+class ParsedCommand(NamedTuple):
     """A parsed order to a drive or to the records of a slave.
 
     ``texts``: its arguments for the control socket; ``values``: the keyword arguments of the method that carries it
@@ -39,14 +39,14 @@ class Spec(NamedTuple):
             example = f"{self.name} {self.example}".rstrip()
             raise UsageError(f"{self.name} takes {self.usage or 'no arguments'}, for instance: {example}")
 
-    def order(self, args: Sequence[str], known: Arguments, options: Mapping[str, Any] | None = None) -> Order:
+    def order(self, args: Sequence[str], known: Arguments, options: Mapping[str, Any] | None = None) -> ParsedCommand:
         """The order with ``args``, parsed by the table ``known``, and ``options``. Raises UsageError."""
         self.check(args)
         names = [name.strip("[]") for name in self.usage.split()]
         parsers = [(known[name], text) for name, text in zip(names, args, strict=False) if name in known]
         values = {key: parse(text) for (key, parse), text in parsers}
         texts = [f"{key}={value}".lower() for key, value in (options or {}).items()]
-        return Order(self.name, (*args, *texts), {**values, **(options or {})})
+        return ParsedCommand(self.name, (*args, *texts), {**values, **(options or {})})
 
     def as_dict(self) -> dict[str, str]:
         return {"command": self.name, "args": self.usage, "text": self.text, "example": self.example}

@@ -10,9 +10,9 @@ from typing import Any, Final
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.control import errors
-from dpstack.api.control.commands import NOW, Arguments, Order, Spec, find_word
+from dpstack.api.control.commands import NOW, Arguments, ParsedCommand, Spec, find_word
+from dpstack.api.control.control_server import LongCommand, kept_alive
 from dpstack.api.control.orders import drive_for, perform
-from dpstack.api.control.server import LongCommand, kept_alive
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue
 from dpstack.api.slave.drive import Drive
 from dpstack.errors import ParameterError, UsageError
@@ -50,7 +50,7 @@ OPTIONS: Final[Mapping[str, frozenset[str]]] = {
 }
 
 
-def parse_order(word: str, texts: Sequence[str]) -> Order:
+def parse_order(word: str, texts: Sequence[str]) -> ParsedCommand:
     """Parse an order of :data:`WORDS` and its arguments, such as ``data_set=3``, ``index=1``, ``ram=true``,
     ``timeout=20``. Raises UsageError.
     """
@@ -72,7 +72,7 @@ def drive_order(bus: Bus, args: list[str]) -> LongCommand:
     return lambda send: kept_alive(carry_out(drive, order), lambda: {"status": drive.status.as_dict()}, send)
 
 
-def find_order(bus: Bus, args: Sequence[str]) -> tuple[Drive, Order]:
+def find_order(bus: Bus, args: Sequence[str]) -> tuple[Drive, ParsedCommand]:
     """The drive and the order of ``[now] NAME ORDER [ARG]...``. (A drive may be called "now": then an order stands
     behind it.) Raises UsageError, and as :func:`~dpstack.api.control.orders.drive_for`."""
     now = len(args) > 2 and args[0] == NOW and all(args[1] != spec.name for spec in WORDS)
@@ -80,7 +80,7 @@ def find_order(bus: Bus, args: Sequence[str]) -> tuple[Drive, Order]:
     return drive_for(bus, number_or_name(name), word, now=now), parse_order(word, texts)
 
 
-async def carry_out(drive: Drive, order: Order) -> dict[str, Any]:
+async def carry_out(drive: Drive, order: ParsedCommand) -> dict[str, Any]:
     """Carry out ``order``. Returns the answer as plain data. Raises the errors of the methods of the drive."""
     word, values = order.word, order.values
     answer: dict[str, Any] = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind}

@@ -18,8 +18,8 @@ from dpstack.api.bus.statistics import clear_since, diagnosis_dict, drive_dict, 
 from dpstack.api.control import arguments
 from dpstack.api.control.arguments import PTY, address_of
 from dpstack.api.control.commands import KINDS, NOW, SLAVES
+from dpstack.api.control.control_server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.orders import carry_out, octets_of, put_out
-from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import load_beside

@@ -8,8 +8,8 @@ from typing import Final
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.live import LiveStream
 from dpstack.api.control import arguments
-from dpstack.api.control.server import LongCommand, Sender
-from dpstack.live.pending import portions
+from dpstack.api.control.control_server import LongCommand, Sender
+from dpstack.plant.pending import portions
 from dpstack.text import json_text
 
 #: octets that may wait for a client before its items are kept back, and merged

@@ -11,8 +11,8 @@ from msgspec import structs
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.control.arguments import hex_octets, within
-from dpstack.api.control.commands import Arguments, Order, Spec, find_word
-from dpstack.api.control.server import LongCommand, Send, kept_alive
+from dpstack.api.control.commands import Arguments, ParsedCommand, Spec, find_word
+from dpstack.api.control.control_server import LongCommand, Send, kept_alive
 from dpstack.api.lists.record_list import ListedValues
 from dpstack.api.slave.class2 import Connection
 from dpstack.api.slave.slave import Slave
@@ -43,7 +43,7 @@ _IN_A_LINE: Final = 100
 OnProgress = Callable[[str, int, int], None]
 
 
-def parse_order(word: str, args: Sequence[str], *, class2: bool = False, who: str = "dpstack acyclic") -> Order:
+def parse_order(word: str, args: Sequence[str], *, class2: bool = False, who: str = "dpstack acyclic") -> ParsedCommand:
     """Parse one of :data:`WORDS`, or :data:`TRANSPORT` with ``class2``. Raises UsageError; ``who``: its subject."""
     if word == TRANSPORT.name and not class2:
         raise UsageError("Data_Transport is a service of class 2 connections: add --class 2 (`ctl`: class2)")
@@ -92,7 +92,9 @@ def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> LongCom
     return long_command
 
 
-async def carry_out(slave: Slave | Connection, order: Order, progress: OnProgress | None = None) -> dict[str, Any]:
+async def carry_out(
+    slave: Slave | Connection, order: ParsedCommand, progress: OnProgress | None = None
+) -> dict[str, Any]:
     """Carry out ``order``. Returns the answer as plain data. Raises the errors of :meth:`Slave.read`.
 
     The order ``parameters`` also raises those of :class:`~dpstack.api.slave.record_parameters.RecordParameters`, and

@@ -12,7 +12,7 @@ import msgspec
 
 from dpstack.api.config.config import Config
 from dpstack.api.control.client import ControlClient, checked, find_any_run, find_run
-from dpstack.api.control.commands import Order
+from dpstack.api.control.commands import ParsedCommand
 from dpstack.api.control.drive_orders import PARAMETERS, READ_MANY
 from dpstack.api.control.errors import failure
 from dpstack.api.control.record_orders import COMMANDS, OnProgress
@@ -193,7 +193,7 @@ _ANSWERS: Final[dict[str, dict[str, type]]] = {
 
 
 async def _carry_out(
-    client: ControlClient, command: str, name: str, order: Order, progress: OnProgress | None = None
+    client: ControlClient, command: str, name: str, order: ParsedCommand, progress: OnProgress | None = None
 ) -> dict[str, Any]:
     """The answer of the run to ``order``. A cancellation closes the connection, and thereby cancels the order."""
     kind = _ANSWERS[command].get(order.word, StatusAnswer if command == "drive" else None)
@@ -208,7 +208,7 @@ async def _carry_out(
 
 
 async def through_run(
-    config: Config, slave: int, order: Order, progress: OnProgress | None = None, *, master: int = 1
+    config: Config, slave: int, order: ParsedCommand, progress: OnProgress | None = None, *, master: int = 1
 ) -> dict[str, Any] | None:
     """Have the run with the port and the file of ``config`` do :func:`~dpstack.api.control.record_orders.carry_out`;
     None where no run answers for the port. ``master``: class 1 or 2.
@@ -273,11 +273,11 @@ class RemoteDrive(Readable):
 
     async def listed(self) -> RemoteDrive:
         """The drive with its parameters."""
-        found = await self.carry_out(Order(PARAMETERS, (), {}))
+        found = await self.carry_out(ParsedCommand(PARAMETERS, (), {}))
         answer = checked(found, ParametersAnswer, self.client.port, PARAMETERS)
         return dataclasses.replace(self, parameters=tuple(answer["parameters"]), per_request=answer["per_request"])
 
-    async def carry_out(self, order: Order) -> dict[str, Any]:
+    async def carry_out(self, order: ParsedCommand) -> dict[str, Any]:
         """Have the run do :func:`dpstack.api.control.drive_orders.carry_out`."""
         return await _carry_out(self.client, "drive", self.name, order)
 
@@ -285,7 +285,7 @@ class RemoteDrive(Readable):
         self, parameters: Sequence[ParameterPlace], *, timeout: float = 5.0
     ) -> list[ParameterValue | ParameterError]:
         places = json.dumps([one.as_dict() for one in parameters])
-        answer = (await self.carry_out(Order(READ_MANY, (places, f"timeout={timeout}"), {})))["parameters"]
+        answer = (await self.carry_out(ParsedCommand(READ_MANY, (places, f"timeout={timeout}"), {})))["parameters"]
         if len(answer) != len(parameters):
             raise PortError(
                 f"{self.client.port}: {len(parameters)} parameters were asked for and {len(answer)} were told; is it "
@@ -313,7 +313,7 @@ async def find_drive(config: Config, name: str) -> RemoteDrive | None:
     if client is None:
         return None
     try:
-        answer = await _carry_out(client, "drive", name, Order("status", (), {}))
+        answer = await _carry_out(client, "drive", name, ParsedCommand("status", (), {}))
     except BaseException:
         client.close()
         raise

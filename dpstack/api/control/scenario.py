@@ -1,7 +1,7 @@
 """Scenarios: a TOML file of steps in time that happen to simulated slaves.
 
-A step does what :mod:`dpstack.api.server.fault_steps` lists, or what a command of ``dpstack ctl`` to a simulated slave
-does. The whole file is checked before the first step.
+A step does what :mod:`dpstack.api.slave_side.fault_steps` lists, or what a command of ``dpstack ctl`` to a simulated
+slave does. The whole file is checked before the first step.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from dpstack.api.config.config import read_tables, read_text
 from dpstack.api.config.table import Key, Source, Table
 from dpstack.api.control.arguments import time_ns
 from dpstack.api.control.commands import SLAVES, Spec
-from dpstack.api.control.server import Handler
+from dpstack.api.control.control_server import Handler
 from dpstack.api.injected import ScenarioEvent
-from dpstack.api.server.fault_steps import KINDS, Deed, End, Kind
-from dpstack.api.server.simulated_inputs import SimulatedInputs
-from dpstack.api.server.virtual_bench import Bench
+from dpstack.api.slave_side.fault_steps import KINDS, Deed, End, Kind
+from dpstack.api.slave_side.simulated_inputs import SimulatedInputs
+from dpstack.api.slave_side.virtual_bench import Bench
 from dpstack.errors import ConfigError, DpError
 from dpstack.text import brief, shortened
 from dpstack.trace import Event

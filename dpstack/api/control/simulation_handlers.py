@@ -11,13 +11,13 @@ from dpstack.api.bus.core import BusCore
 from dpstack.api.control import arguments
 from dpstack.api.control.arguments import PTY
 from dpstack.api.control.commands import KINDS
+from dpstack.api.control.control_server import ControlServer, Handler
 from dpstack.api.control.scenario import read_fault
-from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.injected import Injected
-from dpstack.api.server.fault_steps import Deed, End
-from dpstack.api.server.simulation import Segment, Simulation
-from dpstack.api.server.virtual_bench import Bench, silence_text
+from dpstack.api.slave_side.fault_steps import Deed, End
+from dpstack.api.slave_side.simulation import Segment, Simulation
+from dpstack.api.slave_side.virtual_bench import Bench, silence_text
 from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from time import monotonic_ns, time_ns
 from typing import Final, Protocol
 
-from dpstack.api.control.server import LongCommand, Sender
+from dpstack.api.control.control_server import LongCommand, Sender
 from dpstack.drivers.tap import TAP_PAUSE_NS, TAP_PORTION, TAP_SHORT_PAUSE_NS, Tap, Tapped
 from dpstack.text import json_text
 from dpstack.units import ns_to_s

@@ -26,7 +26,7 @@ from dpstack.ports.base import VIRTUAL
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES
 
-__all__ = ["PORT_LOSSES", "BaudFound", "Line", "Listening", "OctetsLost"]
+__all__ = ["PORT_LOSSES", "BaudFound", "ListenedLine", "Listening", "OctetsLost"]
 
 #: pause in s before the next attempt to find the program that held the port
 _AGAIN_S: Final = 0.5
@@ -38,7 +38,7 @@ _DROPPED: Final = "the program that holds the port drops octets that the port ma
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ListenedLine:
     """The line that is listened to. ``port``: its name; ``program``: the kind of dpstack program that holds it ("run",
     "sim", "segment"), None for an own port. ``baud`` in bit/s, None while the rate is searched.
 
@@ -86,7 +86,7 @@ class Listening:
         self._baud = baud
         self._on_transmission = on_transmission
         self._on_event = on_event
-        self._line: Line | None = None
+        self._line: ListenedLine | None = None
         self._listener: Listener | None = None
         self._runtime: AsyncioRuntime | None = None
         self._tap: ProgramTap | None = None
@@ -94,11 +94,11 @@ class Listening:
         self._failed: asyncio.Future[None] | None = None
 
     @property
-    def line(self) -> Line:
+    def line(self) -> ListenedLine:
         """The line, once it is entered."""
         tap = self._tap
         if tap is not None:
-            return Line(self.port, TAP, tap.program, tap.baud, tap.paced, tap.exact, _DROPPED)
+            return ListenedLine(self.port, TAP, tap.program, tap.baud, tap.paced, tap.exact, _DROPPED)
         assert self._line is not None
         if self._listener is None or self._line.baud == self._listener.found:
             return self._line
@@ -156,7 +156,7 @@ class Listening:
         )
         await self._runtime.open()
         source = ADAPTER if port.delivery is Delivery.ADAPTER else HOST
-        self._line = Line(
+        self._line = ListenedLine(
             self._runtime.port_name, source, None, self._baud, self._runtime.paced, damaged=port.damaged_octets
         )
 

@@ -3,7 +3,7 @@
 docs/reference/metrics.md has the table of all metrics.
 
 - ``collector``: The metrics of this moment, from the tree of the plant
-- ``face``: The face of the table ``[metrics]``
+- ``connector``: The connector of the table ``[metrics]``
 - ``health``: ``/healthz`` and ``/readyz``: whether the stream comes, and whether the plant is in data exchange
 - ``http_server``: A small HTTP server for texts, with limits for everything
 - ``processes``: CPU time, memory and file descriptors of a process of this computer

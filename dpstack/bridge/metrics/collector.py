@@ -15,17 +15,17 @@ from typing import Any, Final
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
 from prometheus_client.core import Metric as Family
 
-from dpstack.bridge.conditions import Level
-from dpstack.bridge.face import FaceState
+from dpstack.bridge.connector import ConnectorState
 from dpstack.bridge.metrics import table
 from dpstack.bridge.metrics.health import stream_comes
 from dpstack.bridge.metrics.processes import usage_of
 from dpstack.bridge.metrics.table import COUNTER, GAUGE, Metric
 from dpstack.bridge.names import PROMETHEUS_LABEL, Names, unique_names
-from dpstack.bridge.quality import FLOAT, Reason, value_of
-from dpstack.bridge.tree import Change, NodesChanged, PlantTree
-from dpstack.bridge.verdicts import VERDICTS, Judge, Verdict
-from dpstack.live.judge import DATA_EXCHANGE, STATES
+from dpstack.plant.conditions import Level
+from dpstack.plant.judge import DATA_EXCHANGE, STATES
+from dpstack.plant.quality import FLOAT, Reason, value_of
+from dpstack.plant.tree import Change, NodesChanged, PlantTree
+from dpstack.plant.verdicts import VERDICTS, Judge, Verdict
 
 #: causes of damage of one slave or of the bus: a decoder has 15, and an adapter some of its own
 _MOST_CAUSES: Final = 24
@@ -38,14 +38,14 @@ _MS: Final = 1e3
 
 
 class Collector:
-    """The metrics of ``tree``. ``faces``: all faces; ``bus_pid``: process id of the
+    """The metrics of ``tree``. ``connectors``: all connectors; ``bus_pid``: process id of the
     bus process, None without one; ``version``: that of dpstack."""
 
     def __init__(
         self,
         tree: PlantTree,
         *,
-        faces: Callable[[], Sequence[FaceState]] = tuple,
+        connectors: Callable[[], Sequence[ConnectorState]] = tuple,
         bus_pid: Callable[[], int | None] = lambda: None,
         version: str = "",
     ) -> None:
@@ -53,7 +53,7 @@ class Collector:
         self.requests: Counter[int] = Counter()
         self.refused = 0
         self._tree = tree
-        self._faces = faces
+        self._connectors = connectors
         self._bus_pid = bus_pid
         self._version = version
         self._names = Names({}, ())
@@ -92,10 +92,10 @@ class Collector:
                 self._add_slave(families, address, labels)
                 for one in VERDICTS:
                     families.add(table.SLAVE_VERDICT, one == verdicts[address].level, *labels, one)
-        for face in self._faces():
-            families.add(table.FACE_UP, face.serves, face.name)
-            families.add(table.FACE_CONNECTED, face.connected, face.name)
-            families.add(table.FACE_DROPPED, face.dropped, face.name)
+        for connector in self._connectors():
+            families.add(table.CONNECTOR_UP, connector.serves, connector.name)
+            families.add(table.CONNECTOR_CONNECTED, connector.connected, connector.name)
+            families.add(table.CONNECTOR_DROPPED, connector.dropped, connector.name)
         for code, count in sorted(self.requests.items()):
             families.add(table.REQUESTS, count, str(code))
         families.add(table.REFUSED, self.refused)

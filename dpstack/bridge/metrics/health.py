@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from dpstack.bridge.quality import Reason, clean
-from dpstack.bridge.tree import PlantTree
-from dpstack.bridge.verdicts import CRITICAL, WARNING, Verdict
-from dpstack.live.judge import DATA_EXCHANGE, DEACTIVATED
+from dpstack.plant.judge import DATA_EXCHANGE, DEACTIVATED
+from dpstack.plant.quality import Reason, clean
+from dpstack.plant.tree import PlantTree
+from dpstack.plant.verdicts import CRITICAL, WARNING, Verdict
 from dpstack.text import printable
 
 #: reasons for which no value of the stream is of this moment

@@ -98,7 +98,7 @@ class HttpServer:
         self.count = count
         self.refused = refused
         self.fault = fault
-        self.open: set[Connection] = set()
+        self.open: set[HttpConnection] = set()
         self._of: Counter[str] = Counter()
         self._sockets = sockets
         self._listening: list[asyncio.Server] = []
@@ -110,7 +110,7 @@ class HttpServer:
         loop = asyncio.get_running_loop()
         try:
             for one in self._sockets:
-                server = await loop.create_server(lambda: Connection(self), sock=one, backlog=_BACKLOG)
+                server = await loop.create_server(lambda: HttpConnection(self), sock=one, backlog=_BACKLOG)
                 self._listening.append(server)
         except OSError as error:
             self.end()
@@ -126,7 +126,7 @@ class HttpServer:
         for connection in tuple(self.open):
             connection.abort()
 
-    def enter(self, connection: Connection) -> bool:
+    def enter(self, connection: HttpConnection) -> bool:
         """Whether there is a place for ``connection``."""
         if len(self.open) >= MOST_CONNECTIONS or self._of[connection.client] >= MOST_OF_ONE:
             self.refused()
@@ -144,13 +144,13 @@ class HttpServer:
                 await asyncio.sleep(wait_s)
             self._pace.take(loop.time())
 
-    def leave(self, connection: Connection) -> None:
+    def leave(self, connection: HttpConnection) -> None:
         if connection in self.open:
             self.open.discard(connection)
             self._of -= Counter((connection.client,))
 
 
-class Connection(asyncio.Protocol):
+class HttpConnection(asyncio.Protocol):
     """A client's connection: reads the head of one request, answers it, and waits until the client has closed."""
 
     def __init__(self, server: HttpServer) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.bridge import nodes
-from dpstack.bridge.verdicts import VERDICTS
-from dpstack.live.judge import STATES
+from dpstack.plant import nodes
+from dpstack.plant.judge import STATES
+from dpstack.plant.verdicts import VERDICTS
 
 GAUGE, COUNTER, HISTOGRAM = "gauge", "counter", "histogram"
 
@@ -65,12 +65,20 @@ MAX_FDS: Final = Metric("dpstack_process_max_fds", GAUGE, ("process",), "file de
 START: Final = Metric(
     "dpstack_process_start_time_seconds", GAUGE, ("process",), "start of the process, in seconds since 1970"
 )
-FACE_UP: Final = Metric("dpstack_face_up", GAUGE, ("face",), "1 while the face serves; 0: it has ended by a fault")
-FACE_CONNECTED: Final = Metric(
-    "dpstack_face_connected", GAUGE, ("face",), "1 while the face is connected to its broker; of faces that have one"
+CONNECTOR_UP: Final = Metric(
+    "dpstack_connector_up", GAUGE, ("connector",), "1 while the connector serves; 0: it has ended by a fault"
 )
-FACE_DROPPED: Final = Metric(
-    "dpstack_face_dropped_total", COUNTER, ("face",), "changes that the face dropped, as they were not taken in time"
+CONNECTOR_CONNECTED: Final = Metric(
+    "dpstack_connector_connected",
+    GAUGE,
+    ("connector",),
+    "1 while the connector is connected to its broker; of connectors that have one",
+)
+CONNECTOR_DROPPED: Final = Metric(
+    "dpstack_connector_dropped_total",
+    COUNTER,
+    ("connector",),
+    "changes that the connector dropped, as they were not taken in time",
 )
 REQUESTS: Final = Metric("dpstack_metrics_requests_total", COUNTER, ("code",), "answers of this server by HTTP status")
 REFUSED: Final = Metric(
@@ -78,7 +86,7 @@ REFUSED: Final = Metric(
 )
 STREAM_UP: Final = Metric("dpstack_stream_up", GAUGE, (), "1 while the live stream of the bus comes, and in time")
 STREAM_LOST: Final = Metric(
-    "dpstack_stream_events_lost_total", COUNTER, (), "events of the bus that the faces did not get"
+    "dpstack_stream_events_lost_total", COUNTER, (), "events of the bus that the connectors did not get"
 )
 BUS_UP: Final = Metric("dpstack_bus_up", GAUGE, (), "1 while the bus runs and its stream comes; 0: it is dead")
 BUS_INFO: Final = Metric(
@@ -165,9 +173,9 @@ METRICS: Final = (
     CONDITIONS,
     *SLAVE_COUNTERS.values(),
     SLAVE_DAMAGED,
-    FACE_UP,
-    FACE_CONNECTED,
-    FACE_DROPPED,
+    CONNECTOR_UP,
+    CONNECTOR_CONNECTED,
+    CONNECTOR_DROPPED,
     REQUESTS,
     REFUSED,
     CPU,

@@ -1,7 +1,7 @@
 """A plant over MQTT 5 (extra ``mqtt``): an edge node of Sparkplug B 3.0, or topics with plain JSON.
 
 - ``broker``: Address, TLS, user and password of the broker; the folder for the state of an edge node
-- ``client``: The face of MQTT over one connection to a broker, with aiomqtt
+- ``client``: The connector of MQTT over one connection to a broker, with aiomqtt
 - ``connection``: A connection to a broker with aiomqtt: limits, errors, end
 - ``edge_node``: The edge node: births, data, deaths and commands in their order. Knows no network and no clock
 - ``fleet``: All segments of a broker from their statuses, births and deaths

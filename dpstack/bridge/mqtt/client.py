@@ -1,4 +1,4 @@
-"""The face of MQTT: a plant in Sparkplug B or plain JSON over one connection to a broker, with aiomqtt.
+"""The connector of MQTT: a plant in Sparkplug B or plain JSON over one connection to a broker, with aiomqtt.
 
 One task sends, one reads. A broker that is slow, stopped or gone costs neither memory nor time of others: values that
 change meanwhile replace one another in the node, and each call has a limit.
@@ -24,7 +24,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from dpstack.boottime import boottime_s
-from dpstack.bridge.face import Face, Tell
+from dpstack.bridge.connector import Connector, Tell
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.connection import (
     FIRST_RETRY_S,
@@ -48,7 +48,7 @@ from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.mqtt.status import EXPIRY_S, StatusSource, topic_of
 from dpstack.bridge.mqtt.worker_thread import in_thread
 from dpstack.bridge.orders import Orders
-from dpstack.bridge.tree import Change, PlantTree
+from dpstack.plant.tree import Change, PlantTree
 from dpstack.text import printable
 from dpstack.trace import Severity
 
@@ -79,7 +79,7 @@ _MOST_ORDERS: Final = 256
 _TAKEN_OVER: Final = 0x8E
 
 
-class MqttFace(Face):
+class MqttConnector(Connector):
     """``folder``: for the number of the session (:func:`dpstack.bridge.mqtt.broker.state_folder`). ``orders``: None:
     hosts may give no orders. ``versions``: of programs, for the status of the segment; None: none is published.
     ``store_mb``: MB for values that cannot be delivered; 0: they are lost. ``make_node``: the class for its payloads.

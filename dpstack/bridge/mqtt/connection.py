@@ -141,8 +141,9 @@ def cancellations() -> int:
 
 
 def end_if_cancelled(before: int) -> None:
-    """Raise a cancellation since ``before`` that nobody has seen, else the face would never end: ``asyncio.wait_for``,
-    which aiomqtt uses, swallows one that comes when its future is just done (Python before 3.12)."""
+    """Raise a cancellation since ``before`` that nobody has seen, else the connector would never end:
+    ``asyncio.wait_for``, which aiomqtt uses, swallows one that comes when its future is just done (Python before
+    3.12)."""
     if cancellations() > before:
         raise asyncio.CancelledError
 

@@ -31,7 +31,7 @@ from dpstack.bridge.mqtt.payload import (
     value_given,
 )
 from dpstack.bridge.mqtt.plant_node import (
-    Connection,
+    ConnectionNeeds,
     Disconnect,
     NodeOptions,
     NodeSetup,
@@ -41,9 +41,9 @@ from dpstack.bridge.mqtt.plant_node import (
     Publish,
 )
 from dpstack.bridge.names import SPARKPLUG_ID, SPARKPLUG_METRIC, unique_names
-from dpstack.bridge.nodes import Node, Order
-from dpstack.bridge.quality import BOOL, TEXT, Quality, Reading, Reason, Value
-from dpstack.bridge.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
+from dpstack.plant.nodes import Node, OfferedOrder
+from dpstack.plant.quality import BOOL, TEXT, Quality, Reading, Reason, Value
+from dpstack.plant.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
 from dpstack.text import printable, shortened
 
 #: sequence numbers are 0 to 255
@@ -79,7 +79,7 @@ class EdgeNode(PlantNode):
         self._death_sent = False
         # metrics by key: the id of a node; slave/N/order/... of an order without a node, own/... of the edge node
         self._kinds: dict[str, MetricKind] = {}
-        self._orders: dict[str, Order] = {}
+        self._orders: dict[str, OfferedOrder] = {}
         #: keys by slave (None: the edge node) and name, and by slave and alias
         self._keys: dict[tuple[int | None, str | int], str] = {}
         #: keys of the orders without a node, by slave
@@ -116,7 +116,7 @@ class EdgeNode(PlantNode):
 
     # --- the connection -------------------------------------------------------------------------------------------
 
-    def connect(self, number: int, wall: float) -> Connection:
+    def connect(self, number: int, wall: float) -> ConnectionNeeds:
         self.disconnected()
         self._number = number
         self.phase = Phase.CONNECTING
@@ -126,7 +126,7 @@ class EdgeNode(PlantNode):
         if setup.primary_host:
             topics.append(setup.state_topic)
         will = Publish(setup.topic("NDEATH"), node_death(self._number, _ms(wall)), qos=1)
-        return Connection(setup.client_id, will, tuple(topics))
+        return ConnectionNeeds(setup.client_id, will, tuple(topics))
 
     def connected(self) -> None:
         if self.phase is not Phase.CONNECTING:
@@ -237,7 +237,7 @@ class EdgeNode(PlantNode):
             self._needs_birth = self._needs_birth or self._node is not None
 
     def _add_nodes(
-        self, slave: int | None, nodes: Sequence[Node], before: Mapping[str, int], allowed: Mapping[str, Order]
+        self, slave: int | None, nodes: Sequence[Node], before: Mapping[str, int], allowed: Mapping[str, OfferedOrder]
     ) -> None:
         names, changed = _metric_names(nodes)
         for text in changed:
@@ -258,7 +258,7 @@ class EdgeNode(PlantNode):
             )
             self._add(slave, node.id, kind, before)
 
-    def _add_order(self, order: Order, before: Mapping[str, int]) -> None:
+    def _add_order(self, order: OfferedOrder, before: Mapping[str, int]) -> None:
         """An order without a node of its own: it sets the node that shows it, or gets a metric."""
         word = order.operation
         if word is None:
@@ -568,7 +568,7 @@ class EdgeNode(PlantNode):
             raise ValueError("it has no timestamp")
         return OrderWish(order.name, value_given(given, self._kinds[key].type), time_ms / 1000)
 
-    def _order_given(self, device: str | None, given: Given) -> tuple[str, Order | None]:
+    def _order_given(self, device: str | None, given: Given) -> tuple[str, OfferedOrder | None]:
         """The key of the metric, and its order. Raises ValueError for a metric that is in no birth."""
         slave = next((one for one, born in self._devices.items() if born.name == device), None)
         if device is not None and slave is None:

@@ -23,7 +23,7 @@ from enum import Enum, auto
 from typing import Final, NamedTuple
 
 from dpstack.bridge.mqtt.payload import MetricKind, Sample
-from dpstack.bridge.quality import Quality, Reading, Reason, Value
+from dpstack.plant.quality import Quality, Reading, Reason, Value
 
 #: entries in memory that wait for the disk, and those that were sent and are not confirmed
 MOST_IN_MEMORY: Final = 20_000

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from dpstack.bridge.mqtt.history import CHUNK, Entry, Kept, Place
 from dpstack.bridge.mqtt.payload import LATEST_MS, DataType
-from dpstack.bridge.quality import Reason, Value
+from dpstack.plant.quality import Reason, Value
 from dpstack.text import printable
 
 NAME: Final = "history.sqlite"

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from dpstack.bridge.face import Tell
+from dpstack.bridge.connector import Tell
 from dpstack.bridge.mqtt.history import CHUNK, History
 from dpstack.bridge.mqtt.history_file import (
     MOST_IN_BATCH,

@@ -14,10 +14,9 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Final, NamedTuple
 
-from dpstack.bridge.conditions import Condition
 from dpstack.bridge.mqtt.json_payload import condition_payload, read_order, result_payload, values_payload
 from dpstack.bridge.mqtt.plant_node import (
-    Connection,
+    ConnectionNeeds,
     Disconnect,
     NodeOptions,
     NodeSetup,
@@ -27,8 +26,9 @@ from dpstack.bridge.mqtt.plant_node import (
     Publish,
 )
 from dpstack.bridge.names import MQTT_NAME, unique_names
-from dpstack.bridge.nodes import Node, Order
-from dpstack.bridge.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
+from dpstack.plant.conditions import Condition
+from dpstack.plant.nodes import Node, OfferedOrder
+from dpstack.plant.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
 
 NAMESPACE: Final = "dpstack"
 #: s after which the broker forgets a message, at least; it is sent again three times as often
@@ -72,7 +72,7 @@ class JsonNode(PlantNode):
         self._folders: dict[int | None, str] = {}
         self._parts: dict[_Key, list[tuple[str, Node]]] = {}
         self._key_of: dict[str, _Key] = {}
-        self._orders: dict[tuple[str, str], Order] = {}
+        self._orders: dict[tuple[str, str], OfferedOrder] = {}
         # messages
         #: topics with news; True: they do not wait for the interval
         self._waiting: dict[_Key, bool] = {}
@@ -88,11 +88,11 @@ class JsonNode(PlantNode):
 
     # --- the connection -------------------------------------------------------------------------------------------
 
-    def connect(self, number: int, wall: float) -> Connection:
+    def connect(self, number: int, wall: float) -> ConnectionNeeds:
         self.disconnected()
         self.phase = Phase.CONNECTING
         will = Publish(self._online_topic, _SAID[False], qos=1, retain=True, session=number)
-        return Connection(self._setup.client_id, will, (f"{self._base}/slave/+/set/+",))
+        return ConnectionNeeds(self._setup.client_id, will, (f"{self._base}/slave/+/set/+",))
 
     def connected(self) -> None:
         if self.phase is not Phase.CONNECTING:

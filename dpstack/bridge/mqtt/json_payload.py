@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Any, Final
 
-from dpstack.bridge.conditions import Condition
-from dpstack.bridge.nodes import Node
-from dpstack.bridge.quality import Quality, Reading, Value, clean
+from dpstack.plant.conditions import Condition
+from dpstack.plant.nodes import Node
+from dpstack.plant.quality import Quality, Reading, Value, clean
 from dpstack.text import json_text, printable, shortened
 
 #: octets of an order from a stranger: the longest value is the hex text of 244 octets

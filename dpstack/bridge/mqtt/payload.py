@@ -13,7 +13,7 @@ from typing import Final
 from google.protobuf.message import DecodeError
 
 from dpstack.bridge.mqtt import sparkplug_pb2 as pb
-from dpstack.bridge.quality import BOOL, BYTES, COUNT, FLOAT, TEXT, Quality, Reading, Value
+from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, TEXT, Quality, Reading, Value
 from dpstack.text import printable, shortened
 
 #: octets of a command from a stranger, and metrics in it

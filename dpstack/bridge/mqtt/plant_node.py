@@ -1,4 +1,4 @@
-"""``PlantNode``: the part of a face of MQTT that decides what is sent, and what comes of a message.
+"""``PlantNode``: the part of a connector of MQTT that decides what is sent, and what comes of a message.
 
 :class:`~dpstack.bridge.mqtt.edge_node.EdgeNode` speaks Sparkplug B, :class:`~dpstack.bridge.mqtt.json_node.JsonNode`
 plain JSON. The caller owns the connection, the time and the tree:
@@ -22,10 +22,10 @@ from typing import ClassVar, Final, NamedTuple
 
 from dpstack.bridge.mqtt.history import History
 from dpstack.bridge.names import SPARKPLUG_ID, NameRule, unique_names
-from dpstack.bridge.nodes import Order
-from dpstack.bridge.quality import Value
-from dpstack.bridge.tree import Change, PlantTree
 from dpstack.errors import ConfigError
+from dpstack.plant.nodes import OfferedOrder
+from dpstack.plant.quality import Value
+from dpstack.plant.tree import Change, PlantTree
 from dpstack.text import printable, shortened
 
 #: the first level of all topics of Sparkplug B
@@ -50,7 +50,7 @@ class Disconnect(NamedTuple):
     why: str
 
 
-class Connection(NamedTuple):
+class ConnectionNeeds(NamedTuple):
     """The needs of a connection. Clean Start is set, and the Session Expiry Interval is 0. ``subscriptions``: topics,
     each with QoS 1."""
 
@@ -155,7 +155,7 @@ class PlantNode(ABC):
         self._offset = 0.0
 
     @abstractmethod
-    def connect(self, number: int, wall: float) -> Connection:
+    def connect(self, number: int, wall: float) -> ConnectionNeeds:
         """Begin the session ``number``, which is on disk already (:mod:`dpstack.bridge.mqtt.session_file`)."""
 
     @abstractmethod
@@ -198,6 +198,6 @@ class PlantNode(ABC):
             self._tell(text)
         return {address: found.names[f"slave {address}"] for address in self._tree.slaves}
 
-    def _allowed_orders(self) -> dict[str, Order]:
+    def _allowed_orders(self) -> dict[str, OfferedOrder]:
         """The orders of the tree that may be given by MQTT."""
         return {name: self._tree.orders[name] for name in self._allowed() if name in self._tree.orders}

@@ -48,7 +48,7 @@ class SessionFile:
         except OSError as error:
             os.close(self._fd)
             raise _unusable(folder, error) from None
-        # where open() of the face was cancelled, nobody has this object when its thread has made it
+        # where open() of the connector was cancelled, nobody has this object when its thread has made it
         self._release = weakref.finalize(self, os.close, self._fd)
         self.damaged = found is None
         self._last = -1 if found is None else found

@@ -13,10 +13,10 @@ from typing import Any, Final
 
 from dpstack.bridge.mqtt.json_payload import read_object
 from dpstack.bridge.mqtt.session_file import NUMBERS
-from dpstack.bridge.quality import clean
-from dpstack.bridge.tree import Change, Changed, PlantTree
-from dpstack.bridge.verdicts import UNKNOWN, VERDICTS, Judge
-from dpstack.live.judge import DATA_EXCHANGE
+from dpstack.plant.judge import DATA_EXCHANGE
+from dpstack.plant.quality import clean
+from dpstack.plant.tree import Change, Changed, PlantTree
+from dpstack.plant.verdicts import UNKNOWN, VERDICTS, Judge
 from dpstack.text import json_text, printable, shortened
 
 VERSION: Final = 1
@@ -47,7 +47,7 @@ def topic_of(group: str, node: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LostSlave:
-    """A slave that is lost at the moment of the status (:meth:`dpstack.bridge.verdicts.Judge.lost`)."""
+    """A slave that is lost at the moment of the status (:meth:`dpstack.plant.verdicts.Judge.lost`)."""
 
     address: int
     name: str

@@ -5,11 +5,11 @@ Needs the extra ``opcua`` (asyncua). docs/reference/opcua.md has the nodes, stat
 - ``alarms``: Conditions as events of OffNormalAlarmType; ConditionRefresh
 - ``certificate``: The server's certificate and key, made at the first start; the judgement of a client's
 - ``connection``: Connections of clients, with bounds for octets, handshakes and unread answers; the server as a whole
+- ``connector``: The connector: changes of the tree in; values, events and history out; orders of clients
 - ``decoding``: A bound for what asyncua decodes of a client's octets
-- ``face``: The face: changes of the tree in; values, events and history out; orders of clients
 - ``history``: Values of the last hour, with one bound over all
 - ``lateness``: The age of requests that a connection delivers late
-- ``server``: Sessions with rights and limits
+- ``sessions``: Sessions with rights and limits
 - ``space``: Types and nodes
 - ``standard_nodes``: The standard nodes that a plant needs
 - ``subscriptions``: Subscriptions with bounds for messages, queues and filters

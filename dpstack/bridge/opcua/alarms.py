@@ -11,7 +11,7 @@ from typing import Any, Final
 from asyncua import ua
 from asyncua.server.monitored_item_service import MonitoredItemService
 
-from dpstack.bridge.conditions import Condition
+from dpstack.plant.conditions import Condition
 
 _V = ua.VariantType
 

@@ -25,7 +25,7 @@ from asyncua.ua.ua_binary import header_from_binary, nodeid_from_binary, struct_
 from dpstack.bridge.opcua.certificate import CLIENT_FAULTS, is_of_application
 from dpstack.bridge.opcua.decoding import READS, READS_BEFORE_SESSION, Octets
 from dpstack.bridge.opcua.lateness import LATE_S, Lateness
-from dpstack.bridge.opcua.server import MOST_OPERATIONS, LimitedServer, digest
+from dpstack.bridge.opcua.sessions import MOST_OPERATIONS, LimitedServer, digest
 
 #: octets of a request, of one before a session is active, and of answers that a client has not read
 MOST_REQUEST: Final = 1 << 20
@@ -210,7 +210,7 @@ class Processor(UaProcessor):
         await super().close()
 
 
-class Connection(OPCUAProtocol):
+class ClientConnection(OPCUAProtocol):
     """A connection whose octets and answers are bounded."""
 
     processor: UaProcessor | None
@@ -306,7 +306,7 @@ class Listener(BinaryServer):
         self._listening = listening
 
     def _make_protocol(self) -> OPCUAProtocol:
-        return Connection(self.iserver, self._policies, self.clients, self.closing_tasks, self.limits)
+        return ClientConnection(self.iserver, self._policies, self.clients, self.closing_tasks, self.limits)
 
     async def start(self) -> None:
         loop = asyncio.get_running_loop()

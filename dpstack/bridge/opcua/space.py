@@ -12,8 +12,8 @@ from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
 from dpstack.bridge.names import OPCUA_BROWSE, unique_names
-from dpstack.bridge.nodes import Described, Kind, Node, Order, bus_of, slave_of
-from dpstack.bridge.quality import BOOL, BYTES, TEXT, Reading
+from dpstack.plant.nodes import Described, Kind, Node, OfferedOrder, bus_of, slave_of
+from dpstack.plant.quality import BOOL, BYTES, TEXT, Reading
 
 NAMESPACE: Final = "urn:dpstack:plant"
 _V = ua.VariantType
@@ -73,13 +73,13 @@ class Space:
         #: the last good state of each drive
         self._states: dict[str, str] = {}
         self.values: dict[ua.NodeId, Node] = {}
-        self.methods: dict[ua.NodeId, tuple[ua.NodeId, Order]] = {}
+        self.methods: dict[ua.NodeId, tuple[ua.NodeId, OfferedOrder]] = {}
         self.names: dict[int | None, str] = {}
 
     def node(self, text: str) -> ua.NodeId:
         return ua.NodeId(text, self._index)
 
-    def method(self, owner: ua.NodeId, method: ua.NodeId) -> tuple[ua.NodeId, Order] | None:
+    def method(self, owner: ua.NodeId, method: ua.NodeId) -> tuple[ua.NodeId, OfferedOrder] | None:
         """The object and the order of a method, which a client names by its own NodeId or by that of the type (Part 4,
         5.12.2)."""
         word = str(method.Identifier).removeprefix("type/DriveType/")

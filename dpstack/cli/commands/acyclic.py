@@ -12,7 +12,7 @@ from dpstack.api.bus.live_list import joined
 from dpstack.api.bus.opening import open_bus
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.control.commands import Order, Spec, find_word
+from dpstack.api.control.commands import ParsedCommand, Spec, find_word
 from dpstack.api.control.record_orders import (
     COMPARE,
     DUMP,
@@ -130,7 +130,7 @@ class _Request(NamedTuple):
 
     config: Config
     slave: SlaveConfig
-    order: Order
+    order: ParsedCommand
     word: str
     master: int
     own: int | None

@@ -15,7 +15,7 @@ from dpstack.api.bus.opening import open_bus
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control import drive_orders as words
-from dpstack.api.control.commands import Order, Spec, find_word
+from dpstack.api.control.commands import ParsedCommand, Spec, find_word
 from dpstack.api.control.orders import LASTING
 from dpstack.api.control.remote import RemoteDrive, find_drive
 from dpstack.api.lists.parameter_list import (
@@ -94,7 +94,7 @@ class _Command:
     args: argparse.Namespace
     config: Config
     slave: SlaveConfig
-    orders: Sequence[Order]
+    orders: Sequence[ParsedCommand]
 
     async def run(self) -> int:
         with StopSignal() as stop:
@@ -235,7 +235,7 @@ class OneDrive:
                     output.line(f"{name}: {_status_text(status)}")
 
 
-def _last_motion(orders: Sequence[Order]) -> str:
+def _last_motion(orders: Sequence[ParsedCommand]) -> str:
     """The last order that starts, holds or stops the drive; a set point after a start leaves it started."""
     last = ""
     for order in orders:
@@ -257,7 +257,7 @@ def _slave_of(config: Config, name: str) -> SlaveConfig:
     raise UsageError(f"no drive {name!r} in this configuration; there are: {known}")
 
 
-def _orders(args: argparse.Namespace) -> list[Order]:
+def _orders(args: argparse.Namespace) -> list[ParsedCommand]:
     """The orders of the command line, each with its arguments and options. Raises UsageError."""
     given = {key: getattr(args, key) for key in _FOR}
     given = {key: value for key, value in given.items() if value is not None and value is not False}
@@ -279,7 +279,7 @@ def _orders(args: argparse.Namespace) -> list[Order]:
 # --- the orders -------------------------------------------------------------------------------------------------------
 
 
-def _check_orders(slave: SlaveConfig, orders: Sequence[Order], *, simulated: bool) -> None:
+def _check_orders(slave: SlaveConfig, orders: Sequence[ParsedCommand], *, simulated: bool) -> None:
     """Check all ``orders`` before the first one moves the drive of ``slave``. Raises UsageError, ConfigError."""
     core = core_of(slave, simulated=simulated)
     assert core is not None
@@ -313,7 +313,7 @@ class _Plugin:
     def parameters(self) -> tuple[ListedParam, ...]:
         return declared_parameters(self._core)
 
-    def check(self, order: Order) -> None:
+    def check(self, order: ParsedCommand) -> None:
         """Raises UsageError where the plugin refuses the order before it sends anything."""
         core = self._core
         events: list[dict[str, object]] = []
@@ -333,8 +333,8 @@ class _Orders:
     """Orders to ``drive``, whose answers are printed; ``through``: ``run``, or ``master`` of this command."""
 
     drive: Readable
-    carry_out: Callable[[Order], Awaitable[dict[str, Any]]]
-    orders: Sequence[Order]
+    carry_out: Callable[[ParsedCommand], Awaitable[dict[str, Any]]]
+    orders: Sequence[ParsedCommand]
     through: str
     json: bool
     #: the order under way; the exit code so far
@@ -360,7 +360,7 @@ class _Orders:
                 case _:
                     self._show(order, await self.carry_out(order))
 
-    def _show(self, order: Order, answer: Mapping[str, Any]) -> None:
+    def _show(self, order: ParsedCommand, answer: Mapping[str, Any]) -> None:
         if self.json:
             output.json_line({**answer, "through": self.through})
         elif order.word == "status":
@@ -374,13 +374,13 @@ class _Orders:
         else:
             output.line(f"{self.drive.name}: {_status_text(answer['status'])}")
 
-    async def _dump(self, order: Order) -> None:
+    async def _dump(self, order: ParsedCommand) -> None:
         with self._progress() as progress:
             found = await self.drive.dump(order.texts[0], **order.values, on_parameter=progress)
         unreadable = [_plain(one) for one in found.unreadable]
         show_dump(self.drive.name, found, self._head(order), unreadable, json=self.json)
 
-    async def _compare(self, order: Order) -> None:
+    async def _compare(self, order: ParsedCommand) -> None:
         with self._progress() as progress:
             found = await self.drive.compare(order.texts[0], **order.values, on_parameter=progress)
         differences = [{"file": _plain(one.saved), "drive": _plain(one.found)} for one in found.differences]
@@ -388,7 +388,7 @@ class _Orders:
         code = show_comparison(self.drive.name, found, self._head(order), differences, skipped, json=self.json)
         self.code = self.code or code
 
-    def _head(self, order: Order) -> dict[str, object]:
+    def _head(self, order: ParsedCommand) -> dict[str, object]:
         drive = self.drive
         head = {"order": order.word, "drive": drive.name, "address": drive.address, "type": drive.kind}
         return {**head, "file": order.texts[0], "through": self.through}

@@ -21,7 +21,7 @@ from dpstack.cli.terminal import output
 from dpstack.errors import GsdError, UsageError
 from dpstack.gsd.configuration import default_modules, find_module, fixed_modules, is_fixed, plug
 from dpstack.gsd.model import Device, GsdFile, Module, folded, ranges_text
-from dpstack.gsd.prm import Field, containing, is_slot_number, value_of
+from dpstack.gsd.prm import PrmField, containing, is_slot_number, value_of
 from dpstack.text import printable
 
 _T = TypeVar("_T")
@@ -285,7 +285,7 @@ def _yes(answer: str) -> bool:
     return answer.lower().startswith("y")
 
 
-def _value(field: Field, answer: str) -> int | None:
+def _value(field: PrmField, answer: str) -> int | None:
     """The number for ``answer``: an empty one keeps the value, ``done`` is None unless it is a text of the list."""
     if not answer:
         return field.value
@@ -294,7 +294,7 @@ def _value(field: Field, answer: str) -> int | None:
     return value_of(field.parameter, answer)
 
 
-def _written(field: Field, value: int) -> int | str:
+def _written(field: PrmField, value: int) -> int | str:
     """``value`` as the table has it: its text where no other value has that text too."""
     text = field.parameter.texts.get(value)
     if text is None or sum(folded(text) == folded(other) for other in field.parameter.choices.values()) > 1:
@@ -302,6 +302,6 @@ def _written(field: Field, value: int) -> int | str:
     return text
 
 
-def _allowed(field: Field) -> str:
+def _allowed(field: PrmField) -> str:
     parameter = field.parameter
     return ", ".join(parameter.choices.values()) or ranges_text(parameter.allowed or (parameter.type.limits,))

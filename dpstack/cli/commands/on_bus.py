@@ -15,7 +15,7 @@ from dpstack.api.bus.core import BusFailed
 from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, Notice, RingJoined, Severity
 from dpstack.api.config.config import AUTO, Config, make_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.control.server import ControlServer
+from dpstack.api.control.control_server import ControlServer
 from dpstack.cli import options
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output

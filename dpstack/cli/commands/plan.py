@@ -9,7 +9,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.compose import Case, Plan, plan_bus
-from dpstack.api.bus.plan_checks import Verdict, cycle_rates
+from dpstack.api.bus.plan_checks import CycleVerdict, cycle_rates
 from dpstack.api.config.config import Config, load_config
 from dpstack.cli import options
 from dpstack.cli.parser import Parser
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 _PROGRESS: Final = "simulated seconds"
 #: the slowest baud rate for each verdict on the cycle
-Needs = Mapping[Verdict, int | None]
+Needs = Mapping[CycleVerdict, int | None]
 #: seconds of bus time that --simulate runs for by default
 _SIMULATED_S: Final = 60.0
 #: a simulation that takes longer than this (s) shows its progress on a terminal
 _QUICK_S: Final = 1.0
 _HOW: Final = {
-    Verdict.POSSIBLE: "possible",
-    Verdict.TYPICAL: "typically kept",
-    Verdict.UNDISTURBED: "kept while nothing is repeated",
-    Verdict.ALWAYS: "always kept",
+    CycleVerdict.POSSIBLE: "possible",
+    CycleVerdict.TYPICAL: "typically kept",
+    CycleVerdict.UNDISTURBED: "kept while nothing is repeated",
+    CycleVerdict.ALWAYS: "always kept",
 }
 _CASES: Final = {Case.SHORTEST: "shortest", Case.TYPICAL: "typical", Case.LONGEST: "longest"}
 

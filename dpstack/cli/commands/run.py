@@ -15,8 +15,8 @@ from dpstack.api.bus.statistics import clear_since
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control import arguments
 from dpstack.api.control.arguments import PTY, address_of
+from dpstack.api.control.control_server import ControlServer
 from dpstack.api.control.handlers import control_run, run_feed
-from dpstack.api.control.server import ControlServer
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog
 from dpstack.cli.parser import Parser
@@ -135,7 +135,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         control = control_run(bus, config.port, feed, stop=stop.stop)
         # before a bus process is started
         suspension = stack.enter_context(Suspension(bus, partial(_ctl_name, bus, control)))
-        async with reachable(control, quiet=True) as unreachable, _faces(bus, stop):
+        async with reachable(control, quiet=True) as unreachable, _connectors(bus, stop):
             if report is not None:
                 report.begin(bus, feed)
             await stop.or_done(_open(bus, control))
@@ -196,14 +196,14 @@ def _report(config: Config, args: argparse.Namespace) -> RunReport | None:
 
 
 @contextlib.asynccontextmanager
-async def _faces(bus: Bus, stop: StopSignal) -> AsyncIterator[None]:
-    """The faces that the configuration names. They begin before the bus, and end after it."""
-    if not bus.config.faces:
+async def _connectors(bus: Bus, stop: StopSignal) -> AsyncIterator[None]:
+    """The connectors that the configuration names. They begin before the bus, and end after it."""
+    if not bus.config.connectors:
         yield
         return
-    from dpstack.api.faces.publishing import Publishing  # here, as most runs have none
+    from dpstack.api.connectors.publishing import Publishing  # here, as most runs have none
 
-    publishing = Publishing(bus, bus.config.faces, hurried=lambda: stop.hurried)
+    publishing = Publishing(bus, bus.config.connectors, hurried=lambda: stop.hurried)
     try:
         async with publishing:
             yield

@@ -8,7 +8,7 @@ from time import monotonic_ns
 from typing import Any
 
 from dpstack.api.control.simulation_handlers import control_segment
-from dpstack.api.server.simulation import DEFAULT_BAUD, Segment
+from dpstack.api.slave_side.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.parser import Parser

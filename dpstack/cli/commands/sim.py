@@ -12,7 +12,7 @@ from dpstack.api.config.config import AUTO, Config, load_config, make_config, sl
 from dpstack.api.control.scenario import SimulatedPlant
 from dpstack.api.control.simulation_handlers import control_sim, slave_handlers
 from dpstack.api.recording.event_log import EventLog
-from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation, sim_event_json
+from dpstack.api.slave_side.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.parser import Parser

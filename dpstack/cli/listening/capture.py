@@ -14,7 +14,7 @@ from dpstack import __version__
 from dpstack.api.bus.events_json import PortLost, event_json
 from dpstack.api.config.bus import AUTO
 from dpstack.api.listen.capture_file import STDOUT, CaptureFile, Ring
-from dpstack.api.listen.listening import PORT_LOSSES, BaudFound, Line, Listening, OctetsLost, keep_listening
+from dpstack.api.listen.listening import PORT_LOSSES, BaudFound, ListenedLine, Listening, OctetsLost, keep_listening
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0
 from dpstack.capture.recording import Gaps, PortAbout, Recording
 from dpstack.capture.transmission import Transmission
@@ -130,7 +130,7 @@ class _Capture:
         self._recording: Recording | None = None
         self._about: PortAbout | None = None
         self._listening: Listening | None = None
-        self._line: Line | None = None
+        self._line: ListenedLine | None = None
         self._early: list[Event] = []  # before the start line
         self._triggers = Triggers(args.trigger)
         self._window: Window[_Heard] | None = None

@@ -10,7 +10,7 @@ from typing import Final
 
 from dpstack.api.bus.events_json import PortBack, PortLost
 from dpstack.api.config.bus import AUTO
-from dpstack.api.listen.listening import PORT_LOSSES, Line, Listening, OctetsLost, keep_listening
+from dpstack.api.listen.listening import PORT_LOSSES, ListenedLine, Listening, OctetsLost, keep_listening
 from dpstack.api.listen.report_file import SIMULATED, ReportFile, port_lines
 from dpstack.capture.timing import ADAPTER
 from dpstack.cli.listening.monitor_view import LiveView, event_line, show_summary, write_report
@@ -40,7 +40,7 @@ class LiveMonitor:
         self._add = monitor.add if report is None else report.add
         self._json: bool = args.json
         self._monitor = monitor
-        self._line: Line | None = None
+        self._line: ListenedLine | None = None
         self._begun = asyncio.Event()
         self._port_damage: dict[str, int] = {}
         self._early: list[Event] = []  # before the start line
@@ -74,7 +74,7 @@ class LiveMonitor:
             raise self._failure
         return int(summary["verdict"] == CRITICAL)
 
-    def _about(self, line: Line) -> dict[str, object]:
+    def _about(self, line: ListenedLine) -> dict[str, object]:
         """The line for the report."""
         if line.program is not None:
             about = {"Port": line.port, "Listened": f"through the dpstack {line.program} that holds the port"}

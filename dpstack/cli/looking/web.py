@@ -62,7 +62,7 @@ def execute(args: argparse.Namespace) -> int:
         raise
 
     async def run() -> int:
-        from dpstack.web.server import serve
+        from dpstack.web.web_server import serve
 
         with StopSignal() as stop:
             async with serve(

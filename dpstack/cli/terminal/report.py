@@ -47,7 +47,7 @@ _RETRIED: Final = frozenset(
 def event_printer(started_ns: int, *, json: bool) -> Callable[[Event], None]:
     """A function that prints the events of simulated slaves or of a segment, with the time since ``started_ns``."""
 
-    from dpstack.api.server.virtual_bench import sim_event_json  # here, as a run has other events
+    from dpstack.api.slave_side.virtual_bench import sim_event_json  # here, as a run has other events
 
     def show(event: Event) -> None:
         t = ns_to_s(event.t_ns - started_ns)

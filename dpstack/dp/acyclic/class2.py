@@ -183,7 +183,7 @@ class Class2Job(Job):
         return [ServiceDone(t_ns=now, token=token, address=self.address, service=self.service, outcome=outcome)]
 
 
-class Reading(Class2Job):
+class Class2Reading(Class2Job):
     """The job of a :class:`ReadService`."""
 
     def __init__(self, order: ReadService) -> None:
@@ -426,7 +426,7 @@ class Class2(Provider):
                 if order.service is Service.SET_ADDRESS:
                     raise UsageError("Set_Slave_Add does not read: use ChangeAddress")
                 check_address(order.address, self._own)
-                return order.token, Reading(order), order.timeout_ns
+                return order.token, Class2Reading(order), order.timeout_ns
             case ChangeAddress(old=old, new=new):
                 check_address(old, self._own)
                 _check_new(old, new, self._own, self._master)

@@ -28,7 +28,7 @@ MAX_SLOT: Final = 254
 R = TypeVar("R")
 
 
-class Field(Struct, frozen=True):
+class LayoutField(Struct, frozen=True):
     """A field of a layout, ``"name" / OCTET``. ``"group_mask" / OCTET * "group_ident"``: messages name it
     ``group_ident``."""
 
@@ -41,10 +41,10 @@ class Field(Struct, frozen=True):
     #: reserved, or always the same
     is_value: bool = True
 
-    def __rtruediv__(self, name: str) -> Field:
+    def __rtruediv__(self, name: str) -> LayoutField:
         return replace(self, name=name, label=name)
 
-    def __mul__(self, label: str) -> Field:
+    def __mul__(self, label: str) -> LayoutField:
         return replace(self, label=label)
 
 
@@ -56,7 +56,7 @@ class Layout(Generic[R]):
     ``function``: the number of a DP-V1 service, which is the first octet then.
     """
 
-    def __init__(self, name: str, make: Callable[..., R], *fields: Field, function: int | None = None) -> None:
+    def __init__(self, name: str, make: Callable[..., R], *fields: LayoutField, function: int | None = None) -> None:
         self.name = name
         self.make = make
         self._function = function
@@ -124,9 +124,9 @@ class Pdu(Struct, frozen=True):
         return pdu
 
 
-def bits(count: int) -> Field:
+def bits(count: int) -> LayoutField:
     """A number of ``count`` bits."""
-    return Field(lambda: _construct().BitsInteger(count), count)
+    return LayoutField(lambda: _construct().BitsInteger(count), count)
 
 
 def load() -> None:
@@ -144,48 +144,48 @@ def _construct() -> Any:
 OCTET: Final = bits(8)
 WORD: Final = bits(16)
 DOUBLE_WORD: Final = bits(32)
-REST: Final = Field(lambda: _construct().Bytewise(_construct().GreedyBytes), None)
-_FLAG: Final = Field(lambda: _construct().Flag, 1)
+REST: Final = LayoutField(lambda: _construct().Bytewise(_construct().GreedyBytes), None)
+_FLAG: Final = LayoutField(lambda: _construct().Flag, 1)
 
 
-def flags(names: str) -> tuple[Field, ...]:
+def flags(names: str) -> tuple[LayoutField, ...]:
     """Fields of one bit each, the most significant first."""
     return tuple(name / _FLAG for name in names.split())
 
 
-def octets(count: int) -> Field:
+def octets(count: int) -> LayoutField:
     """``count`` octets as bytes."""
-    return Field(lambda: _construct().Bytewise(_construct().Bytes(count)), 8 * count)
+    return LayoutField(lambda: _construct().Bytewise(_construct().Bytes(count)), 8 * count)
 
 
-def array(count: int, field: Field) -> Field:
+def array(count: int, field: LayoutField) -> LayoutField:
     """``count`` times ``field``, as a list."""
     assert field.bits is not None
-    return Field(lambda: _construct().Array(count, field.made()), count * field.bits)
+    return LayoutField(lambda: _construct().Array(count, field.made()), count * field.bits)
 
 
-def fixed(count: int, value: int = 0) -> Field:
+def fixed(count: int, value: int = 0) -> LayoutField:
     """``count`` bits that are always ``value`` when sent, and may be anything when received."""
     return _default(bits(count), value)
 
 
-def ignored() -> Field:
+def ignored() -> LayoutField:
     """The octets up to the end: none when sent, anything when received."""
     return _default(REST, b"")
 
 
-def _default(field: Field, value: object) -> Field:
-    return Field(lambda: _construct().Default(field.made(), value), field.bits, is_value=False)
+def _default(field: LayoutField, value: object) -> LayoutField:
+    return LayoutField(lambda: _construct().Default(field.made(), value), field.bits, is_value=False)
 
 
-def adapted(field: Field, read: Callable[[Any], object], write: Callable[[Any], object]) -> Field:
+def adapted(field: LayoutField, read: Callable[[Any], object], write: Callable[[Any], object]) -> LayoutField:
     """``field`` with another value: ``read`` makes it of that on the wire, ``write`` the other way; both may raise
     PduError."""
 
     def made() -> Any:
         return _construct().ExprAdapter(field.made(), lambda value, _: read(value), lambda value, _: write(value))
 
-    return Field(made, field.bits)
+    return LayoutField(made, field.bits)
 
 
 class Numbers:

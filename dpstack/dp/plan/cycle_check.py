@@ -21,7 +21,7 @@ from dpstack.fdl.events import HELD_BACK_CYCLES
 from dpstack.units import NS_PER_MS, NS_PER_US, baud_text, ms_text
 
 
-class Verdict(Enum):
+class CycleVerdict(Enum):
     """Judgement of a cycle, worst first."""
 
     IMPOSSIBLE = "impossible"  # shorter than the shortest rotation: refused
@@ -36,11 +36,11 @@ class Verdict(Enum):
 
 
 _TEXTS: Final = {
-    Verdict.IMPOSSIBLE: "impossible, the shortest rotation does not fit",
-    Verdict.POSSIBLE: "missed, the typical rotation does not fit",
-    Verdict.TYPICAL: "tight, missed now and then",
-    Verdict.UNDISTURBED: "kept while nothing is repeated",
-    Verdict.ALWAYS: "kept, the longest rotation fits",
+    CycleVerdict.IMPOSSIBLE: "impossible, the shortest rotation does not fit",
+    CycleVerdict.POSSIBLE: "missed, the typical rotation does not fit",
+    CycleVerdict.TYPICAL: "tight, missed now and then",
+    CycleVerdict.UNDISTURBED: "kept while nothing is repeated",
+    CycleVerdict.ALWAYS: "kept, the longest rotation fits",
 }
 
 
@@ -62,7 +62,7 @@ class CyclePlan(Struct, frozen=True):
     """
 
     cycle_ns: int
-    verdict: Verdict
+    verdict: CycleVerdict
     load: float
     refusals: tuple[Refusal, ...]
     findings: tuple[str, ...]
@@ -76,7 +76,7 @@ class CyclePlan(Struct, frozen=True):
         }
 
 
-def least_ns(figures: Figures) -> dict[Verdict, int]:
+def least_ns(figures: Figures) -> dict[CycleVerdict, int]:
     """The shortest cycle for each verdict in ns, best first.
 
     Undisturbed: all slaves need their max T_SDR, and the longest other service fits into the rest.
@@ -89,19 +89,19 @@ def least_ns(figures: Figures) -> dict[Verdict, int]:
         gap_poll_bits(params),
     )
     return {
-        Verdict.ALWAYS: figures.work_ns(Case.LONGEST),
-        Verdict.UNDISTURBED: params.ns(normal.work - normal.beside + beside),
-        Verdict.TYPICAL: figures.work_ns(Case.TYPICAL),
-        Verdict.POSSIBLE: figures.work_ns(Case.SHORTEST),
+        CycleVerdict.ALWAYS: figures.work_ns(Case.LONGEST),
+        CycleVerdict.UNDISTURBED: params.ns(normal.work - normal.beside + beside),
+        CycleVerdict.TYPICAL: figures.work_ns(Case.TYPICAL),
+        CycleVerdict.POSSIBLE: figures.work_ns(Case.SHORTEST),
     }
 
 
-def slowest_rates(at_rates: Iterable[Figures], cycle_ns: int) -> dict[Verdict, int | None]:
+def slowest_rates(at_rates: Iterable[Figures], cycle_ns: int) -> dict[CycleVerdict, int | None]:
     """The slowest baud rate at which ``cycle_ns`` is judged so or better, None where there is none.
 
     ``at_rates``: the bus at each rate that all its slaves know, from slow to fast.
     """
-    found: dict[Verdict, int | None] = dict.fromkeys(list(Verdict)[1:])
+    found: dict[CycleVerdict, int | None] = dict.fromkeys(list(CycleVerdict)[1:])
     for figures in at_rates:
         for verdict, least in least_ns(figures).items():
             if found[verdict] is None and least <= cycle_ns:
@@ -113,13 +113,13 @@ def judge_cycle(figures: Figures) -> CyclePlan:
     """Judge the cycle of ``figures``, which has one."""
     cycle = figures.cycle_ns
     fits = (verdict for verdict, least in least_ns(figures).items() if least <= cycle)
-    verdict = next(fits, Verdict.IMPOSSIBLE)
+    verdict = next(fits, CycleVerdict.IMPOSSIBLE)
     return CyclePlan(
         cycle_ns=cycle,
         verdict=verdict,
         load=figures.work_ns(Case.TYPICAL) / cycle,
         refusals=tuple(_refusals(figures)),
-        findings=(_missed(figures, verdict),) if verdict in (Verdict.POSSIBLE, Verdict.TYPICAL) else (),
+        findings=(_missed(figures, verdict),) if verdict in (CycleVerdict.POSSIBLE, CycleVerdict.TYPICAL) else (),
         notes=tuple(_notes(figures, verdict)),
     )
 
@@ -143,10 +143,10 @@ def cycles_for_a_request(figures: Figures) -> int:
     return max(0, -(-(longest - spare) // cycle))
 
 
-def _notes(figures: Figures, verdict: Verdict) -> Iterable[str]:
-    if verdict is Verdict.UNDISTURBED:
+def _notes(figures: Figures, verdict: CycleVerdict) -> Iterable[str]:
+    if verdict is CycleVerdict.UNDISTURBED:
         yield _missed(figures, verdict)
-    if verdict in (Verdict.POSSIBLE, Verdict.TYPICAL) and (costs := cycles_for_a_request(figures)):
+    if verdict in (CycleVerdict.POSSIBLE, CycleVerdict.TYPICAL) and (costs := cycles_for_a_request(figures)):
         turn = HELD_BACK_CYCLES + costs
         yield (
             f"cycle_ms = {figures.cycle_ns / NS_PER_MS:g}: a request that fits between no two cycles goes out after "
@@ -154,7 +154,7 @@ def _notes(figures: Figures, verdict: Verdict) -> Iterable[str]:
             f"({costs / turn:.0%}), and requests that fit into the time of a cycle that is left out go out in it"
         )
     wait = token_wait_ns(figures)
-    if wait and verdict is not Verdict.IMPOSSIBLE:
+    if wait and verdict is not CycleVerdict.IMPOSSIBLE:
         cycle, others = figures.cycle_ns, figures.others.count
         whom = "the other master has its normal round" if others == 1 else f"{others} other masters have their rounds"
         missed = "; more than a tenth of it counts as missed, by token" if wait > tolerance_ns(cycle) else ""
@@ -207,21 +207,21 @@ def _too_short(figures: Figures, least: int, together: Sequence[SlaveParams]) ->
     return Refusal(what, f"take cycle_ms = {_least(least)} or more{every}, or a faster rate")
 
 
-def _missed(figures: Figures, verdict: Verdict) -> str:
+def _missed(figures: Figures, verdict: CycleVerdict) -> str:
     """The frequency of misses of a possible cycle, and their reasons."""
     cycle, at, least = figures.cycle_ns, baud_text(figures.params.baud), least_ns(figures)
     head = f"cycle_ms = {cycle / NS_PER_MS:g} is"
-    if verdict is Verdict.POSSIBLE:
-        typical = least[Verdict.TYPICAL]
+    if verdict is CycleVerdict.POSSIBLE:
+        typical = least[CycleVerdict.TYPICAL]
         return (
             f"{head} shorter than the typical rotation ({ms_text(typical)} at {at}): with slaves that answer after "
             f"60 bit times {_overrun(figures)}; take {_least(typical)} or more, or a faster rate"
         )
-    if verdict is Verdict.TYPICAL:
-        enough = least[Verdict.UNDISTURBED]
+    if verdict is CycleVerdict.TYPICAL:
+        enough = least[CycleVerdict.UNDISTURBED]
         return (
-            f"{head} enough for the typical rotation ({ms_text(least[Verdict.TYPICAL])} at {at}) only: misses are to "
-            f"be expected for {', '.join(_costs(figures))}; take {_least(enough)} or more, or a faster rate"
+            f"{head} enough for the typical rotation ({ms_text(least[CycleVerdict.TYPICAL])} at {at}) only: misses are "
+            f"to be expected for {', '.join(_costs(figures))}; take {_least(enough)} or more, or a faster rate"
         )
     costs = _costs(figures) or ["several repeated requests in one cycle"]
     return f"{head} kept at {at} while nothing is repeated: misses are to be expected for {', '.join(costs)}"

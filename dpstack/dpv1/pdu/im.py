@@ -12,7 +12,7 @@ from typing import Any, Final, Self
 
 from msgspec.structs import force_setattr
 
-from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Field, Layout, Pdu, adapted, array, fixed, octets
+from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, LayoutField, Pdu, adapted, array, fixed, octets
 from dpstack.errors import PduError
 
 #: the record of every slot that calls go through
@@ -130,7 +130,7 @@ def parse_answer(octets: bytes, number: int) -> Im:
     return RECORDS[number].parse(data)
 
 
-def _text(name: str, length: int, *, visible: bool = False) -> Field:
+def _text(name: str, length: int, *, visible: bool = False) -> LayoutField:
     """The field ``name``: a text of up to ``length`` characters, filled up with blanks."""
 
     def write(text: str) -> bytes:

@@ -1,6 +1,8 @@
 """A bus in a process of its own, and its application at the other end of a socket.
 
 - ``__main__``: ``python -m dpstack.drivers.process``: runs ``program``
+- ``bus_process``: Main object of the bus process: machines and driver of one bus, orders from the application, news to
+it
 - ``channel``: The application's end of the socket: start and end of the bus process, orders and their answers, news
 - ``client``: The process driver, in the application: runtime and snapshots of a bus in a process of its own
 - ``early_start``: Start of a bus process, where possible before its configuration is known
@@ -8,6 +10,5 @@
 - ``plugins``: Drive plugins by name (``package.module:name``): a bus process imports them, because it cannot receive
   objects
 - ``program``: The bus process: ``python -m dpstack.drivers.process``; started by ``early_start``
-- ``server``: Main object of the bus process: machines and driver of one bus, orders from the application, news to it
 - ``shared_image``: The process image in memory that two processes share: whole pictures, never torn
 """

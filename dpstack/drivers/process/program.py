@@ -19,6 +19,7 @@ from typing import Final
 
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.line.shutdown import ending_signals, signal_name
+from dpstack.drivers.process.bus_process import Host
 from dpstack.drivers.process.early_start import FROM_TERMINALS, WAIT_S
 from dpstack.drivers.process.messages import (
     Answer,
@@ -30,7 +31,6 @@ from dpstack.drivers.process.messages import (
     framed,
     order_of,
 )
-from dpstack.drivers.process.server import Host
 from dpstack.drivers.process.shared_image import SharedImage
 from dpstack.drivers.realtime.gc_control import Collector
 from dpstack.drivers.realtime.processors import run_on

@@ -18,7 +18,7 @@ from dpstack.profile.model import process_data_map
 from dpstack.profile.model.drive_type import Options
 from dpstack.profile.model.jobs import Args, CommandError, Steps
 from dpstack.profile.model.params import POWER_ON, Use
-from dpstack.profile.model.process_data_map import DataMap, Field
+from dpstack.profile.model.process_data_map import DataMap, MappedField
 from dpstack.profile.model.states import Goal
 
 M = TypeVar("M", bound=DataMap)
@@ -297,7 +297,7 @@ class MappedCore(DriveCore, Generic[M]):
     def maps_unknown(self) -> None:
         """A change of maps failed half way."""
 
-    def read_by(self, field: Field) -> ParamKey | None:
+    def read_by(self, field: MappedField) -> ParamKey | None:
         """The parameter behind an output; None: it is none that can be read."""
         return None
 
@@ -433,7 +433,7 @@ class MappedCore(DriveCore, Generic[M]):
             raise CommandError("usage", f"write_map: {error}") from None
         return self._change(new_inputs, new_outputs, values, deadline)
 
-    def _without_value(self, outputs: M, values: Mapping[int, int]) -> list[Field]:
+    def _without_value(self, outputs: M, values: Mapping[int, int]) -> list[MappedField]:
         """The parameters of a map that neither ``values`` nor the present ones have."""
         return [
             field

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
 
-class Field(Protocol):
+class MappedField(Protocol):
     """A value of one or two words in the process data."""
 
     @property
@@ -43,7 +43,7 @@ class DataMap(Protocol):
     """Fields in their order; as text the way users write them, empty where there are none."""
 
     @property
-    def fields(self) -> Sequence[Field | None]:
+    def fields(self) -> Sequence[MappedField | None]:
         """None for a word that carries nothing."""
 
 
@@ -55,7 +55,7 @@ def used(codes: Sequence[int], room: int | None = None) -> tuple[int, ...]:
     return found
 
 
-def places(fields: Sequence[Field | None]) -> Iterator[tuple[int, Field]]:
+def places(fields: Sequence[MappedField | None]) -> Iterator[tuple[int, MappedField]]:
     """Every field with the word at which it begins."""
     at = 0
     for field in fields:
@@ -72,7 +72,7 @@ def split(text: str) -> tuple[str, tuple[str | None, ...]]:
     return " ".join(name for name, _, _ in words), tuple(value if given else None for _, given, value in words)
 
 
-def given(values: Sequence[str | None], fields: Sequence[Field | None]) -> dict[int, int]:
+def given(values: Sequence[str | None], fields: Sequence[MappedField | None]) -> dict[int, int]:
     """The integers by key of what :func:`split` found behind the words of these fields. Raises ValueError."""
     found: dict[int, int] = {}
     for field, text in zip(fields, values, strict=False):
@@ -90,7 +90,7 @@ def given(values: Sequence[str | None], fields: Sequence[Field | None]) -> dict[
     return found
 
 
-def find(fields: Sequence[Field | None], name: str | int) -> Field | None:
+def find(fields: Sequence[MappedField | None], name: str | int) -> MappedField | None:
     """A field by its name (any case) or its key."""
     for field in fields:
         if field is not None and (field.key == name or field.name.lower() == str(name).strip().lower()):
@@ -98,7 +98,7 @@ def find(fields: Sequence[Field | None], name: str | int) -> Field | None:
     return None
 
 
-def pack(fields: Sequence[Field | None], values: Mapping[int, int], words: int) -> list[int]:
+def pack(fields: Sequence[MappedField | None], values: Mapping[int, int], words: int) -> list[int]:
     """So many words of the integers by key; 0 where there is none, and what does not fit is left out."""
     found = [0] * words
     for at, field in places(fields):
@@ -109,7 +109,7 @@ def pack(fields: Sequence[Field | None], values: Mapping[int, int], words: int) 
     return found
 
 
-def raws(fields: Sequence[Field | None], words: Sequence[int]) -> dict[int, int]:
+def raws(fields: Sequence[MappedField | None], words: Sequence[int]) -> dict[int, int]:
     """The unsigned integers by key, as far as there are words."""
     found: dict[int, int] = {}
     for at, field in places(fields):
@@ -119,7 +119,7 @@ def raws(fields: Sequence[Field | None], words: Sequence[int]) -> dict[int, int]
     return found
 
 
-def decoded(fields: Sequence[Field | None], words: Sequence[int]) -> dict[str, int | float]:
+def decoded(fields: Sequence[MappedField | None], words: Sequence[int]) -> dict[str, int | float]:
     """The values by name, in their units."""
     known = raws(fields, words)
     return {field.name: field.decode(known[field.key]) for _, field in places(fields) if field.key in known}

@@ -7,9 +7,10 @@
 - ``formats``: The data formats of values in record 47: number, octets of one value, conversion
 - ``param_lists``: Limits (PNU 974), parameter list (980 to 989), descriptions and texts of a drive, read over record
   47
+- ``parameter_server``: The drive's end of record 47: takes a request by Write, carries it out, returns the response by
+Read
 - ``pdu``: PDUs of record 47 (parameter access of PROFIdrive's base mode): requests and responses, both ends; their
   services
-- ``server``: The drive's end of record 47: takes a request by Write, carries it out, returns the response by Read
 """
 
 from dpstack.dpv1.master.plugin_queue import ReadReq, RecordQueue, WriteReq
@@ -27,6 +28,13 @@ from dpstack.profile.record47.param_lists import (
     read_out,
     texts,
 )
+from dpstack.profile.record47.parameter_server import (
+    ParameterModel,
+    ParameterServer,
+    Rules,
+    StoreParameters,
+    TimedRecords,
+)
 from dpstack.profile.record47.pdu import (
     INDEX,
     Address,
@@ -43,13 +51,6 @@ from dpstack.profile.record47.pdu import (
     Silent,
     Transport,
     Values,
-)
-from dpstack.profile.record47.server import (
-    ParameterModel,
-    ParameterServer,
-    Rules,
-    StoreParameters,
-    TimedRecords,
 )
 
 __all__ = [

@@ -25,7 +25,7 @@ from dpstack.profile.model.drive_type import CHANNEL_LEN, DriveType, Options, Te
 from dpstack.profile.model.param_errors import BAD_TYPE, ILLEGAL_NUMBER, OPERATING_STATE, READ_ONLY
 from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.model.params import ParamSpec, ParamTable
-from dpstack.profile.record47.server import ParameterServer
+from dpstack.profile.record47.parameter_server import ParameterServer
 from dpstack.profile.simulator.motor import Motor
 from dpstack.units import NEVER, NS_PER_MS
 

@@ -174,7 +174,7 @@ class FujiCore(MappedCore[PcdMap]):
     def codes_of(self, one: PcdMap) -> tuple[int, ...]:
         return (*one.entries, *(0,) * (pcd.COUNT - len(one.entries)))
 
-    def read_by(self, field: process_data_map.Field) -> ParamKey | None:
+    def read_by(self, field: process_data_map.MappedField) -> ParamKey | None:
         """Its function code, where the group is known."""
         return ParamKey(field.name) if t.address(field.name) is not None else None
 

@@ -265,7 +265,7 @@ class KebCore(MappedCore[PdMap]):
         maps."""
         return pdmap.check(inputs, outputs)
 
-    def read_by(self, field: process_data_map.Field) -> ParamKey:
+    def read_by(self, field: process_data_map.MappedField) -> ParamKey:
         """The parameter in its sets."""
         assert isinstance(field, Entry)
         return ParamKey(field.index, index=field.sets)

@@ -398,7 +398,7 @@ class LsCore(MappedCore[ParaMap]):
     def maps_changed(self) -> None:
         self._advise_maps()
 
-    def read_by(self, field: process_data_map.Field) -> ParamKey:
+    def read_by(self, field: process_data_map.MappedField) -> ParamKey:
         return ParamKey(field.key)
 
     def called(self, name: str | int) -> str | int:

@@ -27,7 +27,7 @@ async def test_a_loop_that_was_left_leaves_nothing(reader: str) -> None:
                 break
         await asyncio.sleep(0.1)
         left = stack_objects() - before
-        assert not {kind: count for kind, count in left.items() if kind.startswith(("dpstack.api", "dpstack.live"))}
+        assert not {kind: count for kind, count in left.items() if kind.startswith(("dpstack.api", "dpstack.plant"))}
         assert len(asyncio.all_tasks()) == tasks
         assert not any("Live" in repr(task.get_coro()) for task in asyncio.all_tasks())
 

@@ -12,7 +12,7 @@ from far_ends import until
 
 import dpstack
 from dpstack.api.config.config import make_config
-from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.api.slave_side.simulation import Segment, Simulation
 from dpstack.errors import BusError, ConfigError, UsageError
 from dpstack.sim.world import World
 

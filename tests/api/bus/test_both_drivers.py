@@ -14,7 +14,7 @@ from process_kit import DRIVERS, LAMPS, LAMPS_SPEC, SPEC, VALVES, Driver, begun,
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import make_config
-from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.api.slave_side.simulation import Segment, Simulation
 from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
 from dpstack.dp.master.events import SlaveStateChanged
 from dpstack.errors import ConfigError, DriveError, DriveFault, SlaveFault, SlaveTimeout, UsageError

@@ -15,10 +15,10 @@ from api_kit import FAN, HOIST, RAW, bench_of, bus_of, in_virtual_time, operatin
 import dpstack
 from dpstack.api.bus import live
 from dpstack.api.bus.bus import core_of
-from dpstack.bridge.tree import Born, Died, PlantTree
-from dpstack.bridge.verdicts import Judge
 from dpstack.errors import UsageError
-from dpstack.live.state import LiveState
+from dpstack.plant.state import LiveState
+from dpstack.plant.tree import Born, Died, PlantTree
+from dpstack.plant.verdicts import Judge
 
 VALVES: dict[str, object] = {
     "name": "valves",

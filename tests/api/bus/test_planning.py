@@ -10,7 +10,7 @@ from api_kit import HOIST, RAW, bus_of, in_virtual_time, stack_of
 
 import dpstack
 from dpstack.api.bus.compose import plan_bus
-from dpstack.api.bus.plan_checks import Verdict, cycle_rates
+from dpstack.api.bus.plan_checks import CycleVerdict, cycle_rates
 from dpstack.api.config.config import Config, parse_config
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.errors import ConfigError
@@ -150,11 +150,11 @@ def test_rates_that_a_slave_does_not_know_do_not_count() -> None:
     drive = parse_config(BUS + '[[slave]]\nname = "hoist"\naddress = 3\ndrive = "demag-dedrive"\ntelegram = "PPO3"\n')
     raw = parse_config(BUS + '[[slave]]\nname = "hoist"\naddress = 3\nident = 1\nconfig = "71"\n')
     cycle = 20 * NS_PER_MS
-    assert cycle_rates(raw, cycle)[Verdict.POSSIBLE] == 31_250
-    assert cycle_rates(drive, cycle)[Verdict.POSSIBLE] == 45_450
+    assert cycle_rates(raw, cycle)[CycleVerdict.POSSIBLE] == 31_250
+    assert cycle_rates(drive, cycle)[CycleVerdict.POSSIBLE] == 45_450
     fixed = parse_config(BUS + "t_sl = 100\n" + SLAVE)  # impossible where max T_SDR is longer
-    assert cycle_rates(fixed, NS_PER_MS)[Verdict.POSSIBLE] is None
-    assert cycle_rates(fixed, 5 * NS_PER_MS)[Verdict.POSSIBLE] == 93_750
+    assert cycle_rates(fixed, NS_PER_MS)[CycleVerdict.POSSIBLE] is None
+    assert cycle_rates(fixed, 5 * NS_PER_MS)[CycleVerdict.POSSIBLE] == 93_750
 
 
 # --- the manual's 1 to 2 ms ------------------------------------------------------------------------------------------
@@ -180,7 +180,7 @@ async def test_the_manuals_rotation_in_virtual_time() -> None:
 async def test_a_hoist_on_a_bus_with_a_cycle_is_planned_like_any_other() -> None:
     async with bus_of(HOIST, cycle_ms=20.0) as bus:
         assert bus.plan.cycle is not None
-        assert bus.plan.cycle.verdict is Verdict.UNDISTURBED
+        assert bus.plan.cycle.verdict is CycleVerdict.UNDISTURBED
 
 
 def test_a_gsd_file_beside_the_drive_shortens_the_worst_case_by_its_diagnosis() -> None:

@@ -30,7 +30,7 @@ from support_responder import Responder
 import dpstack
 from dpstack.api.config.config import make_config
 from dpstack.api.lists.parameter_list import ParameterList
-from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.api.slave_side.simulation import Segment, Simulation
 from dpstack.errors import ConfigError
 
 INVERTER: dict[str, object] = {"name": "it", "address": 4, "drive": "imo-hd2"}

@@ -21,7 +21,7 @@ from control_kit import control_directory, octet_client, socket_of
 
 from dpstack.api.control.client import ControlClient, connect, running
 from dpstack.api.control.commands import COMMON, KINDS, SLAVES, Spec, find
-from dpstack.api.control.server import ControlServer, Handler, LongCommand, Send, _ClientGoneError
+from dpstack.api.control.control_server import ControlServer, Handler, LongCommand, Send, _ClientGoneError
 from dpstack.api.control.socket_path import names_of, socket_name
 from dpstack.errors import BusError, PortBusyError, PortError, SlaveTimeout, UsageError
 

@@ -11,8 +11,8 @@ import pytest
 from dpstack import errors
 from dpstack.api.control.client import connect
 from dpstack.api.control.commands import COMMON, Spec
+from dpstack.api.control.control_server import ControlServer, Handler
 from dpstack.api.control.errors import error_fields, failure
-from dpstack.api.control.server import ControlServer, Handler
 from dpstack.errors import (
     AcyclicError,
     BaudError,

@@ -14,7 +14,7 @@ from linear_kit import assert_linear
 from dpstack.api.control import client as client_module
 from dpstack.api.control.client import ControlClient
 from dpstack.api.control.commands import COMMON
-from dpstack.api.control.server import ControlServer
+from dpstack.api.control.control_server import ControlServer
 from dpstack.errors import PortError, UsageError
 
 NONE_OF_OURS = [

@@ -26,7 +26,7 @@ from control_kit import socket_of
 from dpstack.api.control import socket_path
 from dpstack.api.control.client import ControlClient, connect, find_run, running
 from dpstack.api.control.commands import COMMON
-from dpstack.api.control.server import ControlServer
+from dpstack.api.control.control_server import ControlServer
 from dpstack.errors import PortError
 from dpstack.ports.runtime_dir import open_own, user_name
 
@@ -287,7 +287,7 @@ def test_a_program_of_another_user_behind_our_socket_is_told_nothing(
 async def test_an_order_of_another_user_is_refused(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even where somebody has opened the directory and the socket to him."""
     if not ROOT:
-        monkeypatch.setattr("dpstack.api.control.server.peer_uid", lambda _connection: MALLORY)
+        monkeypatch.setattr("dpstack.api.control.control_server.peer_uid", lambda _connection: MALLORY)
     asked: list[object] = []
     served = ControlServer("run", "COM3", COMMON, {"status": lambda args: asked.append(args)})
     async with served:

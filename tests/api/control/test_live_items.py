@@ -10,8 +10,8 @@ import pytest
 
 from dpstack.api.bus.live import LiveItems, LiveStream
 from dpstack.api.control import live_items
-from dpstack.api.control.server import Sender
-from dpstack.live.state import LiveState
+from dpstack.api.control.control_server import Sender
+from dpstack.plant.state import LiveState
 
 #: 123 slaves with 224 named values each: 1.3 million octets, which is more than a sender takes at once
 FIELDS = [{"name": f"value {number}", "at": f"u8@{number}"} for number in range(224)]

@@ -15,7 +15,7 @@ from dpstack.api.config.config import slave_config
 from dpstack.api.control.scenario import ScenarioRun, parse_scenario
 from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.injected import ScenarioEvent
-from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.dp.master.events import SlaveDiagnosis
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams

@@ -9,11 +9,11 @@ import pytest
 from api_kit import RAW, bench_of, bus_of, device_of, in_virtual_time
 
 from dpstack.api.bus.events_json import event_json
+from dpstack.api.control.control_server import ControlServer
 from dpstack.api.control.handlers import control_run, run_status
-from dpstack.api.control.server import ControlServer
 from dpstack.api.control.simulation_handlers import control_segment
 from dpstack.api.injected import Injected
-from dpstack.api.server.simulation import Segment, sim_event_json
+from dpstack.api.slave_side.simulation import Segment, sim_event_json
 from dpstack.cli.commands import ctl
 from dpstack.dp.master.commands import Mode
 from dpstack.errors import BusError, SlaveError, UsageError

@@ -23,14 +23,14 @@ from support_responder import Responder
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import make_config
-from dpstack.api.control import server as server_module
+from dpstack.api.control import control_server as server_module
 from dpstack.api.control import tap_feed
 from dpstack.api.control.commands import KINDS
+from dpstack.api.control.control_server import ControlServer, Sender
 from dpstack.api.control.handlers import control_run
-from dpstack.api.control.server import ControlServer, Sender
 from dpstack.api.control.simulation_handlers import control_segment, control_sim
 from dpstack.api.control.tap_feed import TapFeed
-from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.api.slave_side.simulation import Segment, Simulation
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.drivers.tap import Tap
 from dpstack.sim.world import World

@@ -16,7 +16,7 @@ from support import WorldFactory
 import dpstack
 from dpstack import AlarmType, SlaveAlarm, Specifier, StatusType
 from dpstack.api.bus.events_json import event_json
-from dpstack.api.server.server import ServedSlave
+from dpstack.api.slave_side.slave_server import ServedSlave
 from dpstack.dpv1.master.orders import AlarmRaised, StatusTold
 from dpstack.errors import AlarmError, SlaveFault, UsageError
 from dpstack.sim.world import World

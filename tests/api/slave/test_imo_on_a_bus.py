@@ -11,8 +11,8 @@ from api_kit import in_virtual_time, off_and_on, running, trip
 
 import dpstack
 from dpstack.api.config.config import make_config, slave_config
-from dpstack.api.server.simulation import Simulation
-from dpstack.api.server.virtual_bench import SimulatedSlave
+from dpstack.api.slave_side.simulation import Simulation
+from dpstack.api.slave_side.virtual_bench import SimulatedSlave
 from dpstack.params import BusParams
 
 PUMP: Mapping[str, object] = {"name": "pump", "address": 5, "drive": "imo-hd2"}

@@ -18,7 +18,7 @@ from process_kit import ANSWER_S, DRIVERS, UNHURRIED, Driver, process_of, unhurr
 
 import dpstack
 from dpstack import BusError, DpError
-from dpstack.api.server.simulation import Segment
+from dpstack.api.slave_side.simulation import Segment
 from dpstack.slave import DpSlave, SlaveAppState, SlaveDescription
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=2, alarms=("process",))

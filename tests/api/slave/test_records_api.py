@@ -13,7 +13,7 @@ from support import WorldFactory
 import dpstack
 from dpstack import AcyclicError, Im0, Im1, Im3, RecordRefused
 from dpstack.api.config.config import parse_config
-from dpstack.api.server.server import ServedSlave
+from dpstack.api.slave_side.slave_server import ServedSlave
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dpv1.pdu.im import Im

@@ -12,7 +12,7 @@ from cli_kit import Cli
 import dpstack
 from dpstack import Im0, Im1
 from dpstack.api.config.config import Config
-from dpstack.api.control.commands import Order
+from dpstack.api.control.commands import ParsedCommand
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import through_run
 from dpstack.api.streams import OnEvent
@@ -176,29 +176,29 @@ def test_a_read_only_configuration(run: Cli, plant: Path) -> None:
 
 
 async def through(config: dpstack.Config) -> None:
-    told = await through_run(config, 8, Order("read", ["1", "2", "3"], {}))
+    told = await through_run(config, 8, ParsedCommand("read", ["1", "2", "3"], {}))
     assert told is not None
     assert told["data"] == "303132"
-    assert await through_run(config, 8, Order("write", ["1", "3", "0102"], {})) is not None
-    im = await through_run(config, 8, Order("im", [], {}))
+    assert await through_run(config, 8, ParsedCommand("write", ["1", "3", "0102"], {})) is not None
+    im = await through_run(config, 8, ParsedCommand("im", [], {}))
     assert im is not None
     assert im["im"]["0"]["order_id"] == "RIG"
     with pytest.raises(AcyclicError, match="invalid index") as caught:
-        await through_run(config, 8, Order("read", ["1", "9"], {}))
+        await through_run(config, 8, ParsedCommand("read", ["1", "9"], {}))
     assert (caught.value.address, caught.value.service, caught.value.code_1) == (8, "Read", 0xB0)
     with pytest.raises(UsageError, match="no slave 7 on this bus"):
-        await through_run(config, 7, Order("read", ["1", "9"], {}))
+        await through_run(config, 7, ParsedCommand("read", ["1", "9"], {}))
     with pytest.raises(UsageError, match="dpv1 = true"):
-        await through_run(config, 9, Order("read", ["1", "9"], {}))
+        await through_run(config, 9, ParsedCommand("read", ["1", "9"], {}))
     for word in ("dump", "compare"):
         with pytest.raises(UsageError) as wrong:
-            await through_run(config, 8, Order(word, ["rig.toml"], {}))
+            await through_run(config, 8, ParsedCommand(word, ["rig.toml"], {}))
         assert str(wrong.value) == (
             f"ctl acyclic has no files: `dpstack acyclic CONFIG 8 {word} FILE` has, and goes through this run; "
             "parameters gives the same list"
         )
     with pytest.raises(UsageError, match="ctl acyclic does not know 'look'; it knows read, write, parameters, im"):
-        await through_run(config, 8, Order("look", [], {}))
+        await through_run(config, 8, ParsedCommand("look", [], {}))
 
 
 async def test_a_run_carries_the_orders_out(plant: Path) -> None:
@@ -206,4 +206,4 @@ async def test_a_run_carries_the_orders_out(plant: Path) -> None:
         await bus.ready()
         await asyncio.to_thread(asyncio.run, through(dpstack.load_config(plant)))
         assert bus.mode is dpstack.Mode.CLEAR
-    assert await through_run(dpstack.load_config(plant), 8, Order("read", ["1", "2"], {})) is None
+    assert await through_run(dpstack.load_config(plant), 8, ParsedCommand("read", ["1", "2"], {})) is None

@@ -11,7 +11,7 @@ from ms2_kit import Ms2Server, ms2_in, served
 
 import dpstack
 from dpstack.api.config.config import Config
-from dpstack.api.control.commands import Order
+from dpstack.api.control.commands import ParsedCommand
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import through_run
 from dpstack.api.streams import OnEvent
@@ -188,22 +188,22 @@ def test_a_read_only_configuration(run: Cli, plant: Path) -> None:
 
 
 async def through(config: dpstack.Config) -> None:
-    told = await through_run(config, 8, Order("read", ["1", "2"], {}), master=2)
+    told = await through_run(config, 8, ParsedCommand("read", ["1", "2"], {}), master=2)
     assert told is not None
     assert told["data"] == "0102"
-    told = await through_run(config, 8, Order("transport", ["1", "2", "0A"], {}), master=2)
+    told = await through_run(config, 8, ParsedCommand("transport", ["1", "2", "0A"], {}), master=2)
     assert told is not None
     assert told["data"] == "0a"
     with pytest.raises(AcyclicError, match="invalid index") as caught:
-        await through_run(config, 8, Order("read", ["1", "9"], {}), master=2)
+        await through_run(config, 8, ParsedCommand("read", ["1", "9"], {}), master=2)
     assert (caught.value.address, caught.value.code_1) == (8, 0xB0)
     with pytest.raises(dpstack.ConnectionEnded, match="ABT_SE") as ended:
-        await through_run(config, 8, Order("read", ["1", "10"], {}), master=2)
+        await through_run(config, 8, ParsedCommand("read", ["1", "10"], {}), master=2)
     assert (ended.value.address, ended.value.abort) == (8, (0, 1, 1))
     with pytest.raises(UsageError, match="no slave 7 on this bus"):
-        await through_run(config, 7, Order("read", ["1", "9"], {}), master=2)
+        await through_run(config, 7, ParsedCommand("read", ["1", "9"], {}), master=2)
     with pytest.raises(UsageError, match="add --class 2"):
-        await through_run(config, 8, Order("transport", ["1", "9"], {}))
+        await through_run(config, 8, ParsedCommand("transport", ["1", "9"], {}))
 
 
 def odd(pdu: bytes) -> bytes | None:

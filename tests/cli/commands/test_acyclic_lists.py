@@ -13,7 +13,7 @@ from cli_kit import Cli
 
 import dpstack
 from dpstack.api.config.config import Config
-from dpstack.api.control.commands import Order
+from dpstack.api.control.commands import ParsedCommand
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import through_run
 from dpstack.api.streams import OnEvent
@@ -287,7 +287,7 @@ async def test_through_a_run_it_comes_in_pieces_with_progress(
     plant: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dpstack.api.control.record_orders._IN_A_LINE", 3)
-    monkeypatch.setattr("dpstack.api.control.server._SIGN_OF_LIFE_S", 0.01)
+    monkeypatch.setattr("dpstack.api.control.control_server._SIGN_OF_LIFE_S", 0.01)
     device = Device()
     told: list[tuple[object, ...]] = []
     async with open_bus(device, dpstack.load_config(plant)) as bus, control_run(bus, "virtual"):
@@ -295,7 +295,9 @@ async def test_through_a_run_it_comes_in_pieces_with_progress(
 
         def ask() -> object:
             return asyncio.run(
-                through_run(dpstack.load_config(plant), 8, Order("parameters", [], {}), lambda *one: told.append(one))
+                through_run(
+                    dpstack.load_config(plant), 8, ParsedCommand("parameters", [], {}), lambda *one: told.append(one)
+                )
             )
 
         found = await asyncio.to_thread(ask)

@@ -12,7 +12,7 @@ from cli_kit import Cli
 
 import dpstack
 from dpstack.api.bus.bus import Bus
-from dpstack.api.server.simulation import Simulation
+from dpstack.api.slave_side.simulation import Simulation
 from dpstack.cli.commands import sim
 
 PLANT = """

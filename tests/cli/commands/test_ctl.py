@@ -17,10 +17,10 @@ from programs import PLANT, Starter, plant_of
 import dpstack
 from dpstack.api.config.config import make_config
 from dpstack.api.control.client import connect
+from dpstack.api.control.control_server import ControlServer
 from dpstack.api.control.handlers import control_run
-from dpstack.api.control.server import ControlServer
 from dpstack.api.control.simulation_handlers import control_segment, control_sim
-from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.api.slave_side.simulation import Segment, Simulation
 from dpstack.cli.main import main
 from dpstack.errors import DpError, UsageError
 from dpstack.profile import DriveDevice

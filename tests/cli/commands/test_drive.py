@@ -20,9 +20,9 @@ from programs import PLANT, Program, Starter, plant_of
 
 import dpstack
 from dpstack.api.bus.bus import Bus
-from dpstack.api.control import server
+from dpstack.api.control import control_server as server
 from dpstack.api.control.client import connect
-from dpstack.api.control.commands import Order
+from dpstack.api.control.commands import ParsedCommand
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote import RemoteDrive, find_drive
 from dpstack.api.lists.parameter_list import ParameterList, ParameterPlace, ParameterValue
@@ -340,7 +340,7 @@ def test_a_read_only_configuration_gives_no_orders(drive: Drive, plant: Path) ->
 
 
 async def order(drive: RemoteDrive, word: str, *texts: str) -> dict[str, Any]:
-    return await drive.carry_out(Order(word, texts, {}))
+    return await drive.carry_out(ParsedCommand(word, texts, {}))
 
 
 async def through(plant: Path, bus: Bus) -> None:

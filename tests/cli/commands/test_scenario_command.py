@@ -16,7 +16,7 @@ import dpstack
 from dpstack.api.config.config import load_config, make_config
 from dpstack.api.control.scenario import ScenarioRun, load_scenario, parse_scenario
 from dpstack.api.control.simulation_handlers import slave_handlers
-from dpstack.api.server.simulation import Simulation, sim_event_json
+from dpstack.api.slave_side.simulation import Simulation, sim_event_json
 from dpstack.dp.master.events import SlaveDiagnosis
 from dpstack.drivers.virtual import loop
 

@@ -6,7 +6,7 @@ import pytest
 from api_kit import RAW
 
 from dpstack.api.config.config import make_config
-from dpstack.api.server.simulation import Simulation
+from dpstack.api.slave_side.simulation import Simulation
 from dpstack.cli.commands import sim
 
 

@@ -18,7 +18,7 @@ import pytest
 from cli_kit import Cli
 from far_ends import HANG_S, PtyFarEnd
 
-from dpstack.api.listen.listening import Line, OctetsLost
+from dpstack.api.listen.listening import ListenedLine, OctetsLost
 from dpstack.capture.pcapng import PROFIBUS_DL, Packet, Reader
 from dpstack.capture.transmission import Damage, Transmission
 from dpstack.cli.listening import capture
@@ -281,7 +281,7 @@ def test_signals_end_it_in_order(bus: Bus, tmp_path: Path, alone: None) -> None:
 class ScriptedLine:
     """Stands for a line on which things happen that no pty can do."""
 
-    line = Line("/dev/ttyUSB0", "adapter", None, 500_000, paced=True, damaged="octets are marked")
+    line = ListenedLine("/dev/ttyUSB0", "adapter", None, 500_000, paced=True, damaged="octets are marked")
 
     def __init__(
         self,

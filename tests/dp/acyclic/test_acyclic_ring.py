@@ -25,7 +25,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.plan.cycle_check import Verdict, least_ns
+from dpstack.dp.plan.cycle_check import CycleVerdict, least_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
@@ -269,8 +269,10 @@ def test_silence_is_in_the_longest_rotation(write: bool, world: WorldFactory) ->
     assert plant.exchanging
 
 
-@pytest.mark.parametrize(("write", "verdict"), [(False, Verdict.UNDISTURBED), (True, Verdict.ALWAYS)])
-def test_silence_misses_no_cycle_where_every_attempt_fits(write: bool, verdict: Verdict, world: WorldFactory) -> None:
+@pytest.mark.parametrize(("write", "verdict"), [(False, CycleVerdict.UNDISTURBED), (True, CycleVerdict.ALWAYS)])
+def test_silence_misses_no_cycle_where_every_attempt_fits(
+    write: bool, verdict: CycleVerdict, world: WorldFactory
+) -> None:
     """Each service first fetches what the one before may have left, by polls that nobody answers. Many of them would
     fit between two cycles; after more than one the link layer would probe FCV with the next Data_Exchange.
     """

@@ -10,7 +10,7 @@ from dpstack.dp.acyclic.class2 import (
     AddressChange,
     ChangeAddress,
     Class2,
-    Reading,
+    Class2Reading,
     ReadService,
     Service,
     answers_slave_diag,
@@ -94,27 +94,27 @@ def test_the_pause_after_silence_doubles_up_to_160_ms() -> None:
 def test_a_reading_service_that_nobody_answers(service: Service, sap: int) -> None:
     """Four attempts; then two of Slave_Diag show whether the slave is there at all."""
     four = [line.replace("/60", f"/{sap}") for line in DIAG_FOUR]
-    made, outcome = run(Reading(ReadService(1, 4, service)).steps(), [NONE] * 6)
+    made, outcome = run(Class2Reading(ReadService(1, 4, service)).steps(), [NONE] * 6)
     assert made == four + ([] if sap == 60 else [DIAG_4, "10: 0D 4/60<62 +1000"])
     assert failed(outcome) == (ServiceFailure.SILENT, "")
     if sap == 60:
         return
     for diagnosis in (says(FREE), status(3)):
-        made, outcome = run(Reading(ReadService(1, 4, service)).steps(), [*[NONE] * 4, diagnosis])
+        made, outcome = run(Class2Reading(ReadService(1, 4, service)).steps(), [*[NONE] * 4, diagnosis])
         assert made == [*four, DIAG_4]
         assert failed(outcome) == (ServiceFailure.REFUSED, "no answer")
 
 
 @pytest.mark.parametrize("later", [NONE, GARBLED, WRONG, status(1), status(2)])
 def test_silence_and_busy_are_asked_again(later: Telegram | Failure) -> None:
-    made, outcome = run(Reading(ReadService(1, 4, Service.DIAGNOSIS)).steps(), [later, later, says(FREE)])
+    made, outcome = run(Class2Reading(ReadService(1, 4, Service.DIAGNOSIS)).steps(), [later, later, says(FREE)])
     assert made == DIAG_FOUR[:3]
     assert outcome == Outcome(data=FREE)
 
 
 @pytest.mark.parametrize("answer", [GUARD, SHORT_ACK, status(0), status(3), status(9), says(FREE), says(FREE, 10)])
 def test_every_other_end_is_the_answer(answer: Telegram | Failure) -> None:
-    made, outcome = run(Reading(ReadService(1, 4, Service.DIAGNOSIS)).steps(), [answer])
+    made, outcome = run(Class2Reading(ReadService(1, 4, Service.DIAGNOSIS)).steps(), [answer])
     assert made == [DIAG_4]
     assert outcome is not None
 
@@ -133,7 +133,7 @@ def test_the_text_of_a_service_without_an_answer() -> None:
 
 def test_lengths_of_answers() -> None:
     def read(service: Service, octets: int, expected: int | None = None) -> ServiceFailure | None:
-        return Reading(ReadService(1, 4, service)).read(service, says(bytes(octets)), expected).failure
+        return Class2Reading(ReadService(1, 4, service)).read(service, says(bytes(octets)), expected).failure
 
     long = ServiceFailure.LENGTH
     assert [read(Service.DIAGNOSIS, n) for n in (5, 6, 244, 245)] == [long, None, None, long]
@@ -170,7 +170,7 @@ def test_lengths_of_answers() -> None:
     ],
 )
 def test_texts_without_an_answer(why: Failure, failure: ServiceFailure, text: str) -> None:
-    _, outcome = run(Reading(ReadService(1, 4, Service.DIAGNOSIS)).steps(), [why] * 4)
+    _, outcome = run(Class2Reading(ReadService(1, 4, Service.DIAGNOSIS)).steps(), [why] * 4)
     assert outcome == Outcome(failure, text)
 
 

@@ -6,7 +6,7 @@ import pytest
 from support import WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
-from dpstack.dp.plan.cycle_check import Verdict, least_ns
+from dpstack.dp.plan.cycle_check import CycleVerdict, least_ns
 from dpstack.dp.plan.rotation_time import Figures
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.events import HELD_BACK_CYCLES
@@ -21,7 +21,7 @@ def tight(world: WorldFactory, baud: int) -> CycleBus:
     """Three slaves and the shortest cycle there is: less than T_SL is left of it."""
     params = BusParams.preset(baud, address=2, gap=0)
     setups = [slave(address) for address in (3, 4, 5)]
-    least = least_ns(Figures(params, setups))[Verdict.POSSIBLE]
+    least = least_ns(Figures(params, setups))[CycleVerdict.POSSIBLE]
     cycle_ns = -(-least // NS_PER_US) * NS_PER_US
     return running(world, *setups, params=params, cycle_ns=cycle_ns, more=[acyclic_services(2)])
 

@@ -8,7 +8,7 @@ import pytest
 from support import MS, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
-from dpstack.dp.plan.cycle_check import Verdict, least_ns
+from dpstack.dp.plan.cycle_check import CycleVerdict, least_ns
 from dpstack.dp.plan.rotation_time import Figures
 from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.events import HELD_BACK_CYCLES
@@ -20,7 +20,7 @@ PLACES = 100 * (HELD_BACK_CYCLES + 1)
 
 def shortest_rotation(slaves: int) -> int:
     """In ns, by the plan: the slaves answer after min T_SDR, and nothing but their data is sent."""
-    return least_ns(Figures(P500, [*map(slave, range(5, 5 + slaves))]))[Verdict.POSSIBLE]
+    return least_ns(Figures(P500, [*map(slave, range(5, 5 + slaves))]))[CycleVerdict.POSSIBLE]
 
 
 def run_places(bus: CycleBus, places: int, *, waiting: int) -> None:

@@ -6,7 +6,7 @@ import pytest
 from bus_kit import IDENT
 from planned_bus import identifiers
 
-from dpstack.dp.plan.cycle_check import Verdict, slowest_rates, token_wait_ns
+from dpstack.dp.plan.cycle_check import CycleVerdict, slowest_rates, token_wait_ns
 from dpstack.dp.plan.plan import Plan, make_plan
 from dpstack.dp.plan.rotation_time import Figures, OtherMasters
 from dpstack.dp.slave_params import SlaveParams
@@ -43,7 +43,7 @@ def plan(cycle_ms: float, slaves: list[SlaveParams] = FIVE, baud: int = 1_500_00
     return make_plan(BusParams.preset(baud), slaves, cycle_ns=round(cycle_ms * NS_PER_MS))
 
 
-def verdict(bits: float) -> Verdict:
+def verdict(bits: float) -> CycleVerdict:
     found = plan(bits * BIT_NS / NS_PER_MS).cycle
     assert found is not None
     return found.verdict
@@ -61,16 +61,16 @@ def test_the_verdicts_and_where_they_begin() -> None:
     longest = next(r.bits for case, r in plain.rotations.items() if case.value == "max")
     undisturbed = SLOW + ACYCLIC  # a service is longer than the diagnosis, Global_Control and a GAP poll
     assert [verdict(bits - 1) for bits in (SHORTEST, TYPICAL, undisturbed, longest)] == [
-        Verdict.IMPOSSIBLE,
-        Verdict.POSSIBLE,
-        Verdict.TYPICAL,
-        Verdict.UNDISTURBED,
+        CycleVerdict.IMPOSSIBLE,
+        CycleVerdict.POSSIBLE,
+        CycleVerdict.TYPICAL,
+        CycleVerdict.UNDISTURBED,
     ]
     assert [verdict(bits + 1) for bits in (SHORTEST, TYPICAL, undisturbed, longest)] == [
-        Verdict.POSSIBLE,
-        Verdict.TYPICAL,
-        Verdict.UNDISTURBED,
-        Verdict.ALWAYS,
+        CycleVerdict.POSSIBLE,
+        CycleVerdict.TYPICAL,
+        CycleVerdict.UNDISTURBED,
+        CycleVerdict.ALWAYS,
     ]
 
 
@@ -206,10 +206,10 @@ def test_as_data() -> None:
 def test_the_rate_a_cycle_needs() -> None:
     at_rates = [Figures(BusParams.preset(baud), FIVE) for baud in BAUD_RATES]
     assert slowest_rates(at_rates, 4 * NS_PER_MS) == {
-        Verdict.POSSIBLE: 500_000,
-        Verdict.TYPICAL: 1_500_000,
-        Verdict.UNDISTURBED: 1_500_000,
-        Verdict.ALWAYS: None,
+        CycleVerdict.POSSIBLE: 500_000,
+        CycleVerdict.TYPICAL: 1_500_000,
+        CycleVerdict.UNDISTURBED: 1_500_000,
+        CycleVerdict.ALWAYS: None,
     }
     assert set(slowest_rates(at_rates, 1).values()) == {None}
 
@@ -226,7 +226,7 @@ def test_a_long_slot_time_makes_gap_polls_long() -> None:
 def test_buses_with_hardly_anything_on_them(number: int) -> None:
     few = plan(1000, FIVE[:number])
     assert few.cycle is not None
-    assert few.cycle.verdict is Verdict.ALWAYS
+    assert few.cycle.verdict is CycleVerdict.ALWAYS
     assert few.findings == ()
 
 

@@ -40,7 +40,7 @@ class Mine(DpV0Device):
     async def late(self):
         raise ValueError("late")
 """
-OURS = ["record_requests.py", "state.py", "dpstack/dp/slave/application.py", "dpstack/api/server/async_device.py"]
+OURS = ["record_requests.py", "state.py", "dpstack/dp/slave/application.py", "dpstack/api/slave_side/async_device.py"]
 
 
 def load(path: Path, text: str) -> ModuleType:

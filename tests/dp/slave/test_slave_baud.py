@@ -10,7 +10,7 @@ from bus_kit import IDENT, PPO1, setup
 from support import MS, S, WorldFactory
 
 from dpstack.api.config.config import slave_config
-from dpstack.api.server.virtual_bench import SimulatedSlave
+from dpstack.api.slave_side.virtual_bench import SimulatedSlave
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master

@@ -35,7 +35,7 @@ from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import make_config
 from dpstack.api.control.handlers import control_run, run_status
-from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.api.slave_side.simulation import Segment, Simulation
 from dpstack.dp.master.commands import DriveCommand
 from dpstack.drivers.process.channel import Channel
 from dpstack.drivers.runtime import BusProcessBack, BusProcessSilent, OutputsDropped

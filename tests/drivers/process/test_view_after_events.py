@@ -30,8 +30,8 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.process import messages
+from dpstack.drivers.process.bus_process import Host
 from dpstack.drivers.process.client import ProcessRuntime
-from dpstack.drivers.process.server import Host
 from dpstack.drivers.snapshots import SlaveSnapshot
 from dpstack.drivers.stack import Stack
 from dpstack.fdl.commands import GoOnline

@@ -16,9 +16,9 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 from unittest import mock
 
-from dpstack.api.control import server as module
+from dpstack.api.control import control_server as module
 from dpstack.api.control.commands import COMMON, Spec
-from dpstack.api.control.server import ControlServer, _Client
+from dpstack.api.control.control_server import ControlServer, _Client
 from dpstack.errors import SlaveFault
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
@@ -165,4 +165,6 @@ def run(octets: bytes) -> None:
         loop.play(Run(octets, loop).main())
 
 
-TARGET = Target(run=run, covers=("dpstack.api.control.server",), executions=100_000, compares=False, max_len=200)
+TARGET = Target(
+    run=run, covers=("dpstack.api.control.control_server",), executions=100_000, compares=False, max_len=200
+)

@@ -14,8 +14,8 @@ import functools
 import json
 from typing import Any
 
-from dpstack.live.pending import Pending, portions
-from dpstack.live.state import DEPTH, LiveState
+from dpstack.plant.pending import Pending, portions
+from dpstack.plant.state import DEPTH, LiveState
 from dpstack.screen import one_slave, overview
 from dpstack.screen.lines import Line, width_of
 from dpstack.screen.view import SILENT_S, View
@@ -159,7 +159,7 @@ def run(octets: bytes) -> None:
 TARGET = Target(
     run=run,
     covers=(
-        "dpstack.live",
+        "dpstack.plant",
         "dpstack.screen.view",
         "dpstack.screen.overview",
         "dpstack.screen.one_slave",

@@ -15,7 +15,7 @@ from http import HTTPStatus
 from unittest import mock
 
 from dpstack.bridge.metrics import http_server
-from dpstack.bridge.metrics.http_server import LONGEST_S, Answer, Connection, HttpServer
+from dpstack.bridge.metrics.http_server import LONGEST_S, Answer, HttpConnection, HttpServer
 from dpstack.tcp_address import Origins
 from tests.fuzz.frame import Cutter, Target
 from tests.fuzz.memory_transport import MemoryTransport
@@ -32,7 +32,7 @@ class Wire(MemoryTransport):
     def __init__(self, server: HttpServer) -> None:
         super().__init__()
         self.answered_at = 0.0
-        self.protocol = Connection(server)
+        self.protocol = HttpConnection(server)
         self.protocol.connection_made(self)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:

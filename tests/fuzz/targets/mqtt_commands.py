@@ -11,7 +11,7 @@ from __future__ import annotations
 from dpstack.bridge.mqtt import sparkplug_pb2 as pb
 from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, NodeSetup, Phase, Publish
-from dpstack.bridge.tree import PlantTree
+from dpstack.plant.tree import PlantTree
 from tests.fuzz.frame import Cutter, Target
 from tests.fuzz.mqtt_plant import NOW, show_plant
 

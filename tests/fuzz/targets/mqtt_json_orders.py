@@ -16,7 +16,7 @@ from dpstack.bridge.mqtt import json_node
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.json_payload import MOST_OCTETS
 from dpstack.bridge.mqtt.plant_node import NodeOptions, NodeSetup, OrderWish, Publish
-from dpstack.bridge.tree import PlantTree
+from dpstack.plant.tree import PlantTree
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
 from tests.fuzz.mqtt_plant import NOW, show_plant

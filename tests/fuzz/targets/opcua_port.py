@@ -21,12 +21,12 @@ from asyncua import ua
 from asyncua.server.address_space import AttributeValue, NodeData
 from asyncua.ua.ua_binary import struct_to_binary
 
-from dpstack.bridge.conditions import Condition, Level
 from dpstack.bridge.opcua import connection
 from dpstack.bridge.opcua.alarms import SERVER, Alarms, emit, utc
 from dpstack.bridge.opcua.connection import MOST_REQUEST
-from dpstack.bridge.opcua.server import LimitedServer
+from dpstack.bridge.opcua.sessions import LimitedServer
 from dpstack.bridge.opcua.space import SharedValue
+from dpstack.plant.conditions import Condition, Level
 from tests.fuzz import opcua_wire as by
 from tests.fuzz.frame import Cutter, Target
 from tests.fuzz.quick_loop import quick_loop

@@ -25,8 +25,9 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line import shutdown
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import PortLatency
-from dpstack.drivers.process import messages, server
-from dpstack.drivers.process.server import Host
+from dpstack.drivers.process import bus_process as server
+from dpstack.drivers.process import messages
+from dpstack.drivers.process.bus_process import Host
 from dpstack.drivers.process.shared_image import SharedImage, Word
 from dpstack.machine import Machine
 from dpstack.params import BusParams

@@ -12,6 +12,7 @@ from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.profile.record47.client import Item, ParameterClient
 from dpstack.profile.record47.param_lists import ReadParameter, read_limits, read_out, texts
+from dpstack.profile.record47.parameter_server import ParameterServer, Rules, StoreParameters
 from dpstack.profile.record47.pdu import (
     INDEX,
     Address,
@@ -25,7 +26,6 @@ from dpstack.profile.record47.pdu import (
     Silent,
     Values,
 )
-from dpstack.profile.record47.server import ParameterServer, Rules, StoreParameters
 from tests.fuzz.frame import Cutter, Target, assert_plain, parsed
 
 _TABLE: Final = ParamTable(

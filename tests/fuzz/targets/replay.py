@@ -87,4 +87,4 @@ def run(octets: bytes) -> None:
                 assert not view.fresh
 
 
-TARGET = Target(run=run, covers=("dpstack.record", "dpstack.live", "dpstack.screen"), executions=100_000, max_len=200)
+TARGET = Target(run=run, covers=("dpstack.record", "dpstack.plant", "dpstack.screen"), executions=100_000, max_len=200)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import cache
 
 from dpstack.api.config.config import slave_config
+from dpstack.api.control.control_server import Handler
 from dpstack.api.control.scenario import Scenario, parse_scenario
-from dpstack.api.control.server import Handler
 from dpstack.api.control.simulation_handlers import slave_handlers
-from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 from dpstack.sim.world import World
@@ -51,7 +51,7 @@ def repair(octets: bytes) -> bytes:
 
 TARGET = Target(
     run,
-    covers=("dpstack.api.control.scenario", "dpstack.api.server.fault_steps", "dpstack.api.config.table"),
+    covers=("dpstack.api.control.scenario", "dpstack.api.slave_side.fault_steps", "dpstack.api.config.table"),
     max_len=200,
     repair=repair,
     words=words("scenario"),

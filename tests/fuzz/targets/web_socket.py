@@ -17,11 +17,11 @@ import struct
 from typing import Any
 from unittest import mock
 
-from dpstack.web import server as module
+from dpstack.web import web_server as module
 from dpstack.web.page_files import read_page
 from dpstack.web.rights import Rights
-from dpstack.web.server import WebServer
 from dpstack.web.source import GivenItems
+from dpstack.web.web_server import WebServer
 from tests.fuzz.bent_json import bent, text_of
 from tests.fuzz.frame import Cutter, Target, assert_plain
 from tests.fuzz.memory_transport import MemoryTransport

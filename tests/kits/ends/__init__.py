@@ -6,8 +6,8 @@
 
 - ``rows``: the rows of that page: a program, the event that ends it, and the measurement.
 - ``programs``: applications that end in every way; ``faults``: the same with further faults of program, plugin and
-  port; ``blocking``: scripts with ``dpstack.blocking``; ``run``: ``dpstack run`` with a face of the tests. ``rows``
-  starts them as programs, others use :class:`ends.programs.Ways` in the process of the test.
+  port; ``blocking``: scripts with ``dpstack.blocking``; ``run``: ``dpstack run`` with a connector of the tests.
+  ``rows`` starts them as programs, others use :class:`ends.programs.Ways` in the process of the test.
 - ``failing_plugins``: drive plugins that raise exceptions.
 - ``recording_slave``: the other end of a measurement, a program of octets that imports nothing of dpstack.
 - ``telegrams``: the last telegrams to a slave as words, without the project's codec.

@@ -14,7 +14,7 @@ import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-import probe_face
+import probe_connector
 from ends import failing_plugins
 from ends.programs import LONG_S, Ways
 from far_ends import until
@@ -99,29 +99,29 @@ class Faults(Ways):
 
         self.run(then)
 
-    # --- faces, which begin before the bus and end after it ---
-    def a_face_raises(self) -> None:
+    # --- connectors, which begin before the bus and end after it ---
+    def a_connector_raises(self) -> None:
         async def then(bus: dpstack.Bus) -> None:
-            probe_face.ProbeFace.made[-1].breaks = True
-            await until(lambda: not self.publishing.faces, "the end of the face")
+            probe_connector.ProbeConnector.made[-1].breaks = True
+            await until(lambda: not self.publishing.connectors, "the end of the connector")
             await self.goes_on(bus)
 
         self.publish("no", then)
 
-    def a_face_never_ends(self) -> None:
+    def a_connector_never_ends(self) -> None:
         async def nothing(_: dpstack.Bus) -> None:
             pass
 
         self.publish("end", nothing)
 
-    def a_face_never_ends_and_an_exception(self) -> None:
+    def a_connector_never_ends_and_an_exception(self) -> None:
         async def fails(_: dpstack.Bus) -> None:
             raise ZeroDivisionError
 
         self.publish("end", fails)
 
     def publish(self, fails: str, then: Callable[[dpstack.Bus], Awaitable[object]]) -> None:
-        probe_face.register()
+        probe_connector.register()
 
         async def main() -> None:
             bus = self.bus()

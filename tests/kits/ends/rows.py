@@ -71,8 +71,8 @@ ident = 0x1234
 config = "20 10"
 watchdog_ms = 0
 """
-#: the faces; the broker is not there
-FACES: Final = """
+#: the connectors; the broker is not there
+CONNECTORS: Final = """
 [metrics]
 listen = "127.0.0.1:0"
 
@@ -89,7 +89,7 @@ anonymous = "read"
 """
 
 
-#: of ``probe_face``, with the way in which it fails
+#: of ``probe_connector``, with the way in which it fails
 PROBE: Final = """
 [probe]
 fails = "{}"
@@ -354,11 +354,11 @@ def send_twice(number: int) -> Act:
     return act
 
 
-def end_beside_a_face(program: Program, recorder: Recorder) -> None:
-    """The outputs are safe while the program still waits for its face, or for what that has left behind."""
+def end_beside_a_connector(program: Program, recorder: Recorder) -> None:
+    """The outputs are safe while the program still waits for its connector, or for what that has left behind."""
     os.kill(program.pid, signal.SIGTERM)
     wait_for(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
-    assert program.process.poll() is None, "nobody has waited for the face"
+    assert program.process.poll() is None, "nobody has waited for the connector"
 
 
 def hang_up(_: Program, recorder: Recorder) -> None:
@@ -495,10 +495,10 @@ WAYS: Final = {
         "sys_exit_in_on_event": "`sys.exit()` in `on_event`",
         "a_defect": "in the protocol machine (a defect of dpstack)",
     },
-    "face": {
-        "a_face_raises": "it fails",
-        "a_face_never_ends": "it does not end, and the block ends",
-        "a_face_never_ends_and_an_exception": "it does not end, and an exception leaves the block",
+    "connector": {
+        "a_connector_raises": "it fails",
+        "a_connector_never_ends": "it does not end, and the block ends",
+        "a_connector_never_ends_and_an_exception": "it does not end, and an exception leaves the block",
     },
     "cancellation": {
         "cancelled_once": "once",
@@ -563,8 +563,8 @@ STOPS: Final = {
     "stopped (SIGSTOP)": stop_bus_process,
     "stopped (SIGSTOP), and goes on": stop_bus_process_and_go_on,
 }
-#: how a face hangs at its end: the key ``fails`` of ``probe_face``
-FACE_ENDS: Final = {
+#: how a connector hangs at its end: the key ``fails`` of ``probe_connector``
+CONNECTOR_ENDS: Final = {
     "end": "it does not end",
     "thread": "a thread of it goes on at its end",
     "loop": "it blocks its event loop at its end",
@@ -614,7 +614,7 @@ def rows() -> list[Row]:
             run("no handles", "while the bus runs, and SIGTERM", act=no_handles),
             run("no memory", "while the bus runs, and SIGTERM at once", act=no_memory),
         ]
-        faced = functools.partial(run, "face", tables=FACES)
+        faced = functools.partial(run, "connector", tables=CONNECTORS)
         found += [
             *(
                 faced(f"metrics, MQTT and OPC UA, and {name_of(n)}", act=send(n))
@@ -622,18 +622,18 @@ def rows() -> list[Row]:
             ),
             faced("metrics, MQTT and OPC UA, and SIGINT twice", act=send_twice(signal.SIGINT)),
             *(
-                run("face", f"{text}, and SIGTERM", tables=PROBE.format(fails), act=end_beside_a_face)
-                for fails, text in FACE_ENDS.items()
+                run("connector", f"{text}, and SIGTERM", tables=PROBE.format(fails), act=end_beside_a_connector)
+                for fails, text in CONNECTOR_ENDS.items()
             ),
-            run("face", "it makes its nodes, and SIGTERM", tables=PROBE.format("build"), writes="builds", act=end),
+            run("connector", "it makes its nodes, and SIGTERM", tables=PROBE.format("build"), writes="builds", act=end),
             faced(
                 "metrics, MQTT and OPC UA of 7168 values at their start, and SIGTERM",
-                tables=BIG + FACES,
+                tables=BIG + CONNECTORS,
                 slaves=BIG_SLAVES,
                 act=end,
                 may_tell="dpstack: mqtt: ",  # of values that the disk has not taken by then
             ),
-            run("full disk", "of the store of MQTT, without a broker", tables=FACES, act=full_store),
+            run("full disk", "of the store of MQTT, without a broker", tables=CONNECTORS, act=full_store),
         ]
         for option in ("--plain", "--json"):
             text = f"its reader has gone (`{option}`)"
@@ -651,7 +651,7 @@ def rows() -> list[Row]:
         # noticed if a telegram is due before the bus process reads the order to end
         text = "stopped (SIGSTOP), and the program gets SIGINT"
         found.append(make("bus process", text, act=stop_bus_process_and_end, may_tell="Stalled"))
-    beside = functools.partial(Row, "bus process", driver="process", program="run", tables=FACES, may_go_on=True)
+    beside = functools.partial(Row, "bus process", driver="process", program="run", tables=CONNECTORS, may_go_on=True)
     found += [
         beside(f"{name_of(n)}, beside metrics, MQTT and OPC UA", act=send_to_bus_process(n))
         for n in (signal.SIGTERM, signal.SIGKILL)

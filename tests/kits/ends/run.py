@@ -1,13 +1,14 @@
-"""``dpstack`` with the face ``[probe]`` of ``probe_face``, for ``ends.rows``: ``python -m ends.run run PLANT ...``."""
+"""``dpstack`` with the connector ``[probe]`` of ``probe_connector``, for ``ends.rows``: ``python -m ends.run run PLANT
+...``."""
 
 from __future__ import annotations
 
 import sys
 
-import probe_face
+import probe_connector
 
 from dpstack.cli.main import main
 
 if __name__ == "__main__":
-    probe_face.register()
+    probe_connector.register()
     sys.exit(main())

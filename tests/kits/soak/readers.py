@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 import dpstack
-from dpstack.live.state import LiveState
+from dpstack.plant.state import LiveState
 
 
 class StreamReaders:

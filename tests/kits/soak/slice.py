@@ -22,7 +22,7 @@ from soak.wire import Grid, WireCount
 
 import dpstack
 from dpstack.api.bus.bus import core_of
-from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.dp.master.events import DriveEvent
 from dpstack.profile import DriveDevice
 from dpstack.sim.world import World

@@ -12,6 +12,7 @@ from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.profile.record47.client import Item, ParameterClient
 from dpstack.profile.record47.formats import FORMATS
 from dpstack.profile.record47.param_lists import Description, ReadParameter, defined, read_limits, read_out
+from dpstack.profile.record47.parameter_server import ParameterModel, ParameterServer, Rules
 from dpstack.profile.record47.pdu import (
     Address,
     Answer,
@@ -24,7 +25,6 @@ from dpstack.profile.record47.pdu import (
     Service,
     Values,
 )
-from dpstack.profile.record47.server import ParameterModel, ParameterServer, Rules
 
 # -- both ends ---------------------------------------------------------------------------------------------------------
 

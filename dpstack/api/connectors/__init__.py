@@ -1,0 +1,6 @@
+"""The connectors of a running bus: made from the tables of its configuration, fed, given orders to carry out, and
+ended.
+
+- ``kinds``: The connectors by name: the module of each, and how it is made from its table
+- ``publishing``: ``publish``: the connectors of a bus from beginning to end
+"""

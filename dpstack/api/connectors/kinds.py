@@ -1,0 +1,121 @@
+"""The connectors that there are, by the name of their table: module, package of the extra, and maker of each.
+
+A connector is loaded only where a table asks for it. A new one has a table in :mod:`dpstack.api.config.connectors`, a
+row here, an extra of its name in pyproject.toml, and its keys in docs/reference/configuration.md
+(``tools/make_config_docs.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from platform import python_version
+from socket import gethostname
+from typing import Any, Final, NamedTuple
+
+from dpstack.api.config.connectors import MetricsConfig, MqttConfig, OpcUaConfig
+from dpstack.bridge.connector import Connector, ConnectorState, Tell, product_version
+from dpstack.bridge.names import SPARKPLUG_ID
+from dpstack.bridge.orders import Orders
+from dpstack.errors import ConfigError
+from dpstack.plant.tree import PlantTree
+
+
+class Parts(NamedTuple):
+    """The parts of the gateway that a connector is made with. ``orders``: makes the gate of its orders, from its
+    ``allow_commands`` and ``command_max_age_s``; raises ConfigError for a name that fits no order of the plant.
+    ``connectors``: the state of each connector; ``bus_pid``: the process id of the
+    bus process, None without one."""
+
+    tree: PlantTree
+    tell: Tell
+    orders: Callable[[Sequence[str], float], Orders]
+    connectors: Callable[[], Sequence[ConnectorState]]
+    bus_pid: Callable[[], int | None]
+
+
+class ConnectorKind(NamedTuple):
+    """``module``: loaded before ``make`` is called, which takes the table of the connector and its parts. ``needs``:
+    the packages of its extra, which has the name of the connector. ``room_mb``: MB of addresses that its packages and
+    threads take."""
+
+    module: str
+    needs: tuple[str, ...]
+    make: Callable[[Any, Parts], Connector]
+    room_mb: int = 0
+
+
+def _mqtt(config: MqttConfig, parts: Parts) -> Connector:
+    from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
+    from dpstack.bridge.mqtt.client import MqttConnector
+    from dpstack.bridge.mqtt.edge_node import EdgeNode
+    from dpstack.bridge.mqtt.json_node import JsonNode
+    from dpstack.bridge.mqtt.plant_node import NodeSetup, PlantNode
+
+    if config.format == "json" and config.primary_host:
+        raise ConfigError('primary_host: plain JSON knows none; take it out, or write format = "sparkplug"')
+    broker = Broker(
+        url=config.url,
+        ca=Path(config.ca) if config.ca else None,
+        cert=Path(config.cert) if config.cert else None,
+        key=Path(config.key) if config.key else None,
+        user=config.user,
+        password=read_password(config.password_env, Path(config.password_file) if config.password_file else None),
+        keepalive_s=config.keepalive_s,
+    )
+    node = config.node or SPARKPLUG_ID.valid(gethostname())
+    setup = NodeSetup(config.group, node, config.primary_host, config.interval_ms / 1000)
+    orders = parts.orders(config.allow_commands, config.command_max_age_s) if config.allow_commands else None
+    folder = state_folder(config.group, node)
+    versions = {"dpstack": product_version(), "python": python_version()} if config.status else None
+    make_node: type[PlantNode] = JsonNode if config.format == "json" else EdgeNode
+    return MqttConnector(
+        parts.tree,
+        parts.tell,
+        broker=broker,
+        setup=setup,
+        folder=folder,
+        orders=orders,
+        make_node=make_node,
+        store_mb=0 if config.format == "json" else config.store_mb,
+        versions=versions,
+    )
+
+
+def _metrics(config: MetricsConfig, parts: Parts) -> Connector:
+    from dpstack.bridge.metrics.connector import MetricsConnector  # these here, as most programs have no metrics
+    from dpstack.tcp_address import Listen
+
+    listen = Listen.parse(config.listen, "[metrics] listen")
+    return MetricsConnector(parts.tree, parts.tell, listen, connectors=parts.connectors, bus_pid=parts.bus_pid)
+
+
+def _opcua(config: OpcUaConfig, parts: Parts) -> Connector:
+    from dpstack.bridge.opcua.certificate import state_file
+    from dpstack.bridge.opcua.connector import OpcUaConnector, OpcUaSettings
+
+    # else the missing one would be looked for, or made, in the state directory
+    if bool(config.cert) != bool(config.key):
+        raise ConfigError("cert and key go together; give both, or neither: then both are made at the first start")
+    settings = OpcUaSettings(
+        config.listen,
+        config.name,
+        Path(config.cert) if config.cert else state_file(f"{config.name}.der"),
+        Path(config.key) if config.key else state_file(f"{config.name}.pem"),
+        Path(config.trust_dir) if config.trust_dir else None,
+        Path(config.users_file) if config.users_file else None,
+        config.anonymous == "read",
+        config.history_s,
+        config.history_values,
+        state_file(f"{config.name}.lock"),
+    )
+    return OpcUaConnector(
+        parts.tree, parts.tell, settings, parts.orders(config.allow_commands, config.command_max_age_s)
+    )
+
+
+KINDS: Final[dict[str, ConnectorKind]] = {
+    "mqtt": ConnectorKind("dpstack.bridge.mqtt.client", ("aiomqtt", "google.protobuf"), _mqtt, 60),
+    "metrics": ConnectorKind("dpstack.bridge.metrics.connector", ("prometheus_client",), _metrics, 20),
+    "opcua": ConnectorKind("dpstack.bridge.opcua.connector", ("asyncua", "cryptography"), _opcua, 130),
+}

@@ -1,9 +1,0 @@
-"""Slaves in this program: the user's own, and simulated ones.
-
-- ``fault_steps``: Faults and settings of simulated slaves, as tables name them: ``do = "late_answers", by_ms = 20``
-- ``server``: The user's own slaves: made from a GSD file, served on a real port or in a virtual world
-- ``simulated_inputs``: Inputs of simulated slaves over time: from a recording, or from a function in a thread of its
-  own
-- ``simulation``: Simulated slaves behind a real port (``dpstack sim``)
-- ``virtual_bench``: Simulated slaves that commands silence and switch off and on; those of a bus in virtual time
-"""

@@ -1,0 +1,316 @@
+"""The nodes of a bus and of a slave with type, unit, scale and dead band; the orders that they take.
+
+Everything comes from the item ``plant`` of a live stream, which somebody else has made: texts are cut, counts bounded,
+other types than expected left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, Final
+
+from dpstack.plant.orders import Argument, DriveOrder, Operation, SetOutputs
+from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, LIMITS, TEXT, TYPES, Value, clean, value_of
+
+#: named values of one slave: its 244 octets of inputs and of outputs have so many bits
+MOST_FIELDS: Final = 2 * 244 * 8
+#: nodes of a plant; the fields beyond them are left out
+MOST_NODES: Final = 50_000
+#: characters of a name
+_MOST_NAME: Final = 120
+
+
+class Kind(StrEnum):
+    BUS = "bus"
+    SLAVE = "slave"
+    DRIVE = "drive"
+    VALUE = "value"
+    DIAGNOSIS = "diagnosis"
+    STATISTIC = "statistic"
+
+
+class Source(StrEnum):
+    """The part of the stream that gives the value of a node; the rule for its quality depends on it."""
+
+    MASTER = "master"  # what the master knows by itself: valid as long as the bus and its stream run
+    INPUT = "input"
+    OUTPUT = "output"
+    DRIVE = "drive"
+
+
+@dataclass(frozen=True, slots=True)
+class OfferedOrder:
+    """An order that a connector may give to the run: it sets ``output``, a named output of ``slave``, or is an
+    ``operation`` of its drive. ``name``: ``SLAVE.NAME``, as ``allow_commands`` lists it; ``type``: of its
+    argument, None: it has none."""
+
+    name: str
+    slave: int
+    output: str = ""
+    operation: Operation | None = None
+    type: str | None = None
+
+    def argument(self, value: Value) -> Argument | None:
+        """``value`` as an argument of this order. Raises ValueError if it has another type; an order without an
+        argument takes None and True."""
+        if self.type is None:
+            if value is not None and value is not True:
+                raise ValueError(f"{self.name} takes true, not {clean(repr(value))}")
+            return None
+        given = value_of(value, self.type)
+        if given is None or isinstance(given, str):
+            raise ValueError(f"{self.name} takes {self.type}, not {clean(repr(value))}")
+        return given
+
+    def typed(self, argument: Argument | None = None) -> SetOutputs | DriveOrder:
+        """This order with a result of :meth:`argument`."""
+        if self.operation is not None:
+            return DriveOrder(self.slave, self.operation, argument)
+        assert argument is not None, "an output has a value"
+        return SetOutputs(self.slave, {self.output: argument})
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """One value of the tree. ``id``: stable, with the address of the slave and not its name. ``path``: the names for
+    people below the bus or the slave, as given; :mod:`dpstack.bridge.names` makes them valid for a connector.
+
+    ``low`` and ``high``: range in ``unit``, None where it is not known. ``dead_band``: changes up to so much, in
+    ``unit``, are no news. ``order``: the order that sets it, None: it can only be read.
+    """
+
+    id: str
+    kind: Kind
+    source: Source
+    path: tuple[str, ...]
+    type: str
+    slave: int | None = None
+    unit: str = ""
+    scale: float = 1
+    offset: float = 0
+    low: float | None = None
+    high: float | None = None
+    dead_band: float = 0
+    order: OfferedOrder | None = None
+    text: str = ""
+    #: key of the value: of ``bus`` or of a slave in a snapshot, and further keys in it
+    keys: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Described:
+    """A slave, or the bus, as the plant describes it. ``left_out``: the number of its fields that do not fit."""
+
+    name: str
+    nodes: tuple[Node, ...]
+    orders: tuple[OfferedOrder, ...] = ()
+    about: Mapping[str, str] = field(default_factory=dict)
+    watchdog_ms: float = 0.0
+    left_out: int = 0
+
+
+#: counters of a slave by their key in the live stream
+SLAVE_COUNTERS: Final[Mapping[str, str]] = {
+    "exchanges": "Data_Exchange with valid answers",
+    "telegrams": "telegrams to and from the slave",
+    "retries": "repeated requests to the slave",
+    "timeouts": "requests that the slave did not answer",
+    "late": "answers of the slave after the slot time",
+    "wrong": "answers of a kind that does not fit the request",
+}
+_ALARM_COUNTS: Final = ("raised", "acknowledged", "repeated", "refused", "too_many", "dropped", "not_enabled")
+#: quantities of a drive: name, type, unit, dead band, text
+_DRIVE: Final[Sequence[tuple[str, str, str, float, str]]] = (
+    ("state", TEXT, "", 0, "state of the drive by the common names of dpstack"),
+    ("running", BOOL, "", 0, ""),
+    ("reached", BOOL, "", 0, "the set point is reached"),
+    ("remote", BOOL, "", 0, "the drive follows the bus"),
+    ("setpoint", FLOAT, "", 0.001, "part of the reference: 1.0 is 100 %"),
+    ("speed", FLOAT, "", 0.001, "part of the reference: 1.0 is 100 %"),
+    ("frequency_hz", FLOAT, "Hz", 0.05, ""),
+    ("current", FLOAT, "", 0.005, "part of the rated current"),
+    ("torque", FLOAT, "", 0.005, "part of the rated torque"),
+    ("faults", TEXT, "", 0, "faults by name"),
+    ("warnings", TEXT, "", 0, "warnings by name"),
+    ("settings", TEXT, "", 0, "comparison of the drive's settings with those that its plugin relies on"),
+)
+#: orders to a drive, with the type of their argument
+_DRIVE_ORDERS: Final[Sequence[tuple[Operation, str | None]]] = (
+    ("start", None),
+    ("stop", None),
+    ("quick_stop", None),
+    ("coast", None),
+    ("acknowledge", None),
+    ("speed", FLOAT),
+)
+_BUS_STATISTICS: Final = (
+    "rotations",
+    "telegrams",
+    "sent",
+    "retries",
+    "timeouts",
+    "late",
+    "stray",
+    "garbled",
+    "tokens",
+    "tokens_lost",
+    "token_retries",
+    "gap_polls",
+)
+_OF_FIXED_CYCLE: Final = ("missed", "left_out")
+#: they separate slave, name and value in an order
+_NOT_IN_ORDERS: Final = frozenset(".=")
+
+
+def bus_of(plant: Mapping[str, Any]) -> Described:
+    """The nodes of the bus itself. Those of the fixed cycle are there where the plant has one."""
+    about = {key: clean(str(plant.get(key))) for key in ("port", "baud", "driver", "address", "config_digest")}
+    plan = plant.get("plan")
+    fixed = isinstance(plan, Mapping) and plan.get("cycle_us") is not None
+    return Described(about["port"], tuple(_bus_nodes(fixed=fixed)), about=about)
+
+
+def _bus_nodes(*, fixed: bool) -> Iterator[Node]:
+    def node(kind: Kind, path: tuple[str, ...], type_: str, *keys: str, unit: str = "", text: str = "") -> Node:
+        id_, band = f"bus/{'/'.join(keys)}", 1 if unit else 0
+        return Node(id_, kind, Source.MASTER, path, type_, unit=unit, dead_band=band, text=text, keys=keys)
+
+    yield node(Kind.BUS, ("Mode",), TEXT, "mode", text="offline, stop, clear or operate")
+    yield node(Kind.BUS, ("In ring",), BOOL, "in_ring", text="the master is in the token ring")
+    yield node(Kind.BUS, ("Masters",), TEXT, "masters", text="addresses of the masters in the ring")
+    yield node(Kind.BUS, ("Clear",), TEXT, "clear", text="reason of a Clear that the master went to by itself")
+    for name in (*_BUS_STATISTICS, *(_OF_FIXED_CYCLE if fixed else ())):
+        yield node(Kind.STATISTIC, ("Statistics", name), COUNT, name)
+    for name in ("rotation_us", "token_us", "host_us", *(("late_us",) if fixed else ())):
+        for point in ("p50", "p99", "max"):
+            yield node(Kind.STATISTIC, ("Statistics", name, point), FLOAT, name, point, unit="us")
+    yield node(Kind.STATISTIC, ("Statistics", "behind"), FLOAT, "behind_ms", unit="ms", text="lag of a simulated bus")
+
+
+def slave_of(address: int, plant: Mapping[str, Any], *, writable: bool, room: int = MOST_NODES) -> Described:
+    """The nodes and orders of the slave at ``address``, ``plant`` its part of the plant. ``writable``: the run takes
+    orders. ``room``: named values at most."""
+    name = _name(plant.get("name")) or f"slave {address}"
+    own = f"slave/{address}"
+    nodes = [*_own_nodes(own, address, read_only=not writable, dpv1=plant.get("dpv1") is True)]
+    orders: list[OfferedOrder] = []
+    drive = plant.get("drive")
+    taken: set[str] = set()
+    left_out = 0
+    for source, key, group in ((Source.INPUT, "inputs", "Inputs"), (Source.OUTPUT, "outputs", "Outputs")):
+        for number, given in enumerate(plant.get(key) or ()):
+            # the outputs of a drive are made by its plugin
+            node = _field_node(own, address, name, source, group, given, writable=writable and drive is None)
+            if node is None or node.keys[-1] in taken or number >= MOST_FIELDS or room <= 0:
+                left_out += 1
+                continue
+            room -= 1
+            taken.add(node.keys[-1])
+            nodes.append(node)
+            if node.order is not None:
+                orders.append(node.order)
+    if drive is not None:
+        nodes += _drive_nodes(own, address)
+        if writable:
+            orders += (
+                OfferedOrder(f"{name}.{word}", address, operation=word, type=type_) for word, type_ in _DRIVE_ORDERS
+            )
+    about = {key: clean(plant.get(key)) for key in ("ident", "vendor", "model", "gsd")}
+    if isinstance(drive, Mapping):
+        about |= {key: clean(drive.get(key)) for key in ("profile", "telegram")}
+    watchdog = value_of(plant.get("watchdog_ms"), FLOAT)
+    watchdog_ms = watchdog if isinstance(watchdog, float) else 0.0
+    return Described(name, tuple(nodes), tuple(orders), about, watchdog_ms, left_out)
+
+
+def _name(given: object) -> str:
+    return clean(given)[:_MOST_NAME]
+
+
+def _own_nodes(own: str, address: int, *, read_only: bool, dpv1: bool) -> Iterator[Node]:
+    def node(kind: Kind, path: tuple[str, ...], type_: str, *keys: str, unit: str = "", text: str = "") -> Node:
+        return Node(
+            f"{own}/{'/'.join(keys)}", kind, Source.MASTER, path, type_, address, unit=unit, text=text, keys=keys
+        )
+
+    yield node(Kind.SLAVE, ("State",), TEXT, "state", text="state in which the master has the slave")
+    yield node(Kind.SLAVE, ("Fault",), TEXT, "fault", text="why the slave is not in data exchange")
+    yield node(Kind.SLAVE, ("Watchdog",), FLOAT, "watchdog_ms", unit="ms", text="0: off")
+    if read_only:
+        yield node(Kind.SLAVE, ("Master",), "u8", "master", text="address of its master")
+    yield node(Kind.DIAGNOSIS, ("Diagnosis",), TEXT, "conspicuous", text="unusual flags and texts of the diagnosis")
+    for name, text in SLAVE_COUNTERS.items():
+        yield node(Kind.STATISTIC, ("Statistics", name), COUNT, name, text=text)
+    for name in _ALARM_COUNTS if dpv1 else ():
+        yield node(Kind.STATISTIC, ("Statistics", "alarms", name), COUNT, "alarms", name)
+
+
+def _drive_nodes(own: str, address: int) -> Iterator[Node]:
+    for name, type_, unit, band, text in _DRIVE:
+        keys = ("drive", name)
+        yield Node(
+            f"{own}/drive/{name}",
+            Kind.DRIVE,
+            Source.DRIVE,
+            ("Drive", name),
+            type_,
+            address,
+            unit=unit,
+            dead_band=band,
+            text=text,
+            keys=keys,
+        )
+
+
+def _field_node(
+    own: str, address: int, slave: str, source: Source, group: str, given: Mapping[str, Any], *, writable: bool
+) -> Node | None:
+    """The node of a named value; None for one without a name or of an unknown type."""
+    name, raw = given.get("name"), _type(given)
+    if not isinstance(name, str) or not name or raw not in TYPES:
+        return None
+    if len(name) > _MOST_NAME:
+        return None
+    scale, offset = _number(given.get("scale"), 1), _number(given.get("offset"), 0)
+    scaled = scale != 1 or offset != 0
+    low, high = LIMITS.get(raw, (None, None))
+    ends = None if low is None or high is None else sorted((low * scale + offset, high * scale + offset))
+    type_ = FLOAT if scaled and raw not in (BOOL, BYTES, TEXT) else raw
+    order = None
+    if writable and source is Source.OUTPUT and raw != TEXT and not set(name) & _NOT_IN_ORDERS:
+        order = OfferedOrder(f"{slave}.{clean(name)}", address, output=name, type=type_)
+    return Node(
+        f"{own}/{source}/{name}",
+        Kind.VALUE,
+        source,
+        (group, clean(name)),
+        type_,
+        address,
+        unit=clean(given.get("unit"))[:_MOST_NAME],
+        scale=scale,
+        offset=offset,
+        low=None if ends is None else ends[0],
+        high=None if ends is None else ends[1],
+        dead_band=abs(_number(given.get("dead_band"), 0)),
+        order=order,
+        text=clean(given.get("at")),
+        keys=("fields", name),
+    )
+
+
+def _type(given: Mapping[str, Any]) -> str:
+    """The type of a field: ``type``, or that in front of ``at``. A recording calls every number so."""
+    raw = given.get("type")
+    if not isinstance(raw, str):
+        at = given.get("at")
+        raw = at.partition("@")[0].removesuffix("le") if isinstance(at, str) else ""
+    return FLOAT if raw == "number" else raw
+
+
+def _number(given: object, default: float) -> float:
+    found = value_of(given, FLOAT)
+    if not isinstance(found, float) or not abs(found) <= 1e15:
+        return default
+    return int(found) if found.is_integer() else found

@@ -1,0 +1,156 @@
+"""Values with quality, reason and source time; values of the stream by type."""
+
+from __future__ import annotations
+
+import math
+import sys
+from enum import Enum, IntEnum, unique
+from typing import Final, NamedTuple
+
+from dpstack.text import printable, shortened
+
+#: characters of a text that a node holds
+MOST_TEXT: Final = 1024
+#: the greatest number of four octets (IEEE 754); a connector could not encode a greater one
+_MOST_F32: Final = (2 - 2**-23) * 2.0**127
+#: octets of a value: more than a slave has
+_MOST_OCTETS: Final = 244
+#: the value of a node; None: there is none
+Value = bool | int | float | str | bytes | None
+
+#: 10.3 - 10.1 is 0.20000000000000107 for a float: a step as large as the dead band lies in it
+_EDGE: Final = 1 + 1e-9
+
+BOOL, TEXT, BYTES, FLOAT, COUNT = "bool", "text", "bytes", "f64", "u64"
+#: limits of the whole numbers by type
+LIMITS: Final[dict[str, tuple[int, int]]] = {
+    **{f"u{bits}": (0, (1 << bits) - 1) for bits in (8, 16, 32, 64)},
+    **{f"i{bits}": (-1 << (bits - 1), (1 << (bits - 1)) - 1) for bits in (8, 16, 32, 64)},
+}
+TYPES: Final = frozenset({BOOL, TEXT, BYTES, "f32", FLOAT, *LIMITS})
+
+
+class Quality(IntEnum):
+    """Quality of a value, with the numbers of Sparkplug B 3.0 (6.4.7, property ``Quality``)."""
+
+    BAD = 0
+    GOOD = 192
+    STALE = 500
+
+
+@unique
+class Reason(Enum):
+    """Reason of a quality: text for people, quality, status code of OPC UA (Part 4, 7.39; Part 8, 6.3.2)."""
+
+    GOOD = "", Quality.GOOD, 0x0000_0000
+    #: no value yet, or none since the bus began (BadWaitingForInitialData)
+    WAITING = "no value yet", Quality.BAD, 0x8032_0000
+    #: not a number, too few octets, or of another type (Bad)
+    NO_VALUE = "there is no valid value", Quality.BAD, 0x8000_0000
+    #: for instance a quantity that the telegram of a drive does not carry (BadNotSupported)
+    NOT_THERE = "this slave or bus does not give this value", Quality.BAD, 0x803D_0000
+    #: UncertainNoCommunicationLastUsableValue
+    NOT_EXCHANGING = "the slave is not in data exchange", Quality.STALE, 0x408F_0000
+    #: UncertainLastUsableValue
+    NOT_VALID = "the inputs of the slave are not valid", Quality.STALE, 0x4090_0000
+    TOO_OLD = "the inputs are older than the watchdog of the slave", Quality.STALE, 0x4090_0000
+    DRIVE_OFFLINE = "the drive gives no status", Quality.STALE, 0x4090_0000
+    #: UncertainNoCommunicationLastUsableValue
+    BUS_STALE = "the bus does not run, or its counters are old", Quality.STALE, 0x408F_0000
+    NOT_SENT = "the live stream does not show this slave any more", Quality.STALE, 0x408F_0000
+    STREAM_SILENT = "the live stream of the bus has stopped", Quality.STALE, 0x408F_0000
+    STREAM_LATE = "the live stream of the bus arrives late", Quality.STALE, 0x408F_0000
+    SEARCHING = "the bus searches its baud rate", Quality.STALE, 0x408F_0000
+    ENDED = "the bus has ended", Quality.STALE, 0x408F_0000
+    #: for instance its process was killed
+    FAILED = "a fault has ended the bus", Quality.STALE, 0x408F_0000
+
+    def __init__(self, text: str, quality: Quality, status: int) -> None:
+        self.text = text
+        self.quality = quality
+        self.opcua_status = status
+
+    def with_note(self, note: str) -> str:
+        """The reason and further facts in one line."""
+        return f"{self.text}: {note}" if note else self.text
+
+
+#: BadNoCommunication: there is not even an old value
+_NO_COMMUNICATION: Final = 0x8031_0000
+
+
+class Reading(NamedTuple):
+    """Value of a node. ``value``: the last good one while the quality is stale; None exactly while it is bad.
+
+    ``time``: source time of ``value`` in s since 1970 by the clock of the stream; 0 before the first. ``note``: further
+    facts about the reason, printable.
+    """
+
+    value: Value = None
+    reason: Reason = Reason.WAITING
+    time: float = 0.0
+    note: str = ""
+
+    @property
+    def quality(self) -> Quality:
+        return Quality.BAD if self.value is None else self.reason.quality
+
+    @property
+    def opcua_status(self) -> int:
+        """The status code of OPC UA."""
+        if self.value is None and self.reason.quality is Quality.STALE:
+            return _NO_COMMUNICATION
+        return self.reason.opcua_status
+
+    @property
+    def text(self) -> str:
+        """The reason in one line; empty for a good value."""
+        return self.reason.with_note(self.note)
+
+
+def clean(text: object) -> str:
+    """``text`` for people, short and without control characters; empty where it is no text."""
+    return shortened(printable(text[: MOST_TEXT + 1]), MOST_TEXT) if isinstance(text, str) else ""
+
+
+def value_of(given: object, type_: str) -> Value:
+    """``given``, of an item of the stream or of an order, as a value of ``type_``; None if it is no such value. Octets
+    are given as they are, or as hex."""
+    if type_ == BOOL:
+        return given if isinstance(given, bool) else None
+    if type_ == TEXT:
+        return clean(given) if isinstance(given, str) else None
+    if type_ == BYTES:
+        return _octets(given)
+    if isinstance(given, bool) or not isinstance(given, (int, float)):
+        return None
+    if type_ in LIMITS:
+        low, high = LIMITS[type_]
+        whole = isinstance(given, int) or given.is_integer()
+        return int(given) if whole and low <= given <= high else None
+    try:
+        number = float(given)
+    except OverflowError:
+        return None
+    most = _MOST_F32 if type_ == "f32" else sys.float_info.max
+    return number if abs(number) <= most else None
+
+
+def _octets(given: object) -> bytes | None:
+    if isinstance(given, bytes):
+        return given if len(given) <= _MOST_OCTETS else None
+    if not isinstance(given, str) or len(given) > 2 * _MOST_OCTETS:
+        return None
+    try:
+        return bytes.fromhex(given)
+    except ValueError:
+        return None
+
+
+def is_news(before: Value, now: Value, band: float) -> bool:
+    """Whether ``now`` is another value than ``before``; of numbers one that is more than ``band`` away."""
+    if before == now:
+        return False
+    if band and isinstance(before, (int, float)) and isinstance(now, (int, float)):
+        return not abs(now - before) <= band * _EDGE and not (math.isnan(now) and math.isnan(before))
+    return not (isinstance(before, float) and isinstance(now, float) and math.isnan(before) and math.isnan(now))

@@ -1,0 +1,662 @@
+"""The tree of a plant: items of its live stream in; changed values, births, deaths and conditions out.
+
+A value is good while all of this holds; else the tree says which part does not:
+
+- the stream comes, and comes in time; the bus runs, and has not ended
+- for process data and drives: the slave is in data exchange, its inputs are valid by the rule of the master
+  (:func:`dpstack.dp.process_image.inputs_are_valid`), and no older than their limit: the watchdog of the slave, 1 s
+  without one, two poll intervals at least
+- the value has the type of its node
+
+The caller gives the time in s by a clock that nobody sets (that of the event loop). :meth:`PlantTree.tick` finds out
+that nothing comes any more, so it must be called at least once in ``silent_s``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+from dpstack.plant.conditions import Condition, ConditionBook, Level
+from dpstack.plant.items import check_item
+from dpstack.plant.judge import exchanging
+from dpstack.plant.nodes import MOST_NODES, Described, Kind, Node, OfferedOrder, Source, bus_of, slave_of
+from dpstack.plant.quality import FLOAT, TEXT, Reading, Reason, Value, clean, is_news, value_of
+from dpstack.text import printable, shortened
+
+#: s without a snapshot, and of delay, after which values are stale. The stream comes every 0.5 s at the latest, or at
+#: the interval that its reader has asked for
+SILENT_S: Final = 2.0
+#: s between two changes of a statistic
+STATISTICS_S: Final = 10.0
+#: the smallest delay of the stream rises by so much a second: clocks of two computers differ by less
+_DRIFT: Final = 1e-3
+#: s since 1970 at the end of the year 9999
+_LATEST: Final = 253_402_300_799.0
+#: age of valid inputs of a slave without watchdog in ms, where the stream does not say more
+_UNWATCHED_MS: Final = 1000.0
+#: faults, warnings or diagnoses of one slave that are conditions
+_MOST_TEXTS: Final = 16
+#: slaves of a bus
+_MOST_SLAVES: Final = 127
+#: remarks that wait for the caller
+_MOST_REMARKS: Final = 100
+
+#: troubles of the values of a slave that is there
+_OF_VALUES: Final = frozenset({Reason.NOT_VALID, Reason.TOO_OLD})
+#: states of a slave, as the live stream has them
+
+
+class Changed(NamedTuple):
+    """A node has another value, quality or reason."""
+
+    node: Node
+    reading: Reading
+
+
+class Born(NamedTuple):
+    """The bus (``slave`` None) or a slave has come: publish all its nodes (:meth:`PlantTree.readings`)."""
+
+    slave: int | None
+
+
+class Died(NamedTuple):
+    """The bus (``slave`` None) or a slave has gone. Values of its nodes that have become stale come behind it."""
+
+    slave: int | None
+    why: str
+
+
+class NodesChanged(NamedTuple):
+    """The nodes of the bus and of its slaves are others than before."""
+
+
+class Remark(NamedTuple):
+    """Something that a person should know, once; printable."""
+
+    text: str
+
+
+class ClockSet(NamedTuple):
+    """The clock of the computer minus that of the stream is now ``offset`` s (0 before the first one): times that were
+    published before are wrong by the difference. The tree does not give this out, as it has no clock; a gateway does.
+    """
+
+    offset: float
+
+
+Change = Changed | Born | Died | Condition | Remark | NodesChanged | ClockSet
+
+
+#: the reason why nothing is good, with a note; None: nothing is in the way
+Trouble = tuple[Reason, str] | None
+
+
+class _Branch:
+    """The bus, or one slave: its nodes and the values that they have."""
+
+    def __init__(self, slave: int | None, described: Described) -> None:
+        self.slave = slave
+        self.described = described
+        #: of a slave: its part of the plant, and the nodes for which there was room; ``described`` was made of these
+        self.plant: Mapping[str, Any] = {}
+        self.room = 0
+        #: the values of the stream, merged; None before the first
+        self.values: dict[str, Any] | None = None
+        #: time of the stream, and of the caller, when they came
+        self.t = 0.0
+        self.heard = -math.inf
+        #: a plant or whole snapshot has come since, at this time of the caller: the next values replace them
+        self.awaited: float | None = None
+        self.exchanged = False
+        self.born = False
+        #: the values have changed since they were compared; or a statistic waits for this time of the caller
+        self.is_new = True
+        self.due = math.inf
+        #: the trouble at that comparison
+        self.trouble: tuple[Trouble, Trouble] = (None, None)
+        self.now: dict[str, Reading] = {}
+        #: as given out; None: nothing yet of these nodes, so that values of nodes of the same name are replaced
+        self.told: dict[str, Reading | None] = {}
+        self.told_at: dict[str, float] = {}
+
+
+class PlantTree:
+    """``silent_s``: see :data:`SILENT_S`. ``statistics_s``: a statistic changes no more often.
+
+    ``conditions``: all that are retained. ``lost``: events that did not arrive.
+    """
+
+    def __init__(self, *, silent_s: float = SILENT_S, statistics_s: float = STATISTICS_S) -> None:
+        self.conditions = ConditionBook()
+        self.lost = 0
+        self._silent_s = silent_s
+        self._statistics_s = statistics_s
+        self._plant: Mapping[str, Any] | None = None
+        self._started = 0.0
+        self._bus = _Branch(None, Described("", ()))
+        self._slaves: dict[int, _Branch] = {}
+        self._t = 0.0
+        #: the caller's time at the last snapshot; None before the first one behind a plant
+        self._heard: float | None = None
+        self._delay: float | None = None
+        self._late = False
+        self._silent_process = False
+        #: text of the end; and whether a fault has ended the bus
+        self._end: str | None = None
+        self._failed = False
+        self._orders: dict[str, OfferedOrder] = {}
+        self._told: set[str] = set()
+        self._forgotten = 0
+
+    # --- reading the tree -----------------------------------------------------------------------------------------
+
+    @property
+    def plant(self) -> Mapping[str, Any] | None:
+        """The item ``plant`` as it came; None before the first."""
+        return self._plant
+
+    @property
+    def slaves(self) -> Mapping[int, Described]:
+        """The slaves by address, ascending."""
+        return {address: branch.described for address, branch in self._slaves.items()}
+
+    @property
+    def nodes(self) -> Iterator[Node]:
+        """All nodes: those of the bus, then those of the slaves by address."""
+        for branch in self._branches():
+            yield from branch.described.nodes
+
+    @property
+    def orders(self) -> Mapping[str, OfferedOrder]:
+        """The orders that the plant takes, by name. Two with the same name are none: nobody knows which is meant."""
+        return self._orders
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the bus has said that it ended, in order or by a fault."""
+        return self._end is not None
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether a fault has ended the bus, for instance SIGKILL of its process."""
+        return self._end is not None and self._failed
+
+    @property
+    def t(self) -> float:
+        """The time of the last snapshot in s since the start of the stream."""
+        return self._t
+
+    def time_at(self, now: float) -> float | None:
+        """The time of the stream at ``now`` in s since 1970. None while it is not known: the bus is not alive, or its
+        stream goes by a clock of its own (a simulated bus, a recording)."""
+        return self._started + now - self._delay if self._bus.born and self._delay is not None else None
+
+    def is_alive(self, slave: int | None) -> bool:
+        """Whether the bus (None) or the slave was born and has not died."""
+        branch = self._branch(slave)
+        return branch is not None and branch.born
+
+    def trouble(self, slave: int | None) -> Trouble:
+        """The reason why values of the bus (None), or process data of a slave, are not good, as judged last."""
+        branch = self._branch(slave)
+        if branch is None or self._plant is None:
+            return Reason.WAITING, ""
+        return branch.trouble[0] if slave is None else branch.trouble[0] or branch.trouble[1]
+
+    def readings(self, slave: int | None) -> list[tuple[Node, Reading]]:
+        """All nodes of the bus (None) or of a slave with their values: the content of a birth."""
+        branch = self._branch(slave)
+        return [] if branch is None else [(node, branch.now[node.id]) for node in branch.described.nodes]
+
+    def values(self, slave: int | None) -> Mapping[str, Any]:
+        """The values of the stream as they came, for histograms and counters by cause; empty before the first."""
+        branch = self._branch(slave)
+        return {} if branch is None or branch.values is None else branch.values
+
+    # --- changing it ----------------------------------------------------------------------------------------------
+
+    def apply(self, item: Mapping[str, Any], now: float) -> list[Change]:
+        """Take the next item, which came at ``now``. One that is no item changes nothing, and is told once."""
+        return self.apply_all((item,), now)
+
+    def apply_all(self, items: Iterable[Mapping[str, Any]], now: float) -> list[Change]:
+        """Take items that were there together at ``now``. They are judged once, behind the last one: where a program
+        that was stopped finds old items, nobody dies of them to be born again at once."""
+        return [change for part in self.apply_in_parts(items, now) for change in part]
+
+    def apply_in_parts(self, items: Iterable[Mapping[str, Any]], now: float) -> Iterator[list[Change]]:
+        """As :meth:`apply_all`, in a part for each slave: a caller whose loop drives a bus lets others have their turn
+        between them. Nothing else may be applied before the last part."""
+        yield [change for item in items for change in self._take(item, now)]
+        yield from self._tick(now)
+
+    def _take(self, item: Mapping[str, Any], now: float) -> list[Change]:
+        found: list[Change] = []
+        try:
+            check_item(item)
+        except ValueError as error:
+            return self._remark(str(error))
+        if "plant" in item:
+            found += self._take_plant(item["plant"], now)
+        elif "snapshot" in item:
+            found += self._take_snapshot(item["snapshot"], now)
+        elif "event" in item:
+            found += self._take_event(item["event"])
+        elif "lost" in item:
+            self.lost += item["lost"]
+            self._silent_process = False  # its end may be among them; the counters tell, too
+            found += self._remark("events of the bus were lost: alarms among them are not shown")
+        elif "end" in item:
+            self._end = clean(item["end"]["text"]) or "the bus has ended"
+            self._failed = item["end"].get("failed") is True
+        return found
+
+    def tick(self, now: float) -> list[Change]:
+        """The changes since the last call that came with the passing of time, or with the items taken."""
+        return [change for part in self._tick(now) for change in part]
+
+    def _tick(self, now: float) -> Iterator[list[Change]]:
+        """The bus is born before its slaves, and dies behind them."""
+        if self._plant is None:
+            return
+        trouble = self._bus_trouble(now)
+        dies = self._bus.born and trouble is not None
+        if not dies:
+            bus = [*self._compare(self._bus, (trouble, None), now)]
+            if not self._bus.born and trouble is None:
+                self._bus.born = True
+                bus.append(Born(None))
+            yield bus
+        for branch in tuple(self._slaves.values()):
+            yield self._judge(branch, trouble, now)
+        found = self._bus_conditions(trouble)
+        if dies and trouble is not None:
+            self._bus.born = False
+            died = Died(None, Reason.with_note(*trouble))
+            found = [died, *self._compare(self._bus, (trouble, None), now), *found]
+        if self.conditions.left_out > self._forgotten:
+            self._forgotten = self.conditions.left_out
+            found += self._remark("there are more conditions than can be kept: the oldest are forgotten")
+        yield found
+
+    def acknowledge(self, id_: str, by: str = "", comment: str | None = None) -> list[Change]:
+        """Acknowledge a condition. Nothing changes where it is not there, or acknowledged already. ``comment`` None
+        leaves the one that it has."""
+        said = None if comment is None else clean(comment)
+        found = self.conditions.acknowledge(id_, self._time(self._t), clean(by), said)
+        return [] if found is None else [found]
+
+    def comment(self, id_: str, by: str, comment: str) -> list[Change]:
+        """Give a condition another comment. Nothing changes where it is not there."""
+        found = self.conditions.comment(id_, self._time(self._t), clean(by), clean(comment))
+        return [] if found is None else [found]
+
+    # --- items ----------------------------------------------------------------------------------------------------
+
+    def _take_plant(self, plant: Mapping[str, Any], now: float) -> list[Change]:
+        found: list[Change] = []
+        started = min(max(0.0, _float(plant.get("started"))), _LATEST)
+        other_run = self._plant is None or started != self._started
+        writable = plant.get("read_only") is False
+        # orders depend on it
+        is_as_before = self._plant is not None and (self._plant.get("read_only") is False) is writable
+        self._plant, self._started, self._end = plant, started, None
+        self._silent_process = False
+        changed = False
+        before, self._slaves = self._slaves, {}
+        if other_run:
+            found += self._end_branches(before, "another run of the bus has begun")
+            self._t, self._heard, self._delay, self._late = 0.0, None, None, False
+            bus = bus_of(plant)
+            changed = not is_as_before or bus != self._bus.described
+            self._bus = _Branch(None, bus)
+            self._fill(self._bus)
+            found += self._end_alarms("another run of the bus has begun")
+        room = MOST_NODES
+        given = sorted((int(address), one) for address, one in plant["slaves"].items() if int(address) < _MOST_SLAVES)
+        for address, one in given:
+            branch = before.pop(address, None)
+            if branch is not None and is_as_before and room == branch.room and one == branch.plant:
+                described = branch.described
+            else:
+                described = slave_of(address, one, writable=writable, room=room)
+            is_same = branch is not None and branch.described == described
+            if branch is None or other_run or not is_same:
+                if branch is not None:
+                    found += self._end_branch(branch, "its configuration has changed")
+                branch = _Branch(address, described)
+                self._fill(branch)
+                changed = changed or not is_same
+            branch.plant, branch.room = one, room
+            room -= len(described.nodes)
+            if described.left_out:
+                found += self._remark(f"slave {address}: {described.left_out} named values cannot be shown")
+            self._slaves[address] = branch
+        for address, branch in before.items():
+            found += self._end_branch(branch, "it was removed from the configuration")
+            found += self._end_of_slave(address, "removed from the configuration")
+            changed = True
+        if len(given) < len(plant["slaves"]):
+            found += self._remark("the stream has slaves with addresses above 126: they are left out")
+        self._await_all(now)
+        if changed:
+            found += [*self._name_orders(), NodesChanged()]
+        return found
+
+    def _name_orders(self) -> list[Change]:
+        all_of = [order for branch in self._slaves.values() for order in branch.described.orders]
+        times = Counter(order.name for order in all_of)
+        self._orders = {order.name: order for order in all_of if times[order.name] == 1}
+        found: list[Change] = []
+        for name, count in times.items():
+            if count > 1:
+                found += self._remark(f"{count} orders are called {name}: none of them can be given")
+        return found
+
+    def _await_all(self, now: float) -> None:
+        for branch in self._branches():
+            branch.awaited = now if branch.awaited is None else branch.awaited
+
+    def _take_snapshot(self, snapshot: Mapping[str, Any], now: float) -> list[Change]:
+        if self._plant is None:
+            return self._remark("a snapshot came before the plant: it is left out")
+        t = float(snapshot["t"])
+        self._measure_delay(t, now)
+        self._t, self._heard = t, now
+        if snapshot["whole"]:
+            self._await_all(now)
+        if snapshot["bus"]:
+            self._merge(self._bus, snapshot["bus"], now)
+        found: list[Change] = []
+        for address, values in snapshot["slaves"].items():
+            branch = self._slaves.get(int(address))
+            if branch is None:
+                found += self._remark(f"the stream has values of slave {int(address)}, which is not in the plant")
+                continue
+            self._merge(branch, values, now)
+            found += self._slave_conditions(branch)
+        return found
+
+    def _merge(self, branch: _Branch, values: Mapping[str, Any], now: float) -> None:
+        """The first values behind a plant or a whole snapshot replace the earlier ones: they are whole."""
+        if branch.values is None or branch.awaited is not None:
+            branch.values = dict(values)
+            branch.awaited = None
+        else:
+            branch.values.update(values)
+        branch.t, branch.heard, branch.is_new = self._t, now, True
+
+    def _measure_delay(self, t: float, now: float) -> None:
+        """Find out whether the stream arrives late: its items may have waited, while this program did not run."""
+        assert self._plant is not None
+        if self._plant.get("virtual") is True or self._plant.get("source") == "replay":
+            return  # they go by clocks of their own
+        delay = now - t
+        if self._heard is None or self._delay is None or t < self._t:
+            self._delay = delay
+        else:
+            self._delay = min(self._delay + _DRIFT * max(0.0, now - self._heard), delay)
+        self._late = delay - self._delay > self._silent_s
+
+    def _take_event(self, event: Mapping[str, Any]) -> list[Change]:
+        kind = event.get("event")
+        if kind == "bus_process":
+            self._silent_process = event.get("silent") is True
+        address = event.get("address")
+        if kind == "alarm" and isinstance(address, int) and address in self._slaves:
+            return self._alarm(address, event)
+        return []
+
+    # --- quality --------------------------------------------------------------------------------------------------
+
+    def _bus_trouble(self, now: float) -> Trouble:
+        """The reason why no value of the bus is good; None: nothing is in the way."""
+        assert self._plant is not None
+        if self._end is not None:
+            return Reason.FAILED if self._failed else Reason.ENDED, self._end
+        if self._heard is None:
+            return Reason.WAITING, ""
+        if now - self._heard > self._silent_s or now < self._heard:
+            return Reason.STREAM_SILENT, ""
+        if self._late:
+            return Reason.STREAM_LATE, ""
+        if self._plant.get("baud") is None and self._plant.get("source") != "replay":
+            return Reason.SEARCHING, ""
+        if self._bus.values is None:
+            return Reason.WAITING, ""
+        # a bus that is not open yet is offline, too
+        if self._silent_process or self._bus.values.get("stale") is True or self._bus.values.get("mode") == "offline":
+            return Reason.BUS_STALE, ""
+        if self._bus.awaited is not None and now - self._bus.awaited > self._silent_s:
+            return Reason.STREAM_SILENT, ""
+        return None
+
+    def _slave_trouble(self, branch: _Branch, now: float) -> Trouble:
+        """The reason why neither process data nor drive of a slave is good, while the bus is."""
+        values = branch.values
+        if values is None:
+            return Reason.WAITING, ""
+        waited = max(now - branch.heard, 0.0 if branch.awaited is None else now - branch.awaited)
+        if not exchanging(values):
+            fault = values.get("fault") or {}
+            return Reason.NOT_EXCHANGING, clean(fault.get("text") or values.get("state"))
+        if waited > self._silent_s:
+            return Reason.NOT_SENT, ""  # the counters of a slave in data exchange never stand still
+        if values.get("inputs_valid") is not True:
+            return Reason.NOT_VALID, ""
+        age, limit = values.get("inputs_age_ms"), self._limit_ms(branch)
+        if age is None:
+            # a recording of named values has no ages
+            return None if self._plant is not None and self._plant.get("source") == "replay" else (Reason.NOT_VALID, "")
+        return None if age <= limit else (Reason.TOO_OLD, f"limit {limit:.0f} ms")
+
+    def _limit_ms(self, branch: _Branch) -> float:
+        values = branch.values or {}
+        given = values.get("inputs_limit_ms")
+        if given is None:
+            given = values.get("watchdog_ms")
+        return _float(given) or branch.described.watchdog_ms or _UNWATCHED_MS
+
+    # --- values ---------------------------------------------------------------------------------------------------
+
+    def _judge(self, branch: _Branch, trouble: Trouble, now: float) -> list[Change]:
+        """Values, birth and death of a slave."""
+        own = trouble or self._slave_trouble(branch, now)
+        found: list[Change] = []
+        if branch.born and own is not None and own[0] not in _OF_VALUES:
+            branch.born = False
+            found.append(Died(branch.slave, Reason.with_note(*own)))
+        found += self._compare(branch, (trouble, own), now)
+        if not branch.born and own is None:
+            branch.born = True
+            found.append(Born(branch.slave))
+        return found
+
+    def _compare(self, branch: _Branch, trouble: tuple[Trouble, Trouble], now: float) -> Iterator[Change]:
+        """The nodes with news. ``trouble``: that of the bus; and that of process data and drive."""
+        if not branch.is_new and branch.trouble == trouble and now < branch.due:
+            return
+        branch.is_new, branch.trouble, branch.due = False, trouble, math.inf
+        for node in branch.described.nodes:
+            here = branch.now[node.id] = self._read(node, branch, trouble)
+            told = branch.told[node.id]
+            if told is not None and here.reason is told.reason and here.note == told.note:
+                if not is_news(told.value, here.value, node.dead_band):
+                    continue
+                due = branch.told_at[node.id] + self._statistics_s
+                if node.kind is Kind.STATISTIC and now < due:
+                    branch.due = min(branch.due, due)
+                    continue
+            branch.told[node.id] = here
+            branch.told_at[node.id] = now
+            yield Changed(node, here)
+
+    def _read(self, node: Node, branch: _Branch, trouble: tuple[Trouble, Trouble]) -> Reading:
+        values, before, by_master = branch.values, branch.now[node.id], node.source is Source.MASTER
+        because = trouble[0 if by_master else 1]
+        if because is not None:
+            return before._replace(reason=because[0], note=because[1])
+        if values is None:
+            return before._replace(reason=Reason.WAITING, note="")
+        if branch.awaited is not None:
+            return before  # the next part of the snapshot brings it; until then nothing is known of this moment
+        if node.source is Source.DRIVE:
+            drive = values.get("drive")
+            if drive is None or drive.get("state") == "offline":
+                return before._replace(reason=Reason.DRIVE_OFFLINE, note="")
+        given, is_there = _look_up(values, node)
+        time = self._time(branch.t - (0 if by_master else _float(values.get("inputs_age_ms")) / 1000))
+        if given is None and by_master and is_there and node.type == TEXT:
+            return Reading("", Reason.GOOD, time)  # no fault, no diagnosis, no Clear
+        if given is None and node.source in (Source.MASTER, Source.DRIVE):
+            return Reading(None, Reason.NOT_THERE, time)
+        value = value_of(given, node.type)
+        return Reading(value, Reason.NO_VALUE if value is None else Reason.GOOD, time)
+
+    def _time(self, t: float) -> float:
+        return min(max(0.0, self._started + t), _LATEST)
+
+    # --- branches -------------------------------------------------------------------------------------------------
+
+    def _branches(self) -> Iterator[_Branch]:
+        yield self._bus
+        yield from self._slaves.values()
+
+    def _branch(self, slave: int | None) -> _Branch | None:
+        return self._bus if slave is None else self._slaves.get(slave)
+
+    def _fill(self, branch: _Branch) -> None:
+        branch.now = {node.id: Reading() for node in branch.described.nodes}
+        branch.told = dict.fromkeys(branch.now)
+        branch.told_at = dict.fromkeys(branch.now, -math.inf)
+
+    def _end_branch(self, branch: _Branch, why: str) -> Iterable[Change]:
+        if branch.born:
+            branch.born = False
+            yield Died(branch.slave, why)
+
+    def _end_branches(self, slaves: Mapping[int, _Branch], why: str) -> Iterator[Change]:
+        """Deaths of ``slaves``, and of the bus."""
+        for branch in slaves.values():
+            yield from self._end_branch(branch, why)
+        yield from self._end_branch(self._bus, why)
+
+    # --- conditions -----------------------------------------------------------------------------------------------
+
+    def _slave_conditions(self, branch: _Branch) -> list[Change]:
+        values, address = branch.values or {}, branch.slave
+        own, time = f"slave/{address}", self._time(self._t)
+        name, exchanges = branch.described.name, exchanging(values)
+        fault = values.get("fault")
+        said = clean(fault.get("text")) if fault else ""
+        found: list[Condition | None] = []
+        branch.exchanged = branch.exchanged or exchanges
+        if said or (branch.exchanged and not exchanges):
+            text = said or f"not in data exchange: {clean(values.get('state')) or 'unknown'}"
+            found.append(
+                self.conditions.show(f"{own}/fault", address, f"{name}: data exchange", text, Level.ERROR, time)
+            )
+        else:
+            found.append(self.conditions.end(f"{own}/fault", time))
+        unusual = clean(values.get("conspicuous"))
+        if unusual:
+            title = f"{name}: diagnosis"
+            found.append(self.conditions.show(f"{own}/diagnosis", address, title, unusual, Level.WARNING, time))
+        else:
+            found.append(self.conditions.end(f"{own}/diagnosis", time))
+        if not exchanges:
+            found += self._end_alarms_of(branch, "the slave left data exchange")
+        drive = values.get("drive")
+        if exchanges and drive is not None and drive.get("state") != "offline":
+            for key, title, level in (("faults", "fault", Level.ERROR), ("warnings", "warning", Level.WARNING)):
+                texts = [clean(one)[:120] for one in (drive.get(key) or ())[:_MOST_TEXTS] if isinstance(one, str)]
+                prefix = f"{own}/drive/{key}/"
+                shown = {f"{prefix}{text}": (f"{name}: drive {title}", text, level) for text in texts if text}
+                found += self.conditions.show_only(prefix, address, shown, time)
+        return [one for one in found if one is not None]
+
+    def _alarm(self, address: int, event: Mapping[str, Any]) -> list[Change]:
+        """An alarm of DP-V1. One that appears is active until one of its type and slot disappears; any other is an
+        event that does not last."""
+        type_, slot = event.get("type"), event.get("slot")
+        if not _is_small(type_) or not _is_small(slot):
+            return self._remark(f"slave {address}: an alarm without type or slot")
+        id_ = f"slave/{address}/alarm/{type_}/{slot}"
+        time = self._time(_float(event.get("t"), self._t))
+        text, specifier = clean(event.get("text")) or clean(event.get("title")), event.get("specifier")
+        if specifier == "disappears":
+            found = self.conditions.end(id_, time, text)
+        else:
+            lasts = specifier in ("appears", "disappears_others")
+            title = f"{self._slaves[address].described.name}: {clean(event.get('title')) or f'alarm {type_}'}"
+            found = self.conditions.show(id_, address, title, text, Level.WARNING, time, active=lasts)
+        return [] if found is None else [found]
+
+    def _end_alarms_of(self, branch: _Branch, why: str) -> list[Condition | None]:
+        """A slave that comes back raises its alarms again."""
+        time = self._time(self._t)
+        return [
+            self.conditions.end(one.id, time, f"{one.text} ({why})")
+            for one in self.conditions.of(branch.slave)
+            if one.active and one.id.startswith(f"slave/{branch.slave}/alarm/")
+        ]
+
+    def _end_of_slave(self, address: int, why: str) -> list[Change]:
+        time = self._time(self._t)
+        found = [self.conditions.end(one.id, time, f"{one.text} ({why})") for one in self.conditions.of(address)]
+        return [one for one in found if one is not None]
+
+    def _end_alarms(self, why: str) -> list[Change]:
+        slaves = {one.slave for one in self.conditions if one.slave is not None}
+        return [change for address in sorted(slaves) for change in self._end_of_slave(address, why)]
+
+    def _bus_conditions(self, trouble: Trouble) -> list[Change]:
+        time = self._time(self._t)
+        found: list[Condition | None] = []
+        if trouble is not None and trouble[0] is not Reason.WAITING:
+            level = Level.WARNING if trouble[0] in (Reason.SEARCHING, Reason.ENDED) else Level.ERROR
+            found.append(self.conditions.show("bus/dead", None, "bus", Reason.with_note(*trouble), level, time))
+        elif trouble is None:
+            found.append(self.conditions.end("bus/dead", time))
+        if trouble is None:
+            clear = self.values(None).get("clear")
+            if clear:
+                because = clean(clear.get("because"))
+                found.append(self.conditions.show("bus/clear", None, "bus in Clear", because, Level.ERROR, time))
+            else:
+                found.append(self.conditions.end("bus/clear", time))
+        return [one for one in found if one is not None]
+
+    def _remark(self, text: str) -> list[Change]:
+        """Tell ``text`` once, and only the first ones."""
+        text = shortened(printable(text), 300)
+        if text in self._told or len(self._told) >= _MOST_REMARKS:
+            return []
+        self._told.add(text)
+        return [Remark(text)]
+
+
+def _look_up(values: Mapping[str, Any], node: Node) -> tuple[object, bool]:
+    """The value of ``node`` in the stream, and whether it is there."""
+    found: object = values
+    for key in node.keys:
+        if not isinstance(found, Mapping) or key not in found:
+            return None, False
+        found = found[key]
+    if isinstance(found, list) and node.type == TEXT:
+        found = ", ".join(str(one) for one in found[: _MOST_TEXTS * 8] if isinstance(one, (str, int)))
+    elif isinstance(found, Mapping) and node.type == TEXT:
+        found = found.get("because") or found.get("text")
+    return found, True
+
+
+def _float(given: object, default: float = 0.0) -> float:
+    found: Value = value_of(given, FLOAT)
+    return found if isinstance(found, float) else default
+
+
+def _is_small(given: object) -> bool:
+    return isinstance(given, int) and not isinstance(given, bool) and 0 <= given <= 255
