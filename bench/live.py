@@ -31,7 +31,7 @@ from bench.report import Report
 from bench.rig import Process, Processors, available, bench, note_disturbance, pinned
 from dpstack import open_bus, run_virtual
 from dpstack.api.bus.bus import core_of
-from dpstack.api.bus.live import SlaveReader
+from dpstack.api.bus.picture import SlavePicture
 from dpstack.api.control.client import connect
 from dpstack.errors import PortError
 from dpstack.plant.pending import portions
@@ -164,7 +164,7 @@ async def _stream_of(slaves: list[dict[str, Any]]) -> tuple[list[dict[str, Any]]
         await bus.operate()
         await bus.ready(60)
         number = 0
-        readers = [SlaveReader(core_of(bus), slave) for slave in bus.slaves]
+        readers = [SlavePicture(core_of(bus), slave) for slave in bus.slaves]
         async for item in bus.live(interval=0.1):
             if "event" in item:
                 continue
@@ -174,7 +174,7 @@ async def _stream_of(slaves: list[dict[str, Any]]) -> tuple[list[dict[str, Any]]
                 slave.outputs = bytes((number + n) & 0xFF for n in range(len(slave.outputs)))
             begun = time.process_time_ns()
             for reader in readers:
-                reader.read(bus.snapshot)
+                reader.take(bus.snapshot)
             took.append((time.process_time_ns() - begun) / 1e6)
             if len(items) > _SNAPSHOTS:
                 break

@@ -24,6 +24,11 @@ class Severity(Enum):
     WARNING = "warning"
     ERROR = "error"
 
+    @property
+    def rank(self) -> int:
+        """A greater number is worse."""
+        return tuple(Severity).index(self)
+
 
 class _EventMeta(StructMeta):
     """Makes derived classes that take keyword arguments only, as :class:`Event` does."""

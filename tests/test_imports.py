@@ -71,7 +71,7 @@ MAY: dict[str, set[str]] = {
     "logs": {"text"},
     "web": {"api", "plant", "ports", "record", "tcp_address"} | PURE_BASE,
     "screen": {"api", "plant", "ports", "why"} | PURE_BASE,
-    "bridge": {"boottime", "plant", "record", "tcp_address"} | PURE_BASE,
+    "bridge": {"boottime", "monitor", "plant", "record", "tcp_address"} | PURE_BASE,
     "cli": {
         "api",
         "boottime",

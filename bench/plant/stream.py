@@ -128,7 +128,7 @@ async def _record(slaves: int, seconds: float, losses: int) -> Recording:
             if not items:
                 if t >= _SETTLE_S:
                     begin = t
-                    items = [{"plant": state.plant}, state.whole()[1]]
+                    items = state.whole()[:2]
                 continue
             items.append(item)
             if t - begin >= seconds:
@@ -152,9 +152,9 @@ async def replay(recording: Recording, phase: float, on_loss: OnLoss) -> AsyncIt
         if state.t >= recording.t + phase:
             break
     began, t = loop.time(), state.t
-    assert state.plant is not None
-    yield {"plant": {**state.plant, "virtual": False, "started": time.time() - t}}
-    yield {"snapshot": {"t": t, "whole": True, "bus": state.bus, "slaves": state.slaves}}
+    plant, snapshot = state.whole()[:2]
+    yield {"plant": {**plant["plant"], "virtual": False, "started": time.time() - t}}
+    yield snapshot
     shift = 0.0
     while True:
         for item in recording.items[at:]:

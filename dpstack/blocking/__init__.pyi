@@ -37,7 +37,7 @@ from dpstack.dpv1.slave.resource_manager import ServedConnection
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.errors import BusError, DpError, ParameterError
 from dpstack.params import BusParams
-from dpstack.plant.state import Item
+from dpstack.plant.items import Item
 from dpstack.profile.model.params import ListedParam
 from dpstack.profile.model.status import DriveStatus
 from dpstack.profile.record47.client import Counters, Progress
@@ -215,6 +215,7 @@ class Slave:
     def outputs_held(self) -> bytes: ...
     @property
     def outputs_sent(self) -> bytes: ...
+    def sent_of(self, wanted: bytes, mode: Mode, *, ready: bool) -> bytes: ...
     @property
     def held_because(self) -> str | None: ...
     def check_outputs(self, octets: bytes) -> None: ...

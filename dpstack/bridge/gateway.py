@@ -74,8 +74,10 @@ class Gateway:
         ended."""
 
         def is_built() -> bool:
-            return (self.tree.plant or {}).get("baud") is not None and all(
-                connector.is_built for connector in self._connectors
+            return (
+                self.tree.plant is not None
+                and self.tree.plant.baud is not None
+                and all(connector.is_built for connector in self._connectors)
             )
 
         while not is_built():  # noqa: ASYNC110  neither the tree nor the connectors tell it

@@ -275,7 +275,7 @@ class Orders:
         plant = self._tree.plant
         if plant is None:
             raise _RefusedError("the bus is not known yet")
-        if plant.get("read_only") is not False:
+        if plant.read_only is not False:
             raise _RefusedError("this run is read only: it takes no orders", Refusal.NOT_ALLOWED)
         if not is_allowed(self._allow, name):
             raise _RefusedError("it is not in allow_commands", Refusal.NOT_ALLOWED)

@@ -17,6 +17,7 @@
 - ``timing``: Figures of durations as far as the source of the octets can time them; None stands for those that it
   cannot
 - ``triggers``: Triggers of a capture, and the window around them: keeps what mattered, in bounded memory
+- ``verdict``: ``Verdict``: a level with reasons, of a bus that is listened to, and of one that runs
 - ``verdicts``: Verdicts on stations and on the bus: good, warning, critical or unknown, with reasons in a maintainer's
   words
 """

@@ -7,7 +7,8 @@ from typing import Final
 
 from dpstack.monitor.counters import Master, Station
 from dpstack.monitor.thresholds import limits
-from dpstack.monitor.verdicts import Heard, Judgement, judge
+from dpstack.monitor.verdict import Verdict
+from dpstack.monitor.verdicts import Heard, judge
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 #: what no listener at the octets can see, for people
@@ -73,7 +74,7 @@ def _master(master: Master, heard: Heard) -> dict[str, object]:
     }
 
 
-def _station(station: Station, verdict: Judgement, heard: Heard) -> dict[str, object]:
+def _station(station: Station, verdict: Verdict, heard: Heard) -> dict[str, object]:
     device = heard.devices.find(station.address, station.ident)
     return {
         "role": "master" if station.is_master else "slave",

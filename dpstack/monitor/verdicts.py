@@ -19,20 +19,11 @@ from dpstack.monitor.evidence import finding
 from dpstack.monitor.history import History, Past
 from dpstack.monitor.thresholds import Thresholds
 from dpstack.monitor.timing import Timing
+from dpstack.monitor.verdict import CRITICAL, GOOD, UNKNOWN, VERDICTS, WARNING, Finding, Verdict, verdict_of
 from dpstack.units import NS_PER_S, baud_text, bits_to_ns, ns_to_bits
 
-GOOD, UNKNOWN, WARNING, CRITICAL = "good", "unknown", "warning", "critical"
-_ORDER: Final = (GOOD, UNKNOWN, WARNING, CRITICAL)
 _LINE: Final = "its connector, its stub and the segment's end"
 _SEGMENT: Final = "the termination at both ends and its supply, the cable, its shield, and what switches at that time"
-
-
-@dataclass(frozen=True, slots=True)
-class Judgement:
-    """``level``: good, warning, critical or unknown; ``reasons``: one line each, the most serious first."""
-
-    level: str
-    reasons: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +46,13 @@ class Heard:
         return station.is_present or self.counters.is_used(station.address)
 
 
-_Finding = tuple[str, str]
-
-
-def judge(heard: Heard) -> tuple[Judgement, dict[int, Judgement]]:
+def judge(heard: Heard) -> tuple[Verdict, dict[int, Verdict]]:
     """The verdict on the bus, and on each station that was heard or is used, by address. Unknown where there is no
     evidence that this is PROFIBUS: stations of other protocols are not judged by its rules."""
     counters = heard.counters
     used = [station for _, station in sorted(counters.stations.items()) if heard.is_user(station)]
     if not heard.is_profibus:  # of what another protocol means, nothing here is a finding
-        unknown = Judgement(UNKNOWN, (_bus_doubt(heard),))
+        unknown = Verdict(UNKNOWN, (_bus_doubt(heard),))
         return unknown, {station.address: unknown for station in used}
     stations = {one.address: _verdict(list(_findings(one, used, heard)), _doubt(one, heard)) for one in used}
     found = list(_of_bus(used, heard))
@@ -79,12 +67,10 @@ def judge(heard: Heard) -> tuple[Judgement, dict[int, Judgement]]:
     return _verdict(found, doubt), stations
 
 
-def _verdict(found: list[_Finding], doubt: str) -> Judgement:
-    """The worst finding decides; without findings the verdict is unknown where there is a ``doubt``."""
-    found.sort(key=lambda finding: -_ORDER.index(finding[0]))
-    if found:
-        return Judgement(found[0][0], tuple(text for _, text in found) + ((doubt,) if doubt else ()))
-    return Judgement(UNKNOWN, (doubt,)) if doubt else Judgement(GOOD)
+def _verdict(found: list[Finding], doubt: str) -> Verdict:
+    """As :func:`verdict_of`; a doubt stands behind the findings, too."""
+    verdict = verdict_of(found, doubt)
+    return Verdict(verdict.level, (*verdict.reasons, doubt)) if found and doubt else verdict
 
 
 # --- too little heard ---
@@ -116,7 +102,7 @@ def _doubt(station: Station, heard: Heard) -> str:
 
 
 # --- one station ---
-def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[_Finding]:
+def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[Finding]:
     if not heard.is_profibus:
         return
     past = heard.history.of(station.address)
@@ -133,7 +119,7 @@ def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[_
     yield from _tsdr(station, past, device, heard)
 
 
-def _of_master(master: Master, heard: Heard) -> Iterator[_Finding]:
+def _of_master(master: Master, heard: Heard) -> Iterator[Finding]:
     limits = heard.thresholds
     # the silence of the whole bus is no drop-out of one master
     drops = master.drops - (master.is_silent and heard.silent_s >= limits.silence_s)
@@ -153,7 +139,7 @@ def _of_master(master: Master, heard: Heard) -> Iterator[_Finding]:
         yield WARNING, "is in Clear, the outputs of its slaves are zero: look at its mode switch and its slaves"
 
 
-def _state(station: Station, past: Past, heard: Heard) -> Iterator[_Finding]:
+def _state(station: Station, past: Past, heard: Heard) -> Iterator[Finding]:
     if station.state in (State.UNKNOWN, State.DATA_EXCHANGE):
         if not station.is_present and station.requests:
             yield CRITICAL, "is asked and never answers: look at its power, its address switch and its connector"
@@ -176,7 +162,7 @@ def _state(station: Station, past: Past, heard: Heard) -> Iterator[_Finding]:
     )
 
 
-def _lost(station: Station, heard: Heard) -> Iterator[_Finding]:
+def _lost(station: Station, heard: Heard) -> Iterator[Finding]:
     level = _level(station.lost, heard.thresholds.lost_warning, heard.thresholds.lost_critical)
     if level:
         back = "is back" if station.state == State.DATA_EXCHANGE else "is not back"
@@ -189,7 +175,7 @@ def _lost(station: Station, heard: Heard) -> Iterator[_Finding]:
         )
 
 
-def _retries(station: Station, past: Past, used: list[Station], heard: Heard) -> Iterator[_Finding]:
+def _retries(station: Station, past: Past, used: list[Station], heard: Heard) -> Iterator[Finding]:
     limits = heard.thresholds
     deep = sum(station.retry_depth[1:])
     share = _retried(station)
@@ -220,7 +206,7 @@ def _retries(station: Station, past: Past, used: list[Station], heard: Heard) ->
     yield level, f"{text}: answers {kind} {when}{', ' if several else ': '}{look}"
 
 
-def _answers(station: Station, heard: Heard) -> Iterator[_Finding]:
+def _answers(station: Station, heard: Heard) -> Iterator[Finding]:
     limits = heard.thresholds
     if station.requests < limits.min_requests:
         return
@@ -243,7 +229,7 @@ def _answers(station: Station, heard: Heard) -> Iterator[_Finding]:
         )
 
 
-def _diagnosis(station: Station, device: KnownDevice) -> Iterator[_Finding]:
+def _diagnosis(station: Station, device: KnownDevice) -> Iterator[Finding]:
     if station.diagnosis is None or station.state != State.DATA_EXCHANGE:
         return
     diagnosis = Diagnosis.parse(station.diagnosis)
@@ -254,7 +240,7 @@ def _diagnosis(station: Station, device: KnownDevice) -> Iterator[_Finding]:
         yield WARNING, f"reports a diagnosis: {text}: look at the device and what is connected to it"
 
 
-def _tsdr(station: Station, past: Past, device: KnownDevice, heard: Heard) -> Iterator[_Finding]:
+def _tsdr(station: Station, past: Past, device: KnownDevice, heard: Heard) -> Iterator[Finding]:
     """T_SDR against MaxTsdr of the GSD file, T_SL, the station's own past; nothing where the source cannot time it."""
     limits, baud = heard.thresholds, heard.counters.baud
     durations = station.answer_ns
@@ -291,7 +277,7 @@ def _tsdr(station: Station, past: Past, device: KnownDevice, heard: Heard) -> It
 
 
 # --- the bus ---
-def _of_bus(used: list[Station], heard: Heard) -> Iterator[_Finding]:
+def _of_bus(used: list[Station], heard: Heard) -> Iterator[Finding]:
     if not heard.is_profibus:
         return
     counters, limits = heard.counters, heard.thresholds
@@ -336,4 +322,4 @@ def _percent(share: float) -> str:
 
 def worst(levels: Iterable[str]) -> str:
     """The most serious of ``levels``; good where there are none."""
-    return max(levels, key=_ORDER.index, default=GOOD)
+    return max(levels, key=VERDICTS.index, default=GOOD)

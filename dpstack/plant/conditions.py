@@ -4,20 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Final
+
+from dpstack.trace import Severity
 
 #: conditions that are kept: of one slave, and in all. For one beyond them the oldest that is not active is forgotten
 MOST_OF_A_SLAVE: Final = 64
 MOST_CONDITIONS: Final = 4096
-
-
-class Level(IntEnum):
-    """Severity by the scale of OPC UA, 1 to 1000."""
-
-    INFO = 100
-    WARNING = 500
-    ERROR = 800
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +25,7 @@ class Condition:
     slave: int | None
     title: str
     text: str
-    level: Level
+    level: Severity
     active: bool
     acked: bool
     since: float
@@ -75,7 +68,7 @@ class ConditionBook:
         return tuple(self._known[id_] for id_ in self._of.get(slave, ()))
 
     def show(
-        self, id_: str, slave: int | None, title: str, text: str, level: Level, time: float, *, active: bool = True
+        self, id_: str, slave: int | None, title: str, text: str, level: Severity, time: float, *, active: bool = True
     ) -> Condition | None:
         """The condition ``id_`` is active, with ``text``. ``active`` False: something happened that does not last; it
         is retained until it is acknowledged. Returns the condition where it has changed."""
@@ -88,7 +81,7 @@ class ConditionBook:
         if active and known.active and (known.text, known.level) == (text, level):
             return None
         begins = not known.active or not active
-        again = begins or level > known.level
+        again = begins or level.rank > known.level.rank
         return self._keep(
             replace(
                 known,
@@ -112,7 +105,7 @@ class ConditionBook:
         return self._keep(replace(known, active=False, text=said, time=time, count=known.count + 1))
 
     def show_only(
-        self, prefix: str, slave: int | None, found: Mapping[str, tuple[str, str, Level]], time: float
+        self, prefix: str, slave: int | None, found: Mapping[str, tuple[str, str, Severity]], time: float
     ) -> list[Condition]:
         """Of the conditions whose id begins with ``prefix``, exactly ``found`` are active: title, text, level by id."""
         changed = [

@@ -1,15 +1,19 @@
-"""Types of the items of the live stream, and the check of items from other programs (docs/reference/live.md).
+"""The items of the live stream as types, and the check of items from other programs (docs/reference/live.md).
 
 A program that reads the stream of another one, or replays a recording, gets items that somebody else made. Keys that
 are not named here are allowed: a newer version may have them.
+
+A change of values is the same struct with the keys that have changed: :func:`merged` takes them over. None stands for
+what is not there or not known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Final, Required, TypedDict
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Final, TypeVar
 
 import msgspec
+from msgspec import Struct, structs
 
 #: a finite number
 Number = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
@@ -18,208 +22,338 @@ Count = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
 Address = Annotated[str, msgspec.Meta(pattern=r"^[0-9]{1,3}\Z")]
 #: a plain value
 Cell = str | int | float | bool | None
-Texts = list[str] | None
+#: an item of the stream: a dict with one key
+Item = dict[str, Any]
+
+S = TypeVar("S", bound=Struct)
 
 
-class Times(TypedDict, total=False):
-    min: Number
-    p50: Required[Number]
-    p99: Required[Number]
-    p999: Number
-    max: Required[Number]
+class Times(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Durations in us."""
+
+    min: Number | None = None
+    p50: Number
+    p99: Number
+    p999: Number | None = None
+    max: Number
 
 
-class Classes(TypedDict, total=False):
-    limits_us: Required[list[Number]]
-    counts: Required[list[Count]]
-    sum_us: Number
+class Classes(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Durations in classes: ``counts`` has one more number than ``limits_us``, that above the last limit."""
+
+    limits_us: list[Number]
+    counts: list[Count]
+    sum_us: Number = 0
 
 
-class Held(TypedDict):
+class Held(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A Clear that the master went to by itself: ``since`` s after the start."""
+
     since: Number
     because: str
 
 
-class FieldPlant(TypedDict, total=False):
-    name: Required[str]
-    at: Required[str]
-    type: str | None
-    scale: Number | None
-    offset: Number | None
-    unit: str | None
-    dead_band: Number | None
+# --- plant ------------------------------------------------------------------------------------------------------------
 
 
-class Module(TypedDict, total=False):
-    name: str | None
-    config: Cell
-    inputs: Cell
-    outputs: Cell
+class FieldPlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A named value. ``at``: type and place in the octets."""
 
-
-class DrivePlant(TypedDict, total=False):
-    profile: str | None
-    telegram: str | None
-    reference_hz: Number | None
-    reference_rpm: Number | None
-
-
-class SlavePlant(TypedDict, total=False):
     name: str
-    address: int | None
-    ident: Cell
-    vendor: str | None
-    model: str | None
-    gsd: str | None
-    modules: list[Module] | None
-    safe: str | None
-    watchdog_ms: Number | None
-    groups: list[int] | None
-    every: int | None
-    inputs: list[FieldPlant] | None
-    outputs: list[FieldPlant] | None
-    drive: DrivePlant | None
+    at: str
+    type: str | None = None
+    scale: Number | None = None
+    offset: Number | None = None
+    unit: str | None = None
+    dead_band: Number | None = None
 
 
-class PlantBody(TypedDict, total=False):
-    whole: bool
-    more: bool
-    started: float
-    port: str | None
-    ctl: str | None
-    baud: Count | None
-    address: int | None
-    config: str | None
-    slaves: Required[dict[Address, SlavePlant]]
+class ModulePlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A module. ``config``: its identifier octets in hex; ``inputs``, ``outputs``: numbers of octets."""
+
+    name: str | None = None
+    config: Cell = None
+    inputs: Cell = None
+    outputs: Cell = None
 
 
-class BusValues(TypedDict, total=False):
-    mode: str | None
-    in_ring: bool | None
-    masters: list[int] | None
-    clear: Held | None
-    rotation_us: Times | None
-    telegrams: Count | None
-    retries: Count | None
-    timeouts: Count | None
-    late: Count | None
-    stray: Count | None
-    bad: dict[str, Count] | None
-    stale: bool | None
-    age_ms: Number | None
-    histogram: list[tuple[Number, Number]] | None
-    histograms: dict[str, Classes | None] | None
+class DrivePlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    profile: str | None = None
+    telegram: str | None = None
+    reference_hz: Number | None = None
+    reference_rpm: Number | None = None
 
 
-class Remark(TypedDict):
+class SlavePlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A slave as configured. ``safe``: its safe outputs in hex."""
+
+    name: str = ""
+    address: int | None = None
+    ident: Cell = None
+    vendor: str | None = None
+    model: str | None = None
+    gsd: str | None = None
+    modules: list[ModulePlant] | None = None
+    input_len: Count | None = None
+    output_len: Count | None = None
+    safe: str | None = None
+    watchdog_ms: Number | None = None
+    groups: list[int] | None = None
+    dpv1: bool | None = None
+    every: int | None = None
+    inputs: list[FieldPlant] | None = None
+    outputs: list[FieldPlant] | None = None
+    drive: DrivePlant | None = None
+
+
+class Rotations(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Planned rotation times in us."""
+
+    min: Number | None = None
+    typical: Number | None = None
+    max: Number | None = None
+
+
+class PlanPlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    rotation_us: Rotations | None = None
+    cycle_us: Number | None = None
+
+
+class Plant(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A bus and its slaves as configured. ``started``: s since 1970, -1: not known; ``source``: "replay" of a
+    recording. ``whole`` false: further slaves of the plant before; ``more``: others follow."""
+
+    version: int | None = None
+    source: str | None = None
+    whole: bool = True
+    more: bool = False
+    started: float = -1.0
+    port: str | None = None
+    #: name of the program for ``dpstack ctl``
+    ctl: str | None = None
+    baud: Count | None = None
+    driver: str | None = None
+    address: int | None = None
+    read_only: bool | None = None
+    virtual: bool | None = None
+    paced: bool | None = None
+    config: str | None = None
+    config_digest: str | None = None
+    parameters: dict[str, Any] | None = None
+    plan: PlanPlant | None = None
+    slaves: dict[Address, SlavePlant]
+
+    @property
+    def is_replay(self) -> bool:
+        return self.source == "replay"
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+
+class BusValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """State and counters of a bus, as the summary of ``dpstack run --json`` has them."""
+
+    mode: str | None = None
+    in_ring: bool | None = None
+    masters: list[int] | None = None
+    clear: Held | None = None
+    seconds: Number | None = None
+    paced: bool | None = None
+    rotations: Count | None = None
+    rotation_us: Times | None = None
+    token_us: Times | None = None
+    cycle_us: Number | None = None
+    cycles: Count | None = None
+    late_us: Times | None = None
+    missed: Count | None = None
+    left_out: Count | None = None
+    missed_by: dict[str, Count] | None = None
+    held_back: Count | None = None
+    forced: Count | None = None
+    tokens: Count | None = None
+    tokens_lost: Count | None = None
+    telegrams: Count | None = None
+    sent: Count | None = None
+    retries: Count | None = None
+    timeouts: Count | None = None
+    late: Count | None = None
+    stray: Count | None = None
+    garbled: Count | None = None
+    token_retries: Count | None = None
+    gap_polls: Count | None = None
+    bad: dict[str, Count] | None = None
+    host_us: Times | None = None
+    host_slack_ms: Number | None = None
+    age_ms: Number | None = None
+    stale: bool | None = None
+    behind_ms: Number | None = None
+    histogram: list[tuple[Number, Number]] | None = None
+    histograms: dict[str, Classes | None] | None = None
+
+
+class Remark(Struct, frozen=True):
+    """``severity``: warning or error."""
+
     text: str
     severity: str
 
 
-class FaultValues(TypedDict, total=False):
-    text: str
+class FaultValues(Struct, frozen=True):
+    text: str = "fault"
+    kind: str | None = None
 
 
-class DiagnosisValues(TypedDict, total=False):
-    flags: list[str]
-    texts: list[str]
+class DiagnosisValues(Struct, frozen=True):
+    flags: list[str] = []
+    texts: list[str] = []
 
 
-class DriveNotice(TypedDict):
+class DriveNotice(Struct, frozen=True):
+    """``t``: s since the start."""
+
     t: Number
     text: str
 
 
-class DriveValues(TypedDict, total=False):
-    state: Cell
-    running: bool | None
-    setpoint: Number | None
-    speed: Number | None
-    frequency_hz: Number | None
-    current: Number | None
-    torque: Number | None
-    warnings: list[Cell] | None
-    faults: list[Cell] | None
-    bits: Texts
-    settings: Cell
-    settings_texts: Texts
-    notices: list[DriveNotice] | None
+class DriveValues(Struct, frozen=True, kw_only=True):
+    """The status of a drive, as :class:`dpstack.profile.DriveStatus` has it; words as four hex digits."""
+
+    state: str | None = None
+    running: bool | None = None
+    reached: bool | None = None
+    remote: bool | None = None
+    setpoint: Number | None = None
+    speed: Number | None = None
+    frequency_hz: Number | None = None
+    current: Number | None = None
+    torque: Number | None = None
+    warnings: list[str] | None = None
+    faults: list[str] | None = None
+    words: list[str] | None = None
+    bits: list[str] | None = None
+    settings: str | None = None
+    settings_texts: list[str] | None = None
+    notices: list[DriveNotice] | None = None
 
 
-class SlaveValues(TypedDict, total=False):
-    state: Cell
-    inputs: str | None
-    outputs: str | None
-    held: str | None
-    inputs_valid: bool | None
-    inputs_age_ms: Number | None
-    inputs_limit_ms: Number | None
-    fields: dict[str, Any] | None
-    held_fields: dict[str, Any] | None
-    fault: FaultValues | None
-    diagnosis: DiagnosisValues | None
-    conspicuous: str | None
-    alarms: dict[str, Any] | None
-    drive: DriveValues | None
-    exchanges: Count | None
-    retries: Count | None
-    timeouts: Count | None
-    telegrams: Count | None
-    late: Count | None
-    wrong: Count | None
-    bad: dict[str, Count] | None
-    watchdog_ms: Number | None
-    master: int | None
-    injected: Texts
-    alive: bool
-    level: str
-    state_text: str
-    remark: Remark | None
+class SlaveValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """State and values of a slave. ``inputs``, ``outputs``, ``held``: octets in hex; see docs/reference/live.md."""
+
+    state: str | None = None
+    inputs: str | None = None
+    outputs: str | None = None
+    held: str | None = None
+    inputs_valid: bool | None = None
+    inputs_age_ms: Number | None = None
+    inputs_limit_ms: Number | None = None
+    fields: dict[str, Any] | None = None
+    held_fields: dict[str, Any] | None = None
+    fault: FaultValues | None = None
+    diagnosis: DiagnosisValues | None = None
+    conspicuous: str | None = None
+    alarms: dict[str, Count] | None = None
+    drive: DriveValues | None = None
+    exchanges: Count | None = None
+    retries: Count | None = None
+    timeouts: Count | None = None
+    telegrams: Count | None = None
+    late: Count | None = None
+    wrong: Count | None = None
+    bad: dict[str, Count] | None = None
+    watchdog_ms: Number | None = None
+    master: int | None = None
+    injected: list[str] | None = None
+    #: the verdicts of :mod:`dpstack.plant.judge`
+    alive: bool | None = None
+    level: str | None = None
+    state_text: str | None = None
+    remark: Remark | None = None
 
 
-class SnapshotBody(TypedDict):
+def merged(values: S, later: S, keys: Iterable[str]) -> S:
+    """``values`` with those of ``later`` that ``keys`` name; further keys are left out."""
+    known = type(values).__struct_fields__
+    return structs.replace(values, **{key: getattr(later, key) for key in keys if key in known})
+
+
+def changes_of(before: S, now: S) -> dict[str, Any]:
+    """The keys whose values in ``now`` differ from ``before``, as plain data."""
+    pairs = zip(type(now).__struct_fields__, structs.astuple(before), structs.astuple(now), strict=True)
+    return {key: msgspec.to_builtins(new) for key, old, new in pairs if old is not new and old != new}
+
+
+def all_of(values: Struct) -> dict[str, Any]:
+    """All keys of ``values``, as plain data: of a whole snapshot."""
+    pairs = zip(type(values).__struct_fields__, structs.astuple(values), strict=True)
+    return {key: msgspec.to_builtins(value) for key, value in pairs}
+
+
+# --- items ------------------------------------------------------------------------------------------------------------
+
+
+class Snapshot(Struct, frozen=True, kw_only=True, omit_defaults=True):
     t: Number
     whole: bool
     bus: BusValues
     slaves: dict[Address, SlaveValues]
 
 
-class EventBody(TypedDict, total=False):
-    event: str
-    time: str
-    severity: str
+class EventValues(Struct, frozen=True):
+    """What the tree and the screen look at in an event; the item has more."""
+
+    event: str | None = None
+    time: str | None = None
+    severity: str | None = None
+    text: str | None = None
+    address: int | None = None
+    silent: bool | None = None
+
+
+class End(Struct, frozen=True, kw_only=True, omit_defaults=True):
     text: str
-    address: int | None
-    silent: bool
+    failed: bool = False
 
 
-class EndBody(TypedDict, total=False):
-    text: Required[str]
-    failed: bool
+class _AnyItem(Struct, frozen=True):
+    plant: Plant | None = None
+    snapshot: Snapshot | None = None
+    event: EventValues | None = None
+    lost: Count | None = None
+    end: End | None = None
 
 
-class AnyItem(TypedDict, total=False):
-    plant: PlantBody
-    snapshot: SnapshotBody
-    event: EventBody
-    lost: Count
-    end: EndBody
+class CheckedItem(Struct, frozen=True):
+    """An item that was checked. ``item``: as it came, without further keys; ``kind``: its key, None for an item that
+    only a newer version knows. One of the others has its content by type."""
+
+    item: Item
+    kind: str | None
+    plant: Plant | None = None
+    snapshot: Snapshot | None = None
+    event: EventValues | None = None
+    lost: int | None = None
+    end: End | None = None
 
 
 #: kinds of items, each the key of its item
-_KINDS: Final = frozenset(AnyItem.__annotations__)
+KINDS: Final = _AnyItem.__struct_fields__
 
 
-def check_item(item: Mapping[str, Any]) -> str | None:
-    """Return the kind of ``item``: its key, for instance ``plant``; None for an item that only a newer version knows.
+def check_item(item: Mapping[str, Any]) -> CheckedItem:
+    """The content of ``item`` by type.
 
     Raises ValueError if ``item`` is no item of the stream, or has the keys of several: readers would not agree on it.
     """
     try:
-        msgspec.convert(item, AnyItem)
+        found = msgspec.convert(item, _AnyItem)
     except (msgspec.ValidationError, UnicodeError, RecursionError) as error:
         raise ValueError(f"this is no item of the stream: {error}; is the other program another version?") from None
-    kinds = sorted(_KINDS & item.keys())
+    kinds = sorted(kind for kind in KINDS if kind in item)
     if len(kinds) > 1:
         raise ValueError(f"this is no item of the stream: it is {' and '.join(kinds)} at the same time")
-    return kinds[0] if kinds else None
+    if not kinds:
+        return CheckedItem({}, None)
+    if item[kinds[0]] is None:
+        raise ValueError(f"this is no item of the stream: {kinds[0]} has no content")
+    return CheckedItem({kinds[0]: item[kinds[0]]}, kinds[0], *structs.astuple(found))

@@ -6,13 +6,16 @@ not judge again. ``alive`` is the bus's own verdict: a reader that gets no snaps
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import Enum
-from typing import Any, Final
+from typing import Final
 
+from msgspec import structs
+
+from dpstack.plant.items import DriveValues, Remark, SlaveValues
 from dpstack.trace import Severity
 
-#: values of a slave that :func:`judge` looks at
+#: keys of a slave that :func:`judged` looks at
 JUDGED: Final = frozenset({"state", "inputs_valid", "fault", "conspicuous", "drive", "injected", "master"})
 
 
@@ -46,53 +49,47 @@ STATES: Final[dict[str, tuple[str, Level]]] = {
 _NOT_VALID: Final = "not valid"
 
 
-def exchanging(values: Mapping[str, Any]) -> bool:
+def exchanging(values: SlaveValues) -> bool:
     """Whether the slave is in data exchange."""
-    return bool(values.get("state") == DATA_EXCHANGE)
+    return values.state == DATA_EXCHANGE
 
 
-def judge(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The verdicts on a slave with ``values``, the keys :data:`JUDGED` of a snapshot; what is missing is not known.
+def judged(values: SlaveValues) -> SlaveValues:
+    """``values`` with the verdicts on them; None is what is not known.
 
     ``alive``: its inputs are those of this moment. ``level``: see :class:`Level`. ``state_text``: its state in words.
-    ``remark``: the most important thing to say about it, with ``text`` and ``severity``, or None.
+    ``remark``: the most important thing to say about it, or None.
     """
-    state = str(values.get("state") or "unknown")
+    state = values.state or "unknown"
     words, level = STATES.get(state, (state.replace("_", " "), Level.OFF))  # one that a newer version has
-    alive = level is Level.GOOD and values.get("inputs_valid") is True
+    alive = level is Level.GOOD and values.inputs_valid is True
     if level is Level.GOOD and not alive:
         words, level = _NOT_VALID, Level.WARNING
     remark = _remark(values)
     if remark is not None:
-        severity = remark["severity"]
-        if severity == Severity.ERROR.value or level in (Level.GOOD, Level.WARNING):
-            level = Level(severity)
+        if remark.severity == Severity.ERROR.value or level in (Level.GOOD, Level.WARNING):
+            level = Level(remark.severity)
     elif words == _NOT_VALID:
-        remark = {"text": "the inputs are not valid", "severity": Severity.WARNING.value}
-    master = values.get("master")
-    return {
-        "alive": alive,
-        "level": level.value,
-        "state_text": words if master is None else f"{words} (master {master})",
-        "remark": remark,
-    }
+        remark = Remark("the inputs are not valid", Severity.WARNING.value)
+    text = words if values.master is None else f"{words} (master {values.master})"
+    return structs.replace(values, alive=alive, level=level.value, state_text=text, remark=remark)
 
 
-def _remark(values: Mapping[str, Any]) -> dict[str, str] | None:
+def _remark(values: SlaveValues) -> Remark | None:
     """The first that applies: errors before warnings, the bus before the drive."""
-    fault, drive = values.get("fault"), values.get("drive") or {}
-    if fault:
-        return _said(Severity.ERROR, "", [fault.get("text") or fault.get("kind") or "fault"])
-    if drive.get("faults"):
-        return _said(Severity.ERROR, "drive fault: ", drive["faults"])
-    if values.get("conspicuous"):
-        return _said(Severity.WARNING, "", [values["conspicuous"]])
-    if drive.get("warnings"):
-        return _said(Severity.WARNING, "drive warning: ", drive["warnings"])
-    if values.get("injected"):
-        return _said(Severity.WARNING, "simulated fault: ", values["injected"])
+    fault, drive = values.fault, values.drive or DriveValues()
+    if fault is not None:
+        return _said(Severity.ERROR, "", [fault.text or fault.kind or "fault"])
+    if drive.faults:
+        return _said(Severity.ERROR, "drive fault: ", drive.faults)
+    if values.conspicuous:
+        return _said(Severity.WARNING, "", [values.conspicuous])
+    if drive.warnings:
+        return _said(Severity.WARNING, "drive warning: ", drive.warnings)
+    if values.injected:
+        return _said(Severity.WARNING, "simulated fault: ", values.injected)
     return None
 
 
-def _said(severity: Severity, head: str, texts: Sequence[object]) -> dict[str, str]:
-    return {"text": head + ", ".join(map(str, texts)), "severity": severity.value}
+def _said(severity: Severity, head: str, texts: Sequence[str]) -> Remark:
+    return Remark(head + ", ".join(texts), severity.value)

@@ -1,7 +1,6 @@
 """The nodes of a bus and of a slave with type, unit, scale and dead band; the orders that they take.
 
-Everything comes from the item ``plant`` of a live stream, which somebody else has made: texts are cut, counts bounded,
-other types than expected left out.
+Everything comes from the item ``plant`` of a live stream, which somebody else has made: texts are cut, counts bounded.
 """
 
 from __future__ import annotations
@@ -9,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Final
+from typing import Final
 
+from dpstack.plant.items import FieldPlant, Plant, SlavePlant
 from dpstack.plant.orders import Argument, DriveOrder, Operation, SetOutputs
 from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, LIMITS, TEXT, TYPES, Value, clean, value_of
 
@@ -164,11 +164,10 @@ _OF_FIXED_CYCLE: Final = ("missed", "left_out")
 _NOT_IN_ORDERS: Final = frozenset(".=")
 
 
-def bus_of(plant: Mapping[str, Any]) -> Described:
-    """The nodes of the bus itself. Those of the fixed cycle are there where the plant has one."""
-    about = {key: clean(str(plant.get(key))) for key in ("port", "baud", "driver", "address", "config_digest")}
-    plan = plant.get("plan")
-    fixed = isinstance(plan, Mapping) and plan.get("cycle_us") is not None
+def bus_of(plant: Plant) -> Described:
+    """The nodes of the bus itself. Those of the fixed cycle are there if the plant has one."""
+    about = {key: clean(str(getattr(plant, key))) for key in ("port", "baud", "driver", "address", "config_digest")}
+    fixed = plant.plan is not None and plant.plan.cycle_us is not None
     return Described(about["port"], tuple(_bus_nodes(fixed=fixed)), about=about)
 
 
@@ -189,18 +188,18 @@ def _bus_nodes(*, fixed: bool) -> Iterator[Node]:
     yield node(Kind.STATISTIC, ("Statistics", "behind"), FLOAT, "behind_ms", unit="ms", text="lag of a simulated bus")
 
 
-def slave_of(address: int, plant: Mapping[str, Any], *, writable: bool, room: int = MOST_NODES) -> Described:
+def slave_of(address: int, plant: SlavePlant, *, writable: bool, room: int = MOST_NODES) -> Described:
     """The nodes and orders of the slave at ``address``, ``plant`` its part of the plant. ``writable``: the run takes
     orders. ``room``: named values at most."""
-    name = _name(plant.get("name")) or f"slave {address}"
+    name = _name(plant.name) or f"slave {address}"
     own = f"slave/{address}"
-    nodes = [*_own_nodes(own, address, read_only=not writable, dpv1=plant.get("dpv1") is True)]
+    nodes = [*_own_nodes(own, address, read_only=not writable, dpv1=plant.dpv1 is True)]
     orders: list[OfferedOrder] = []
-    drive = plant.get("drive")
+    drive = plant.drive
     taken: set[str] = set()
     left_out = 0
-    for source, key, group in ((Source.INPUT, "inputs", "Inputs"), (Source.OUTPUT, "outputs", "Outputs")):
-        for number, given in enumerate(plant.get(key) or ()):
+    for source, fields, group in ((Source.INPUT, plant.inputs, "Inputs"), (Source.OUTPUT, plant.outputs, "Outputs")):
+        for number, given in enumerate(fields or ()):
             # the outputs of a drive are made by its plugin
             node = _field_node(own, address, name, source, group, given, writable=writable and drive is None)
             if node is None or node.keys[-1] in taken or number >= MOST_FIELDS or room <= 0:
@@ -211,18 +210,15 @@ def slave_of(address: int, plant: Mapping[str, Any], *, writable: bool, room: in
             nodes.append(node)
             if node.order is not None:
                 orders.append(node.order)
+    about = {key: clean(getattr(plant, key)) for key in ("ident", "vendor", "model", "gsd")}
     if drive is not None:
         nodes += _drive_nodes(own, address)
+        about |= {"profile": clean(drive.profile), "telegram": clean(drive.telegram)}
         if writable:
             orders += (
                 OfferedOrder(f"{name}.{word}", address, operation=word, type=type_) for word, type_ in _DRIVE_ORDERS
             )
-    about = {key: clean(plant.get(key)) for key in ("ident", "vendor", "model", "gsd")}
-    if isinstance(drive, Mapping):
-        about |= {key: clean(drive.get(key)) for key in ("profile", "telegram")}
-    watchdog = value_of(plant.get("watchdog_ms"), FLOAT)
-    watchdog_ms = watchdog if isinstance(watchdog, float) else 0.0
-    return Described(name, tuple(nodes), tuple(orders), about, watchdog_ms, left_out)
+    return Described(name, tuple(nodes), tuple(orders), about, plant.watchdog_ms or 0.0, left_out)
 
 
 def _name(given: object) -> str:
@@ -265,15 +261,13 @@ def _drive_nodes(own: str, address: int) -> Iterator[Node]:
 
 
 def _field_node(
-    own: str, address: int, slave: str, source: Source, group: str, given: Mapping[str, Any], *, writable: bool
+    own: str, address: int, slave: str, source: Source, group: str, given: FieldPlant, *, writable: bool
 ) -> Node | None:
     """The node of a named value; None for one without a name or of an unknown type."""
-    name, raw = given.get("name"), _type(given)
-    if not isinstance(name, str) or not name or raw not in TYPES:
+    name, raw = given.name, _type(given)
+    if not name or len(name) > _MOST_NAME or raw not in TYPES:
         return None
-    if len(name) > _MOST_NAME:
-        return None
-    scale, offset = _number(given.get("scale"), 1), _number(given.get("offset"), 0)
+    scale, offset = _number(given.scale, 1), _number(given.offset, 0)
     scaled = scale != 1 or offset != 0
     low, high = LIMITS.get(raw, (None, None))
     ends = None if low is None or high is None else sorted((low * scale + offset, high * scale + offset))
@@ -288,29 +282,26 @@ def _field_node(
         (group, clean(name)),
         type_,
         address,
-        unit=clean(given.get("unit"))[:_MOST_NAME],
+        unit=clean(given.unit)[:_MOST_NAME],
         scale=scale,
         offset=offset,
         low=None if ends is None else ends[0],
         high=None if ends is None else ends[1],
-        dead_band=abs(_number(given.get("dead_band"), 0)),
+        dead_band=abs(_number(given.dead_band, 0)),
         order=order,
-        text=clean(given.get("at")),
+        text=clean(given.at),
         keys=("fields", name),
     )
 
 
-def _type(given: Mapping[str, Any]) -> str:
+def _type(given: FieldPlant) -> str:
     """The type of a field: ``type``, or that in front of ``at``. A recording calls every number so."""
-    raw = given.get("type")
-    if not isinstance(raw, str):
-        at = given.get("at")
-        raw = at.partition("@")[0].removesuffix("le") if isinstance(at, str) else ""
+    raw = given.at.partition("@")[0].removesuffix("le") if given.type is None else given.type
     return FLOAT if raw == "number" else raw
 
 
-def _number(given: object, default: float) -> float:
-    found = value_of(given, FLOAT)
-    if not isinstance(found, float) or not abs(found) <= 1e15:
+def _number(given: float | None, default: float) -> float:
+    """A whole number as one: so 3 does not become 3.0."""
+    if given is None:
         return default
-    return int(found) if found.is_integer() else found
+    return int(given) if float(given).is_integer() else given

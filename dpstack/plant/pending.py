@@ -6,7 +6,8 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from dpstack.plant.state import DEPTH, Item, begins_plant, merge, merged_plant
+from dpstack.plant.items import Item
+from dpstack.plant.state import DEPTH, begins_plant
 
 #: slaves in one item of :func:`portions`: with 244 octets of inputs and outputs each a snapshot has some 40 KB
 SLAVES_A_PORTION: Final = 24
@@ -33,7 +34,7 @@ class Pending:
             later = item["snapshot"]
             if self._snapshot is None:
                 self._snapshot = {"t": later["t"], "whole": later["whole"], "bus": {}, "slaves": {}}
-            merge(self._snapshot, later)
+            _merge(self._snapshot, later)
         elif "event" in item:
             self._lost += len(self._events) == self._events.maxlen
             self._events.append(item)
@@ -41,7 +42,7 @@ class Pending:
             if begins_plant(item):
                 self._snapshot, self._end = None, None  # a bus that runs again has not ended
             waiting = None if self._plant is None else self._plant["plant"]
-            self._plant = {"plant": merged_plant(waiting, item["plant"])}
+            self._plant = {"plant": _merged_plant(waiting, item["plant"])}
         elif "lost" in item:
             self._lost += item["lost"]
         elif "end" in item:
@@ -71,6 +72,29 @@ class Pending:
             return {"snapshot": snapshot}
         end, self._end = self._end, None
         return end
+
+
+def _merge(into: dict[str, Any], snapshot: Mapping[str, Any]) -> None:
+    """Merge the later ``snapshot`` into ``into``: for each key of ``bus`` and of each slave the later value counts.
+    ``whole`` stays true once it is."""
+    whole = snapshot["whole"]
+    into["t"], into["whole"] = snapshot["t"], whole or into["whole"]
+    if whole:
+        into["bus"], into["slaves"] = {}, {}
+    into["bus"].update(snapshot["bus"])
+    for address, values in snapshot["slaves"].items():
+        into["slaves"].setdefault(address, {}).update(values)
+
+
+def _merged_plant(known: Mapping[str, Any] | None, later: Mapping[str, Any]) -> dict[str, Any]:
+    """The plant after ``later``, which has further slaves of ``known`` or is a new plant. It has ``more`` while further
+    slaves follow."""
+    if known is None or later.get("whole") is not False:
+        return dict(later)
+    merged = {**known, "slaves": {**known["slaves"], **later["slaves"]}, "more": later.get("more") is True}
+    if not merged["more"]:
+        del merged["more"]
+    return merged
 
 
 def portions(item: Item, most: int = SLAVES_A_PORTION) -> Iterator[Item]:

@@ -19,12 +19,24 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
-from dpstack.plant.conditions import Condition, ConditionBook, Level
-from dpstack.plant.items import check_item
+from dpstack.plant.conditions import Condition, ConditionBook
+from dpstack.plant.items import (
+    BusValues,
+    EventValues,
+    FaultValues,
+    Held,
+    Plant,
+    SlavePlant,
+    SlaveValues,
+    Snapshot,
+    check_item,
+    merged,
+)
 from dpstack.plant.judge import exchanging
 from dpstack.plant.nodes import MOST_NODES, Described, Kind, Node, OfferedOrder, Source, bus_of, slave_of
 from dpstack.plant.quality import FLOAT, TEXT, Reading, Reason, Value, clean, is_news, value_of
 from dpstack.text import printable, shortened
+from dpstack.trace import Severity
 
 #: s without a snapshot, and of delay, after which values are stale. The stream comes every 0.5 s at the latest, or at
 #: the interval that its reader has asked for
@@ -101,10 +113,11 @@ class _Branch:
         self.slave = slave
         self.described = described
         #: of a slave: its part of the plant, and the nodes for which there was room; ``described`` was made of these
-        self.plant: Mapping[str, Any] = {}
+        self.plant: SlavePlant | None = None
         self.room = 0
-        #: the values of the stream, merged; None before the first
-        self.values: dict[str, Any] | None = None
+        #: the values of the stream, merged, and the keys that have come; None before the first
+        self.values: BusValues | SlaveValues | None = None
+        self.there: set[str] = set()
         #: time of the stream, and of the caller, when they came
         self.t = 0.0
         self.heard = -math.inf
@@ -122,6 +135,14 @@ class _Branch:
         self.told: dict[str, Reading | None] = {}
         self.told_at: dict[str, float] = {}
 
+    @property
+    def slave_values(self) -> SlaveValues:
+        return self.values if isinstance(self.values, SlaveValues) else _NO_SLAVE
+
+
+_NO_BUS: Final = BusValues()
+_NO_SLAVE: Final = SlaveValues()
+
 
 class PlantTree:
     """``silent_s``: see :data:`SILENT_S`. ``statistics_s``: a statistic changes no more often.
@@ -134,7 +155,7 @@ class PlantTree:
         self.lost = 0
         self._silent_s = silent_s
         self._statistics_s = statistics_s
-        self._plant: Mapping[str, Any] | None = None
+        self._plant: Plant | None = None
         self._started = 0.0
         self._bus = _Branch(None, Described("", ()))
         self._slaves: dict[int, _Branch] = {}
@@ -154,8 +175,8 @@ class PlantTree:
     # --- reading the tree -----------------------------------------------------------------------------------------
 
     @property
-    def plant(self) -> Mapping[str, Any] | None:
-        """The item ``plant`` as it came; None before the first."""
+    def plant(self) -> Plant | None:
+        """The item ``plant``; None before the first."""
         return self._plant
 
     @property
@@ -211,10 +232,16 @@ class PlantTree:
         branch = self._branch(slave)
         return [] if branch is None else [(node, branch.now[node.id]) for node in branch.described.nodes]
 
-    def values(self, slave: int | None) -> Mapping[str, Any]:
-        """The values of the stream as they came, for histograms and counters by cause; empty before the first."""
-        branch = self._branch(slave)
-        return {} if branch is None or branch.values is None else branch.values
+    @property
+    def bus_values(self) -> BusValues:
+        """The values of the bus in the stream; None in each before the first."""
+        values = self._bus.values
+        return values if isinstance(values, BusValues) else _NO_BUS
+
+    def slave_values(self, address: int) -> SlaveValues:
+        """The values of a slave in the stream; None in each before the first."""
+        branch = self._slaves.get(address)
+        return _NO_SLAVE if branch is None else branch.slave_values
 
     # --- changing it ----------------------------------------------------------------------------------------------
 
@@ -236,22 +263,22 @@ class PlantTree:
     def _take(self, item: Mapping[str, Any], now: float) -> list[Change]:
         found: list[Change] = []
         try:
-            check_item(item)
+            checked = check_item(item)
         except ValueError as error:
             return self._remark(str(error))
-        if "plant" in item:
-            found += self._take_plant(item["plant"], now)
-        elif "snapshot" in item:
-            found += self._take_snapshot(item["snapshot"], now)
-        elif "event" in item:
-            found += self._take_event(item["event"])
-        elif "lost" in item:
-            self.lost += item["lost"]
+        if checked.plant is not None:
+            found += self._take_plant(checked.plant, now)
+        elif checked.snapshot is not None:
+            found += self._take_snapshot(item["snapshot"], checked.snapshot, now)
+        elif checked.event is not None:
+            found += self._take_event(item["event"], checked.event)
+        elif checked.lost is not None:
+            self.lost += checked.lost
             self._silent_process = False  # its end may be among them; the counters tell, too
             found += self._remark("events of the bus were lost: alarms among them are not shown")
-        elif "end" in item:
-            self._end = clean(item["end"]["text"]) or "the bus has ended"
-            self._failed = item["end"].get("failed") is True
+        elif checked.end is not None:
+            self._end = clean(checked.end.text) or "the bus has ended"
+            self._failed = checked.end.failed
         return found
 
     def tick(self, now: float) -> list[Change]:
@@ -296,13 +323,13 @@ class PlantTree:
 
     # --- items ----------------------------------------------------------------------------------------------------
 
-    def _take_plant(self, plant: Mapping[str, Any], now: float) -> list[Change]:
+    def _take_plant(self, plant: Plant, now: float) -> list[Change]:
         found: list[Change] = []
-        started = min(max(0.0, _float(plant.get("started"))), _LATEST)
+        started = min(max(0.0, plant.started), _LATEST)
         other_run = self._plant is None or started != self._started
-        writable = plant.get("read_only") is False
+        writable = plant.read_only is False
         # orders depend on it
-        is_as_before = self._plant is not None and (self._plant.get("read_only") is False) is writable
+        is_as_before = self._plant is not None and (self._plant.read_only is False) is writable
         self._plant, self._started, self._end = plant, started, None
         self._silent_process = False
         changed = False
@@ -316,7 +343,7 @@ class PlantTree:
             self._fill(self._bus)
             found += self._end_alarms("another run of the bus has begun")
         room = MOST_NODES
-        given = sorted((int(address), one) for address, one in plant["slaves"].items() if int(address) < _MOST_SLAVES)
+        given = sorted((int(address), one) for address, one in plant.slaves.items() if int(address) < _MOST_SLAVES)
         for address, one in given:
             branch = before.pop(address, None)
             if branch is not None and is_as_before and room == branch.room and one == branch.plant:
@@ -339,7 +366,7 @@ class PlantTree:
             found += self._end_branch(branch, "it was removed from the configuration")
             found += self._end_of_slave(address, "removed from the configuration")
             changed = True
-        if len(given) < len(plant["slaves"]):
+        if len(given) < len(plant.slaves):
             found += self._remark("the stream has slaves with addresses above 126: they are left out")
         self._await_all(now)
         if changed:
@@ -360,39 +387,39 @@ class PlantTree:
         for branch in self._branches():
             branch.awaited = now if branch.awaited is None else branch.awaited
 
-    def _take_snapshot(self, snapshot: Mapping[str, Any], now: float) -> list[Change]:
+    def _take_snapshot(self, given: Mapping[str, Any], snapshot: Snapshot, now: float) -> list[Change]:
         if self._plant is None:
             return self._remark("a snapshot came before the plant: it is left out")
-        t = float(snapshot["t"])
-        self._measure_delay(t, now)
-        self._t, self._heard = t, now
-        if snapshot["whole"]:
+        self._measure_delay(snapshot.t, now)
+        self._t, self._heard = snapshot.t, now
+        if snapshot.whole:
             self._await_all(now)
-        if snapshot["bus"]:
-            self._merge(self._bus, snapshot["bus"], now)
+        if given["bus"]:
+            self._merge(self._bus, snapshot.bus, given["bus"], now)
         found: list[Change] = []
-        for address, values in snapshot["slaves"].items():
+        for address, values in snapshot.slaves.items():
             branch = self._slaves.get(int(address))
             if branch is None:
                 found += self._remark(f"the stream has values of slave {int(address)}, which is not in the plant")
                 continue
-            self._merge(branch, values, now)
+            self._merge(branch, values, given["slaves"][address], now)
             found += self._slave_conditions(branch)
         return found
 
-    def _merge(self, branch: _Branch, values: Mapping[str, Any], now: float) -> None:
+    def _merge(self, branch: _Branch, values: BusValues | SlaveValues, keys: Iterable[str], now: float) -> None:
         """The first values behind a plant or a whole snapshot replace the earlier ones: they are whole."""
         if branch.values is None or branch.awaited is not None:
-            branch.values = dict(values)
+            branch.values, branch.there = values, set(keys)
             branch.awaited = None
         else:
-            branch.values.update(values)
+            branch.values = merged(branch.values, values, keys)
+            branch.there.update(keys)
         branch.t, branch.heard, branch.is_new = self._t, now, True
 
     def _measure_delay(self, t: float, now: float) -> None:
         """Find out whether the stream arrives late: its items may have waited, while this program did not run."""
         assert self._plant is not None
-        if self._plant.get("virtual") is True or self._plant.get("source") == "replay":
+        if self._plant.virtual is True or self._plant.is_replay:
             return  # they go by clocks of their own
         delay = now - t
         if self._heard is None or self._delay is None or t < self._t:
@@ -401,13 +428,11 @@ class PlantTree:
             self._delay = min(self._delay + _DRIFT * max(0.0, now - self._heard), delay)
         self._late = delay - self._delay > self._silent_s
 
-    def _take_event(self, event: Mapping[str, Any]) -> list[Change]:
-        kind = event.get("event")
-        if kind == "bus_process":
-            self._silent_process = event.get("silent") is True
-        address = event.get("address")
-        if kind == "alarm" and isinstance(address, int) and address in self._slaves:
-            return self._alarm(address, event)
+    def _take_event(self, given: Mapping[str, Any], event: EventValues) -> list[Change]:
+        if event.event == "bus_process":
+            self._silent_process = event.silent is True
+        if event.event == "alarm" and event.address in self._slaves:
+            return self._alarm(event.address, given)
         return []
 
     # --- quality --------------------------------------------------------------------------------------------------
@@ -423,12 +448,12 @@ class PlantTree:
             return Reason.STREAM_SILENT, ""
         if self._late:
             return Reason.STREAM_LATE, ""
-        if self._plant.get("baud") is None and self._plant.get("source") != "replay":
+        if self._plant.baud is None and not self._plant.is_replay:
             return Reason.SEARCHING, ""
         if self._bus.values is None:
             return Reason.WAITING, ""
         # a bus that is not open yet is offline, too
-        if self._silent_process or self._bus.values.get("stale") is True or self._bus.values.get("mode") == "offline":
+        if self._silent_process or self.bus_values.stale is True or self.bus_values.mode == "offline":
             return Reason.BUS_STALE, ""
         if self._bus.awaited is not None and now - self._bus.awaited > self._silent_s:
             return Reason.STREAM_SILENT, ""
@@ -436,29 +461,26 @@ class PlantTree:
 
     def _slave_trouble(self, branch: _Branch, now: float) -> Trouble:
         """The reason why neither process data nor drive of a slave is good, while the bus is."""
-        values = branch.values
-        if values is None:
+        if branch.values is None:
             return Reason.WAITING, ""
+        values = branch.slave_values
         waited = max(now - branch.heard, 0.0 if branch.awaited is None else now - branch.awaited)
         if not exchanging(values):
-            fault = values.get("fault") or {}
-            return Reason.NOT_EXCHANGING, clean(fault.get("text") or values.get("state"))
+            return Reason.NOT_EXCHANGING, clean(values.state if values.fault is None else values.fault.text)
         if waited > self._silent_s:
             return Reason.NOT_SENT, ""  # the counters of a slave in data exchange never stand still
-        if values.get("inputs_valid") is not True:
+        if values.inputs_valid is not True:
             return Reason.NOT_VALID, ""
-        age, limit = values.get("inputs_age_ms"), self._limit_ms(branch)
+        age, limit = values.inputs_age_ms, self._limit_ms(branch)
         if age is None:
             # a recording of named values has no ages
-            return None if self._plant is not None and self._plant.get("source") == "replay" else (Reason.NOT_VALID, "")
+            return None if self._plant is not None and self._plant.is_replay else (Reason.NOT_VALID, "")
         return None if age <= limit else (Reason.TOO_OLD, f"limit {limit:.0f} ms")
 
     def _limit_ms(self, branch: _Branch) -> float:
-        values = branch.values or {}
-        given = values.get("inputs_limit_ms")
-        if given is None:
-            given = values.get("watchdog_ms")
-        return _float(given) or branch.described.watchdog_ms or _UNWATCHED_MS
+        values = branch.slave_values
+        given = values.watchdog_ms if values.inputs_limit_ms is None else values.inputs_limit_ms
+        return given or branch.described.watchdog_ms or _UNWATCHED_MS
 
     # --- values ---------------------------------------------------------------------------------------------------
 
@@ -504,11 +526,11 @@ class PlantTree:
         if branch.awaited is not None:
             return before  # the next part of the snapshot brings it; until then nothing is known of this moment
         if node.source is Source.DRIVE:
-            drive = values.get("drive")
-            if drive is None or drive.get("state") == "offline":
+            drive = branch.slave_values.drive
+            if drive is None or drive.state == "offline":
                 return before._replace(reason=Reason.DRIVE_OFFLINE, note="")
-        given, is_there = _look_up(values, node)
-        time = self._time(branch.t - (0 if by_master else _float(values.get("inputs_age_ms")) / 1000))
+        given, is_there = _look_up(branch, node)
+        time = self._time(branch.t - (0 if by_master else (branch.slave_values.inputs_age_ms or 0) / 1000))
         if given is None and by_master and is_there and node.type == TEXT:
             return Reading("", Reason.GOOD, time)  # no fault, no diagnosis, no Clear
         if given is None and node.source in (Source.MASTER, Source.DRIVE):
@@ -547,32 +569,34 @@ class PlantTree:
     # --- conditions -----------------------------------------------------------------------------------------------
 
     def _slave_conditions(self, branch: _Branch) -> list[Change]:
-        values, address = branch.values or {}, branch.slave
+        values, address = branch.slave_values, branch.slave
         own, time = f"slave/{address}", self._time(self._t)
         name, exchanges = branch.described.name, exchanging(values)
-        fault = values.get("fault")
-        said = clean(fault.get("text")) if fault else ""
+        said = "" if values.fault is None else clean(values.fault.text)
         found: list[Condition | None] = []
         branch.exchanged = branch.exchanged or exchanges
         if said or (branch.exchanged and not exchanges):
-            text = said or f"not in data exchange: {clean(values.get('state')) or 'unknown'}"
+            text = said or f"not in data exchange: {clean(values.state) or 'unknown'}"
             found.append(
-                self.conditions.show(f"{own}/fault", address, f"{name}: data exchange", text, Level.ERROR, time)
+                self.conditions.show(f"{own}/fault", address, f"{name}: data exchange", text, Severity.ERROR, time)
             )
         else:
             found.append(self.conditions.end(f"{own}/fault", time))
-        unusual = clean(values.get("conspicuous"))
+        unusual = clean(values.conspicuous)
         if unusual:
             title = f"{name}: diagnosis"
-            found.append(self.conditions.show(f"{own}/diagnosis", address, title, unusual, Level.WARNING, time))
+            found.append(self.conditions.show(f"{own}/diagnosis", address, title, unusual, Severity.WARNING, time))
         else:
             found.append(self.conditions.end(f"{own}/diagnosis", time))
         if not exchanges:
             found += self._end_alarms_of(branch, "the slave left data exchange")
-        drive = values.get("drive")
-        if exchanges and drive is not None and drive.get("state") != "offline":
-            for key, title, level in (("faults", "fault", Level.ERROR), ("warnings", "warning", Level.WARNING)):
-                texts = [clean(one)[:120] for one in (drive.get(key) or ())[:_MOST_TEXTS] if isinstance(one, str)]
+        drive = values.drive
+        if exchanges and drive is not None and drive.state != "offline":
+            for key, said_by, title, level in (
+                ("faults", drive.faults, "fault", Severity.ERROR),
+                ("warnings", drive.warnings, "warning", Severity.WARNING),
+            ):
+                texts = [clean(one)[:120] for one in (said_by or ())[:_MOST_TEXTS]]
                 prefix = f"{own}/drive/{key}/"
                 shown = {f"{prefix}{text}": (f"{name}: drive {title}", text, level) for text in texts if text}
                 found += self.conditions.show_only(prefix, address, shown, time)
@@ -592,7 +616,7 @@ class PlantTree:
         else:
             lasts = specifier in ("appears", "disappears_others")
             title = f"{self._slaves[address].described.name}: {clean(event.get('title')) or f'alarm {type_}'}"
-            found = self.conditions.show(id_, address, title, text, Level.WARNING, time, active=lasts)
+            found = self.conditions.show(id_, address, title, text, Severity.WARNING, time, active=lasts)
         return [] if found is None else [found]
 
     def _end_alarms_of(self, branch: _Branch, why: str) -> list[Condition | None]:
@@ -617,15 +641,15 @@ class PlantTree:
         time = self._time(self._t)
         found: list[Condition | None] = []
         if trouble is not None and trouble[0] is not Reason.WAITING:
-            level = Level.WARNING if trouble[0] in (Reason.SEARCHING, Reason.ENDED) else Level.ERROR
+            level = Severity.WARNING if trouble[0] in (Reason.SEARCHING, Reason.ENDED) else Severity.ERROR
             found.append(self.conditions.show("bus/dead", None, "bus", Reason.with_note(*trouble), level, time))
         elif trouble is None:
             found.append(self.conditions.end("bus/dead", time))
         if trouble is None:
-            clear = self.values(None).get("clear")
-            if clear:
-                because = clean(clear.get("because"))
-                found.append(self.conditions.show("bus/clear", None, "bus in Clear", because, Level.ERROR, time))
+            clear = self.bus_values.clear
+            if clear is not None:
+                because = clean(clear.because)
+                found.append(self.conditions.show("bus/clear", None, "bus in Clear", because, Severity.ERROR, time))
             else:
                 found.append(self.conditions.end("bus/clear", time))
         return [one for one in found if one is not None]
@@ -639,17 +663,26 @@ class PlantTree:
         return [Remark(text)]
 
 
-def _look_up(values: Mapping[str, Any], node: Node) -> tuple[object, bool]:
+def _look_up(branch: _Branch, node: Node) -> tuple[object, bool]:
     """The value of ``node`` in the stream, and whether it is there."""
-    found: object = values
+    if node.keys[0] not in branch.there:
+        return None, False
+    found: object = branch.values
     for key in node.keys:
-        if not isinstance(found, Mapping) or key not in found:
+        if isinstance(found, Mapping):
+            if key not in found:
+                return None, False
+            found = found[key]
+        elif hasattr(found, key):
+            found = getattr(found, key)
+        else:
             return None, False
-        found = found[key]
     if isinstance(found, list) and node.type == TEXT:
         found = ", ".join(str(one) for one in found[: _MOST_TEXTS * 8] if isinstance(one, (str, int)))
-    elif isinstance(found, Mapping) and node.type == TEXT:
-        found = found.get("because") or found.get("text")
+    elif isinstance(found, Held):
+        found = found.because
+    elif isinstance(found, FaultValues):
+        found = found.text
     return found, True
 
 

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from dpstack.monitor.thresholds import Thresholds
-from dpstack.plant.conditions import Level
+from dpstack.monitor.verdict import CRITICAL, UNKNOWN, WARNING, Finding, Verdict, verdict_of
+from dpstack.plant.items import SlaveValues
 from dpstack.plant.judge import DATA_EXCHANGE, DEACTIVATED
-from dpstack.plant.quality import FLOAT, Reason, clean, value_of
+from dpstack.plant.quality import Reason, clean
 from dpstack.plant.tree import Change, NodesChanged, PlantTree
+from dpstack.trace import Severity
 
-GOOD, UNKNOWN, WARNING, CRITICAL = "good", "unknown", "warning", "critical"
-#: the levels of a verdict, the best first
-VERDICTS: Final = (GOOD, UNKNOWN, WARNING, CRITICAL)
 #: s about which a verdict speaks, and s between two samples of the counters within them
 WINDOW_S: Final = 300.0
 _SAMPLE_S: Final = 30.0
@@ -33,14 +32,6 @@ _OF_VALUES: Final = ("fault", "diagnosis")
 _BEGINS: Final = "the bus begins"
 #: s between the end of the master and that of the bus, in an ordered end
 _ENDING_S: Final = 1.0
-_COUNTERS: Final = ("telegrams", "retries", "timeouts", "late", "wrong")
-
-
-class Verdict(NamedTuple):
-    """``reasons``: one line each, printable, the most serious first; none where the level is good."""
-
-    level: str
-    reasons: tuple[str, ...] = ()
 
 
 class _Past:
@@ -55,7 +46,7 @@ class _Past:
 
 
 class _Sample(NamedTuple):
-    """Counters at the time ``t`` of the stream: of the bus by key, of slaves by address in the order of _COUNTERS."""
+    """Counters at the time ``t`` of the stream: of the bus by key, of slaves by address as :func:`_counters`."""
 
     t: float
     telegrams: float
@@ -89,8 +80,8 @@ class Judge:
             if self._is_alive:
                 self._is_alive, self._died = False, tree.t
             return
-        t, bus, self._is_alive = tree.t, tree.values(None), True
-        runs = bus.get("in_ring") is True and (self._reads_only() or bus.get("mode") == "operate")
+        t, bus, self._is_alive = tree.t, tree.bus_values, True
+        runs = bus.in_ring is True and (self._reads_only() or bus.mode == "operate")
         self._has_run = self._has_run or runs
         for address in tree.slaves:
             self._follow(address, t)
@@ -126,7 +117,7 @@ class Judge:
             doubt = _BEGINS
         elif now.t - before.t < limits.min_seconds:
             doubt = "the bus runs for too short a time"
-        return _verdict(found, doubt), slaves
+        return _short(verdict_of(found, doubt)), slaves
 
     def lost(self) -> list[int]:
         """The slaves that are lost at this moment, by address: the master serves them, and they are not in data
@@ -138,13 +129,13 @@ class Judge:
 
     def _is_lost(self, address: int) -> bool:
         past = self._past.get(address)
-        if past is None or self._tree.is_alive(address) or self._tree.values(address).get("state") == DEACTIVATED:
+        if past is None or self._tree.is_alive(address) or self._tree.slave_values(address).state == DEACTIVATED:
             return False
         return past.was_alive or self._tree.t - past.away_since >= self._limits.bring_up_s
 
     def _follow(self, address: int, t: float) -> None:
         past = self._past.setdefault(address, _Past(t))
-        state = self._tree.values(address).get("state")
+        state = self._tree.slave_values(address).state
         exchanges = state == DATA_EXCHANGE
         if past.exchanged and not exchanges:
             past.away_since = t
@@ -162,33 +153,32 @@ class Judge:
 
     def _ends(self) -> bool:
         """Whether the master has just gone offline, while its process lives: the end may follow."""
-        values, t = self._tree.values(None), self._tree.t
-        return values.get("mode") == "offline" and values.get("stale") is not True and t - self._died < _ENDING_S
+        values, t = self._tree.bus_values, self._tree.t
+        return values.mode == "offline" and values.stale is not True and t - self._died < _ENDING_S
 
     def _reads_only(self) -> bool:
-        return (self._tree.plant or {}).get("read_only") is True
+        return self._tree.plant is not None and self._tree.plant.read_only is True
 
     def _is_served(self) -> bool:
         """Whether the master serves its slaves: else they leave data exchange by order."""
-        return self._tree.values(None).get("mode") in ("clear", "operate")
+        return self._tree.bus_values.mode in ("clear", "operate")
 
     def _sample(self, t: float) -> _Sample:
         tree = self._tree
-        bus = tree.values(None)
-        bad = bus.get("bad")
-        damaged = sum(map(_number, bad.values())) if isinstance(bad, Mapping) else 0.0
-        slaves = {address: [_number(tree.values(address).get(key)) for key in _COUNTERS] for address in tree.slaves}
-        return _Sample(t, _number(bus.get("telegrams")), damaged, _number(bus.get("tokens_lost")), slaves)
+        bus = tree.bus_values
+        damaged = sum((bus.bad or {}).values())
+        slaves = {address: _counters(tree.slave_values(address)) for address in tree.slaves}
+        return _Sample(t, bus.telegrams or 0, damaged, bus.tokens_lost or 0, slaves)
 
-    def _of_bus(self, before: _Sample, now: _Sample) -> Iterator[tuple[str, str]]:
-        values, limits = self._tree.values(None), self._limits
-        if values.get("in_ring") is False and not self._begins():
+    def _of_bus(self, before: _Sample, now: _Sample) -> Iterator[Finding]:
+        values, limits = self._tree.bus_values, self._limits
+        if values.in_ring is False and not self._begins():
             yield CRITICAL, "the master is not in the token ring"
-        if clear := values.get("clear"):
-            why = clean(clear.get("because"))
+        if values.clear is not None:
+            why = clean(values.clear.because)
             yield CRITICAL, f"the master went to Clear by itself{': ' if why else ''}{why}"
-        elif values.get("mode") != "operate" and not self._reads_only() and not self._begins():
-            yield WARNING, f"the master is in {clean(values.get('mode')) or 'an unknown mode'}, not in operate"
+        elif values.mode != "operate" and not self._reads_only() and not self._begins():
+            yield WARNING, f"the master is in {clean(values.mode) or 'an unknown mode'}, not in operate"
         damaged = now.damaged - before.damaged
         whole = now.telegrams - before.telegrams + damaged
         level = _level(damaged / whole, limits.damaged_warning, limits.damaged_critical) if whole > 0 else ""
@@ -199,14 +189,13 @@ class Judge:
             yield WARNING, f"tokens were lost: {lost:.0f}"
 
     def _of_slave(self, address: int, before: _Sample, now: _Sample) -> Verdict:
-        values, limits = self._tree.values(address), self._limits
-        state, past = values.get("state"), self._past.get(address)
+        values, limits = self._tree.slave_values(address), self._limits
+        state, past = values.state, self._past.get(address)
         if state == DEACTIVATED or not self._is_served() or past is None:
             return Verdict(UNKNOWN, ("the master does not exchange data with it",))
-        found: list[tuple[str, str]] = []
+        found: list[Finding] = []
         if state != DATA_EXCHANGE and now.t - past.away_since >= limits.bring_up_s:
-            fault = values.get("fault")
-            why = clean(fault.get("text")) if isinstance(fault, Mapping) else clean(state)
+            why = clean(state) if values.fault is None else clean(values.fault.text)
             found.append((CRITICAL, f"it is not in data exchange: {why or 'unknown'}"))
         losses = sum(now.t - t <= WINDOW_S for t in past.losses)
         level = _level(losses, limits.lost_warning, limits.lost_critical)
@@ -215,7 +204,7 @@ class Judge:
         then = before.slaves.get(address, ())
         telegrams, retries, timeouts, late, wrong = (
             now - before for now, before in zip(now.slaves[address], then, strict=True)
-        ) if then else (0.0,) * len(_COUNTERS)  # fmt: skip
+        ) if then else (0.0,) * 5  # fmt: skip
         # telegrams are requests, repetitions and all that came back; each request has an answer or a timeout
         requests = (telegrams - retries - late - wrong + timeouts) / 2
         enough = requests >= limits.min_requests
@@ -225,25 +214,23 @@ class Judge:
                 found.append((level, f"{_percent(retries / requests)} of its requests were repeated"))
             if late / requests >= limits.late_warning:
                 found.append((WARNING, f"{_percent(late / requests)} of its answers came too late"))
-        unusual = clean(values.get("conspicuous"))
+        unusual = clean(values.conspicuous)
         if unusual:
             found.append((WARNING, f"it has a diagnosis: {unusual}"))
         found += (
             (WARNING, f"{one.title}: {one.text}" if one.text else one.title)
             for one in self._tree.conditions.of(address)
-            if one.active and one.level >= Level.WARNING and one.id.split("/", 2)[2] not in _OF_VALUES
+            if one.active and one.level is not Severity.INFO and one.id.split("/", 2)[2] not in _OF_VALUES
         )
         if enough:
-            return _verdict(found, "")
-        return _verdict(found, f"too few requests: {max(0.0, requests):.0f}, {limits.min_requests:g} are needed")
+            return _short(verdict_of(found, ""))
+        return _short(
+            verdict_of(found, f"too few requests: {max(0.0, requests):.0f}, {limits.min_requests:g} are needed")
+        )
 
 
-def _verdict(found: list[tuple[str, str]], doubt: str) -> Verdict:
-    """The worst finding decides; without one it is unknown where there is a ``doubt``."""
-    found.sort(key=lambda one: -VERDICTS.index(one[0]))
-    if found:
-        return Verdict(found[0][0], tuple(text for _, text in found[:_MOST_REASONS]))
-    return Verdict(UNKNOWN, (doubt,)) if doubt else Verdict(GOOD)
+def _short(verdict: Verdict) -> Verdict:
+    return verdict._replace(reasons=verdict.reasons[:_MOST_REASONS])
 
 
 def _level(value: float, warning: float, critical: float) -> str:
@@ -253,9 +240,9 @@ def _level(value: float, warning: float, critical: float) -> str:
     return CRITICAL if value >= critical else WARNING if value >= warning else ""
 
 
-def _number(given: object) -> float:
-    found: Any = value_of(given, FLOAT)
-    return found if isinstance(found, float) else 0.0
+def _counters(values: SlaveValues) -> Sequence[float]:
+    counters = values.telegrams, values.retries, values.timeouts, values.late, values.wrong
+    return [count or 0 for count in counters]
 
 
 def _percent(share: float) -> str:

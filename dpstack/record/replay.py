@@ -8,8 +8,11 @@ from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from msgspec import convert, structs, to_builtins
+
 from dpstack.errors import UsageError
-from dpstack.plant.judge import exchanging, judge
+from dpstack.plant.items import DriveValues, SlaveValues
+from dpstack.plant.judge import exchanging, judged
 from dpstack.record.columns import Cell, Column, Kind
 from dpstack.record.reader import Recording, Row
 from dpstack.record.rows import END, iso_time
@@ -42,6 +45,8 @@ _NOT_RECORDED_OF_SLAVE: Final = (
     ),
     *("exchanges", "retries", "timeouts", "telegrams", "late", "wrong", "bad", "watchdog_ms", "master", "injected"),
 )
+#: keys of a slave that a recording has, or that follow from it
+_RECORDED: Final = ("state", "inputs_valid", "drive", "alive", "level", "state_text", "remark")
 #: severity of an event about a state
 _WARNING_STATES: Final = ("fault", "offline", "diagnosis")
 
@@ -149,16 +154,12 @@ class Replay:
         values = {column: row.values.get(column.name) for column in columns}
         fields = {c.field: value for c, value in values.items() if c.kind in (Kind.INPUT, Kind.OUTPUT, None)}
         inputs = [value for column, value in values.items() if column.kind in (Kind.INPUT, None)]
-        state = next((value for column, value in values.items() if column.kind is Kind.STATE), None)
+        given = next((value for column, value in values.items() if column.kind is Kind.STATE), None)
         drive = {c.field: value for c, value in values.items() if c.kind is Kind.DRIVE}
-        valid = exchanging({"state": state}) if state is not None else any(value is not None for value in inputs)
-        found = {
-            "state": state,
-            "fields": fields,
-            "inputs_valid": valid,
-            "drive": _drive(drive) if drive else None,
-        }
-        return found | judge(found)
+        found = SlaveValues(state=None if given is None else _shown(given), drive=_drive(drive) if drive else None)
+        valid = any(value is not None for value in inputs) if given is None else exchanging(found)
+        found = judged(structs.replace(found, inputs_valid=valid))
+        return {"fields": fields} | {key: to_builtins(getattr(found, key)) for key in _RECORDED}
 
     def _note_states(self, row: Row) -> Iterator[tuple[Column, Cell]]:
         """The states that ``row`` changes."""
@@ -215,21 +216,23 @@ def _field(column: Column) -> dict[str, Any]:
     }
 
 
-def _drive(values: Mapping[str, Cell]) -> dict[str, Any]:
+def _drive(values: Mapping[str, Cell]) -> DriveValues:
     """The status of a drive as ``run --json`` has it, as far as it was recorded."""
-    state = values.get("drive_state")
-    fault, warning = values.get("fault"), values.get("warning")
-    return {
-        **{key: values.get(key) for key in ("setpoint", "speed", "frequency_hz", "current", "torque")},
-        "state": state,
-        "running": state == "running",
-        "faults": [fault] if fault else [],
-        "warnings": [warning] if warning else [],
-        **dict.fromkeys(("reached", "remote", "settings")),
-        "words": [],
-        "bits": [],
-        "settings_texts": [],
-    }
+    state, fault, warning = values.get("drive_state"), values.get("fault"), values.get("warning")
+    quantities = {key: values.get(key) for key in ("setpoint", "speed", "frequency_hz", "current", "torque")}
+    return convert(
+        {
+            **quantities,
+            "state": None if state is None else _shown(state),
+            "running": state == "running",
+            "faults": [_shown(fault)] if fault else [],
+            "warnings": [_shown(warning)] if warning else [],
+            "words": [],
+            "bits": [],
+            "settings_texts": [],
+        },
+        DriveValues,
+    )
 
 
 async def replay_items(

@@ -19,7 +19,7 @@ from textual.scroll_view import ScrollView
 from textual.strip import Strip
 from textual.widgets import Input
 
-from dpstack.plant.state import Item
+from dpstack.plant.items import Item
 from dpstack.screen import overview
 from dpstack.screen.lines import STYLES, Line, cut_line, padded, piece, wrapped
 from dpstack.screen.one_slave import page

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from dpstack.plant.items import DrivePlant, DriveValues, SlavePlant, SlaveValues
 from dpstack.screen.lines import Line, piece, wrapped
 from dpstack.screen.overview import event_line, field_pieces, octets, percent, shown
 from dpstack.screen.view import View
@@ -19,7 +20,7 @@ _LINE: Final = 16  # octets in a line
 
 def page(view: View, address: str, width: int, story: Mapping[str, Any] | str | None = None) -> list[Line]:
     """``story``: as `why --json`, or a text about it."""
-    values, plant = view.state.slaves.get(address), view.slave_plant(address)
+    values = view.state.slaves.get(address)
     sign, style = view.mark(address)
     title = f"slave {address}  {view.name(address)}"
     lines: list[Line] = [[(f"{sign} ", style), piece(title, "bold"), piece(f"  {view.state_text(address)}", style)]]
@@ -33,9 +34,9 @@ def page(view: View, address: str, width: int, story: Mapping[str, Any] | str | 
     if story is not None:
         lines += [[], *_told(story, width)]
     lines += [[], *_values(view, address)]
-    if values.get("drive"):
-        lines += [[], *_drive(view, address)]
-    lines += [[], *_counters(values), [], *_identity(plant, values)]
+    if values.drive is not None:
+        lines += [[], *_drive(view, address, values.drive)]
+    lines += [[], *_counters(values), [], *_identity(view.slave_plant(address), values)]
     events = view.events_of(address)[-_EVENTS:]
     if events:
         lines += [[], _header("last events"), *(event_line(event) for event in reversed(events))]
@@ -55,28 +56,30 @@ def _row(name: str, text: object, style: str = "") -> Line:
 
 
 def _troubles(view: View, address: str) -> list[Line]:
-    values = view.state.slaves[address]
+    values = view.values(address)
     lines = []
-    if values.get("fault"):
-        lines.append(_row("fault", values["fault"].get("text"), "bad"))
-    found = values.get("diagnosis")
-    if found:
-        flags = ", ".join(str(flag).replace("_", " ") for flag in found.get("flags", []))
-        lines.append(_row("diagnosis", flags or "no flags", "warn" if values.get("conspicuous") else ""))
-        lines += [_row("", text, "warn") for text in found.get("texts", [])]
-    if values.get("alarms"):
-        lines.append(_row("alarms", ", ".join(f"{key} {shown(value)}" for key, value in values["alarms"].items())))
-    if values.get("injected"):
-        lines.append(_row("simulated", ", ".join(map(str, values["injected"])), "warn"))
+    if values.fault is not None:
+        lines.append(_row("fault", values.fault.text, "bad"))
+    if values.diagnosis is not None:
+        flags = ", ".join(flag.replace("_", " ") for flag in values.diagnosis.flags)
+        lines.append(_row("diagnosis", flags or "no flags", "warn" if values.conspicuous else ""))
+        lines += [_row("", text, "warn") for text in values.diagnosis.texts]
+    if values.alarms:
+        lines.append(_row("alarms", ", ".join(f"{key} {shown(value)}" for key, value in values.alarms.items())))
+    if values.injected:
+        lines.append(_row("simulated", ", ".join(values.injected), "warn"))
     return lines
 
 
 def _values(view: View, address: str) -> list[Line]:
-    values, plant = view.state.slaves[address], view.slave_plant(address)
+    values, plant = view.values(address), view.slave_plant(address)
     style = "" if view.alive(address) else "stale"
     lines: list[Line] = []
-    for direction in ("inputs", "outputs"):
-        digits = str(values.get(direction) or "")
+    for direction, given, fields in (
+        ("inputs", values.inputs, plant.inputs),
+        ("outputs", values.outputs, plant.outputs),
+    ):
+        digits = given or ""
         mark = "  (old)" if style and digits else ""
         lines.append(_row(direction, f"{octets_text(len(digits) // 2)}{mark}", style))
         lines += [
@@ -84,71 +87,70 @@ def _values(view: View, address: str) -> list[Line]:
             for at in range(0, len(digits), 2 * _LINE)
         ]
         lines += [
-            [("  ", ""), *field_pieces(view, address, field, style), piece(f"  {field['at']}", "stale")]
-            for field in plant.get(direction) or []
+            [("  ", ""), *field_pieces(view, address, field, style), piece(f"  {field.at}", "stale")]
+            for field in fields or []
         ]
-    if values.get("held") is not None:
-        lines.append(_row("not sent", octets(values["held"]), "warn"))
-        held = values.get("held_fields") or {}
+    if values.held is not None:
+        lines.append(_row("not sent", octets(values.held), "warn"))
+        held = values.held_fields or {}
         lines += [[("  ", ""), piece(f"{name} {shown(value)}", "stale")] for name, value in held.items()]
     return lines
 
 
-def _drive(view: View, address: str) -> list[Line]:
-    drive: Mapping[str, Any] = view.state.slaves[address]["drive"]
-    known = view.slave_plant(address).get("drive") or {}
+def _drive(view: View, address: str, drive: DriveValues) -> list[Line]:
+    known = view.slave_plant(address).drive or DrivePlant()
     style = "" if view.alive(address) else "stale"
     lines = [
-        _row("drive", f"{known.get('profile', '')} {known.get('telegram') or ''}"),
-        _row("state", str(drive.get("state")).replace("_", " "), style or ("good" if drive.get("running") else "")),
-        _row("speed", percent(drive.get("speed")), style or "bold"),
-        _row("set point", percent(drive.get("setpoint")), style),
+        _row("drive", f"{known.profile or ''} {known.telegram or ''}"),
+        _row("state", str(drive.state).replace("_", " "), style or ("good" if drive.running else "")),
+        _row("speed", percent(drive.speed), style or "bold"),
+        _row("set point", percent(drive.setpoint), style),
     ]
-    if drive.get("frequency_hz") is not None:
-        lines.append(_row("frequency", f"{drive['frequency_hz']:.2f} Hz", style))
-    if known.get("reference_rpm") and drive.get("speed") is not None:
-        lines.append(_row("revolutions", f"{drive['speed'] * known['reference_rpm']:.0f} rpm", style))
-    lines += [_row(key, percent(drive[key]), style) for key in ("current", "torque") if drive.get(key) is not None]
-    lines += [_row("fault", text, "bad") for text in drive.get("faults") or []]
-    lines += [_row("warning", text, "warn") for text in drive.get("warnings") or []]
-    lines.append(_row("bits", ", ".join(str(bit).replace("_", " ") for bit in drive.get("bits") or []), style))
-    lines.append(_row("settings", drive.get("settings")))
-    lines += [_row("", text, "warn") for text in drive.get("settings_texts") or []]
-    lines += [_row("notice", f"at {notice['t']} s: {notice['text']}") for notice in drive.get("notices") or []]
+    if drive.frequency_hz is not None:
+        lines.append(_row("frequency", f"{drive.frequency_hz:.2f} Hz", style))
+    if known.reference_rpm and drive.speed is not None:
+        lines.append(_row("revolutions", f"{drive.speed * known.reference_rpm:.0f} rpm", style))
+    shares = ("current", drive.current), ("torque", drive.torque)
+    lines += [_row(name, percent(share), style) for name, share in shares if share is not None]
+    lines += [_row("fault", text, "bad") for text in drive.faults or []]
+    lines += [_row("warning", text, "warn") for text in drive.warnings or []]
+    lines.append(_row("bits", ", ".join(bit.replace("_", " ") for bit in drive.bits or []), style))
+    lines.append(_row("settings", drive.settings))
+    lines += [_row("", text, "warn") for text in drive.settings_texts or []]
+    lines += [_row("notice", f"at {notice.t} s: {notice.text}") for notice in drive.notices or []]
     return lines
 
 
-def _counters(values: Mapping[str, Any]) -> list[Line]:
+def _counters(values: SlaveValues) -> list[Line]:
+    lines = [_row("exchanges", values.exchanges or 0), _row("telegrams", values.telegrams or 0)]
+    for name, count in (
+        ("retries", values.retries),
+        ("time-outs", values.timeouts),
+        ("late", values.late),
+        ("wrong", values.wrong),
+    ):
+        lines.append(_row(name, count or 0, "warn" if count else ""))
+    causes = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in (values.bad or {}).items())
+    return [*lines, _row("damaged", causes or 0, "warn" if values.bad else "")]
+
+
+def _identity(plant: SlavePlant, values: SlaveValues) -> list[Line]:
+    watchdog = values.watchdog_ms or plant.watchdog_ms
     lines = [
-        _row(name.replace("timeouts", "time-outs"), values.get(name) or 0, _count_style(name, values))
-        for name in ("exchanges", "telegrams", "retries", "timeouts", "late", "wrong")
-    ]
-    bad = values.get("bad") or {}
-    causes = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in bad.items())
-    return [*lines, _row("damaged", causes or 0, "warn" if bad else "")]
-
-
-def _count_style(name: str, values: Mapping[str, Any]) -> str:
-    return "warn" if values.get(name) and name not in ("exchanges", "telegrams") else ""
-
-
-def _identity(plant: Mapping[str, Any], values: Mapping[str, Any]) -> list[Line]:
-    watchdog = values.get("watchdog_ms") or plant.get("watchdog_ms")
-    lines = [
-        _row("device", " ".join(str(plant.get(key) or "") for key in ("vendor", "model")).strip() or "not known"),
-        _row("ident number", plant.get("ident") or "not known"),
-        _row("GSD file", plant.get("gsd") or "none"),
-        _row("watchdog", f"{watchdog} ms" if watchdog else "off: it keeps its outputs when the master stops",
+        _row("device", f"{plant.vendor or ''} {plant.model or ''}".strip() or "not known"),
+        _row("ident number", plant.ident or "not known"),
+        _row("GSD file", plant.gsd or "none"),
+        _row("watchdog", f"{watchdog:g} ms" if watchdog else "off: it keeps its outputs when the master stops",
              "" if watchdog else "warn"),
-        _row("safe outputs", octets(str(plant.get("safe") or "")) or "none"),
-        _row("groups", ", ".join(map(str, plant.get("groups") or [])) or "none"),
-        _row("DP-V1", "yes" if plant.get("dpv1") else "no"),
+        _row("safe outputs", octets(plant.safe or "") or "none"),
+        _row("groups", ", ".join(map(str, plant.groups or [])) or "none"),
+        _row("DP-V1", "yes" if plant.dpv1 else "no"),
     ]  # fmt: skip
-    if plant.get("every", 1) != 1:
-        lines.append(_row("every", f"{plant['every']} cycles"))
-    for number, module in enumerate(plant.get("modules") or []):
-        size = f"{module.get('inputs', 0)} in, {module.get('outputs', 0)} out"
-        lines.append(_row(f"module {number + 1}", f"{module.get('name') or 'empty'}  {module.get('config')}  {size}"))
+    if plant.every not in (None, 1):
+        lines.append(_row("every", f"{plant.every} cycles"))
+    for number, module in enumerate(plant.modules or []):
+        size = f"{module.inputs or 0} in, {module.outputs or 0} out"
+        lines.append(_row(f"module {number + 1}", f"{module.name or 'empty'}  {module.config}  {size}"))
     return lines
 
 

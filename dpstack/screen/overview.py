@@ -9,6 +9,7 @@ from datetime import datetime
 from itertools import pairwise
 from typing import Any, Final
 
+from dpstack.plant.items import DriveValues, FieldPlant, Plant
 from dpstack.screen.lines import Line, Piece, cut_line, padded, piece, width_of
 from dpstack.screen.view import View, clock_text
 from dpstack.units import baud_text
@@ -20,6 +21,8 @@ _GAP: Final = 1
 #: a histogram with narrower classes is drawn as one bar
 _LEAST_CLASS_US: Final = 1e-3
 _EXCHANGE: Final = "data exchange"
+#: before the first one
+NO_PLANT: Final = Plant(slaves={})
 
 
 # --- the bus ----------------------------------------------------------------------------------------------------------
@@ -33,46 +36,52 @@ def head(view: View, width: int, *, paused: str = "", note: str = "") -> list[Li
 
 def _title(view: View, width: int) -> Line:
     state = view.state
-    plant, bus = state.plant or {}, state.bus
-    mode = str(bus.get("mode", "starting"))
+    plant, bus = state.plant or NO_PLANT, state.bus
+    mode = bus.mode or "starting"
     clock = ""
-    if state.t >= 0 and plant:
+    if state.t >= 0 and plant.started >= 0:
         with contextlib.suppress(ValueError, OverflowError, OSError):  # beyond the years of a clock
-            clock = datetime.fromtimestamp(plant.get("started", 0) + state.t).strftime("%H:%M:%S")
-    baud = plant.get("baud")
+            clock = datetime.fromtimestamp(plant.started + state.t).strftime("%H:%M:%S")
     where: Line = [
         piece(f" {mode.capitalize()} ", _mode_style(mode, plant) if view.fresh else "stale"),
         piece(f"{clock} ", "" if view.fresh else "stale"),
-        piece(f"master {plant.get('address', '?')} on {plant.get('port', '?')}", "bold"),
-        piece(f" at {baud_text(baud)}" if baud else ""),
-        piece(", read-only" if plant.get("read_only") else ""),
+        piece(f"master {_or_unknown(plant.address)} on {_or_unknown(plant.port)}", "bold"),
+        piece(f" at {baud_text(plant.baud)}" if plant.baud else ""),
+        piece(", read-only" if plant.read_only else ""),
     ]
-    others = [str(master) for master in bus.get("masters") or [] if master != plant.get("address")]
+    others = [str(master) for master in bus.masters or [] if master != plant.address]
     if others:
         at = "master at address" if len(others) == 1 else "masters at addresses"
         where.append(piece(f", other {at} {', '.join(others)}"))
     return cut_line(where, width)
 
 
-def _mode_style(mode: str, plant: Mapping[str, Any]) -> str:
-    return "" if plant.get("read_only") else _MODES.get(mode, "bad")
+def _or_unknown(value: object) -> str:
+    return "?" if value is None else str(value)
+
+
+def _mode_style(mode: str, plant: Plant) -> str:
+    return "" if plant.read_only else _MODES.get(mode, "bad")
 
 
 def _figures(view: View, width: int) -> list[Line]:
     bus = view.state.bus
     style = "" if view.fresh else "stale"
-    rotation = bus.get("rotation_us") or {}
-    counters: Line = [piece(f"{bus.get('telegrams', 0)} telegrams", style)]
-    for key, name in (("retries", "retries"), ("timeouts", "time-outs"), ("late", "late answers"), ("stray", "stray")):
-        count = bus.get(key) or 0
-        counters.append(piece(f"  {count} {name}", style or ("warn" if count else "")))
-    damaged = sum((bus.get("bad") or {}).values())
-    counters.append(piece(f"  {damaged} damaged", style or ("warn" if damaged else "")))
-    if not rotation.get("max"):
+    rotation = bus.rotation_us
+    counters: Line = [piece(f"{bus.telegrams or 0} telegrams", style)]
+    for name, count in (
+        ("retries", bus.retries),
+        ("time-outs", bus.timeouts),
+        ("late answers", bus.late),
+        ("stray", bus.stray),
+        ("damaged", sum((bus.bad or {}).values())),
+    ):
+        counters.append(piece(f"  {count or 0} {name}", style or ("warn" if count else "")))
+    if rotation is None or not rotation.max:
         return [cut_line([("no rotation yet", "stale")], width), cut_line(counters, width)]
-    times = f"rotation {_us(rotation['p50'])}, 99 % {_us(rotation['p99'])}, longest {_us(rotation['max'])}"
+    times = f"rotation {_us(rotation.p50)}, 99 % {_us(rotation.p99)}, longest {_us(rotation.max)}"
     first: Line = [piece(times, style)]
-    classes = bus.get("histogram") or []
+    classes = bus.histogram or []
     room = min(24, width - width_of(first) - 2)
     if classes and room >= 6:
         first += [("  ", ""), (bars(classes, room), style or "label")]
@@ -110,21 +119,21 @@ def notices(view: View, *, paused: str = "", note: str = "") -> list[Piece]:
         found.append((f"no values from the bus for {view.silent_s:.0f} s: nothing here is of this moment", "bad"))
     if view.process_silent:
         found.append(("the bus process is silent: nothing here is of this moment", "bad"))
-    elif bus.get("stale") and state.end is None:
-        age = (bus.get("age_ms") or 0) / 1000
+    elif bus.stale and state.end is None:
+        age = (bus.age_ms or 0) / 1000
         found.append((f"the counters are {age:.1f} s old: nothing here is of this moment", "bad"))
-    if bus and not bus.get("in_ring") and state.end is None:
+    if bus.in_ring is False and state.end is None:
         found.append(("this master is not in the token ring", "bad"))
-    plant = state.plant or {}
-    held, name = bus.get("clear"), plant.get("ctl", plant.get("port"))
-    if held:
+    plant, held = state.plant or NO_PLANT, bus.clear
+    name = plant.port if plant.ctl is None else plant.ctl
+    if held is not None:
         found.append(
             (
-                f"in Clear since {held['since']} s: {held['because']}; dpstack ctl {name} operate lets outputs out",
+                f"in Clear since {held.since} s: {held.because}; dpstack ctl {name} operate lets outputs out",
                 "warn",
             )
         )
-    elif bus.get("mode") == "clear" and not plant.get("read_only"):
+    elif bus.mode == "clear" and not plant.read_only:
         found.append((f"in Clear: no outputs go out; dpstack ctl {name} operate lets them out", "warn"))
     if state.lost:
         found.append((f"{state.lost} events did not get here", "warn"))
@@ -167,7 +176,7 @@ def slaves_head(width: int) -> Line:
 def slave_line(view: View, address: str, width: int) -> Line:
     """One slave: sign, address, name, state, repetitions, late answers, its remark and its values."""
     c = Columns.fitting(width)
-    values = view.state.slaves.get(address, {})
+    values = view.values(address)
     alive = view.alive(address)
     sign, style = view.mark(address)
     quiet = "" if alive else "stale"
@@ -181,34 +190,33 @@ def slave_line(view: View, address: str, width: int) -> Line:
         (padded(state, c.state) + " ", "good" if alive else "bad"),
     ]
     if c.counters:
-        late = (values.get("late") or 0) + (values.get("wrong") or 0)
-        for count in (values.get("retries") or 0, late):
+        late = (values.late or 0) + (values.wrong or 0)
+        for count in (values.retries or 0, late):
             line.append((padded(count, c.counters, right=True) + " ", quiet or ("warn" if count else "")))
     rest: Line = []
     remark, how = view.remark(address)
     if remark:
         rest += [piece(remark, how), ("  ", "")]
-    if not alive and values:
+    if not alive and address in view.state.slaves:
         age = view.age_s(address)
         rest.append(("old: " if age is None else f"old {age:.1f} s: ", "stale"))
-    rest += drive_pieces(view, address) if values.get("drive") else values_pieces(view, address)
+    rest += values_pieces(view, address) if values.drive is None else drive_pieces(view, address, values.drive)
     return line + cut_line(rest, c.values)
 
 
-def drive_pieces(view: View, address: str) -> Line:
+def drive_pieces(view: View, address: str, drive: DriveValues) -> Line:
     """State, speed, set point and actual values of a drive."""
-    drive: Mapping[str, Any] = view.state.slaves[address]["drive"]
     style = "" if view.alive(address) else "stale"
     found: Line = [
-        piece(str(drive.get("state")).replace("_", " "), style or ("good" if drive.get("running") else "")),
-        piece(f"  {percent(drive.get('speed'))}", style or "bold"),
-        piece(f" set {percent(drive.get('setpoint'))}", style),
+        piece(str(drive.state).replace("_", " "), style or ("good" if drive.running else "")),
+        piece(f"  {percent(drive.speed)}", style or "bold"),
+        piece(f" set {percent(drive.setpoint)}", style),
     ]
-    if drive.get("frequency_hz") is not None:
-        found.append(piece(f"  {drive['frequency_hz']:.1f} Hz", style))
-    for key in ("current", "torque"):
-        if drive.get(key) is not None:
-            found.append(piece(f"  {key} {percent(drive[key])}", style))
+    if drive.frequency_hz is not None:
+        found.append(piece(f"  {drive.frequency_hz:.1f} Hz", style))
+    for name, share in (("current", drive.current), ("torque", drive.torque)):
+        if share is not None:
+            found.append(piece(f"  {name} {percent(share)}", style))
     return found
 
 
@@ -218,31 +226,31 @@ def percent(share: float | None) -> str:
 
 def values_pieces(view: View, address: str) -> Line:
     """Named values with units; without names the octets."""
-    values, plant = view.state.slaves.get(address, {}), view.slave_plant(address)
+    values, plant = view.values(address), view.slave_plant(address)
     style = "" if view.alive(address) else "stale"
     found: Line = []
-    for direction, label in (("inputs", ""), ("outputs", "out ")):
-        fields = plant.get(direction) or []
+    for fields, given, label, bare in (
+        (plant.inputs, values.inputs, "", "in "),
+        (plant.outputs, values.outputs, "out ", "out "),
+    ):
         if fields:
             found.append(piece(label, style or "label"))
             for field in fields:
                 found += [*field_pieces(view, address, field, style), ("  ", "")]
-        elif values.get(direction):
-            found.append(("in " if direction == "inputs" else "out ", style or "label"))
-            found.append(piece(octets(values[direction]), style))
-            found.append(("  ", ""))
-    if values.get("held") is not None:
+        elif given:
+            found += [(bare, style or "label"), piece(octets(given), style), ("  ", "")]
+    if values.held is not None:
         found.append(("not sent: ", "warn"))
-        held = values.get("held_fields") or {}
-        found.append(piece(", ".join(f"{k} {shown(v)}" for k, v in held.items()) or octets(values["held"]), "stale"))
+        held = values.held_fields or {}
+        found.append(piece(", ".join(f"{k} {shown(v)}" for k, v in held.items()) or octets(values.held), "stale"))
     return found
 
 
-def field_pieces(view: View, address: str, field: Mapping[str, Any], style: str) -> list[Piece]:
+def field_pieces(view: View, address: str, field: FieldPlant, style: str) -> list[Piece]:
     """``name value unit``; marked for a moment where the value has just changed."""
-    name = str(field["name"])
-    value = (view.state.slaves.get(address, {}).get("fields") or {}).get(name)
-    unit = f" {field['unit']}" if field.get("unit") else ""
+    name = field.name
+    value = (view.values(address).fields or {}).get(name)
+    unit = f" {field.unit}" if field.unit else ""
     changed = not style and view.just_changed(address, name)
     return [piece(f"{name} ", style or "label"), piece(shown(value) + unit, "changed" if changed else style)]
 

@@ -17,8 +17,8 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from importlib.util import find_spec
 from typing import Any, Final, Protocol
 
+from dpstack.plant.items import Item
 from dpstack.plant.pending import portions
-from dpstack.plant.state import Item
 from dpstack.ports.posix import termios
 from dpstack.text import json_text
 

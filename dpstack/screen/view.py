@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any, Final
 
-from dpstack.plant.items import check_item
-from dpstack.plant.state import Item, LiveState
+from dpstack.plant.items import Item, SlavePlant, SlaveValues, Snapshot, check_item
+from dpstack.plant.state import LiveState
 
 #: without a snapshot for so long (s) nothing counts as fresh: one comes every 0.1 s
 SILENT_S: Final = 2.0
@@ -18,8 +18,8 @@ CHANGED_S: Final = 1.0
 _MOST_CHANGED: Final = 10_000
 #: styles of severities and of levels
 _STYLES: Final = {"error": "bad", "warning": "warn", "good": "good"}
-#: kinds of items that bring values
-_VALUES: Final = ("plant", "snapshot")
+_NO_PLANT: Final = SlavePlant()
+_NO_VALUES: Final = SlaveValues()
 
 
 class View:
@@ -35,25 +35,23 @@ class View:
 
     def apply(self, item: Item, now: float) -> None:
         """Take an item of the stream. Raises ValueError for something else."""
-        kind = check_item(item)
+        checked = check_item(item)
         self.now = now
-        if kind in _VALUES:  # events alone do not make old values fresh
+        if checked.plant is not None or checked.snapshot is not None:  # events alone do not make old values fresh
             self._received_at = now
-        snapshot = item.get("snapshot")
-        if isinstance(snapshot, dict):
-            self._mark_changes(snapshot, now)
-        self.state.apply_checked(item)
-        event = item.get("event")
-        if isinstance(event, dict) and event.get("event") == "bus_process":
-            self.process_silent = bool(event.get("silent"))
+        if checked.snapshot is not None:
+            self._mark_changes(checked.snapshot, now)
+        self.state.apply_checked(checked)
+        if checked.event is not None and checked.event.event == "bus_process":
+            self.process_silent = checked.event.silent is True
 
-    def _mark_changes(self, snapshot: Mapping[str, Any], now: float) -> None:
+    def _mark_changes(self, snapshot: Snapshot, now: float) -> None:
         if len(self._changed) > _MOST_CHANGED:
             self._changed = {key: at for key, at in self._changed.items() if now - at < CHANGED_S}
-        for address, values in snapshot.get("slaves", {}).items():
-            before = self.state.slaves.get(address, {}).get("fields")
+        for address, values in snapshot.slaves.items():
+            before = self.values(address).fields
             if before:
-                for name, value in (values.get("fields") or {}).items():
+                for name, value in (values.fields or {}).items():
                     if before.get(name) != value:
                         self._changed[address, name] = now
 
@@ -71,16 +69,16 @@ class View:
     @property
     def fresh(self) -> bool:
         """Whether the last snapshot is of this moment: the bus runs, its process counts, and ``run`` tells it."""
-        stale = self.process_silent or self.state.bus.get("stale", False)
+        stale = self.process_silent or self.state.bus.stale
         return not stale and self.state.end is None and self.silent_s < SILENT_S
 
     def alive(self, address: str) -> bool:
         """Whether the values of this slave are those of now."""
-        return self.fresh and self._values(address).get("alive") is True
+        return self.fresh and self.values(address).alive is True
 
     def age_s(self, address: str) -> float | None:
         """Age of the inputs; None where there were none."""
-        age = self._values(address).get("inputs_age_ms")
+        age = self.values(address).inputs_age_ms
         return None if age is None else age / 1000 + self.silent_s
 
     def just_changed(self, address: str, name: str) -> bool:
@@ -88,25 +86,25 @@ class View:
 
     # --- slaves ---------------------------------------------------------------------------------------------------
 
-    def slave_plant(self, address: str) -> dict[str, Any]:
-        """The slave as configured; empty where it is not."""
-        slaves: dict[str, dict[str, Any]] = (self.state.plant or {}).get("slaves", {})
-        return slaves.get(address, {})
+    def slave_plant(self, address: str) -> SlavePlant:
+        """The slave as configured; without content if it is not."""
+        return _NO_PLANT if self.state.plant is None else self.state.plant.slaves.get(address, _NO_PLANT)
 
     def name(self, address: str) -> str:
-        return str(self.slave_plant(address).get("name", ""))
+        return self.slave_plant(address).name
 
-    def _values(self, address: str) -> dict[str, Any]:
-        return self.state.slaves.get(address, {})
+    def values(self, address: str) -> SlaveValues:
+        """State and values of the slave; without content before the first."""
+        return self.state.slaves.get(address, _NO_VALUES)
 
     def remark(self, address: str) -> tuple[str, str]:
         """The most important thing to say about a slave, and its style; empty where all is well."""
-        remark = self._values(address).get("remark")
-        return (remark["text"], _STYLES.get(remark["severity"], "warn")) if remark else ("", "")
+        remark = self.values(address).remark
+        return ("", "") if remark is None else (remark.text, _STYLES.get(remark.severity, "warn"))
 
     def mark(self, address: str) -> tuple[str, str]:
         """One sign for the state of a slave, and its style: ``*`` alive, ``!`` something is wrong, ``-`` not alive."""
-        level = self._values(address).get("level")
+        level = self.values(address).level
         if self.alive(address):
             return ("*", "good") if level == "good" else ("!", _STYLES.get(str(level), "warn"))
         return ("!", "bad") if level == "error" else ("-", "bad")
@@ -115,7 +113,7 @@ class View:
         """Addresses of the slaves, in order, that have each of ``words`` in address, name, state or remark;
         ``conspicuous``: only those that are not alive, or with a remark."""
         wanted = words.casefold().split()
-        known = set(self.state.slaves) | set((self.state.plant or {}).get("slaves", {}))
+        known = set(self.state.slaves) | set(() if self.state.plant is None else self.state.plant.slaves)
         found = []
         for address in sorted(known, key=lambda text: (len(text), text)):
             if conspicuous and self.mark(address)[0] == "*":
@@ -130,9 +128,8 @@ class View:
 
     def state_text(self, address: str) -> str:
         """The slave's state for people; ``not valid`` also where no snapshots come any more."""
-        values = self._values(address)
-        text = str(values.get("state_text", "unknown"))
-        return "not valid" if values.get("alive") and not self.fresh else text
+        values = self.values(address)
+        return "not valid" if values.alive and not self.fresh else values.state_text or "unknown"
 
     def events_of(self, address: str | None = None) -> list[dict[str, Any]]:
         """Events, oldest first, without repetitions of the same text about the same slave; of one slave."""

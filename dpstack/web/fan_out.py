@@ -15,9 +15,10 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
-from dpstack.plant.judge import JUDGED, judge
+from dpstack.plant.items import CheckedItem, changes_of
+from dpstack.plant.judge import JUDGED, judged
 from dpstack.plant.pending import Pending, portions
-from dpstack.plant.state import LiveState, begins_plant, difference
+from dpstack.plant.state import LiveState
 from dpstack.web.messages import encode
 
 Item = Mapping[str, Any]
@@ -108,12 +109,12 @@ class FanOut:
         #: slaves whose program, an older version, makes no verdicts
         self._judged_here: set[str] = set()
 
-    def put(self, item: Item) -> None:
-        """The next item of the source, which has checked it, or an event of the server."""
-        self.state.apply_checked(item)
-        if begins_plant(item):
+    def put(self, checked: CheckedItem) -> None:
+        """The next item of the source, or of the server itself."""
+        self.state.apply_checked(checked)
+        if checked.plant is not None and checked.plant.whole:
             self._judged_here.clear()
-        self._new.put(self._judged(item) if "snapshot" in item else dict(item))
+        self._new.put(checked.item if checked.snapshot is None else self._judged(checked.item))
 
     def _judged(self, item: Item) -> dict[str, Any]:
         """The snapshot ``item``, which was applied, with the verdicts on slaves whose program makes none."""
@@ -121,12 +122,11 @@ class FanOut:
         slaves = dict(snapshot["slaves"])
         for address, values in slaves.items():
             known = self.state.slaves[address]
-            if "level" not in known:
+            if known.level is None:
                 self._judged_here.add(address)
             if address in self._judged_here and not JUDGED.isdisjoint(values):
-                verdicts = difference(known, judge(known))
-                known.update(verdicts)
-                slaves[address] = {**values, **verdicts}
+                now = self.state.slaves[address] = judged(known)
+                slaves[address] = {**values, **changes_of(known, now)}
         return {"snapshot": {**snapshot, "slaves": slaves}}
 
     def forget(self) -> None:

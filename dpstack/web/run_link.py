@@ -11,8 +11,8 @@ from dpstack.api.control.client import ControlClient, connect
 from dpstack.api.control.errors import failure
 from dpstack.api.control.stream import stream_lines
 from dpstack.errors import PortError, UsageError
+from dpstack.plant.items import Item
 from dpstack.ports.base import VIRTUAL
-from dpstack.web.fan_out import Item
 
 #: seconds between two snapshots of the run
 INTERVAL_S: Final = 0.2

@@ -18,12 +18,11 @@ from typing import Final
 from dpstack.api.config.config import Config, file_digest
 from dpstack.api.control.client import ControlClient, connect, find_run
 from dpstack.errors import BusError, DpError, PortError, UsageError
-from dpstack.plant.items import check_item
-from dpstack.plant.state import begins_plant
+from dpstack.plant.items import Plant, check_item
+from dpstack.plant.state import end_of
 from dpstack.web.child import Child
-from dpstack.web.fan_out import Item
 from dpstack.web.run_link import Find, RunLink
-from dpstack.web.source import Kind, Source
+from dpstack.web.source import Kind, KindChanged, Note, Source, SourceItem
 
 #: makes the process of a run from its arguments; the function gets the lines of its standard error
 MakeChild = Callable[[Sequence[str], Callable[[str], None]], Child]
@@ -56,7 +55,7 @@ class RunSource(Source):
         self._control = control
         self._options = options
         self._make_child = make_child
-        self._queue: asyncio.Queue[Item | BaseException] = asyncio.Queue()
+        self._queue: asyncio.Queue[SourceItem | BaseException] = asyncio.Queue()
         self._link: RunLink | None = None
         self._child: Child | None = None
         self._starting = asyncio.Lock()
@@ -88,7 +87,7 @@ class RunSource(Source):
 
         return cls(find, None)
 
-    async def items(self) -> AsyncGenerator[Item]:
+    async def items(self) -> AsyncGenerator[SourceItem]:
         tasks = [asyncio.ensure_future(work) for work in (self._follow(), self._watch_file())]
         for task in tasks:
             task.add_done_callback(self._failed)
@@ -163,7 +162,7 @@ class RunSource(Source):
         self._joined_another = self._joined_another or self._child is None
         self._failures = 0
         self._note(f"joined the {link.text}")
-        end: Item | None = {"end": {"text": "the run has ended"}}
+        end: str | None = "the run has ended"
         silent = False
         self._link = link
         try:
@@ -176,26 +175,25 @@ class RunSource(Source):
                         continue
                     silent = False
                     try:
-                        kind = check_item(item)
+                        checked = check_item(item)
                     except ValueError as error:
                         self._note(str(error), "error")
                         continue
-                    if kind is None:
+                    if checked.kind is None:
                         continue
-                    item = {kind: item[kind]}  # other keys are none of the source's own items
-                    if begins_plant(item):
-                        self._set_kind(_kind_of(link, item))
-                        self._read = item["plant"].get("config"), item["plant"].get("config_digest")
-                    if "end" in item:
+                    if checked.plant is not None and checked.plant.whole:
+                        self._set_kind(_kind_of(link, checked.plant))
+                        self._read = checked.plant.config, checked.plant.config_digest
+                    if checked.end is not None:
                         end = self._link = None  # it takes no more commands
-                    self._put(item)
+                    self._put(checked)
         except DpError as error:
-            end = end and {"end": {"text": str(error)}}
+            end = end and str(error)
         finally:
             self._link, self._read = None, (None, None)
             link.close()
         if end is not None:
-            self._put(end)
+            self._put(check_item(end_of(end, failed=False)))
         self._set_kind("none")
         self._note(f"the {link.text} has ended")
         if self._child is not None:
@@ -229,19 +227,19 @@ class RunSource(Source):
 
     # --- items of its own -----------------------------------------------------------------------------------------
 
-    def _put(self, item: Item) -> None:
+    def _put(self, item: SourceItem) -> None:
         self._queue.put_nowait(item)
 
     def _note(self, text: str, severity: str = "info") -> None:
         """Tell pages and log, each text once in a row."""
         if text != self._told:
             self._told = text
-            self._put({"note": {"text": text, "severity": severity}})
+            self._put(Note(text, severity))
 
     def _set_kind(self, kind: Kind) -> None:
         if kind != self.kind:
             self.kind = kind
-            self._put({"source": kind})
+            self._put(KindChanged())
 
     def _failed(self, task: asyncio.Future[None]) -> None:
         error = None if task.cancelled() else task.exception()
@@ -270,7 +268,7 @@ class RunSource(Source):
                 self._note(f"{file} is again as this run has read it")
 
 
-def _kind_of(link: RunLink, item: Item) -> Kind:
+def _kind_of(link: RunLink, plant: Plant) -> Kind:
     if link.about["kind"] == "demo":
         return "demo"
-    return "read-only" if item["plant"].get("read_only") else "run"
+    return "read-only" if plant.read_only else "run"

@@ -6,29 +6,42 @@ import asyncio
 from collections.abc import AsyncGenerator, Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from dpstack.errors import UsageError
-from dpstack.plant.items import check_item
+from dpstack.plant.items import CheckedItem, Item, check_item
 from dpstack.record.reader import Recording
 from dpstack.record.replay import replay_items
-from dpstack.web.fan_out import Item
 
 #: kinds of sources, as the page shows them; none: no run is there
 Kind = Literal["run", "read-only", "demo", "replay", "none"]
 
 
+class Note(NamedTuple):
+    """A remark of a source for pages and log."""
+
+    text: str
+    severity: str = "info"
+
+
+class KindChanged(NamedTuple):
+    """The source has another kind now."""
+
+
+#: what a source gives: items of the stream, checked once, and its own
+SourceItem = CheckedItem | Note | KindChanged
+
+
 class Source:
     """The base of all sources.
 
-    Two further items stand among those of the stream: ``{"source": KIND}``, the kind has changed, and ``{"note":
-    {"text": ..., "severity": ...}}`` for pages and log.
+    ``kind`` may change: a :class:`KindChanged` comes then.
     """
 
     kind: Kind = "none"
 
-    def items(self) -> AsyncGenerator[Item]:
-        """The items, until the source has no more. A source checks those of another program or of a file, once."""
+    def items(self) -> AsyncGenerator[SourceItem]:
+        """The items, until the source has no more."""
         raise NotImplementedError
 
     async def call(self, command: str, *args: str) -> object:
@@ -60,13 +73,13 @@ class GivenItems(Source):
         """Another item. Call it in the event loop of the server."""
         self._more.put_nowait(item)
 
-    async def items(self) -> AsyncGenerator[Item]:
+    async def items(self) -> AsyncGenerator[SourceItem]:
         for item in self._first:
-            yield item
+            yield check_item(item)
             if self._interval:
                 await asyncio.sleep(self._interval)
         while True:
-            yield await self._more.get()
+            yield check_item(await self._more.get())
 
 
 class ReplaySource(Source):
@@ -78,17 +91,17 @@ class ReplaySource(Source):
         self._path = path
         self._recording = Recording(path)
 
-    async def items(self) -> AsyncGenerator[Item]:
+    async def items(self) -> AsyncGenerator[SourceItem]:
         reported = ""
         async for item in replay_items(self._path):
             try:
-                check_item(item)
+                checked = check_item(item)
             except ValueError as error:  # a header that somebody else has written
                 if str(error) != reported:
                     reported = str(error)
-                    yield {"note": {"text": reported, "severity": "error"}}
+                    yield Note(reported, "error")
             else:
-                yield item
+                yield checked
 
     async def recording(self) -> object:
         """``{"file": NAME, "seconds": its length, "started": s since 1970, "columns": [...]}``."""

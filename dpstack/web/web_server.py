@@ -22,16 +22,18 @@ from aiohttp import HttpVersion10, HttpVersion11, WSMsgType, web
 from dpstack import __version__
 from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.errors import DpError, PortError
+from dpstack.plant.items import CheckedItem, check_item
+from dpstack.plant.state import end_of
 from dpstack.record.rows import iso_time
 from dpstack.tcp_address import Listen, Origins, is_local, join
 from dpstack.text import printable
 from dpstack.web.asks import Asks
-from dpstack.web.fan_out import FanOut, Item, Reader
+from dpstack.web.fan_out import FanOut, Reader
 from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, PageOrder, answer, encode, parse
 from dpstack.web.orders import carry_out
 from dpstack.web.page_files import FOLDER, HEADERS, read_page
 from dpstack.web.rights import Rights, Visitor, network_of
-from dpstack.web.source import Source
+from dpstack.web.source import KindChanged, Note, Source, SourceItem
 
 #: writes a line of the log
 Log = Callable[[str], None]
@@ -139,7 +141,7 @@ class WebServer:
 
     async def close(self) -> None:
         """End in order: the pages are told, then disconnected."""
-        self.fan_out.put({"end": {"text": "the web server ends"}})
+        self.fan_out.put(check_item(end_of("the web server ends", failed=False)))
         self.fan_out.hand_out()
         for page in list(self._pages):
             page.finish()
@@ -170,7 +172,8 @@ class WebServer:
         if not pages:
             return
         time = now if self._clock is None else iso_time(self._clock + asyncio.get_running_loop().time())
-        self.fan_out.put({"event": {"event": "web", "time": time, "severity": severity, "text": text, **more}})
+        event = {"event": "web", "time": time, "severity": severity, "text": text, **more}
+        self.fan_out.put(check_item({"event": event}))
 
     # --- the source -----------------------------------------------------------------------------------------------
 
@@ -182,21 +185,21 @@ class WebServer:
         except DpError as error:
             self.tell(str(error), "error")
 
-    def _take(self, item: Item) -> None:
-        if "source" in item:
+    def _take(self, item: SourceItem) -> None:
+        if isinstance(item, KindChanged):
             self._source_changed()
-        elif "note" in item:
-            self.tell(item["note"]["text"], item["note"]["severity"])
+        elif isinstance(item, Note):
+            self.tell(item.text, item.severity)
         else:
             self.fan_out.put(item)
             self._set_clock(item)
 
-    def _set_clock(self, item: Item) -> None:
+    def _set_clock(self, item: CheckedItem) -> None:
         state = self.fan_out.state
-        started = None if state.plant is None or self.source.kind == "replay" else state.plant.get("started")
-        if not isinstance(started, (int, float)) or not 0 <= started < _LATEST:
+        started = -1.0 if state.plant is None or self.source.kind == "replay" else state.plant.started
+        if not 0 <= started < _LATEST:
             self._clock = None
-        elif "snapshot" in item and state.t >= 0:
+        elif item.snapshot is not None and state.t >= 0:
             self._clock = started + state.t - asyncio.get_running_loop().time()
 
     def _source_changed(self) -> None:

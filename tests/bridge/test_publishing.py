@@ -28,6 +28,7 @@ from dpstack.dp.master.commands import Mode
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import BusError, ConfigError, PortError, SlaveError, UsageError
+from dpstack.plant.items import DrivePlant, FieldPlant, SlavePlant
 from dpstack.plant.nodes import Kind, slave_of
 from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.plant.tree import Born, NodesChanged
@@ -453,6 +454,7 @@ def test_tables_of_connectors_are_read_with_the_configuration() -> None:
 
 def test_drives_and_their_outputs() -> None:
     """The outputs of a drive are made by its plugin: its orders stand for them."""
-    hoist: dict[str, Any] = {"name": "hoist", "outputs": [{"name": "speed", "type": "i16", "at": "i16@0"}], "drive": {}}
+    speed = FieldPlant(name="speed", type="i16", at="i16@0")
+    hoist = SlavePlant(name="hoist", outputs=[speed], drive=DrivePlant())
     found = slave_of(3, hoist, writable=True)
     assert [one.typed(0.5) for one in found.orders if one.name == "hoist.speed"] == [DriveOrder(3, "speed", 0.5)]

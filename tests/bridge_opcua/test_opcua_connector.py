@@ -27,9 +27,10 @@ from dpstack.bridge.opcua.sessions import MOST_QUEUE
 from dpstack.bridge.opcua.space import DRIVE_STATES, Space
 from dpstack.bridge.orders import Orders
 from dpstack.errors import ConfigError, PortError
-from dpstack.plant.conditions import Condition, ConditionBook, Level
+from dpstack.plant.conditions import Condition, ConditionBook
 from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.profile.model.states import State
+from dpstack.trace import Severity
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 #: by the numbers of OPC 10000-6, annex A
@@ -397,7 +398,7 @@ async def test_a_drive_shows_its_last_transition(rig: Rig) -> None:
 async def test_what_is_dropped_is_counted_and_told(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     assert rig.told[0] == f"opc.tcp://127.0.0.1:{rig.connector.port}, certificate {rig.connector.settings.cert}"
     rig.told.clear()
-    condition = Condition("bus/x", None, "x", "x", Level.INFO, True, False, 0.0, 0.0)
+    condition = Condition("bus/x", None, "x", "x", Severity.INFO, True, False, 0.0, 0.0)
     before = rig.connector.dropped
     monkeypatch.setattr(rig.connector, "_events", deque(maxlen=4))
     rig.connector.take([condition] * 10)

@@ -52,7 +52,8 @@ tests.
   (statuses of segments).
 - ``opcua_rig``: a server of OPC UA and its clients; ``metrics_kit``: scrapes of metrics;
   ``prometheus_expressions``: those of the alert rules and of the dashboard.
-- ``page_kit``: an HTML page taken apart; ``tls_kit``: certificates and keys.
+- ``verdicts_kit``: the verdicts on a slave of literal items. ``page_kit``: an HTML page taken apart; ``tls_kit``:
+  certificates and keys.
 
 Lists and snapshots, each also a program: ``wire_logs`` (scenarios with fixed seeds), ``public_names`` (signatures),
 ``promises`` (of the security page, with their tests), ``pictures_kit`` (pictures of README and docs; no program).

@@ -22,7 +22,8 @@ from dpstack.monitor.counters import Master, State, Station
 from dpstack.monitor.devices import Devices, KnownDevice
 from dpstack.monitor.monitor import Happening, Monitor
 from dpstack.monitor.thresholds import Thresholds, limits
-from dpstack.monitor.verdicts import Judgement, judge
+from dpstack.monitor.verdict import Verdict
+from dpstack.monitor.verdicts import judge
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission as Sent
 from dpstack.sim.world import World
@@ -64,11 +65,11 @@ class Bus(Monitor):
         station.damaged += damaged
         station.no_answer += depth * count - damaged
 
-    def verdict(self, address: int, now_ns: int = NOW) -> Judgement:
+    def verdict(self, address: int, now_ns: int = NOW) -> Verdict:
         return judge(self.heard(now_ns))[1][address]
 
     @property
-    def bus(self) -> Judgement:
+    def bus(self) -> Verdict:
         return judge(self.heard(NOW))[0]
 
 
@@ -76,8 +77,8 @@ def test_a_bus_in_order_is_good() -> None:
     bus = Bus()
     found, stations = judge(bus.heard(NOW))
     assert (found, set(stations.values()), list(stations)) == (
-        Judgement("good"),
-        {Judgement("good")},
+        Verdict("good"),
+        {Verdict("good")},
         [2, 3, 4, 5],
     )
 
@@ -92,14 +93,14 @@ def test_one_station_with_retries_in_bursts() -> None:
             bus.retries(5, 150, damaged=100)
         history.look(counters, NOW - (58 - second) * S)
     # 300 retries of 10 058 exchanges, 200 of them answered in a damaged way
-    assert bus.verdict(5) == Judgement(
+    assert bus.verdict(5) == Verdict(
         "critical",
         (
             "2.98 % of its requests needed a retry, its neighbours none: answers damaged or missing in bursts: "
             "look at its connector, its stub and the segment's end",
         ),
     )
-    assert bus.verdict(3) == bus.verdict(4) == Judgement("good")
+    assert bus.verdict(3) == bus.verdict(4) == Verdict("good")
     assert bus.bus.level == "critical"
     assert bus.bus.reasons[0].startswith("station 5: 2.98 % of its requests")
 
@@ -291,7 +292,7 @@ def test_no_verdict_rests_on_what_the_source_cannot_time(timing: LineTiming) -> 
     _slow(bus, 190)
     past = bus.history.of(3)
     past.first_tsdr, past.last_tsdr = 20_000, 200_000
-    assert bus.verdict(3) == Judgement("good")
+    assert bus.verdict(3) == Verdict("good")
 
 
 def test_no_verdict_rests_on_answers_that_arrived_together() -> None:
@@ -316,7 +317,7 @@ def test_t_sdr_against_the_past_of_the_station() -> None:
 
 def test_unknown() -> None:
     short = Monitor(EXACT, begun_ns=NOW - 3 * S)
-    assert judge(short.heard(NOW))[0] == Judgement(
+    assert judge(short.heard(NOW))[0] == Verdict(
         "unknown", ("nothing was heard: look at power, cable, A and B, the rate, and whether a master runs",)
     )
     short.add(Transmission(b"\x55\x55", NOW, BAUD))
@@ -324,16 +325,16 @@ def test_unknown() -> None:
     bus = Bus()
     assert judge(bus.heard(NOW + 10 * S))[0].reasons == ("silent since 10.0 s: no master sends any more",)
     bus = Bus(thresholds=Thresholds(min_seconds=100))
-    assert bus.bus == Judgement("unknown", ("too little was heard: 60.0 s, 100 s are needed",))
+    assert bus.bus == Verdict("unknown", ("too little was heard: 60.0 s, 100 s are needed",))
     # the figure in the message is never the one that is needed
     bus = Bus(thresholds=Thresholds(min_seconds=60))
     assert judge(replace(bus.heard(), seconds=59.97))[0].level == "good"
     assert judge(replace(bus.heard(), seconds=59.94))[0].reasons == ("too little was heard: 59.9 s, 60 s are needed",)
     bus = Bus()
     bus[3].requests = 100
-    assert bus.verdict(3) == Judgement("unknown", ("too little was heard: 100 requests, 200 are needed",))
+    assert bus.verdict(3) == Verdict("unknown", ("too little was heard: 100 requests, 200 are needed",))
     bus[3].state = State.UNKNOWN
-    assert bus.verdict(3) == Judgement("unknown", ("no master exchanges data with it",))
+    assert bus.verdict(3) == Verdict("unknown", ("no master exchanges data with it",))
     assert bus.bus.level == "good"
 
 
@@ -363,7 +364,7 @@ def test_a_slave_that_nobody_parameterises() -> None:
     bus = Bus()
     bus[3].state, bus[3].master = State.DIAGNOSIS, None
     bus.history.look(bus.counters, NOW - 20 * S)
-    assert bus.verdict(3) == Judgement("unknown", ("no master exchanges data with it",))
+    assert bus.verdict(3) == Verdict("unknown", ("no master exchanges data with it",))
 
 
 def test_too_little_evidence_for_profibus() -> None:

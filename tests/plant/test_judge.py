@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from verdicts_kit import verdicts
 
 from dpstack.dp.master.events import SlaveState
-from dpstack.plant.judge import STATES, Level, judge
+from dpstack.plant.judge import STATES, Level
 
 GOOD: dict[str, Any] = {
     "state": "data_exchange", "inputs_valid": True, "fault": None, "conspicuous": "", "drive": None, "injected": [],
@@ -71,7 +72,7 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[bool, str, str, str | None, str | No
 @pytest.mark.parametrize("case", ROWS)
 def test_verdicts(case: str) -> None:
     changes, expected = ROWS[case]
-    found = judge(GOOD | changes)
+    found = verdicts(GOOD | changes)
     remark = found["remark"] or {"text": None, "severity": None}
     assert (found["alive"], found["level"], found["state_text"], remark["text"], remark["severity"]) == expected
 

@@ -7,10 +7,20 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import convert
 from property_kit import examples
 
+from dpstack.plant.items import (
+    BusValues,
+    DiagnosisValues,
+    FaultValues,
+    SlaveValues,
+    changes_of,
+    check_item,
+    merged,
+)
 from dpstack.plant.pending import SLAVES_A_PORTION, Pending, portions
-from dpstack.plant.state import LiveState, difference, end_of
+from dpstack.plant.state import LiveState, end_of
 from dpstack.text import json_text
 
 values = st.dictionaries(st.sampled_from(["exchanges", "telegrams", "retries", "late"]), st.integers(0, 3), max_size=4)
@@ -24,7 +34,7 @@ def items(draw: st.DrawFn) -> list[dict[str, Any]]:
     for t in range(draw(st.integers(1, 30))):
         kind = draw(st.sampled_from(["plant", "snapshot", "snapshot", "event"])) if found else "plant"
         if kind == "plant":
-            found.append({"plant": {"slaves": {}, "number": t}})
+            found.append({"plant": {"slaves": {}, "address": t}})
         if kind == "event":
             found.append({"event": {"event": "notice", "t": t}})
         else:
@@ -100,8 +110,8 @@ def test_a_snapshot_of_many_slaves_comes_in_portions() -> None:
     state.apply({"plant": {"slaves": {}}})
     for item in found:
         state.apply(item)
-    assert state.slaves == many
-    assert state.bus == {"mode": "operate"}
+    assert state.slaves == {address: SlaveValues(state="data_exchange") for address in many}
+    assert state.bus == BusValues(mode="operate")
 
 
 def large_plant() -> list[dict[str, Any]]:
@@ -136,7 +146,7 @@ def test_the_welcome_of_a_large_plant_comes_in_parts_of_bounded_length() -> None
     late = LiveState()
     for part in parts:
         late.apply(part)
-    assert (late.plant, late.slaves, late.bus) == (plant["plant"], whole["snapshot"]["slaves"], {"mode": "operate"})
+    assert (late.plant, late.slaves, late.bus) == (state.plant, state.slaves, BusValues(mode="operate"))
 
 
 @given(st.lists(st.booleans(), min_size=70, max_size=70))
@@ -158,7 +168,9 @@ def test_a_reader_that_comes_late_in_the_middle_of_a_plant_gets_it_whole(reads: 
             read()
     pending.put(whole)
     read()
-    assert (late.plant, late.slaves) == (plant["plant"], whole["snapshot"]["slaves"])
+    whole_plant, snapshot = check_item(plant).plant, check_item(whole).snapshot
+    assert snapshot is not None
+    assert (late.plant, late.slaves) == (whole_plant, snapshot.slaves)
     assert more == [*[True] * (len(more) - 1), None]
 
 
@@ -183,8 +195,13 @@ def test_something_else_is_refused(item: dict[str, Any]) -> None:
         LiveState().apply(item)
 
 
-def test_the_difference_has_new_and_changed_keys() -> None:
-    assert difference({"a": 1, "b": 2}, {"a": 1, "b": 3, "c": None}) == {"b": 3, "c": None}
+def test_changes_are_plain_data_and_merge_to_the_later_values() -> None:
+    """None is a change, too: what was there is there no more."""
+    before = SlaveValues(state="data_exchange", retries=3, fault=FaultValues("lost"))
+    now = SlaveValues(state="data_exchange", retries=4, diagnosis=DiagnosisValues(["ext_diag"], []))
+    changes = changes_of(before, now)
+    assert changes == {"retries": 4, "fault": None, "diagnosis": {"flags": ["ext_diag"], "texts": []}}
+    assert merged(before, convert(changes, SlaveValues), changes) == now
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from dpstack.monitor import verdicts as monitor
+from dpstack.monitor.verdict import CRITICAL, GOOD, UNKNOWN, WARNING
 from dpstack.plant.state import end_of
 from dpstack.plant.tree import PlantTree
-from dpstack.plant.verdicts import CRITICAL, GOOD, UNKNOWN, VERDICTS, WARNING, WINDOW_S, Judge
+from dpstack.plant.verdicts import WINDOW_S, Judge
 
 STEP_S = 0.5
 
@@ -55,10 +55,6 @@ class Run:
     @property
     def reasons(self) -> tuple[str, ...]:
         return self.judge.judge()[0].reasons
-
-
-def test_the_levels_are_those_of_the_monitor() -> None:
-    assert (monitor.GOOD, monitor.UNKNOWN, monitor.WARNING, monitor.CRITICAL) == VERDICTS
 
 
 def test_a_bus_is_unknown_at_first_and_then_good() -> None:

@@ -331,11 +331,12 @@ async def test_a_replay_feeds_the_state_of_any_connector(tmp_path: Path) -> None
     for item in (await _items(path))[0]:
         state.apply(item)
     assert state.plant is not None
-    assert (state.plant["source"], state.t) == ("replay", 0.4)
+    assert (state.plant.source, state.t) == ("replay", 0.4)
     assert state.end == "end of the recording plant.csv"
-    assert state.slaves["12"]["fields"] == {"level": 0.1, "burner": True}
-    drive = state.slaves["3"]["drive"]
-    assert (drive["state"], drive["running"], drive["speed"], drive["warnings"]) == ("running", True, 0.25, ["hot"])
+    assert state.slaves["12"].fields == {"level": 0.1, "burner": True}
+    drive = state.slaves["3"].drive
+    assert drive is not None
+    assert (drive.state, drive.running, drive.speed, drive.warnings) == ("running", True, 0.25, ["hot"])
     assert [event["text"] for event in state.events][1:] == [
         "hoist: state data_exchange",
         "hoist: drive_state running",

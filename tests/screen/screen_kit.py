@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dpstack.plant.judge import judge
+from verdicts_kit import verdicts
 
 LONG = "[bold red]x[/] <b>\u202e\x1b[31m 🚀日本" + "long" * 50
 
@@ -34,12 +34,12 @@ def values(**more: Any) -> dict[str, Any]:
         "watchdog_ms": 200, "master": None, "injected": [],
     }  # fmt: skip
     found |= more
-    return found | judge(found)
+    return found | verdicts(found)
 
 
 def judged(**changes: Any) -> dict[str, Any]:
     """Changes of a slave with the verdicts on them."""
-    return changes | judge(changes)
+    return changes | verdicts(changes)
 
 
 DRIVE = {

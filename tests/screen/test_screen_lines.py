@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from dpstack.plant.state import Item
+from dpstack.plant.items import Item
 from dpstack.screen.lines import STYLES, Line, cut, padded, width_of, wrapped
 from dpstack.screen.one_slave import page
 from dpstack.screen.overview import bars, event_line, head, notices, slave_line, slaves_head

@@ -9,9 +9,10 @@ import socket
 from collections.abc import AsyncGenerator
 from typing import Any
 
+from dpstack.plant.items import check_item
 from dpstack.plant.pending import Pending
-from dpstack.web.fan_out import MOST_EVENTS, FanOut, Item
-from dpstack.web.source import GivenItems
+from dpstack.web.fan_out import MOST_EVENTS, FanOut
+from dpstack.web.source import GivenItems, SourceItem
 from dpstack.web.web_server import serve
 from tests.web.web_kit import PLANT, WHOLE, delta, event, page_of
 
@@ -22,13 +23,13 @@ async def taken(reader: Any) -> list[dict[str, Any]]:
 
 async def test_a_page_that_does_not_read_gets_one_snapshot_and_the_last_events() -> None:
     fan_out = FanOut()
-    fan_out.put(PLANT)
-    fan_out.put(WHOLE)
+    fan_out.put(check_item(PLANT))
+    fan_out.put(check_item(WHOLE))
     reader = fan_out.join()
     assert [list(item) for item in await taken(reader)] == [["plant"], ["snapshot"]]
     for number in range(1_000):
-        fan_out.put(delta(number, f"state {number}"))
-        fan_out.put(event(f"event {number}"))
+        fan_out.put(check_item(delta(number, f"state {number}")))
+        fan_out.put(check_item(event(f"event {number}")))
         fan_out.hand_out()
     items = await taken(reader)
     assert [item["snapshot"] for item in items if "snapshot" in item] == [delta(999, "state 999")["snapshot"]]
@@ -40,16 +41,16 @@ async def test_a_page_that_does_not_read_gets_one_snapshot_and_the_last_events()
 
 async def test_pages_that_read_share_their_texts() -> None:
     fan_out = FanOut()
-    fan_out.put(PLANT)
+    fan_out.put(check_item(PLANT))
     readers = [fan_out.join() for _ in range(3)]
     for reader in readers:
         await reader.take()
-    fan_out.put(delta(1, "set_prm"))
+    fan_out.put(check_item(delta(1, "set_prm")))
     fan_out.hand_out()
     texts = [(await reader.take())[0] for reader in readers]
     assert texts[0] is texts[1] is texts[2]
     slow = fan_out.join()
-    fan_out.put(delta(2, "chk_cfg"))
+    fan_out.put(check_item(delta(2, "chk_cfg")))
     fan_out.hand_out()
     assert json.loads((await readers[0].take())[0]) == delta(2, "chk_cfg")
     assert (await taken(slow))[-1]["snapshot"]["slaves"]["3"]["state"] == "chk_cfg"
@@ -58,7 +59,7 @@ async def test_pages_that_read_share_their_texts() -> None:
 async def test_a_stream_of_an_older_version_is_judged_here() -> None:
     """Its program makes no verdicts: the page gets them as from a program of today, and only when they change."""
     fan_out = FanOut()
-    fan_out.put(PLANT)
+    fan_out.put(check_item(PLANT))
     reader = fan_out.join()
     await reader.take()
     found = []
@@ -67,7 +68,8 @@ async def test_a_stream_of_an_older_version_is_judged_here() -> None:
         {"inputs_valid": False, "retries": 1},
         {"retries": 2},
     ):
-        fan_out.put({"snapshot": {"t": 1, "whole": not values["retries"], "bus": {}, "slaves": {"3": values}}})
+        snapshot = {"t": 1, "whole": not values["retries"], "bus": {}, "slaves": {"3": values}}
+        fan_out.put(check_item({"snapshot": snapshot}))
         fan_out.hand_out()
         found += [item["snapshot"]["slaves"]["3"] for item in await taken(reader)]
     first, second, third = found
@@ -87,7 +89,7 @@ async def test_a_bus_that_runs_again_has_not_ended() -> None:
 
 async def test_answers_come_behind_the_items_before_them_and_are_bounded() -> None:
     fan_out = FanOut()
-    fan_out.put(PLANT)
+    fan_out.put(check_item(PLANT))
     reader = fan_out.join()
     assert reader.say("welcome")
     assert (await reader.take())[1:] == ["welcome"]
@@ -101,7 +103,7 @@ async def test_items_behind_an_answer_are_not_merged_with_those_before_it() -> N
     await reader.take()
     for state, welcome in (("offline", "first"), ("data_exchange", "second"), ("offline", None)):
         for t in (0.1, 0.2, 0.3):
-            fan_out.put(delta(t, state))
+            fan_out.put(check_item(delta(t, state)))
             fan_out.hand_out()
         assert welcome is None or reader.say(welcome)
     first, one, second, two, third = await reader.take()
@@ -114,7 +116,7 @@ async def test_twenty_pages_read_one_stream() -> None:
     class Counted(GivenItems):
         reads = 0
 
-        def items(self) -> AsyncGenerator[Item]:
+        def items(self) -> AsyncGenerator[SourceItem]:
             self.reads += 1
             return super().items()
 

@@ -271,7 +271,7 @@ async def test_an_item_of_a_run_is_checked_once_on_its_way_to_the_page(
     convert = msgspec.convert
 
     def counted(value: Any, kind: Any) -> Any:
-        if kind is items.AnyItem:
+        if kind is items._AnyItem and value.get("event", {}).get("event") != "web":  # those of the server itself
             checked.append(value)
         return convert(value, kind)
 

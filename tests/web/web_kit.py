@@ -9,8 +9,8 @@ from typing import Any
 
 import aiohttp
 from far_ends import HANG_S
+from verdicts_kit import verdicts
 
-from dpstack.plant.judge import judge
 from dpstack.web.web_server import WebServer
 
 #: the items of a plant with one slave, as the control socket of a run sends them
@@ -29,13 +29,13 @@ WHOLE: dict[str, Any] = {
         "t": 0.1,
         "whole": True,
         "bus": {"mode": "clear", "rotations": 10},
-        "slaves": {"3": {"state": "offline", "exchanges": 0} | judge({"state": "offline"})},
+        "slaves": {"3": {"state": "offline", "exchanges": 0} | verdicts({"state": "offline"})},
     }
 }
 
 
 def delta(t: float, state: str) -> dict[str, Any]:
-    values = {"state": state} | judge({"state": state})
+    values = {"state": state} | verdicts({"state": state})
     return {"snapshot": {"t": t, "whole": False, "bus": {}, "slaves": {"3": values}}}
 
 

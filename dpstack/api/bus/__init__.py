@@ -8,10 +8,10 @@
 - ``events_json``: Events of a bus for applications: their severity, their JSON, and records of ``logging``
 - ``find_baud``: Search for the baud rate of a bus: listens at one rate after the other and never sends
 - ``live``: ``bus.live()``: plant, snapshots and events of a bus as one stream
-- ``live_list``: The live list of a port, read by a temporary master, and a configuration skeleton made from it
 - ``opening``: ``open_bus``, and the early start of a bus process
 - ``parts``: Base class of ``BusCore``: the objects behind a bus (created once the baud rate is known), slaves,
   commands, waiting
+- ``picture``: State and values of a slave at one moment, made here only
 - ``plan_checks``: Inputs of the plan from the configuration, and the refusal of impossible cycles
 - ``recording``: ``bus.record()``: process data of each round into files, and the files of ``dpstack run``
 - ``ring_entry``: Joining the token ring of other masters: time limit, failure texts, notices

@@ -13,29 +13,26 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from time import time
 from typing import Any, Final
 
-from msgspec import structs
-
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
-from dpstack.api.bus.statistics import bus_figures, clear_since, diagnosis_dict, drive_dict, inputs_dict, named_octets
+from dpstack.api.bus.picture import SlavePicture
+from dpstack.api.bus.statistics import bus_figures, clear_since
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import when_dropped
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState, SlaveStateChanged
-from dpstack.dp.master.scanner import Found
 from dpstack.dp.process_data import Field
-from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
-from dpstack.drivers.snapshots import BusSnapshot, Counters, SlaveSnapshot
+from dpstack.drivers.snapshots import Counters
 from dpstack.errors import UsageError
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.plant.judge import JUDGED, judge
+from dpstack.plant.items import Item, all_of
 from dpstack.plant.pending import Pending
-from dpstack.plant.state import Item, difference, end_of
+from dpstack.plant.state import end_of
 from dpstack.record.rows import iso_time
 from dpstack.stats import Histogram
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS, NS_PER_US, ns_to_s
+from dpstack.units import NS_PER_US, ns_to_s
 
 #: slaves in one step of a snapshot, about 0.2 ms, and their named values, of which one slave may have more; and the
 #: pause between two steps
@@ -144,8 +141,9 @@ class LiveFeed:
         self._started = 0.0
         self._plant: Item | None = None
         self._known: tuple[object, ...] = ()
-        self._now: dict[str, Any] = {"bus": {}, "slaves": {}}
-        self._slaves: dict[int, SlaveReader] = {}
+        #: the values of the bus at this moment
+        self._now: dict[str, Any] = {}
+        self._slaves: dict[int, SlavePicture] = {}
         self._figures_at = 0.0
         #: time of the loop that the present snapshot has taken, in s
         self._busy = 0.0
@@ -156,8 +154,9 @@ class LiveFeed:
         self._describe()  # a bus that has ended does not do this any more
         if self._plant is not None:
             reader.put(self._plant)
-            reader.put(self._snapshot(self._now, whole=True))
-            if self._now["bus"]:  # else the first round makes it whole, and wakes the reader
+            slaves = {str(address): all_of(picture.values) for address, picture in self._slaves.items()}
+            reader.put(self._snapshot({"bus": dict(self._now), "slaves": slaves}, whole=True))
+            if self._now:  # else the first round makes it whole, and wakes the reader
                 reader.wake()
         for event in self._bus.past_events():
             self._put_event(event, [reader])
@@ -175,7 +174,7 @@ class LiveFeed:
         if not self._readers:
             self._stop()
             # a later reader must not get an old snapshot
-            self._plant, self._now = None, {"bus": {}, "slaves": {}}
+            self._plant, self._now = None, {}
 
     def end(self, why: str, *, failed: bool) -> None:
         """The bus has ended, by a fault where ``failed``: hand out its last snapshot, and the end."""
@@ -243,8 +242,8 @@ class LiveFeed:
             self._started = time() - self._t
         self._known = known
         self._plant = {"plant": plant_of(bus, self._started)}
-        self._now, self._slaves = {"bus": {}, "slaves": {}}, {}
-        whole = self._snapshot(self._now, whole=True)
+        self._now, self._slaves = {}, {}
+        whole = self._snapshot({"bus": {}, "slaves": {}}, whole=True)
         for stream in self._readers:
             stream.put(self._plant)
             stream.put(whole)
@@ -252,21 +251,20 @@ class LiveFeed:
     def _slave_changes(self, slaves: Iterable[Slave]) -> dict[str, Any]:
         now, found = self._bus.snapshot, {}
         for slave in slaves:
-            key, reader = str(slave.address), self._slaves.get(slave.address)
+            reader = self._slaves.get(slave.address)
             if reader is None:
-                reader = self._slaves[slave.address] = SlaveReader(self._bus, slave)
-                self._now["slaves"][key] = reader.values
-            changes = reader.read(now)
+                reader = self._slaves[slave.address] = SlavePicture(self._bus, slave)
+            changes = reader.take(now)
             if self._end is not None:  # nothing of an ended bus is alive
                 changes |= reader.end()
             if changes:
-                found[key] = changes
+                found[str(slave.address)] = changes
         return {"bus": {}, "slaves": found}
 
     def _bus_changes(self) -> dict[str, Any]:
         bus, at = self._bus, asyncio.get_running_loop().time()
         ring, values = bus.snapshot, dict[str, Any]()
-        if not self._now["bus"] or at - self._figures_at >= _FIGURES_S:
+        if not self._now or at - self._figures_at >= _FIGURES_S:
             self._figures_at = at
             counters = bus.view.counted()
             values = bus_figures(bus, (), counters).summary() | {
@@ -280,8 +278,9 @@ class LiveFeed:
             "masters": sorted(ring.las),
             "clear": clear_since(bus) or None,
         }
-        changes = difference(self._now["bus"], values)
-        self._now["bus"].update(changes)
+        known = self._now
+        changes = {key: value for key, value in values.items() if key not in known or known[key] != value}
+        known.update(changes)
         return {"bus": changes, "slaves": {}}
 
     def _hand_out(self, changes: dict[str, Any]) -> None:
@@ -305,11 +304,11 @@ class LiveFeed:
         """A slave has left data exchange: readers get a snapshot of it at once, as its values look fresh until then.
         It is at most one a slave and round: ``state`` comes back to data exchange in a round only."""
         reader = self._slaves.get(address)
-        if reader is None or reader.values["state"] != SlaveState.DATA_EXCHANGE.value or not self._now["bus"]:
+        if reader is None or reader.values.state != SlaveState.DATA_EXCHANGE.value or not self._now:
             return
         with contextlib.suppress(UsageError):  # it is being removed
             # with the mode, which may be the reason
-            self._hand_out(self._bus_changes() | {"slaves": {str(address): reader.read(self._bus.snapshot)}})
+            self._hand_out(self._bus_changes() | {"slaves": {str(address): reader.take(self._bus.snapshot)}})
             for one in self._readers:
                 one.wake()
 
@@ -465,81 +464,6 @@ def _field(field: Field) -> dict[str, object]:
         "unit": field.unit,
         "dead_band": field.dead_band,
     }
-
-
-class SlaveReader:
-    """Reads state and values of ``slave``; what has not changed since the last time is not made anew.
-
-    ``values``: all keys of a slave in a snapshot; None stands for nothing.
-    """
-
-    def __init__(self, bus: BusBase, slave: Slave) -> None:
-        self.values: dict[str, Any] = {}
-        self._bus = bus
-        self._slave = slave
-        self._seen: object = None
-        self._octets: object = None
-
-    def put(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Take ``values``. Returns those that have changed."""
-        changes = difference(self.values, values)
-        self.values.update(changes)
-        return changes
-
-    def end(self) -> dict[str, Any]:
-        """The bus has ended: nothing is alive. Returns the values that change."""
-        return self.judged(self.put({"state": SlaveState.OFFLINE.value, "inputs_valid": False}))
-
-    def read(self, now: BusSnapshot) -> dict[str, Any]:
-        """The values that have changed since the last time. ``now``: the snapshot of the bus."""
-        bus, slave = self._bus, self._slave
-        snapshot, image = slave.snapshot, bus.view.image(slave.setup)
-        found = None if now.found is None else now.found.get(slave.address)
-        seen = snapshot, now.mode, found, now.found_all, bus.runtime.not_running
-        changes: dict[str, Any] = {}
-        if seen != self._seen:
-            self._seen, self._octets = seen, None
-            changes = self.put(self._read_state(snapshot, found))
-        octets = image.inputs, image.outputs
-        if octets != self._octets:
-            self._octets = octets
-            changes |= self.put(named_octets(slave, image.inputs, image.outputs).as_dict())
-        age_ns = max(0, bus.runtime.now() - image.input_time) if image.input_time else None
-        limit_ns = inputs_limit_ns(snapshot.watchdog_ns, bus.poll_interval_ns(slave.setup))
-        ready = self.values["state"] == SlaveState.DATA_EXCHANGE.value
-        valid = inputs_are_valid(exchanging=image.valid and ready, age_ns=age_ns, limit_ns=limit_ns)
-        link, drive = bus.view.link.station(slave.address), bus.find_drive(slave.address)
-        varying = {
-            **inputs_dict(valid, None if age_ns is None else ns_to_s(age_ns)),
-            "inputs_limit_ms": round(limit_ns / NS_PER_MS, 1),
-            "drive": None if drive is None else drive_dict(bus, drive),
-            "exchanges": image.exchanges,
-            "retries": link.retries,
-            "timeouts": link.timeouts,
-            "telegrams": link.telegrams,
-            "late": link.late,
-            "wrong": link.wrong,
-            "bad": dict(link.bad),
-            "injected": [] if bus.bench is None else bus.bench.injected(slave.address),
-        }
-        return self.judged(changes | self.put(varying))
-
-    def judged(self, changes: dict[str, Any]) -> dict[str, Any]:
-        """``changes``, which were put, with the verdicts that change with them."""
-        return changes if JUDGED.isdisjoint(changes) else changes | self.put(judge(self.values))
-
-    def _read_state(self, snapshot: SlaveSnapshot, found: Found | None) -> dict[str, Any]:
-        slave = self._slave
-        fault, alarms = slave.fault, snapshot.alarms
-        return {
-            "state": slave.state.value,
-            "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
-            "diagnosis": diagnosis_dict(slave).get("diagnosis"),
-            "conspicuous": slave.conspicuous,
-            "alarms": None if alarms is None else structs.asdict(alarms),
-            "watchdog_ms": slave.watchdog_ms,
-            "master": None if found is None else found.master,
-        }
 
 
 def histogram(rotation: Histogram) -> list[tuple[float, int]]:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct, field, structs
+from msgspec import Struct, field, structs, to_builtins
 
+from dpstack.api.bus.picture import drive_dict, picture_of
 from dpstack.dp.master.fixed_cycle import CycleStats
 from dpstack.dp.master.slave_reports import AlarmCounts
-from dpstack.dp.process_data import as_json
 from dpstack.drivers.snapshots import Counters
 from dpstack.fdl.interface import LinkStats, StationStats
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus.parts import BusBase
-    from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.slave import Slave
 
 #: age (ns) from which counters are stale
@@ -69,7 +68,8 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
             "retries": self.retries,
             "timeouts": self.timeouts,
             "inputs": self.inputs.hex(),
-            **inputs_dict(self.inputs_valid, self.inputs_age),
+            "inputs_valid": self.inputs_valid,
+            "inputs_age_ms": None if self.inputs_age is None else round(self.inputs_age * 1000, 1),
             "outputs": self.outputs.hex(),
             **({} if self.held is None else {"held": self.held.hex()}),
             "watchdog_ms": self.watchdog_ms,
@@ -82,61 +82,6 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
             **self.diagnosis,
             **({"drive": dict(self.drive)} if self.drive else {}),
         }
-
-
-def inputs_dict(valid: bool, age: float | None) -> dict[str, object]:
-    """JSON of the validity of inputs and of their age in ms (null: no inputs yet)."""
-    return {"inputs_valid": valid, "inputs_age_ms": None if age is None else round(age * 1000, 1)}
-
-
-class NamedOctets(NamedTuple):
-    """Process data of a slave at one moment, as every shape shows them: status, statistics, summary, live stream."""
-
-    inputs: bytes
-    #: those that the slave gets
-    outputs: bytes
-    #: the application's, if the slave gets others
-    held: bytes | None
-    #: named inputs and outputs, and the outputs of ``held``, as JSON has them
-    fields: dict[str, object]
-    held_fields: dict[str, object]
-
-    def as_dict(self) -> dict[str, object]:
-        """In hex; None for nothing."""
-        return {
-            "inputs": self.inputs.hex(),
-            "outputs": self.outputs.hex(),
-            "held": None if self.held is None else self.held.hex(),
-            "fields": self.fields,
-            "held_fields": self.held_fields or None,
-        }
-
-
-def named_octets(slave: Slave, inputs: bytes, wanted: bytes) -> NamedOctets:
-    """``inputs`` and outputs of ``slave``; ``wanted``: the outputs that its application has set."""
-    sent, named = slave.outputs_sent, as_json(slave.config.output_fields.values(wanted))
-    now: Mapping[str, object] = named
-    if sent != wanted:
-        there = len(sent) == len(wanted)
-        now = as_json(slave.config.output_fields.values(sent)) if there else dict.fromkeys(named)
-    fields = {**as_json(slave.config.input_fields.values(inputs)), **now}
-    if sent == wanted:
-        return NamedOctets(inputs, sent, None, fields, {})
-    return NamedOctets(inputs, sent, wanted, fields, named)
-
-
-def diagnosis_dict(slave: Slave) -> dict[str, object]:
-    """``diagnosis`` with ``flags`` and ``texts`` of the last one read, as ``status`` and summary have it."""
-    diagnosis = slave.diagnosis
-    if diagnosis is None:
-        return {}
-    return {"diagnosis": {"flags": list(diagnosis.flags), "texts": list(slave.block_texts)}}
-
-
-def drive_dict(bus: BusBase, drive: Drive) -> dict[str, object]:
-    """The status of ``drive``, and ``notices`` with ``t`` in seconds since the start, where there were some."""
-    notices = [{"t": round(ns_to_s(one.t_ns - bus.started_ns), 3), "text": one.text} for one in drive.notices]
-    return drive.status.as_dict() | ({"notices": notices} if notices else {})
 
 
 def _link_dict(link: StationStats) -> dict[str, object]:
@@ -259,7 +204,6 @@ def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters |
     counters = view.counters() if counters is None else counters
     age_ns = max(0, now - counters.t_ns) if counters.t_ns else 0
     link = counters.link
-    drives = {drive.address: drive_dict(bus, drive) for drive in bus.drives} if slaves else {}
     bad = counters.decoder.by_cause()
     bad |= {f"uart_{cause}": count for cause, count in counters.damage.items() if count}
     return BusStats(
@@ -271,7 +215,7 @@ def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters |
         cycles=counters.cycles if counters.cycles.cycle_ns else None,
         held_back=counters.held_back,
         forced=counters.forced,
-        slaves={slave.address: _slave_stats(slave, link, drives) for slave in slaves},
+        slaves={slave.address: _slave_stats(bus, slave, link.station(slave.address)) for slave in slaves},
         tokens=link.tokens,
         tokens_lost=link.tokens_lost,
         late=link.late,
@@ -285,29 +229,28 @@ def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters |
     )
 
 
-def _slave_stats(slave: Slave, link: LinkStats, drives: Mapping[int, Mapping[str, object]]) -> SlaveStats:
-    station, found = link.station(slave.address), slave.found
-    octets = named_octets(slave, slave.inputs, slave.outputs_held)
+def _slave_stats(bus: BusBase, slave: Slave, link: StationStats) -> SlaveStats:
+    values = picture_of(bus, slave)
     return SlaveStats(
         address=slave.address,
         name=slave.name,
         state=slave.state.value,
-        exchanges=slave.exchanges,
-        retries=station.retries,
-        timeouts=station.timeouts,
-        inputs=octets.inputs,
-        inputs_valid=slave.inputs_valid,
+        exchanges=values.exchanges or 0,
+        retries=link.retries,
+        timeouts=link.timeouts,
+        inputs=slave.inputs,
+        inputs_valid=values.inputs_valid is True,
         inputs_age=slave.inputs_age,
-        outputs=octets.outputs,
-        held=octets.held,
+        outputs=slave.outputs_sent,
+        held=None if values.held is None else slave.outputs_held,
         watchdog_ms=slave.watchdog_ms,
-        link=station,
-        master=None if found is None else found.master,
-        fields=octets.fields,
-        held_fields=octets.held_fields,
+        link=link,
+        master=values.master,
+        fields=values.fields or {},
+        held_fields=values.held_fields or {},
         units=slave.config.input_fields.units | slave.config.output_fields.units,
         alarms=slave.alarm_counts,
-        diagnosis=diagnosis_dict(slave),
-        conspicuous=slave.conspicuous,
-        drive=drives.get(slave.address, {}),
+        diagnosis={} if values.diagnosis is None else {"diagnosis": to_builtins(values.diagnosis)},
+        conspicuous=values.conspicuous or "",
+        drive={} if values.drive is None else drive_dict(values.drive),
     )

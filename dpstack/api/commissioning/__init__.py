@@ -3,5 +3,6 @@
 - ``candidates``: Candidates for a slave that a scan has found: known drives and GSD files with its ident number, best
   first
 - ``commissioning``: ``Commissioning``: match, modules, table, check and toml, with plain data in and out
+- ``live_list``: The live list of a port, read by a temporary master, and a configuration skeleton made from it
 - ``plan_simulation``: The plant of a plan in virtual time, with its rotation times, cycles and services
 """

@@ -14,6 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
+from msgspec import convert
+
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.live import LiveStream, named_values
 from dpstack.api.config.connectors import ConnectorConfig, read_connectors
@@ -25,8 +27,8 @@ from dpstack.bridge.connector import Connector, ConnectorState, Teller
 from dpstack.bridge.gateway import END_S, TICK_S, Gateway
 from dpstack.bridge.orders import Orders, check_allowed
 from dpstack.errors import BusError, ConfigError, UsageError
+from dpstack.plant.items import Item, SlavePlant
 from dpstack.plant.nodes import slave_of
-from dpstack.plant.state import Item
 from dpstack.plant.tree import PlantTree
 from dpstack.ports import posix
 from dpstack.text import printable
@@ -287,7 +289,7 @@ class Publishing:
 
     def _orders(self, tell: Teller, allow: Sequence[str], max_age_s: float) -> Orders:
         bus = self._bus
-        plants = ((slave.address, named_values(slave)) for slave in bus.config.slaves)
+        plants = ((slave.address, convert(named_values(slave), SlavePlant)) for slave in bus.config.slaves)
         check_allowed(
             allow, (order.name for at, plant in plants for order in slave_of(at, plant, writable=True).orders)
         )

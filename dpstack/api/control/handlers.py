@@ -10,11 +10,12 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from msgspec import structs
+from msgspec import to_builtins
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.parts import SEARCHING
-from dpstack.api.bus.statistics import clear_since, diagnosis_dict, drive_dict, inputs_dict, named_octets
+from dpstack.api.bus.picture import drive_dict, picture_of
+from dpstack.api.bus.statistics import clear_since
 from dpstack.api.control import arguments
 from dpstack.api.control.arguments import PTY, address_of
 from dpstack.api.control.commands import KINDS, NOW, SLAVES
@@ -104,6 +105,11 @@ def run_feed(bus: Bus) -> TapFeed:
     return TapFeed(lambda tap: core_of(bus).runtime.tap(tap), lambda: core_of(bus).runtime.now(), about)
 
 
+#: keys of a slave's status: those that are always there, and those that are left out without a content
+_ALWAYS: Final = ("state", "inputs_valid", "inputs_age_ms", "inputs", "outputs")
+_IF_THERE: Final = ("held", "fields", "held_fields")
+
+
 def run_status(bus: Bus) -> dict[str, object]:
     """State of the master: ``seconds``, ``mode``, ``baud``, ``in_ring``, ``masters``, ``slaves``; ``clear``
     (:func:`~dpstack.api.bus.statistics.clear_since`) after it went to Clear by itself.
@@ -114,22 +120,21 @@ def run_status(bus: Bus) -> dict[str, object]:
         return {"baud": None, "text": SEARCHING}
     slaves: dict[str, object] = {}
     core = core_of(bus)
-    drives = {drive.slave.address: drive for drive in bus.drives}
     for slave in bus.slaves:
-        octets = named_octets(slave, slave.inputs, slave.outputs_held).as_dict()
-        entry: dict[str, object] = {
+        values = picture_of(core, slave)
+        entry = {
             "name": slave.name,
-            "state": slave.state.value,
-            **inputs_dict(slave.inputs_valid, slave.inputs_age),
-            **{key: value for key, value in octets.items() if value or key in ("inputs", "outputs")},
+            **{key: getattr(values, key) for key in _ALWAYS},
+            **{key: value for key in _IF_THERE if (value := getattr(values, key))},
         }
-        if slave.fault is not None:
-            entry["fault"] = slave.fault.text
-        entry |= diagnosis_dict(slave)
-        if slave.alarm_counts is not None:
-            entry["alarms"] = structs.asdict(slave.alarm_counts)
-        if slave.address in drives:
-            entry["drive"] = drive_dict(core, drives[slave.address])
+        if values.fault is not None:
+            entry["fault"] = values.fault.text
+        if values.diagnosis is not None:
+            entry["diagnosis"] = to_builtins(values.diagnosis)
+        if values.alarms is not None:
+            entry["alarms"] = values.alarms
+        if values.drive is not None:
+            entry["drive"] = drive_dict(values.drive)
         if core.bench is not None:
             entry |= core.bench.status_of(slave.address)
         slaves[str(slave.address)] = entry
@@ -268,8 +273,8 @@ class ScanOrder:
             found += await bus.scan(configs=True, addresses=part)
             unreadable |= core_of(bus).unreadable
             progress[1] = at + len(part)
-        await load_beside("dpstack.api.bus.live_list")
-        from dpstack.api.bus.live_list import answer_notes
+        await load_beside("dpstack.api.commissioning.live_list")
+        from dpstack.api.commissioning.live_list import answer_notes
 
         names = {slave.address: slave.name for slave in bus.slaves}
         return {

@@ -245,14 +245,17 @@ class Slave(Sealed, RecordAccess):
         """The outputs that the master sends at present: :attr:`outputs` in Operate, zeros in Clear (none to a
         Fail_Safe slave), none outside data exchange.
         """
-        bus = self._bus
-        if bus.view.read_only or not self.ready_now:
+        return self.sent_of(self.outputs_held, self._bus.mode, ready=self.ready_now)
+
+    def sent_of(self, wanted: bytes, mode: Mode, *, ready: bool) -> bytes:
+        """:attr:`outputs_sent` of a slave with the outputs ``wanted``, in ``mode``; ``ready``: in data exchange."""
+        if not ready or self._bus.view.read_only:
             return b""
-        match bus.mode:
+        match mode:
             case Mode.OPERATE:
-                return self.outputs_held
+                return wanted
             case Mode.CLEAR:
-                return b"" if self.setup.fail_safe else bytes(len(self.outputs_held))
+                return b"" if self.setup.fail_safe else bytes(len(wanted))
         return b""
 
     @property

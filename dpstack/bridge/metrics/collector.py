@@ -21,11 +21,13 @@ from dpstack.bridge.metrics.health import stream_comes
 from dpstack.bridge.metrics.processes import usage_of
 from dpstack.bridge.metrics.table import COUNTER, GAUGE, Metric
 from dpstack.bridge.names import PROMETHEUS_LABEL, Names, unique_names
-from dpstack.plant.conditions import Level
+from dpstack.monitor.verdict import VERDICTS, Verdict
+from dpstack.plant.items import BusValues, Classes
 from dpstack.plant.judge import DATA_EXCHANGE, STATES
 from dpstack.plant.quality import FLOAT, Reason, value_of
 from dpstack.plant.tree import Change, NodesChanged, PlantTree
-from dpstack.plant.verdicts import VERDICTS, Judge, Verdict
+from dpstack.plant.verdicts import Judge
+from dpstack.trace import Severity
 
 #: causes of damage of one slave or of the bus: a decoder has 15, and an adapter some of its own
 _MOST_CAUSES: Final = 24
@@ -85,7 +87,7 @@ class Collector:
         for one in VERDICTS:
             families.add(table.BUS_VERDICT, one == verdict.level, one)
         if alive:
-            self._add_bus(families, tree.values(None))
+            self._add_bus(families, tree.bus_values)
             for address, described in tree.slaves.items():
                 name = self._names.names.get(f"slave {address}", described.name)
                 labels = str(address), PROMETHEUS_LABEL.valid(name)
@@ -104,36 +106,34 @@ class Collector:
         families.add(table.BUILD, 1, self._version)
         return families.all()
 
-    def _add_bus(self, families: _Families, values: Mapping[str, Any]) -> None:
-        plant = self._tree.plant or {}
-        about = (PROMETHEUS_LABEL.valid(_text(plant.get(key))) for key in table.BUS_INFO.labels)
+    def _add_bus(self, families: _Families, values: BusValues) -> None:
+        plant = self._tree.plant
+        about = (PROMETHEUS_LABEL.valid(_text(getattr(plant, key, None))) for key in table.BUS_INFO.labels)
         families.add(table.BUS_INFO, 1, *about)
         for mode in table.MODES:
-            families.add(table.BUS_MODE, values.get("mode") == mode, mode)
-        families.add(table.BUS_IN_RING, values.get("in_ring"))
-        masters = values.get("masters")
-        families.add(table.BUS_MASTERS, len(masters) if isinstance(masters, list) else None)
-        families.add(table.BUS_CLEAR, bool(values.get("clear")))
+            families.add(table.BUS_MODE, values.mode == mode, mode)
+        families.add(table.BUS_IN_RING, values.in_ring)
+        families.add(table.BUS_MASTERS, None if values.masters is None else len(values.masters))
+        families.add(table.BUS_CLEAR, values.clear is not None)
         families.add(table.SLAVES, len(self._tree.slaves))
-        plan = plant.get("plan")
-        rotation = plan.get("rotation_us") if isinstance(plan, Mapping) else None
-        if isinstance(rotation, Mapping):
+        rotation = None if plant is None or plant.plan is None else plant.plan.rotation_us
+        if rotation is not None:
             for case in ("min", "typical", "max"):
-                families.add(table.BUS_PLANNED, _scaled(rotation.get(case), _US), case)
-        histograms = values.get("histograms") or {}
+                families.add(table.BUS_PLANNED, _scaled(getattr(rotation, case), _US), case)
+        histograms = values.histograms or {}
         for key, metric in table.BUS_HISTOGRAMS.items():
             families.add_histogram(metric, histograms.get(key))
         for key, metric in table.BUS_COUNTERS.items():
-            families.add(metric, values.get(key))
-        for cause, count in _causes(values.get("bad")):
+            families.add(metric, getattr(values, key))
+        for cause, count in _causes(values.bad):
             families.add(table.BUS_DAMAGED, count, cause)
-        families.add(table.BUS_COUNTERS_AGE, _scaled(values.get("age_ms"), _MS))
+        families.add(table.BUS_COUNTERS_AGE, _scaled(values.age_ms, _MS))
 
     def _add_slave(self, families: _Families, address: int, labels: tuple[str, str]) -> None:
-        tree, values = self._tree, self._tree.values(address)
+        tree, values = self._tree, self._tree.slave_values(address)
         trouble = tree.trouble(address)
         reason = None if trouble is None else trouble[0]
-        state = values.get("state")
+        state = values.state or "unknown"
         if reason in (Reason.NOT_SENT, Reason.WAITING) or state not in STATES:
             state = "unknown"
         for one in STATES:
@@ -142,18 +142,18 @@ class Collector:
         families.add(table.EXCHANGING, exchanging, *labels)
         families.add(table.INPUTS_VALID, trouble is None, *labels)
         if exchanging:
-            families.add(table.INPUTS_AGE, _scaled(values.get("inputs_age_ms"), _MS), *labels)
+            families.add(table.INPUTS_AGE, _scaled(values.inputs_age_ms, _MS), *labels)
         if state == "unknown":
             return
-        families.add(table.WATCHDOG, _scaled(values.get("watchdog_ms"), _MS), *labels)
-        families.add(table.FAULT, values.get("fault") is not None, *labels)
-        families.add(table.DIAGNOSIS, bool(values.get("conspicuous")), *labels)
+        families.add(table.WATCHDOG, _scaled(values.watchdog_ms, _MS), *labels)
+        families.add(table.FAULT, values.fault is not None, *labels)
+        families.add(table.DIAGNOSIS, bool(values.conspicuous), *labels)
         active = Counter(one.level for one in tree.conditions.of(address) if one.active)
         for level in table.LEVELS:
-            families.add(table.CONDITIONS, active[Level[level.upper()]], *labels, level)
+            families.add(table.CONDITIONS, active[Severity(level)], *labels, level)
         for key, metric in table.SLAVE_COUNTERS.items():
-            families.add(metric, values.get(key), *labels)
-        for cause, count in _causes(values.get("bad")):
+            families.add(metric, getattr(values, key), *labels)
+        for cause, count in _causes(values.bad):
             families.add(table.SLAVE_DAMAGED, count, *labels, cause)
 
 
@@ -168,20 +168,18 @@ class _Families:
         if isinstance(number, float) and (number >= 0 or metric.kind == GAUGE):
             self._family(metric).add_metric(labels, number)
 
-    def add_histogram(self, metric: Metric, given: object) -> None:
+    def add_histogram(self, metric: Metric, given: Classes | None) -> None:
         """Add a histogram as the live stream has it: ``counts`` has one number more than ``limits_us``."""
-        if not isinstance(given, Mapping):
+        if given is None:
             return
-        limits, counts, total = given.get("limits_us"), given.get("counts"), given.get("sum_us")
-        if not isinstance(limits, list) or not isinstance(counts, list) or len(counts) != len(limits) + 1:
-            return
-        if len(limits) > _MOST_CLASSES or limits != sorted(set(limits)):
+        limits, counts = given.limits_us, given.counts
+        if len(counts) != len(limits) + 1 or len(limits) > _MOST_CLASSES or limits != sorted(set(limits)):
             return
         buckets, sum_ = [], 0
         for limit, count in zip([*map(_bucket, limits), "+Inf"], counts, strict=True):
             sum_ += count
             buckets.append((limit, sum_))
-        self._family(metric).add_metric((), buckets, _scaled(total, _US))
+        self._family(metric).add_metric((), buckets, given.sum_us / _US)
 
     def all(self) -> list[Family]:
         return [self._made[metric.name] for metric in table.METRICS if metric.name in self._made]

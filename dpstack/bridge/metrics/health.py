@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
+from dpstack.monitor.verdict import CRITICAL, WARNING, Verdict
 from dpstack.plant.judge import DATA_EXCHANGE, DEACTIVATED
 from dpstack.plant.quality import Reason, clean
 from dpstack.plant.tree import PlantTree
-from dpstack.plant.verdicts import CRITICAL, WARNING, Verdict
 from dpstack.text import printable
 
 #: reasons for which no value of the stream is of this moment
@@ -44,22 +44,22 @@ def readiness(tree: PlantTree, judge: Callable[[], Verdict]) -> Health:
     trouble = tree.trouble(None)
     if trouble is not None:
         return Health(False, f"{_line(*trouble)}\n")
-    values = tree.values(None)
+    values = tree.bus_values
     lines = []
-    if tree.plant is not None and tree.plant.get("read_only") is True:
-        if values.get("in_ring") is not True:
+    if tree.plant is not None and tree.plant.read_only is True:
+        if values.in_ring is not True:
             lines.append("the master is not in the token ring")
-    elif values.get("mode") != "operate":
-        lines.append(f"the master is in {clean(values.get('mode')) or 'an unknown mode'}, not in operate")
+    elif values.mode != "operate":
+        lines.append(f"the master is in {clean(values.mode) or 'an unknown mode'}, not in operate")
     served = 0
     for address, described in tree.slaves.items():
-        slave = tree.values(address)
-        if slave.get("state") == DEACTIVATED:
+        slave = tree.slave_values(address)
+        if slave.state == DEACTIVATED:
             continue
         served += 1
         if not tree.is_alive(address):
             trouble = tree.trouble(address)
-            state = clean(slave.get("state")) or "unknown"
+            state = clean(slave.state) or "unknown"
             why = _line(*trouble) if trouble is not None and state == DATA_EXCHANGE else state
             lines.append(f"slave {address} ({printable(described.name)}) is not in data exchange: {why}")
     if lines:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.monitor.verdict import VERDICTS
 from dpstack.plant import nodes
 from dpstack.plant.judge import STATES
-from dpstack.plant.verdicts import VERDICTS
 
 GAUGE, COUNTER, HISTOGRAM = "gauge", "counter", "histogram"
 

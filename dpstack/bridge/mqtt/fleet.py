@@ -19,7 +19,7 @@ from dpstack.bridge.mqtt.plant_node import SPARKPLUG
 from dpstack.bridge.mqtt.session_file import NUMBERS
 from dpstack.bridge.mqtt.status import ENDED, EXPIRY_S, FAILED, RENEW_S, RUNNING, Status, read_status
 from dpstack.bridge.names import SPARKPLUG_ID
-from dpstack.plant.verdicts import CRITICAL, GOOD, UNKNOWN, WARNING
+from dpstack.monitor.verdict import CRITICAL, GOOD, UNKNOWN, WARNING
 from dpstack.text import printable
 
 MOST_SEGMENTS: Final = 10_000

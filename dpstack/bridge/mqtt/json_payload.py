@@ -68,7 +68,7 @@ def condition_payload(condition: Condition, offset: float, wall: float) -> bytes
         {
             "title": condition.title,
             "text": condition.text,
-            "severity": condition.level.name.lower(),
+            "severity": condition.level.value,
             "active": condition.active,
             "acknowledged": condition.acked,
             "since": time_text(min(condition.since + offset, wall)),

@@ -13,10 +13,11 @@ from typing import Any, Final
 
 from dpstack.bridge.mqtt.json_payload import read_object
 from dpstack.bridge.mqtt.session_file import NUMBERS
+from dpstack.monitor.verdict import UNKNOWN, VERDICTS
 from dpstack.plant.judge import DATA_EXCHANGE
 from dpstack.plant.quality import clean
 from dpstack.plant.tree import Change, Changed, PlantTree
-from dpstack.plant.verdicts import UNKNOWN, VERDICTS, Judge
+from dpstack.plant.verdicts import Judge
 from dpstack.text import json_text, printable, shortened
 
 VERSION: Final = 1
@@ -98,7 +99,7 @@ def _first_ones(reasons: Sequence[str]) -> list[str]:
 
 
 def _lost_one(tree: PlantTree, address: int, name: str) -> dict[str, Any]:
-    state = clean(tree.values(address).get("state")) or UNKNOWN
+    state = clean(tree.slave_values(address).state) or UNKNOWN
     # one that is in data exchange and not born has no valid inputs yet
     shown = "no valid inputs" if state == DATA_EXCHANGE else state
     return {"address": address, "name": _short(name, _MOST_NAME), "state": _short(shown, _MOST_VERSION)}

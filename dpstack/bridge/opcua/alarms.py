@@ -12,8 +12,11 @@ from asyncua import ua
 from asyncua.server.monitored_item_service import MonitoredItemService
 
 from dpstack.plant.conditions import Condition
+from dpstack.trace import Severity
 
 _V = ua.VariantType
+#: by the scale of OPC UA, 1 to 1000 (Part 5, 6.4.2)
+_SEVERITIES: Final = {Severity.INFO: 100, Severity.WARNING: 500, Severity.ERROR: 800}
 
 
 def _ids(*ids: int) -> tuple[ua.NodeId, ...]:
@@ -104,7 +107,7 @@ class Alarms:
             "Time": ua.Variant(time, _V.DateTime),
             "ReceiveTime": ua.Variant(now, _V.DateTime),
             "Message": _text(condition.text),
-            "Severity": ua.Variant(int(condition.level), _V.UInt16),
+            "Severity": ua.Variant(_SEVERITIES[condition.level], _V.UInt16),
             "ConditionName": ua.Variant(condition.title, _V.String),
             "ConditionClassId": ua.Variant(ua.NodeId(ua.ObjectIds.ProcessConditionClassType), _V.NodeId),
             "ConditionClassName": _text("ProcessConditionClassType"),
@@ -118,7 +121,7 @@ class Alarms:
             "AckedState": _text("Acknowledged" if acked else "Unacknowledged"),
             "AckedState/Id": ua.Variant(acked, _V.Boolean),
             "Quality": ua.Variant(ua.StatusCode(), _V.StatusCode),
-            "LastSeverity": ua.Variant(int(condition.level), _V.UInt16),
+            "LastSeverity": ua.Variant(_SEVERITIES[condition.level], _V.UInt16),
             "Comment": _text(condition.comment),
             "ClientUserId": ua.Variant(condition.said_by, _V.String),
             "InputNode": ua.Variant(ua.NodeId(), _V.NodeId),

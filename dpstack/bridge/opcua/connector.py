@@ -298,10 +298,10 @@ class OpcUaConnector(Connector):
     async def _build(self) -> None:
         assert self._space is not None
         assert self._alarms is not None
-        plant = self.tree.plant or {}
+        port = "" if self.tree.plant is None else str(self.tree.plant.port or "")
         bus = tuple(node for node, _ in self.tree.readings(None))
         allowed = frozenset(order.name for order in self._orders.allowed)
-        names, changed = await self._space.build((str(plant.get("port", "")), bus), self.tree.slaves, allowed)
+        names, changed = await self._space.build((port, bus), self.tree.slaves, allowed)
         for text in names:
             if text not in self._told_names and len(self._told_names) < 1000:
                 self._told_names.add(text)

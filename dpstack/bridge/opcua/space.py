@@ -12,6 +12,7 @@ from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
 from dpstack.bridge.names import OPCUA_BROWSE, unique_names
+from dpstack.plant.items import DrivePlant, PlanPlant, Plant, SlavePlant
 from dpstack.plant.nodes import Described, Kind, Node, OfferedOrder, bus_of, slave_of
 from dpstack.plant.quality import BOOL, BYTES, TEXT, Reading
 
@@ -105,10 +106,10 @@ class Space:
         for made in self._state_machine("type/DriveType", self.node("type/DriveType")):
             if made == self.node("type/DriveType/machine"):
                 self._rule(made, mandatory=True)
-        self._declare("BusType", bus_of({"plan": {"cycle_us": 1}}), bus_of({}))
-        with_all = slave_of(0, {"dpv1": True, "drive": {}}, writable=False)
+        self._declare("BusType", bus_of(Plant(plan=PlanPlant(cycle_us=1), slaves={})), bus_of(Plant(slaves={})))
+        with_all = slave_of(0, SlavePlant(dpv1=True, drive=DrivePlant()), writable=False)
         own = tuple(node for node in with_all.nodes if node.kind is not Kind.DRIVE)
-        self._declare("SlaveType", replace(with_all, nodes=own), slave_of(0, {}, writable=True))
+        self._declare("SlaveType", replace(with_all, nodes=own), slave_of(0, SlavePlant(), writable=True))
         for name in ("Inputs", "Outputs", "Drive"):
             kind = self.node("type/DriveType") if name == "Drive" else ua.NodeId(ua.ObjectIds.FolderType)
             part = self._object(f"type/SlaveType/{name}", self.node("type/SlaveType"), name, kind)

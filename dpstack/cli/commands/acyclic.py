@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager
 from typing import Any, Final, NamedTuple
 
 from dpstack.api.bus.events_json import AddressCollision, Event, FaultKind, SlaveFaulted
-from dpstack.api.bus.live_list import joined
 from dpstack.api.bus.opening import open_bus
+from dpstack.api.commissioning.live_list import joined
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.commands import ParsedCommand, Spec, find_word

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from dpstack.api.bus.live_list import joined
+from dpstack.api.commissioning.live_list import joined
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.parser import Parser

@@ -23,7 +23,7 @@ from dpstack.errors import BusError, PortError, UsageError
 from dpstack.units import baud_text
 
 if TYPE_CHECKING:
-    from dpstack.api.bus.live_list import MakeBus
+    from dpstack.api.commissioning.live_list import MakeBus
 
 #: time-out in s of data exchange: a slave that searches for the baud rate takes its time
 READY_S: Final = 10.0

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from msgspec import structs
 
 from dpstack.api.bus.events_json import Found
-from dpstack.api.bus.live_list import LiveListResult, cause_dict, config_skeleton, drive_of, scan_port
 from dpstack.api.commissioning.candidates import chosen_keys
+from dpstack.api.commissioning.live_list import LiveListResult, cause_dict, config_skeleton, drive_of, scan_port
 from dpstack.api.gsd_folder import GsdFolder
 from dpstack.cli.commands import on_bus
 from dpstack.cli.parser import Parser

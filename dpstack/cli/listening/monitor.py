@@ -21,7 +21,7 @@ from dpstack.errors import CaptureFileError, UsageError
 from dpstack.monitor.devices import Devices
 from dpstack.monitor.monitor import Happening, Monitor
 from dpstack.monitor.summary import time_text
-from dpstack.monitor.verdicts import CRITICAL
+from dpstack.monitor.verdict import CRITICAL
 from dpstack.units import NS_PER_S, baud_text
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import PortError
 from dpstack.monitor.monitor import Happening, Monitor
-from dpstack.monitor.verdicts import CRITICAL
+from dpstack.monitor.verdict import CRITICAL
 from dpstack.trace import Event
 from dpstack.units import NS_PER_S, baud_text
 

@@ -10,7 +10,8 @@ from dpstack.cli.terminal import output
 from dpstack.monitor.counters import State
 from dpstack.monitor.monitor import Happening, Monitor
 from dpstack.monitor.summary import UNSEEN
-from dpstack.monitor.verdicts import CRITICAL, GOOD, UNKNOWN, WARNING, Heard
+from dpstack.monitor.verdict import CRITICAL, GOOD, UNKNOWN, WARNING
+from dpstack.monitor.verdicts import Heard
 from dpstack.units import NS_PER_S, baud_text
 
 if TYPE_CHECKING:

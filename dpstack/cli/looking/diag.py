@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from dpstack.api.bus.live_list import joined
+from dpstack.api.commissioning.live_list import joined
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.control.remote import reading_through_run
 from dpstack.api.slave.station_report import KnownDevices, StationReading, read_station, station_report

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from dpstack.api.bus.bus import Bus, core_of
-from dpstack.api.bus.live_list import joined
 from dpstack.api.bus.why import untold
+from dpstack.api.commissioning.live_list import joined
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.remote import why_through_run

@@ -11,7 +11,7 @@ from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, operating, slave_i
 import dpstack
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.events_json import event_json
-from dpstack.api.bus.live_list import LiveListResult, config_skeleton, scan_port
+from dpstack.api.commissioning.live_list import LiveListResult, config_skeleton, scan_port
 from dpstack.api.config.config import make_config, parse_config
 from dpstack.dp.master.scanner import Found, SlaveView, StationSeen
 from dpstack.dp.slave.application import SlaveAppState

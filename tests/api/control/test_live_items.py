@@ -11,6 +11,7 @@ import pytest
 from dpstack.api.bus.live import LiveItems, LiveStream
 from dpstack.api.control import live_items
 from dpstack.api.control.control_server import Sender
+from dpstack.plant.items import check_item
 from dpstack.plant.state import LiveState
 
 #: 123 slaves with 224 named values each: 1.3 million octets, which is more than a sender takes at once
@@ -65,4 +66,4 @@ async def test_a_client_that_reads_slowly_gets_the_whole_plant_in_lines_of_bound
     state = LiveState()
     for line in client.lines:
         state.apply(json.loads(line)["item"])
-    assert (state.plant, state.end) == (PLANT["plant"], "over")
+    assert (state.plant, state.end) == (check_item(PLANT).plant, "over")

@@ -19,8 +19,8 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from dpstack.api.bus.bus import core_of
-from dpstack.api.bus.live_list import LiveListResult
 from dpstack.api.bus.opening import open_bus
+from dpstack.api.commissioning.live_list import LiveListResult
 from dpstack.cli.commands import demo, ports, scan
 from dpstack.cli.main import main
 from dpstack.cli.terminal import drawing, output

@@ -14,6 +14,7 @@ import functools
 import json
 from typing import Any
 
+from dpstack.plant.items import check_item
 from dpstack.plant.pending import Pending, portions
 from dpstack.plant.state import DEPTH, LiveState
 from dpstack.screen import one_slave, overview
@@ -55,17 +56,14 @@ def right_items() -> tuple[Any, ...]:
 
 
 def picture(state: LiveState) -> str:
-    return json.dumps(
-        [state.plant, state.t, state.bus, state.slaves, list(state.events), state.lost, state.end], sort_keys=True
-    )
+    return repr([state.plant, state.t, state.bus, state.slaves, list(state.events), state.lost, state.end])
 
 
 def judge_alive(view: View) -> None:
     """No slave is shown as alive whose snapshot does not say so."""
     for address in view.addresses():
         if view.alive(address):
-            values = view.state.slaves.get(address, {})
-            assert values.get("alive") is True
+            assert view.values(address).alive
             assert view.fresh
         else:
             assert view.mark(address)[0] != "*"
@@ -124,7 +122,7 @@ def run(octets: bytes) -> None:
         else:
             before = picture(view.state)
         if taken:
-            fan_out.put(item)
+            fan_out.put(check_item(item))
             pending.put(item)
         if head & 1:
             while (found := pending.take()) is not None:

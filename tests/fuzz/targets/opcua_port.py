@@ -26,7 +26,8 @@ from dpstack.bridge.opcua.alarms import SERVER, Alarms, emit, utc
 from dpstack.bridge.opcua.connection import MOST_REQUEST
 from dpstack.bridge.opcua.sessions import LimitedServer
 from dpstack.bridge.opcua.space import SharedValue
-from dpstack.plant.conditions import Condition, Level
+from dpstack.plant.conditions import Condition
+from dpstack.trace import Severity
 from tests.fuzz import opcua_wire as by
 from tests.fuzz.frame import Cutter, Target
 from tests.fuzz.quick_loop import quick_loop
@@ -180,7 +181,7 @@ class _Plant:
             await self._server.aspace.write_attribute_value(id_, ua.AttributeIds.Value, value)
         services = [one.monitored_item_srv for one in self._server.subscription_service.subscriptions.values()]
         is_bad = self._count % 2 == 1
-        condition = Condition("slave/8/x", 8, "x", "x", Level(800), is_bad, False, _NOW, _NOW, self._count)
+        condition = Condition("slave/8/x", 8, "x", "x", Severity.ERROR, is_bad, False, _NOW, _NOW, self._count)
         await emit(services, self._alarms.event(condition, "valves", utc(_NOW)), (_OBJECT, SERVER))
         await asyncio.sleep(0.11)
 

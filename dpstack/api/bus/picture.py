@@ -1,0 +1,171 @@
+"""``picture_of``: state and values of a slave at one moment, made here only, by the types of the live stream.
+
+Status, statistics, summary and live stream are views of it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec import structs
+
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.process_data import as_json
+from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
+from dpstack.plant.items import (
+    DiagnosisValues,
+    DriveNotice,
+    DriveValues,
+    FaultValues,
+    SlaveValues,
+    all_of,
+    changes_of,
+)
+from dpstack.plant.judge import JUDGED, judged
+from dpstack.units import NS_PER_MS, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.parts import BusBase
+    from dpstack.api.config.slave import SlaveConfig
+    from dpstack.api.slave.drive import Drive
+    from dpstack.api.slave.slave import Slave
+    from dpstack.dp.master.scanner import Found
+    from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
+
+
+def picture_of(bus: BusBase, slave: Slave) -> SlaveValues:
+    """State and values of ``slave`` at this moment, with the verdicts on them."""
+    picture = SlavePicture(bus, slave)
+    picture.take(bus.snapshot)
+    return picture.values
+
+
+class SlavePicture:
+    """State and values of ``slave`` over time; what has not changed since the last time is not made anew."""
+
+    def __init__(self, bus: BusBase, slave: Slave) -> None:
+        self.values = SlaveValues()
+        self._bus = bus
+        self._slave = slave
+        self._is_new = True
+        self._seen: object = None
+        self._octets: object = None
+
+    def end(self) -> dict[str, Any]:
+        """The bus has ended: nothing is alive. Returns the keys that change."""
+        return self._put(structs.replace(self.values, state=SlaveState.OFFLINE.value, inputs_valid=False))
+
+    def take(self, now: BusSnapshot) -> dict[str, Any]:
+        """Take the values of this moment. Returns the keys that change, as plain data; the first time all.
+        ``now``: the snapshot of the bus."""
+        bus, slave, values = self._bus, self._slave, self.values
+        view, runtime, setup = bus.view, bus.runtime, slave.setup
+        snapshot, image = slave.snapshot, view.image(setup)
+        found = None if now.found is None else now.found.get(slave.address)
+        seen = snapshot, now.mode, found, now.found_all, runtime.not_running
+        if seen != self._seen:
+            self._seen, self._octets = seen, None
+            values = self._with_state(values, snapshot, found)
+        ready = values.state == SlaveState.DATA_EXCHANGE.value
+        octets = image.inputs, image.outputs
+        if octets != self._octets:
+            self._octets = octets
+            sent = slave.sent_of(image.outputs, now.mode, ready=ready)
+            values = _with_octets(values, slave.config, image.inputs, image.outputs, sent)
+        age_ns = max(0, runtime.now() - image.input_time) if image.input_time else None
+        limit_ns = inputs_limit_ns(snapshot.watchdog_ns, bus.poll_interval_ns(setup))
+        link, drive = view.link.station(slave.address), bus.find_drive(slave.address)
+        return self._put(
+            structs.replace(
+                values,
+                inputs_valid=inputs_are_valid(exchanging=image.valid and ready, age_ns=age_ns, limit_ns=limit_ns),
+                inputs_age_ms=None if age_ns is None else round(ns_to_s(age_ns) * 1000, 1),
+                inputs_limit_ms=round(limit_ns / NS_PER_MS, 1),
+                drive=None if drive is None else _drive_values(bus, drive),
+                exchanges=image.exchanges,
+                retries=link.retries,
+                timeouts=link.timeouts,
+                telegrams=link.telegrams,
+                late=link.late,
+                wrong=link.wrong,
+                bad=dict(link.bad),
+                injected=[] if bus.bench is None else bus.bench.injected(slave.address),
+            )
+        )
+
+    def _put(self, values: SlaveValues) -> dict[str, Any]:
+        before, self.values = self.values, values
+        if self._is_new:
+            self._is_new = False
+            self.values = judged(values)
+            return all_of(self.values)
+        changes = changes_of(before, values)
+        if not JUDGED.isdisjoint(changes):
+            self.values = judged(values)
+            changes |= changes_of(values, self.values)
+        return changes
+
+    def _with_state(self, values: SlaveValues, snapshot: SlaveSnapshot, found: Found | None) -> SlaveValues:
+        slave = self._slave
+        fault, alarms, diagnosis = slave.fault, snapshot.alarms, slave.diagnosis
+        return structs.replace(
+            values,
+            state=slave.state.value,
+            fault=None if fault is None else FaultValues(fault.text, fault.kind.value),
+            diagnosis=None if diagnosis is None else DiagnosisValues(list(diagnosis.flags), list(slave.block_texts)),
+            conspicuous=slave.conspicuous,
+            alarms=None if alarms is None else structs.asdict(alarms),
+            watchdog_ms=slave.watchdog_ms,
+            master=None if found is None else found.master,
+        )
+
+
+def _with_octets(values: SlaveValues, config: SlaveConfig, inputs: bytes, wanted: bytes, sent: bytes) -> SlaveValues:
+    """``sent``: the outputs that the slave gets; ``wanted``: those that its application has set, held if the slave
+    gets others."""
+    named = as_json(config.output_fields.values(wanted))
+    held, now = None, named
+    if sent != wanted:
+        held, there = wanted, len(sent) == len(wanted)
+        now = as_json(config.output_fields.values(sent)) if there else dict.fromkeys(named)
+    return structs.replace(
+        values,
+        inputs=inputs.hex(),
+        outputs=sent.hex(),
+        held=None if held is None else held.hex(),
+        fields={**as_json(config.input_fields.values(inputs)), **now},
+        held_fields=None if held is None or not named else named,
+    )
+
+
+def _drive_values(bus: BusBase, drive: Drive) -> DriveValues:
+    """The status of ``drive``, and its notices with ``t`` in s since the start."""
+    status = drive.status
+    notices = [DriveNotice(round(ns_to_s(one.t_ns - bus.started_ns), 3), one.text) for one in drive.notices]
+    return DriveValues(
+        state=str(status.state),
+        running=status.running,
+        reached=status.reached,
+        remote=status.remote,
+        setpoint=status.setpoint,
+        speed=status.speed,
+        frequency_hz=status.frequency_hz,
+        current=status.current,
+        torque=status.torque,
+        warnings=list(status.warnings),
+        faults=list(status.faults),
+        words=[f"{word:04X}" for word in status.words],
+        bits=list(status.bits),
+        settings=str(status.settings),
+        settings_texts=list(status.settings_texts),
+        notices=notices or None,
+    )
+
+
+def drive_dict(values: DriveValues) -> dict[str, Any]:
+    """The status of a drive as plain data; ``notices`` where there were some."""
+    found: dict[str, Any] = msgspec.to_builtins(values)
+    if found["notices"] is None:
+        del found["notices"]
+    return found
