@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from msgspec import structs
 
+from dpstack.api.slave.slave import sent_outputs
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.process_data import as_json
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
@@ -71,7 +72,7 @@ class SlavePicture:
         octets = image.inputs, image.outputs
         if octets != self._octets:
             self._octets = octets
-            sent = slave.sent_of(image.outputs, now.mode, ready=ready)
+            sent = b"" if view.read_only else sent_outputs(setup, image.outputs, now.mode, exchanging=ready)
             values = _with_octets(values, slave.config, image.inputs, image.outputs, sent)
         age_ns = max(0, runtime.now() - image.input_time) if image.input_time else None
         limit_ns = inputs_limit_ns(snapshot.watchdog_ns, bus.poll_interval_ns(setup))

@@ -37,6 +37,17 @@ In = TypeVar("In", bound=Inputs)
 Out = TypeVar("Out", bound=Outputs)
 
 
+def sent_outputs(setup: SlaveParams, wanted: bytes, mode: Mode, *, exchanging: bool) -> bytes:
+    """The outputs that the master sends to a slave whose application has set ``wanted``: these in Operate, zeros in
+    Clear (none to a Fail_Safe slave), none outside data exchange."""
+    match mode:
+        case Mode.OPERATE if exchanging:
+            return wanted
+        case Mode.CLEAR if exchanging and not setup.fail_safe:
+            return bytes(len(wanted))
+    return b""
+
+
 class Slave(Sealed, RecordAccess):
     """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
 
@@ -245,18 +256,9 @@ class Slave(Sealed, RecordAccess):
         """The outputs that the master sends at present: :attr:`outputs` in Operate, zeros in Clear (none to a
         Fail_Safe slave), none outside data exchange.
         """
-        return self.sent_of(self.outputs_held, self._bus.mode, ready=self.ready_now)
-
-    def sent_of(self, wanted: bytes, mode: Mode, *, ready: bool) -> bytes:
-        """:attr:`outputs_sent` of a slave with the outputs ``wanted``, in ``mode``; ``ready``: in data exchange."""
-        if not ready or self._bus.view.read_only:
+        if self._bus.view.read_only:
             return b""
-        match mode:
-            case Mode.OPERATE:
-                return wanted
-            case Mode.CLEAR:
-                return b"" if self.setup.fail_safe else bytes(len(wanted))
-        return b""
+        return sent_outputs(self.setup, self.outputs_held, self._bus.mode, exchanging=self.ready_now)
 
     @property
     def held_because(self) -> str | None:
