@@ -22,13 +22,13 @@ from dpstack.ports.kernel_drivers import STRONGER, Marks
 from dpstack.ports.sysfs import CHIPS, SYSFS, Adapter
 from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text
 
-__all__ = ["AdapterInfo", "Check", "Computer", "Level", "examine", "list_adapters"]
+__all__ = ["AdapterInfo", "Check", "Computer", "Grade", "examine", "list_adapters"]
 
 #: usual rates of buses with several masters
 _USUAL_RATES: Final = (187_500, 500_000)
 
 
-class Level(Enum):
+class Grade(Enum):
     OK = "ok"
     NOTE = "note"  # worth knowing, nothing has to be done
     FINDING = "finding"
@@ -39,7 +39,7 @@ class Check:
     """The result of one check. ``topic``: the port's path or the part of the computer; ``todo``: advice."""
 
     topic: str
-    level: Level
+    level: Grade
     text: str
     todo: str = ""
 
@@ -71,7 +71,7 @@ def examine(port: str | None = None, computer: Computer | None = None) -> list[C
 def _examine(port: str | None, here: Computer) -> Iterator[Check]:
     if here.platform != "linux":
         text = f"this is {here.platform}: ports work through pyserial, and nothing of what follows can be checked"
-        yield Check("system", Level.NOTE, text, "for hard times use Linux")
+        yield Check("system", Grade.NOTE, text, "for hard times use Linux")
         return
     yield from _real_time(here)
     yield from _processors(here)
@@ -82,7 +82,7 @@ def _examine(port: str | None, here: Computer) -> Iterator[Check]:
     adapters = here.adapters()
     if not adapters:
         todo = 'plug one in; without one: a port of `dpstack segment`, or port = "virtual"'
-        yield Check("adapters", Level.FINDING, "no serial adapter is plugged in", todo)
+        yield Check("adapters", Grade.FINDING, "no serial adapter is plugged in", todo)
     for adapter in adapters:
         yield from _port(adapter.path, here)
 
@@ -90,18 +90,18 @@ def _examine(port: str | None, here: Computer) -> Iterator[Check]:
 def _real_time(here: Computer) -> Iterator[Check]:
     topic = "real time"
     if here.is_root:
-        yield Check(topic, Level.OK, "root may use real-time priorities and lock memory")
+        yield Check(topic, Grade.OK, "root may use real-time priorities and lock memory")
         return
     rights = Rights(here.is_root, here.limit("RLIMIT_RTPRIO"), here.limit("RLIMIT_MEMLOCK"))
     if rights.no_priority():
-        yield Check(topic, Level.FINDING, rights.no_priority(), SET_UP)
+        yield Check(topic, Grade.FINDING, rights.no_priority(), SET_UP)
     else:
         most = "any" if rights.priority is None else f"up to {rights.priority}"
-        yield Check(topic, Level.OK, f"real-time priorities are allowed ({most})")
+        yield Check(topic, Grade.OK, f"real-time priorities are allowed ({most})")
     if rights.no_memory():
-        yield Check(topic, Level.FINDING, rights.no_memory(), SET_UP)
+        yield Check(topic, Grade.FINDING, rights.no_memory(), SET_UP)
     else:
-        yield Check(topic, Level.OK, "memory may be locked")
+        yield Check(topic, Grade.OK, "memory may be locked")
 
 
 def _processors(here: Computer) -> Iterator[Check]:
@@ -110,19 +110,19 @@ def _processors(here: Computer) -> Iterator[Check]:
     free = processors.isolated(here.sysfs)
     if free:
         text = f"isolated from other programs: {processors.text_of(free)}"
-        yield Check(topic, Level.OK, text, f"[bus] cpu = {min(free)} puts the bus process there")
+        yield Check(topic, Grade.OK, text, f"[bus] cpu = {min(free)} puts the bus process there")
     else:
         text = "none is isolated: other programs can delay the bus process where they have a higher priority"
-        yield Check(topic, Level.OK, f"{text}; isolcpus=1 nohz_full=1 on the command line of the kernel isolates one")
+        yield Check(topic, Grade.OK, f"{text}; isolcpus=1 nohz_full=1 on the command line of the kernel isolates one")
     wake_up_us = processors.slowest_wake_up_us(here.sysfs)
     if wake_up_us is None:
-        yield Check(topic, Level.OK, "no sleep states are known: as in most virtual machines, the host decides")
+        yield Check(topic, Grade.OK, "no sleep states are known: as in most virtual machines, the host decides")
     elif here.access(str(here.cpu_dma_latency), os.W_OK):
         text = f"may be kept from sleep states (up to {wake_up_us} us to wake up) while a fixed cycle runs"
-        yield Check(topic, Level.OK, text)
+        yield Check(topic, Grade.OK, text)
     else:
         text = f"may not be kept from sleep states: each wake-up may take up to {wake_up_us} us"
-        yield Check(topic, Level.NOTE, f"{text} ({here.cpu_dma_latency})", SET_UP)
+        yield Check(topic, Grade.NOTE, f"{text} ({here.cpu_dma_latency})", SET_UP)
 
 
 def _interrupts(path: str, here: Computer) -> Iterator[Check]:
@@ -135,10 +135,10 @@ def _interrupts(path: str, here: Computer) -> Iterator[Check]:
     text = f"interrupts of its USB controller {found.controller} ({numbers}) go to processors {where}"
     free = processors.isolated(here.sysfs)
     if not free or found.processors <= free:
-        yield Check(path, Level.OK, text)
+        yield Check(path, Grade.OK, text)
         return
     todo = "; ".join(f"echo {min(free)} > /proc/irq/{number}/smp_affinity_list" for number in found.numbers)
-    yield Check(path, Level.NOTE, f"{text}, where other programs run", f"beside the bus process, as root: {todo}")
+    yield Check(path, Grade.NOTE, f"{text}, where other programs run", f"beside the bus process, as root: {todo}")
 
 
 def _port(path: str, here: Computer) -> Iterator[Check]:
@@ -146,14 +146,14 @@ def _port(path: str, here: Computer) -> Iterator[Check]:
 
     if not os.path.exists(path):
         names = ", ".join(existing_ports()) or "none"
-        yield Check(path, Level.FINDING, "no such port", f"these exist: {names}")
+        yield Check(path, Grade.FINDING, "no such port", f"these exist: {names}")
         return
     adapter, is_pty = Adapter(path, here.sysfs), is_pty_path(path)
     yield from _identity(path, adapter)
     if not here.access(path, os.R_OK | os.W_OK):
-        yield Check(path, Level.FINDING, "no permission", how_to_be_permitted(path))
+        yield Check(path, Grade.FINDING, "no permission", how_to_be_permitted(path))
         return
-    yield Check(path, Level.OK, "may be opened")
+    yield Check(path, Grade.OK, "may be opened")
     if not is_pty:
         yield from _interrupts(path, here)
     holder, latency_ms = holder_of_path(path, here.proc), adapter.latency_ms()
@@ -163,9 +163,9 @@ def _port(path: str, here: Computer) -> Iterator[Check]:
     try:
         can = here.probe(path)
     except PortBusyError as error:
-        yield Check(path, Level.NOTE, str(error), _UNSEEN if hides_programs(here.proc) else "")
+        yield Check(path, Grade.NOTE, str(error), _UNSEEN if hides_programs(here.proc) else "")
     except PortError as error:
-        yield Check(path, Level.FINDING, str(error), "take another port")
+        yield Check(path, Grade.FINDING, str(error), "take another port")
     else:
         if latency_ms is not None:
             yield _latency(path, latency_ms, can)
@@ -180,10 +180,10 @@ _UNSEEN: Final = "a program of another user may have it, which only root can see
 def _held(path: str, holder: str, adapter: Adapter, here: Computer) -> Iterator[Check]:
     ask = f", or ask it: dpstack ctl {path} status" if is_dpstack(holder) else ""
     todo = keep_off(holder, adapter.usb) or f"end it to have the rest checked{ask}"
-    yield Check(path, Level.NOTE, f"is held by {holder}", todo)
+    yield Check(path, Grade.NOTE, f"is held by {holder}", todo)
     for other in sorted(set(other_openers(path, here.proc)) - {holder}):
         text = f"{other} has it open, too, and takes octets away from {holder}"
-        yield Check(path, Level.FINDING, text, keep_off(other, adapter.usb) or "end that program")
+        yield Check(path, Grade.FINDING, text, keep_off(other, adapter.usb) or "end that program")
 
 
 def _neighbours(path: str) -> Iterator[Check]:
@@ -199,16 +199,16 @@ def _neighbours(path: str) -> Iterator[Check]:
         f"other masters on its bus need T_SL above its delay ({ADAPTER.unknown_ns // NS_PER_MS} ms until a run has "
         f"measured it): {wanted}, and none is enough above {baud_text(fastest)}"
     )
-    yield Check(path, Level.NOTE, text, "alone on the bus nothing has to be done; else set t_sl on all masters")
+    yield Check(path, Grade.NOTE, text, "alone on the bus nothing has to be done; else set t_sl on all masters")
 
 
 def _identity(path: str, adapter: Adapter) -> Iterator[Check]:
     if adapter.usb is not None:
         chip, most = CHIPS.get(adapter.usb, ("an unknown chip", 0))
         limit = f"; its maker promises {baud_text(most)} at most" if most else ""
-        yield Check(path, Level.OK, f"USB {adapter.usb}, {chip}, driver {adapter.driver or 'unknown'}{limit}")
+        yield Check(path, Grade.OK, f"USB {adapter.usb}, {chip}, driver {adapter.driver or 'unknown'}{limit}")
     elif adapter.driver:
-        yield Check(path, Level.OK, f"driver {adapter.driver}")
+        yield Check(path, Grade.OK, f"driver {adapter.driver}")
 
 
 def _latency(path: str, before_ms: int, can: Abilities) -> Check:
@@ -216,10 +216,10 @@ def _latency(path: str, before_ms: int, can: Abilities) -> Check:
     file."""
     text = f"its latency timer is {before_ms} ms"
     if before_ms <= 1:
-        return Check(path, Level.OK, text)
+        return Check(path, Grade.OK, text)
     if can.latency_ms is not None and can.latency_ms <= 1:
-        return Check(path, Level.OK, f"{text}; dpstack sets it to 1 ms while it runs")
-    return Check(path, Level.FINDING, f"{text} and may not be changed: an exchange may take that much longer", SET_UP)
+        return Check(path, Grade.OK, f"{text}; dpstack sets it to 1 ms while it runs")
+    return Check(path, Grade.FINDING, f"{text} and may not be changed: an exchange may take that much longer", SET_UP)
 
 
 def _rates(path: str, can: Abilities, adapter: Adapter) -> Iterator[Check]:
@@ -227,16 +227,16 @@ def _rates(path: str, can: Abilities, adapter: Adapter) -> Iterator[Check]:
     if not driver.tells_rate and can.rates:
         text = f"accepts every rate, and its driver {driver.name} cannot tell which the adapter makes"
         todo = f"look into its manual, or measure: dpstack doctor --measure --port {path}"
-        yield Check(path, Level.NOTE, text, todo)
+        yield Check(path, Grade.NOTE, text, todo)
         return
     missing = [baud_text(rate) for rate in BAUD_RATES if rate not in can.rates]
     if not can.rates:
-        yield Check(path, Level.FINDING, "takes none of PROFIBUS's rates", "take another adapter")
+        yield Check(path, Grade.FINDING, "takes none of PROFIBUS's rates", "take another adapter")
     elif not missing:
-        yield Check(path, Level.OK, "takes every rate of PROFIBUS")
+        yield Check(path, Grade.OK, "takes every rate of PROFIBUS")
     else:
         text = f"takes {', '.join(map(baud_text, can.rates))}; not {', '.join(missing)}"
-        yield Check(path, Level.NOTE, text, "for a rate it does not take use another adapter")
+        yield Check(path, Grade.NOTE, text, "for a rate it does not take use another adapter")
 
 
 _MARKS: Final = "marks of damaged octets"
@@ -244,11 +244,11 @@ _MARKS: Final = "marks of damaged octets"
 
 def _abilities(path: str, can: Abilities, adapter: Adapter, is_pty: bool) -> Iterator[Check]:
     if is_pty:
-        yield Check(path, Level.NOTE, "a pty: no parity, no wire, nothing to set; check sums protect the data")
+        yield Check(path, Grade.NOTE, "a pty: no parity, no wire, nothing to set; check sums protect the data")
         return
     if not can.parity:
         text = "has no parity bit: only check sums protect the data"
-        yield Check(path, Level.FINDING, text, "PROFIBUS needs 8E1: take an adapter that can do even parity")
+        yield Check(path, Grade.FINDING, text, "PROFIBUS needs 8E1: take an adapter that can do even parity")
     driver = adapter.kernel_driver
     own_rs485 = "the adapter's own" if adapter.usb is not None else ""
     for there, name, without in (
@@ -258,10 +258,10 @@ def _abilities(path: str, can: Abilities, adapter: Adapter, is_pty: bool) -> Ite
         ("there" if can.rs485 else own_rs485, "RS-485 mode", "the adapter must switch its direction by itself"),
     ):
         if there:
-            yield Check(path, Level.OK, f"{name}: {there}")
+            yield Check(path, Grade.OK, f"{name}: {there}")
         elif name != _MARKS or not driver.is_weak:  # what a weak driver does with them follows
-            yield Check(path, Level.NOTE, f"{name}: not in its driver", without)
-    level, todo = (Level.NOTE, STRONGER) if driver.is_weak else (Level.OK, "")
+            yield Check(path, Grade.NOTE, f"{name}: not in its driver", without)
+    level, todo = (Grade.NOTE, STRONGER) if driver.is_weak else (Grade.OK, "")
     yield Check(path, level, driver.protection, todo)
     yield from _listening(path, adapter)
 
@@ -271,7 +271,7 @@ def _listening(path: str, adapter: Adapter) -> Iterator[Check]:
         "a converter that RTS switches drives the bus for the instant in which a program opens the port, until the "
         "program drops RTS: this test, `capture`, `monitor` and `baud` do so at once, and send nothing"
     )
-    yield Check(path, Level.OK, text)
+    yield Check(path, Grade.OK, text)
     if adapter.kernel_driver.marks is Marks.PACKET:
         text = f"its driver {adapter.driver} marks all octets of a USB packet as damaged where one of them is"
-        yield Check(path, Level.OK, f"{text}; captures say so at such octets")
+        yield Check(path, Grade.OK, f"{text}; captures say so at such octets")

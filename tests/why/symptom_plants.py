@@ -20,7 +20,7 @@ from faults import devices
 
 import dpstack
 from dpstack.api.config.config import slave_config
-from dpstack.api.doctor import Computer, Level, examine
+from dpstack.api.doctor import Computer, Grade, examine
 from dpstack.api.slave_side.virtual_bench import device_of
 from dpstack.cli.main import main
 from dpstack.dp.slave.application import SlaveApp
@@ -255,7 +255,7 @@ def checked(driver: str, usb: str, latency: int | None, **can: bool) -> str:
             sysfs=Path(folder),
             proc=Path(folder),
         )
-        checks = [check for check in examine(str(port), computer) if check.level is Level.FINDING]
+        checks = [check for check in examine(str(port), computer) if check.level is Grade.FINDING]
     name = "/dev/ttyUSB0" if usb else "/dev/ttyS0"
     return "".join(f"{check.level.value:7}  {name}: {check.text}\n         {check.todo}\n" for check in checks)
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 
-from dpstack.api.doctor import Level, examine
+from dpstack.api.doctor import Grade, examine
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import UsageError
 from dpstack.service import host_setup
 
-_STYLES = {Level.OK: "", Level.NOTE: "yellow", Level.FINDING: "red"}
+_STYLES = {Grade.OK: "", Grade.NOTE: "yellow", Grade.FINDING: "red"}
 
 
 def add_to(parser: Parser) -> None:
@@ -37,7 +37,7 @@ def execute(args: argparse.Namespace) -> int:
     if args.yes:
         return _set_up(json=args.json, fix=args.fix)
     checks = examine(args.port)
-    findings = sum(check.level is Level.FINDING for check in checks)
+    findings = sum(check.level is Grade.FINDING for check in checks)
     steps = host_setup.steps() if args.fix else []
     if args.json:
         more = {"steps": steps, "done": False} if args.fix else {}

@@ -15,7 +15,7 @@ from far_ends import PtyFarEnd
 from msgspec import structs
 
 from dpstack.api import doctor
-from dpstack.api.doctor import AdapterInfo, Check, Computer, Level, examine
+from dpstack.api.doctor import AdapterInfo, Check, Computer, Grade, examine
 from dpstack.cli.commands import doctor as doctor_command
 from dpstack.cli.commands import ports as ports_command
 from dpstack.errors import PortBusyError, PortError
@@ -58,13 +58,13 @@ def computer(tmp_path: Path, port: Path) -> Computer:
     )
 
 
-def told(checks: list[Check], level: Level) -> list[tuple[str, str]]:
+def told(checks: list[Check], level: Grade) -> list[tuple[str, str]]:
     return [(check.text, check.todo) for check in checks if check.level is level]
 
 
 def test_where_all_is_well_nothing_is_to_be_done(computer: Computer) -> None:
     checks = examine(computer=computer)
-    assert {check.level for check in checks} == {Level.OK}
+    assert {check.level for check in checks} == {Grade.OK}
     assert [check.text for check in checks] == [
         "real-time priorities are allowed (any)",
         "memory may be locked",
@@ -90,13 +90,13 @@ def test_where_all_is_well_nothing_is_to_be_done(computer: Computer) -> None:
 
 def test_rights_for_real_time(computer: Computer) -> None:
     limits = {"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 8 << 20}
-    found = told(examine(computer=replace(computer, limit=limits.get)), Level.FINDING)
+    found = told(examine(computer=replace(computer, limit=limits.get)), Grade.FINDING)
     assert [text.partition(":")[0] for text, _ in found] == [
         "no real-time priority is allowed (RLIMIT_RTPRIO 0)",
         "only 8192 KiB may be locked in memory (RLIMIT_MEMLOCK)",
     ]
     assert all("`dpstack doctor --fix`" in todo for _, todo in found)
-    assert not told(examine(computer=replace(computer, limit=limits.get, is_root=True)), Level.FINDING)
+    assert not told(examine(computer=replace(computer, limit=limits.get, is_root=True)), Grade.FINDING)
     granted = examine(computer=replace(computer, limit={"RLIMIT_RTPRIO": 50}.get))
     assert granted[0].text == "real-time priorities are allowed (up to 50)"
 
@@ -114,7 +114,7 @@ def test_isolated_processors_sleep_states_and_interrupts(computer: Computer, tmp
         ("may be kept from sleep states (up to 133 us to wake up) while a fixed cycle runs", ""),
     ]
     refused = examine(computer=replace(computer, access=lambda path, _how: path != dma))
-    ((text, todo),) = told(refused, Level.NOTE)
+    ((text, todo),) = told(refused, Grade.NOTE)
     assert text == f"may not be kept from sleep states: each wake-up may take up to 133 us ({dma})"
     assert "`dpstack doctor --fix`" in todo
     assert 'KERNEL=="cpu_dma_latency", GROUP="dialout"' in (FILES / "99-dpstack.rules").read_text()
@@ -122,20 +122,20 @@ def test_isolated_processors_sleep_states_and_interrupts(computer: Computer, tmp
     (tmp_path / "proc/irq/27").mkdir(parents=True)
     goes_to = tmp_path / "proc/irq/27/smp_affinity_list"
     goes_to.write_text("0-3\n")
-    ((text, todo),) = told(examine(computer=computer), Level.NOTE)
+    ((text, todo),) = told(examine(computer=computer), Grade.NOTE)
     assert text == "interrupts of its USB controller devices (27) go to processors 0-3, where other programs run"
     assert todo == "beside the bus process, as root: echo 2 > /proc/irq/27/smp_affinity_list"
     goes_to.write_text("2\n")
-    assert not told(examine(computer=computer), Level.NOTE)
+    assert not told(examine(computer=computer), Grade.NOTE)
 
 
 def test_no_adapter_no_port_no_permission(computer: Computer, port: Path) -> None:
-    ((text, todo),) = told(examine(computer=replace(computer, adapters=list)), Level.FINDING)
+    ((text, todo),) = told(examine(computer=replace(computer, adapters=list)), Grade.FINDING)
     assert text == "no serial adapter is plugged in"
     assert "virtual" in todo
-    ((text, _),) = told(examine("/dev/ttyUSB99", computer), Level.FINDING)
+    ((text, _),) = told(examine("/dev/ttyUSB99", computer), Grade.FINDING)
     assert text == "no such port"
-    ((text, todo),) = told(examine(str(port), replace(computer, access=lambda _p, _h: False)), Level.FINDING)
+    ((text, todo),) = told(examine(str(port), replace(computer, access=lambda _p, _h: False)), Grade.FINDING)
     assert text == "no permission"
     assert "usermod" in todo or "udev" in todo
 
@@ -144,13 +144,13 @@ def test_a_latency_timer_is_tried_before_it_is_judged(computer: Computer, tmp_pa
     """The low-latency mode sets it for a user who may not write to its file."""
     timer = str(tmp_path / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer")
     read_only = replace(computer, access=lambda path, _how: path != timer)
-    assert not told(examine(computer=read_only), Level.FINDING)
+    assert not told(examine(computer=read_only), Grade.FINDING)
     stuck = replace(read_only, probe=lambda _path: structs.replace(ALL, latency_ms=16))
-    ((text, todo),) = told(examine(computer=stuck), Level.FINDING)
+    ((text, todo),) = told(examine(computer=stuck), Grade.FINDING)
     assert text.startswith("its latency timer is 16 ms and may not be changed")
     assert "`dpstack doctor --fix`" in todo
     Path(timer).write_text("1\n")
-    assert not told(examine(computer=stuck), Level.FINDING)
+    assert not told(examine(computer=stuck), Grade.FINDING)
 
 
 def test_a_held_port_is_left_alone(computer: Computer, port: Path, tmp_path: Path) -> None:
@@ -161,18 +161,18 @@ def test_a_held_port_is_left_alone(computer: Computer, port: Path, tmp_path: Pat
     (holder / "fd").mkdir(parents=True)
     (holder / "comm").write_text("minicom\n")
     (holder / "fd" / "3").symlink_to(port)
-    ((text, todo),) = told(examine(computer=replace(computer, probe=never)), Level.NOTE)
+    ((text, todo),) = told(examine(computer=replace(computer, probe=never)), Grade.NOTE)
     assert text == "is held by minicom (pid 41)"
     assert todo == "end it to have the rest checked"
     (holder / "cmdline").write_text("\0".join(["python3", "-P", "-m", "dpstack", "run", "plant.toml"]))
-    ((text, todo),) = told(examine(computer=replace(computer, probe=never)), Level.NOTE)
+    ((text, todo),) = told(examine(computer=replace(computer, probe=never)), Grade.NOTE)
     assert text == "is held by `dpstack run plant.toml` (pid 41)"
     assert f"dpstack ctl {port} status" in todo
     other = tmp_path / "proc" / "42"
     (other / "fd").mkdir(parents=True)
     (other / "comm").write_text("cat\n")
     (other / "fd" / "3").symlink_to(port)
-    assert told(examine(computer=replace(computer, probe=never)), Level.FINDING) == [
+    assert told(examine(computer=replace(computer, probe=never)), Grade.FINDING) == [
         (
             "cat (pid 42) has it open, too, and takes octets away from `dpstack run plant.toml` (pid 41)",
             "end that program",
@@ -181,7 +181,7 @@ def test_a_held_port_is_left_alone(computer: Computer, port: Path, tmp_path: Pat
     shutil.rmtree(other)
     (holder / "cmdline").write_text("/usr/sbin/ModemManager")
     (holder / "comm").write_text("ModemManager\n")
-    ((_, todo),) = told(examine(computer=replace(computer, probe=never)), Level.NOTE)
+    ((_, todo),) = told(examine(computer=replace(computer, probe=never)), Grade.NOTE)
     assert todo == (
         "it opens adapters by itself; this line in /etc/udev/rules.d/99-own.rules keeps it off: "
         'SUBSYSTEM=="tty", SUBSYSTEMS=="usb", ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6014", '
@@ -196,15 +196,15 @@ def test_a_port_that_cannot_be_opened(computer: Computer) -> None:
     def broken(path: str) -> Abilities:
         raise PortError(f"{path}: no device behind it")
 
-    assert told(examine(computer=replace(computer, probe=busy)), Level.NOTE)[0][0].endswith("is held by x")
-    assert told(examine(computer=replace(computer, probe=broken)), Level.FINDING)[0][0].endswith("no device behind it")
+    assert told(examine(computer=replace(computer, probe=busy)), Grade.NOTE)[0][0].endswith("is held by x")
+    assert told(examine(computer=replace(computer, probe=broken)), Grade.FINDING)[0][0].endswith("no device behind it")
 
 
 def test_missing_abilities_of_an_adapter_are_told(computer: Computer, port: Path, tmp_path: Path) -> None:
     poor = Abilities(rates=[9600, 19200])
     checks = examine(computer=replace(computer, probe=lambda _path: poor, sysfs=tmp_path / "nothing"))
-    assert [text for text, _ in told(checks, Level.FINDING)] == ["has no parity bit: only check sums protect the data"]
-    notes = [text for text, _ in told(checks, Level.NOTE)]
+    assert [text for text, _ in told(checks, Grade.FINDING)] == ["has no parity bit: only check sums protect the data"]
+    notes = [text for text, _ in told(checks, Grade.NOTE)]
     assert notes[0].startswith("takes 9.6 kbit/s, 19.2 kbit/s; not 31.25 kbit/s, ")
     assert notes[1:] == [
         "low-latency mode: not in its driver",
@@ -212,23 +212,23 @@ def test_missing_abilities_of_an_adapter_are_told(computer: Computer, port: Path
         "marks of damaged octets: not in its driver",
         "RS-485 mode: not in its driver",
     ]
-    assert all(todo for _, todo in told(checks, Level.NOTE))
+    assert all(todo for _, todo in told(checks, Grade.NOTE))
     none = replace(computer, probe=lambda _path: Abilities(parity=True))
-    assert ("takes none of PROFIBUS's rates", "take another adapter") in told(examine(computer=none), Level.FINDING)
+    assert ("takes none of PROFIBUS's rates", "take another adapter") in told(examine(computer=none), Grade.FINDING)
 
 
 def test_an_unknown_chip_and_another_system(computer: Computer, tmp_path: Path) -> None:
     plug_in(tmp_path / "other", "ttyUSB0", usb="1111:2222", driver="cdc_acm", latency=None)
     checks = examine(computer=replace(computer, sysfs=tmp_path / "other"))
     assert checks[4].text == "USB 1111:2222, an unknown chip, driver cdc_acm"
-    notes = told(checks, Level.NOTE)
+    notes = told(checks, Grade.NOTE)
     assert [text for text, _ in notes] == [
         "accepts every rate, and its driver cdc_acm cannot tell which the adapter makes",
         kernel_driver("cdc_acm", usb=True).protection,
     ]
     assert "FTDI (ftdi_sio)" in notes[1][1]
     (check,) = examine(computer=replace(computer, platform="win32"))
-    assert (check.level, check.topic) == (Level.NOTE, "system")
+    assert (check.level, check.topic) == (Grade.NOTE, "system")
 
 
 def test_doctor_of_a_pty_on_this_computer(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -301,7 +301,7 @@ def test_the_set_up_script_says_what_it_would_do() -> None:
 
 @pytest.fixture
 def all_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_command, "examine", lambda _port: [Check("real time", Level.OK, "memory may be locked")])
+    monkeypatch.setattr(doctor_command, "examine", lambda _port: [Check("real time", Grade.OK, "memory may be locked")])
 
 
 def installed(folder: Path) -> list[str]:
@@ -348,7 +348,7 @@ def test_fix_with_yes_needs_root(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_needs_of_other_masters_are_told_beside_the_named_adapter(computer: Computer, port: Path) -> None:
-    ((text, todo),) = told(examine(str(port), computer), Level.NOTE)
+    ((text, todo),) = told(examine(str(port), computer), Grade.NOTE)
     assert text == (
         "other masters on its bus need T_SL above its delay (20 ms until a run has measured it): "
         "3825 at 187.5 kbit/s, 10115 at 500 kbit/s, and none is enough above 500 kbit/s"
