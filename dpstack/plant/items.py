@@ -235,6 +235,8 @@ class DriveValues(Struct, frozen=True, kw_only=True):
     settings: str | None = None
     settings_texts: list[str] | None = None
     notices: list[DriveNotice] | None = None
+    #: the verdict on ``state``: good, busy, off or error
+    level: str | None = None
 
 
 class SlaveValues(Struct, frozen=True, kw_only=True, omit_defaults=True):

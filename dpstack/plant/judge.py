@@ -45,6 +45,14 @@ STATES: Final[dict[str, tuple[str, Level]]] = {
     DEACTIVATED: ("deactivated", Level.OFF),
     "unknown": ("unknown", Level.OFF),
 }
+#: level of each state of a drive (:class:`dpstack.profile.State`) that is not on its way to another one
+_DRIVE_STATES: Final = {
+    "running": Level.GOOD,
+    "fault": Level.ERROR,
+    "fault_reaction": Level.ERROR,
+    "offline": Level.OFF,
+    "unknown": Level.OFF,
+}
 #: of a slave in data exchange whose inputs are too old
 _NOT_VALID: Final = "not valid"
 
@@ -52,6 +60,11 @@ _NOT_VALID: Final = "not valid"
 def exchanging(values: SlaveValues) -> bool:
     """Whether the slave is in data exchange."""
     return values.state == DATA_EXCHANGE
+
+
+def drive_level(state: str | None) -> str:
+    """The verdict on the state of a drive."""
+    return _DRIVE_STATES.get(state or "unknown", Level.BUSY).value
 
 
 def judged(values: SlaveValues) -> SlaveValues:
@@ -72,7 +85,10 @@ def judged(values: SlaveValues) -> SlaveValues:
     elif words == _NOT_VALID:
         remark = Remark("the inputs are not valid", Severity.WARNING.value)
     text = words if values.master is None else f"{words} (master {values.master})"
-    return structs.replace(values, alive=alive, level=level.value, state_text=text, remark=remark)
+    drive = values.drive
+    if drive is not None and drive.level is None:  # of an older version
+        drive = structs.replace(drive, level=drive_level(drive.state))
+    return structs.replace(values, alive=alive, level=level.value, state_text=text, remark=remark, drive=drive)
 
 
 def _remark(values: SlaveValues) -> Remark | None:

@@ -8,7 +8,9 @@ import pytest
 from verdicts_kit import verdicts
 
 from dpstack.dp.master.events import SlaveState
-from dpstack.plant.judge import STATES, Level
+from dpstack.plant.items import DriveValues, SlaveValues
+from dpstack.plant.judge import STATES, Level, drive_level, judged
+from dpstack.profile.model.states import State
 
 GOOD: dict[str, Any] = {
     "state": "data_exchange", "inputs_valid": True, "fault": None, "conspicuous": "", "drive": None, "injected": [],
@@ -80,3 +82,18 @@ def test_verdicts(case: str) -> None:
 def test_every_state_has_words() -> None:
     assert {*STATES} == {*(one.value for one in SlaveState), "unknown"}
     assert {level for _, level in STATES.values()} <= {*Level}
+
+
+def test_every_state_of_a_drive_has_a_level() -> None:
+    found = {state.value: drive_level(state) for state in State}
+    on_the_way = ["not_ready", "switch_on_inhibited", "ready_to_switch_on", "ready", "stopping", "quick_stop"]
+    assert found == {
+        **dict.fromkeys(on_the_way, "busy"),
+        "running": "good",
+        "fault": "error",
+        "fault_reaction": "error",
+        "offline": "off",
+        "unknown": "off",
+    }
+    older = judged(SlaveValues(drive=DriveValues(state="running")))
+    assert older.drive == DriveValues(state="running", level="good")

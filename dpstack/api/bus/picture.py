@@ -23,7 +23,7 @@ from dpstack.plant.items import (
     all_of,
     changes_of,
 )
-from dpstack.plant.judge import JUDGED, judged
+from dpstack.plant.judge import JUDGED, drive_level, judged
 from dpstack.units import NS_PER_MS, ns_to_s
 
 if TYPE_CHECKING:
@@ -161,12 +161,14 @@ def _drive_values(bus: BusBase, drive: Drive) -> DriveValues:
         settings=str(status.settings),
         settings_texts=list(status.settings_texts),
         notices=notices or None,
+        level=drive_level(status.state),
     )
 
 
 def drive_dict(values: DriveValues) -> dict[str, Any]:
-    """The status of a drive as plain data; ``notices`` where there were some."""
+    """The status of a drive as plain data, without the verdict; ``notices`` if there were some."""
     found: dict[str, Any] = msgspec.to_builtins(values)
+    del found["level"]
     if found["notices"] is None:
         del found["notices"]
     return found

@@ -221,7 +221,7 @@ export class DriveCard {
     if (!drive) return;
     const { state } = drive;
     this.machine.update(state);
-    this.state.update(KIND[state] ?? "busy", stateOfDrive(state));
+    this.state.update(kindOf(drive.level), stateOfDrive(state));
     this.bar.update(drive.speed, drive.setpoint);
     const rows = [
       ["Set point", percent(drive.setpoint, 1)],
@@ -293,8 +293,6 @@ export class DriveCard {
     return el("details", { open: this.open, on: { toggle: (event) => { this.open = event.target.open; } } }, el("summary", { "data-key": "orders", text: `Orders to ${name}` }), buttons);
   }
 }
-
-const KIND = { running: "good", fault: "bad", fault_reaction: "bad", offline: "off", unknown: "off" };
 
 function stateOfDrive(state) {
   const text = String(state ?? "unknown").replaceAll("_", " ");
