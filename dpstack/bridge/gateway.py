@@ -38,7 +38,8 @@ class Gateway:
 
     Nothing that a connector does reaches another connector or the bus: one that raises ends alone, and is told.
     ``tell``: takes remarks, each with its severity. ``tree``: that of the connectors. ``now``: the clock of the
-    computer in s since 1970, which may be set; times of the tree count by the clock of the stream.
+    computer in s since 1970, which may be set; times of the tree count by the clock of the stream. ``on_loss``: called
+    with each connector that ends by a fault or by itself, before the end of all.
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class Gateway:
         tree: PlantTree,
         tell: Tell,
         now: Callable[[], float] = time.time,
+        on_loss: Callable[[Connector], object] = lambda _: None,
     ) -> None:
         self.tree = tree
         #: the clock of the computer minus that of the stream in s, as given out
@@ -61,6 +63,9 @@ class Gateway:
             connector.spread = self._spread
         self._tell = tell
         self._now = now
+        self._on_loss = on_loss
+        #: time of the loop at which it last looked for items
+        self.beat = 0.0
         self._serving: dict[asyncio.Task[None], Connector] = {}
         self._waiting: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(MOST_ITEMS)
 
@@ -96,6 +101,7 @@ class Gateway:
         reading = loop.create_task(self._read(), name="dpstack gateway: the live stream")
         try:
             while not (reading.done() and self._waiting.empty()):
+                self.beat = loop.time()
                 await self._step(await self._next_items(reading))
             why, error = "the live stream has ended", None if reading.cancelled() else reading.exception()
             if error is not None:
@@ -190,6 +196,7 @@ class Gateway:
         if connector in self._connectors:
             self._connectors.remove(connector)
             self.failed.append(connector)
+            self._on_loss(connector)
 
     def _report(self, connector: Connector, error: BaseException) -> None:
         if isinstance(error, DpError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import difflib
+import math
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
@@ -123,6 +124,13 @@ class Orders:
         self._halting: set[asyncio.Task[None]] = set()
         self._remark_at = -_REMARK_S
         self._untold = 0
+        #: orders that came before this time of the loop are refused
+        self._recalled_at = -math.inf
+
+    def recall(self, *, for_ever: bool) -> None:
+        """The connector is lost: refuse the orders that have come by now, and with ``for_ever`` all others. A halt that
+        has begun goes on."""
+        self._recalled_at = math.inf if for_ever else asyncio.get_running_loop().time()
 
     def sets_output(self, name: str) -> bool:
         """Whether :meth:`give_outputs` takes the order ``name``."""
@@ -291,6 +299,8 @@ class Orders:
             raise _RefusedError("the slave is not in data exchange", Refusal.NO_EXCHANGE)
 
     def _judge_age(self, age: _Age) -> None:
+        if age.came <= self._recalled_at:
+            raise _RefusedError("its connector has ended, or hung, since the order came")
         waited = asyncio.get_running_loop().time() - age.came
         if age.made_at is not None:
             by_clocks = self._now() - age.made_at

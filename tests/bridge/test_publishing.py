@@ -246,7 +246,7 @@ async def test_values_go_out_and_orders_come_back(world: WorldFactory) -> None:
         assert plant.outputs[-1] == bytes([0x77 | 2, 15])
         # the value comes back from the bus, and is no echo of the order
         assert connector.values("slave/9/output/target")[-1] == 7.5
-    assert [text for text in notices(bus) if "order" in text] == [
+    assert [text for text in notices(bus) if text.startswith("probe: order ")] == [
         "probe: order valves.lamp: done",
         "probe: order valves.target: done",
         f"probe: order valves.target refused: {outside}",

@@ -21,11 +21,17 @@ from dpstack.trace import Severity
 
 #: s for which the failures "thread" and "loop" last, which nobody can end
 HANG_S: Final = 8.0
+#: the order of the failures "fault", "blocks" and "old", which come when the file ``go`` is there
+ORDERED: Final = ("valves.target", 0x1122)
+#: of the failure "old": another value, made so many s ago
+OLD: Final = ("valves.target", 0x3344)
+OLD_S: Final = 10.0
 
 
 class ProbeConfig(ConnectorConfig, frozen=True, kw_only=True):
     fails: str = ""
     log: str = ""
+    go: str = ""
     port: Annotated[int, Key(0, 65535)] = 0
     allow_commands: Annotated[tuple[str, ...], Key(read=read_names)] = ()
 
@@ -68,6 +74,8 @@ class ProbeConnector(Connector):
         self.course.append("serve")
         if self.config.fails == "build":
             print("builds", flush=True)
+        if self.config.go:
+            await self._order()
         if self.config.fails == "serve":
             await asyncio.sleep(0.4)
             raise ZeroDivisionError("serve")
@@ -81,6 +89,23 @@ class ProbeConnector(Connector):
                 await asyncio.to_thread(time.sleep, HANG_S)
             if self.config.fails == "loop":
                 time.sleep(HANG_S)  # noqa: ASYNC251  the failure
+
+    async def _order(self) -> None:
+        """Give an order, and fail once somebody has made the file ``go``."""
+        while Born(4) not in self.lives:  # noqa: ASYNC110  the tree tells nobody
+            await asyncio.sleep(0.05)
+        if self.config.fails != "old":
+            result = await self.orders.give(*ORDERED, made_at=None)
+            assert result.result == "done", result
+        print("ordered", flush=True)
+        while not Path(self.config.go).exists():  # noqa: ASYNC110  another program makes it
+            await asyncio.sleep(0.05)
+        if self.config.fails == "fault":
+            raise ZeroDivisionError("serve")
+        if self.config.fails == "blocks":
+            time.sleep(10 * HANG_S)  # noqa: ASYNC251  the failure
+        if self.config.fails == "old":
+            await self.orders.give(*OLD, made_at=time.time() - OLD_S)
 
     def close(self) -> None:
         self.course.append("close")

@@ -20,6 +20,7 @@ _SERVER: Final = "web/test_web_server.py::"
 _OPCUA: Final = "bridge_opcua/test_opcua_connector.py::"
 _FLEET: Final = "bridge_mqtt/"
 _JSON: Final = "bridge_mqtt/test_json_node.py::"
+_LOSS: Final = "bridge/test_connector_loss.py::"
 _CODE: Final = "security/test_no_code.py::"
 #: for each promise the tests that show it, below tests/
 PROMISES: Final[dict[str, tuple[str, ...]]] = {
@@ -219,6 +220,13 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         _FLEET + "test_mqtt_secrets.py::test_no_secret_is_published_and_a_will_has_the_number_of_its_session",
         _FLEET + "test_mqtt_broker.py::test_an_address_that_is_none_is_refused_and_no_text_holds_a_password",
         _FLEET + "test_mqtt_broker.py::test_passwords_come_from_the_environment_or_from_a_file_of_ones_own",
+    ),
+    "G17": (
+        _LOSS + "test_what_a_connector_ordered_becomes_safe_when_it_ends_by_a_fault",
+        _LOSS + "test_the_connectors_hang",
+        _LOSS + "test_drives_that_were_moved_from_outside_stop",
+        _LOSS + "test_a_bus_process_goes_to_clear_while_the_program_hangs",
+        "bridge/test_orders.py::test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come",
     ),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",

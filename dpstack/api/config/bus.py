@@ -129,6 +129,9 @@ class BusConfig(Struct, frozen=True, kw_only=True):
     application_watchdog_ms: the longest time between two calls of `bus.alive()` by your program, see
         [below](#is-the-program-alive): 10 or more; 0 switches this watchdog off. `dpstack run` and `dpstack drive`
         refuse the key
+    on_connector_loss: what becomes of outputs and drives that a connector (MQTT, OPC UA) has ordered when it ends by a
+        fault or hangs, see [below](#a-connector-that-is-lost): `"safe"`: outputs get their safe values, drives stop;
+        `"keep"`: they stay as ordered
     auto_clear: go to Clear when a slave had no data exchange for `data_control_time_ms`, and report which slave and
         why. `operate()` waits until all slaves are in data exchange. The master does not go back to Operate by itself
     data_control_time_ms: the Data_Control_Time
@@ -160,6 +163,7 @@ class BusConfig(Struct, frozen=True, kw_only=True):
     extra_idle_bits: Annotated[int, _like("extra_idle")] = 0
     after_stall: Literal["safe", "resume"] = "safe"
     application_watchdog_ms: Annotated[int, Key(0, 655_350, read=_application_watchdog)] = 0
+    on_connector_loss: Literal["safe", "keep"] = "safe"
     auto_clear: bool = False
     data_control_time_ms: Annotated[int, Key(10, 655_350)] = 1000
     read_only: bool = False

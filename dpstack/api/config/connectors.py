@@ -4,7 +4,7 @@ connector is."""
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, Final, Literal
 
 from msgspec import Struct, structs
@@ -136,6 +136,24 @@ CONNECTORS: Final[dict[str, type[ConnectorConfig]]] = {
     "metrics": MetricsConfig,
     "opcua": OpcUaConfig,
 }
+
+
+#: the value of ``on_connector_loss`` with which nothing becomes safe
+KEEP: Final = "keep"
+
+
+def who_may_order(tables: Mapping[str, ConnectorConfig]) -> list[str]:
+    """The connectors that may give orders."""
+    return [name for name, table in tables.items() if getattr(table, "allow_commands", ())]
+
+
+def loss_text(names: Collection[str], rule: str) -> str:
+    """What happens when the connectors ``names``, which may give orders, are lost. ``rule``: ``on_connector_loss``."""
+    what = "stays as it is" if rule == KEEP else "becomes safe: outputs get their safe values, drives stop"
+    return (
+        f"{', '.join(names)}: when a connector ends by a fault or hangs, all that it has ordered {what} "
+        f'(on_connector_loss = "{rule}")'
+    )
 
 
 def read_connector(source: Source, name: str, data: object) -> ConnectorConfig:

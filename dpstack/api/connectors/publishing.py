@@ -17,22 +17,26 @@ from typing import Final
 from msgspec import convert
 
 from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.bus.driver_choice import PROCESS
 from dpstack.api.bus.live import LiveStream, named_values
-from dpstack.api.config.connectors import ConnectorConfig, read_connectors
+from dpstack.api.config.connectors import KEEP, ConnectorConfig, loss_text, read_connectors
 from dpstack.api.config.table import Source
 from dpstack.api.connectors.kinds import KINDS, ConnectorKind, Parts
-from dpstack.api.control.orders import carry_out
+from dpstack.api.connectors.outside import OutsideOrders
 from dpstack.api.streams import LEVELS, load_beside
 from dpstack.bridge.connector import Connector, ConnectorState, Teller
 from dpstack.bridge.gateway import END_S, TICK_S, Gateway
 from dpstack.bridge.orders import Orders, check_allowed
-from dpstack.errors import BusError, ConfigError, UsageError
+from dpstack.dp.master.commands import Alive
+from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.plant.items import Item, SlavePlant
 from dpstack.plant.nodes import slave_of
+from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.plant.tree import PlantTree
 from dpstack.ports import posix
 from dpstack.text import printable
 from dpstack.trace import Severity
+from dpstack.units import NS_PER_S
 
 #: s between two snapshots for the connectors
 _INTERVAL_S: Final = 0.2
@@ -42,6 +46,9 @@ _BUILD_S: Final = 60.0
 _HURRIED_S: Final = 0.5
 #: s between two looks whether the user is in a hurry
 _LOOK_S: Final = 0.1
+#: s without a sign of life of the connectors after which they hang, and between two looks
+HANG_S: Final = 5.0
+_BEAT_S: Final = 1.0
 #: remarks that are kept until the bus is open
 _MOST_REMARKS: Final = 100
 _SOURCE: Final = "connectors"
@@ -104,6 +111,14 @@ class Publishing:
         self._stream: LiveStream | None = None
         self._gateway: Gateway | None = None
         self._running: asyncio.Task[None] | None = None
+        self._watching: asyncio.Task[None] | None = None
+        self._outside = OutsideOrders(bus, self._tell)
+        #: the gate of the orders of each connector that may give some, by its name
+        self._gates: dict[str, Orders] = {}
+        self._losing: set[asyncio.Task[None]] = set()
+        #: the bus has a process of its own, which can act while this loop stands still
+        self._arms = False
+        self._armed = False
         self._has_told = False
         self._untold: list[tuple[str, Severity]] = []
         self.remarks = []
@@ -161,19 +176,30 @@ class Publishing:
         try:
             for name, kind in kinds.items():
                 tell = Teller(name, self._tell)
-                parts = Parts(self._tree, tell, partial(self._orders, tell), self._connector_states, self._bus_pid)
+                parts = Parts(
+                    self._tree, tell, partial(self._orders, name, tell), self._connector_states, self._bus_pid
+                )
                 with self._blaming(name):
                     self._connectors.append(kind.make(self._tables[name], parts))
             for connector in self._connectors:
                 with self._blaming(connector.name):
                     await connector.open()
             self._stream = self._bus.live(_INTERVAL_S)
-            self._gateway = Gateway(self._items(self._stream), self._connectors, tree=self._tree, tell=self._tell)
+            self._gateway = Gateway(
+                self._items(self._stream),
+                self._connectors,
+                tree=self._tree,
+                tell=self._tell,
+                on_loss=lambda connector: self._lose(connector.name),
+            )
         except BaseException:
             self._release()
             raise
         self._running = asyncio.create_task(self._gateway.run(), name="dpstack gateway")
         self._running.add_done_callback(self._ended)
+        if self._gates and not self._bus.config.bus.read_only:
+            self._tell(loss_text(self._gates, self._bus.config.bus.on_connector_loss), Severity.INFO)
+            self._watching = asyncio.create_task(self._watch(), name="dpstack connectors: whether they hang")
         core_of(self._bus).before_opening.append(self._built)
         return self
 
@@ -194,7 +220,51 @@ class Publishing:
         finally:
             task.cancel()
             await asyncio.wait((task,), timeout=_HURRIED_S)
+            for other in (self._watching, *self._losing):
+                if other is not None:
+                    other.cancel()
             self._release()
+
+    # --- connectors that are lost ---------------------------------------------------------------------------------
+
+    def _lose(self, *names: str, hang: bool = False) -> None:
+        """The connectors ``names`` have ended by a fault or hang: none of their orders acts any more."""
+        for name in names:
+            if name in self._gates:
+                self._gates[name].recall(for_ever=not hang)
+        if self._bus.is_open:
+            task = asyncio.create_task(self._outside.lose(names), name="dpstack connectors: safe values")
+            self._losing.add(task)
+            task.add_done_callback(self._losing.discard)
+
+    async def _watch(self) -> None:
+        """Find out that the connectors hang: by then also this loop, in which they run, stood still. Where the bus has
+        a process of its own, that goes to Clear meanwhile if something from outside is in effect."""
+        assert self._gateway is not None
+        assert self._running is not None
+        loop = asyncio.get_running_loop()
+        hung = False
+        try:
+            while not self._running.done():
+                looked_at = loop.time()
+                await asyncio.sleep(_BEAT_S)
+                late_s = loop.time() - looked_at - _BEAT_S
+                silent_s = max(late_s, loop.time() - self._gateway.beat - TICK_S)
+                before, hung = hung, silent_s > HANG_S
+                if hung and not before and not self._running.done():
+                    why = " (this program was stopped, or its event loop was blocked)" if late_s > HANG_S else ""
+                    self._tell(f"the connectors gave no sign of life for {silent_s:.0f} s{why}", Severity.ERROR)
+                    self._lose(*self._gates, hang=True)
+                self._arm(self._outside.in_effect)
+        finally:
+            self._arm(False)
+
+    def _arm(self, wanted: bool) -> None:
+        """Have the bus process go to Clear once this loop has stood still for :data:`HANG_S`, or no longer."""
+        if self._arms and (wanted or self._armed) and self._bus.is_open:
+            self._armed = wanted
+            with contextlib.suppress(DpError):  # the bus process has ended, or is silent
+                core_of(self._bus).command(Alive(limit_ns=round(HANG_S * NS_PER_S) if wanted else 0))
 
     def _connector_states(self) -> list[ConnectorState]:
         failed = [] if self._gateway is None else self._gateway.failed
@@ -241,6 +311,7 @@ class Publishing:
         error = None if task.cancelled() else task.exception()
         if error is not None:
             self._tell(f"all connectors have ended by a fault ({type(error).__name__}: {error})", Severity.ERROR)
+            self._lose(*self._gates)
 
     @contextlib.contextmanager
     def _blaming(self, name: str) -> Iterator[None]:
@@ -258,6 +329,7 @@ class Publishing:
         async for item in stream:
             if self._bus.is_open and not self._has_told:
                 self._has_told = True
+                self._arms = self._bus.driver == PROCESS and self._bus.config.bus.on_connector_loss != KEEP
                 self._tell_where_they_run()
             yield item
 
@@ -287,12 +359,19 @@ class Publishing:
 
     # --- orders ---------------------------------------------------------------------------------------------------
 
-    def _orders(self, tell: Teller, allow: Sequence[str], max_age_s: float) -> Orders:
+    def _orders(self, name: str, tell: Teller, allow: Sequence[str], max_age_s: float) -> Orders:
         bus = self._bus
         plants = ((slave.address, convert(named_values(slave), SlavePlant)) for slave in bus.config.slaves)
         check_allowed(
             allow, (order.name for at, plant in plants for order in slave_of(at, plant, writable=True).orders)
         )
 
-        # whoever gives an order by a connector does not stand beside the plant
-        return Orders(self._tree, partial(carry_out, bus, now=True), allow, max_age_s=max_age_s, tell=tell)
+        gate = Orders(self._tree, partial(self._carry_out, name), allow, max_age_s=max_age_s, tell=tell)
+        if gate.takes_any:
+            self._gates[name] = gate
+        return gate
+
+    async def _carry_out(self, name: str, order: SetOutputs | DriveOrder) -> object:
+        if self._arms:
+            self._arm(True)  # before it is in effect; the next look switches it off where it is not
+        return await self._outside.carry_out(name, order)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from time import monotonic
 from typing import TYPE_CHECKING, Final
 
@@ -65,9 +65,9 @@ def execute(args: argparse.Namespace) -> int:
     plan = plan_bus(config, args.baud or config.baud)
     if args.json:
         simulated = {} if args.simulate is None else {"simulated": _simulated_json(config, plan, args.simulate)}
-        output.json_line(_with_rates(plan.as_dict(), needs) | simulated)
+        output.json_line(_with_rates(plan.as_dict(), needs) | _loss_json(config) | simulated)
     else:
-        _show(plan, needs)
+        _show(plan, needs, _notes_on_loss(config))
         if args.octets:
             _show_octets(plan)
         if args.simulate is not None:
@@ -162,7 +162,21 @@ def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
     return data
 
 
-def _show(plan: Plan, needs: Needs) -> None:
+def _notes_on_loss(config: Config) -> list[str]:
+    """What happens when a connector that may give orders is lost."""
+    if not config.connectors or config.bus.read_only:
+        return []
+    from dpstack.api.config.connectors import loss_text, who_may_order  # here, as most configurations have none
+
+    names = who_may_order(config.connectors)
+    return [loss_text(names, config.bus.on_connector_loss)] if names else []
+
+
+def _loss_json(config: Config) -> dict[str, object]:
+    return {"on_connector_loss": config.bus.on_connector_loss} if _notes_on_loss(config) else {}
+
+
+def _show(plan: Plan, needs: Needs, more: Sequence[str]) -> None:
     p = plan.params
     parameters = {
         "T_SL": p.t_sl,
@@ -214,7 +228,7 @@ def _show(plan: Plan, needs: Needs) -> None:
             f"the typical rotation takes {plan.cycle.load:.0%} of it"
         )
         _show_needs(needs)
-    for note in (*plan.notes, *([plan.beside] if plan.beside else [])):
+    for note in (*plan.notes, *([plan.beside] if plan.beside else []), *more):
         output.line(f"note: {note}", "dim")
     for finding in plan.findings:
         output.line(f"finding: {finding}", "bold red")

@@ -28,7 +28,10 @@ class SetMode(Order):
 
 
 class Alive(Order):
-    """The application is alive: restart the application watchdog, if it is armed."""
+    """The application is alive: restart the application watchdog, if it is armed. ``limit_ns``: arm it for so long in
+    Operate, 0 switches it off; None, and a master whose settings have a watchdog, leave it as it is armed."""
+
+    limit_ns: int | None = None
 
 
 class Shutdown(Order):

@@ -98,8 +98,8 @@ class Master(LinkUser):
         match command:
             case SetMode(mode):
                 self._set_mode(mode, now)
-            case Alive():
-                self._watch.alive(now)
+            case Alive(limit_ns):
+                self._watch.alive(now, limit_ns)
             case Shutdown():
                 self._shutdown(now)
             case SendControl():

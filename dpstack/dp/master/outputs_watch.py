@@ -92,6 +92,7 @@ class OutputsWatch:
         self._force_clear = force_clear
         #: when the application watchdog runs out in ns, NEVER while it is off
         self.alive_until = NEVER
+        self._limit_ns = settings.application_watchdog_ns
         self._handlers = handlers
         self._settings = settings
         self._watching = False
@@ -109,8 +110,8 @@ class OutputsWatch:
             handler.operate_ordered(now)
         self.down.clear()
         self._watching = True
-        limit_ns = self._settings.application_watchdog_ns
-        self.alive_until = now + limit_ns if limit_ns else NEVER
+        self._limit_ns = self._settings.application_watchdog_ns
+        self.alive_until = now + self._limit_ns if self._limit_ns else NEVER
         self.look_soon()
 
     def end(self) -> None:
@@ -119,10 +120,15 @@ class OutputsWatch:
         self.alive_until = self.look_at = NEVER
         self.down.clear()
 
-    def alive(self, now: int) -> None:
-        """Restart the application watchdog, unless it has run out or is off."""
-        if now < self.alive_until != NEVER:
-            self.alive_until = now + self._settings.application_watchdog_ns
+    def alive(self, now: int, limit_ns: int | None = None) -> None:
+        """Restart the application watchdog, unless it has run out or is off. ``limit_ns``: as of ``Alive``."""
+        if limit_ns is None:
+            if now < self.alive_until != NEVER:
+                self.alive_until = now + self._limit_ns
+        elif self._watching and not self._settings.application_watchdog_ns:
+            self._limit_ns = limit_ns
+            self.alive_until = now + limit_ns if limit_ns else NEVER
+            self.look_at = min(self.look_at, self.alive_until)
 
     def look_soon(self) -> None:
         """Look before the next request, because the state of a slave changed."""
@@ -187,7 +193,7 @@ class OutputsWatch:
         if found is not None or not self.down:
             self._held = None
         if found is None and now >= self.alive_until:
-            found = ApplicationSilent(t_ns=now, limit_ns=self._settings.application_watchdog_ns)
+            found = ApplicationSilent(t_ns=now, limit_ns=self._limit_ns)
         if found is not None:
             self._force_clear(found, now)
 

@@ -99,3 +99,23 @@ def test_signals_end_a_run_and_its_connectors(tmp_path: Path, fails: str, signal
     course = (tmp_path / "course").read_text().splitlines()
     assert course[-1] == "close"
     assert "last: Died 8, Died None" in course
+
+
+@pytest.mark.parametrize("more", ["", 'on_connector_loss = "keep"', "read_only = true"])
+def test_the_plan_says_the_rule_if_a_connector_may_give_orders(
+    tmp_path: Path, cli: Cli, probe: None, more: str
+) -> None:
+    path = tmp_path / "plant.toml"
+    plant = f'[bus]\nport = "virtual"\nbaud = 500000\n{more}\n[probe]\n[metrics]\n'
+    path.write_text(plant, encoding="utf-8")
+    assert "on_connector_loss" not in cli("plan", str(path))[0] + cli("plan", str(path), "--json")[0]
+    path.write_text(plant.replace("[probe]", '[probe]\nallow_commands = ["tank.*"]'), encoding="utf-8")
+    out, found = cli("plan", str(path))[0], json.loads(cli("plan", str(path), "--json")[0])
+    if "read_only" in more:
+        assert "on_connector_loss" not in out + str(found)
+        return
+    rule = "keep" if more else "safe"
+    assert found["on_connector_loss"] == rule
+    note = "note: probe: when a connector ends by a fault or hangs, all that it has ordered"
+    assert note in " ".join(out.split())
+    assert f'(on_connector_loss = "{rule}")' in " ".join(out.split())

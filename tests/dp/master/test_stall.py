@@ -441,6 +441,38 @@ def test_without_an_application_watchdog_alive_changes_nothing() -> None:
     assert mode_of(bus) is Mode.OPERATE
 
 
+def test_a_program_arms_the_watchdog_for_a_time_of_its_own_and_switches_it_off() -> None:
+    """As long as something that was ordered from outside is in effect."""
+    bus = running(3)
+    bus.send(Alive(limit_ns=100 * MS))
+    bus.run(90 * MS)
+    bus.send(Alive(limit_ns=0))
+    bus.run(500 * MS)
+    bus.send(Alive())  # it is off
+    assert mode_of(bus) is Mode.OPERATE
+    bus.send(Alive(limit_ns=100 * MS))
+    bus.run(90 * MS)
+    bus.send(Alive(limit_ns=100 * MS))
+    bus.run(90 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+    bus.run(60 * MS)
+    (event,) = bus.events_of(ApplicationSilent)
+    assert event.limit_ns == 100 * MS
+    bus.send(Alive(limit_ns=100 * MS))  # does not bring it back, and is off in Clear
+    bus.run(500 * MS)
+    assert len(bus.events_of(ApplicationSilent)) == 1
+    bus.send(SetMode(Mode.OPERATE))
+    bus.run(500 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+
+
+def test_the_watchdog_of_the_settings_is_left_as_it_is_armed() -> None:
+    bus = running(3, application_watchdog_ns=100 * MS)
+    bus.send(Alive(limit_ns=5_000 * MS))
+    bus.run(150 * MS)
+    assert mode_of(bus) is Mode.CLEAR
+
+
 def test_the_application_watchdog_runs_out_while_the_token_is_away() -> None:
     bus = running(3, application_watchdog_ns=100 * MS)
     bus.master.tick(bus.now)  # its watch over the token is moved on

@@ -42,6 +42,8 @@ SLAVES: Final = (f"4:1234:2111:2:2={LIVE}", f"5:1234:2010:1:1={LIVE_LAMPS}")
 WATCHDOG_MS: Final = 1000
 #: s: for hangs only
 HANG_S: Final = 60.0
+#: s after which connectors count as lost
+CONNECTORS_HANG_S: Final = 5.0
 #: s after which a program that a signal has not ended goes on
 ALIVE_S: Final = 1.5
 #: and after which one without data exchange does
@@ -54,6 +56,7 @@ baud = 1500000
 gap = 0
 max_retry = 15
 driver = "{driver}"
+on_connector_loss = "{on_loss}"
 
 [[slave]]
 name = "valves"
@@ -63,6 +66,7 @@ config = "21 11"
 safe = "A5 5A"
 watchdog_ms = 1000
 inputs = {{ level = "i16@0" }}
+outputs = {{ target = "u16@0" }}
 
 [[slave]]
 name = "lamps"
@@ -92,6 +96,13 @@ anonymous = "read"
 #: of ``probe_connector``, with the way in which it fails
 PROBE: Final = """
 [probe]
+fails = "{}"
+"""
+#: one that has ordered the outputs of the valves, and fails in the way when FOLDER/go is there
+ORDERING: Final = """
+[probe]
+allow_commands = ["valves.*"]
+go = "FOLDER/go"
 fails = "{}"
 """
 #: four further slaves with 7168 named bits in all; their outputs, and the tables of their configuration
@@ -172,7 +183,9 @@ class Program:
         environment |= row.environment
         if row.program == "run":
             plant = folder / "plant.toml"
-            text = PLANT.format(port=link, driver=row.driver) + row.tables.replace("FOLDER", str(folder))
+            text = PLANT.format(port=link, driver=row.driver, on_loss=row.on_loss) + row.tables.replace(
+                "FOLDER", str(folder)
+            )
             plant.write_text(text, encoding="utf-8")
             files = [argument.replace("FOLDER", str(folder)) for argument in row.arguments]
             main = "ends.run" if "[probe]" in row.tables else "dpstack.cli.main"
@@ -293,6 +306,7 @@ class Row:
     arguments: tuple[str, ...] = ()
     #: more of the configuration of ``dpstack run``, and the slaves in it
     tables: str = ""
+    on_loss: str = "safe"
     slaves: tuple[str, ...] = ()
     #: ``act`` comes when the program has written this, and not when outputs are live
     writes: str = ""
@@ -359,6 +373,28 @@ def end_beside_a_connector(program: Program, recorder: Recorder) -> None:
     os.kill(program.pid, signal.SIGTERM)
     wait_for(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
     assert program.process.poll() is None, "nobody has waited for the connector"
+
+
+def go(program: Program, _: Recorder) -> None:
+    """The connector, which has ordered the outputs, fails."""
+    wait_for(lambda: "ordered" in program.written["out"], "the order of the connector")
+    (program.folder / "go").touch()
+
+
+def go_and_settle(program: Program, recorder: Recorder) -> None:
+    """The connector blocks the event loop until outputs are safe, or for the time in which they would be."""
+    go(program, recorder)
+    if program.row.driver == "asyncio":
+        wait_for(functools.partial(watchdog_acted, recorder), "the watchdog")
+    elif program.row.on_loss == "safe":
+        wait_for(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
+    else:
+        time.sleep(1.5 * CONNECTORS_HANG_S)
+
+
+def order_and_kill(program: Program, _: Recorder) -> None:
+    wait_for(lambda: "ordered" in program.written["out"], "the order of the connector")
+    os.kill(program.pid, signal.SIGKILL)
 
 
 def hang_up(_: Program, recorder: Recorder) -> None:
@@ -569,6 +605,13 @@ CONNECTOR_ENDS: Final = {
     "thread": "a thread of it goes on at its end",
     "loop": "it blocks its event loop at its end",
 }
+#: of a connector that has ordered outputs: the key ``fails`` of ``probe_connector``; text, act, ``on_connector_loss``
+LOSSES: Final[dict[str, tuple[str, Act, tuple[str | None, ...]]]] = {
+    "fault": ("it has ordered outputs, and ends by a fault", go, ("safe", "keep")),
+    "blocks": ("it has ordered outputs, and blocks its loop", go_and_settle, ("safe", "keep")),
+    "no": ("it has ordered outputs, and is killed with its program (SIGKILL)", order_and_kill, (None,)),
+    "old": ("the program was started again, and an order of before comes", go, (None,)),
+}
 #: file descriptors with which ``dpstack run`` begins, but cannot open its bus
 FEW_HANDLES: Final = {"asyncio": 6, "process": 10}
 #: at the start of ``dpstack run`` and of applications: no room for the memory that bus process and application share
@@ -624,6 +667,18 @@ def rows() -> list[Row]:
             *(
                 run("connector", f"{text}, and SIGTERM", tables=PROBE.format(fails), act=end_beside_a_connector)
                 for fails, text in CONNECTOR_ENDS.items()
+            ),
+            *(
+                run(
+                    "connector",
+                    text if rule is None else f'{text}, `on_connector_loss = "{rule}"`',
+                    tables=ORDERING.format(fails),
+                    on_loss=rule or "safe",
+                    act=act,
+                    may_go_on=fails != "no",
+                )
+                for fails, (text, act, rules) in LOSSES.items()
+                for rule in rules
             ),
             run("connector", "it makes its nodes, and SIGTERM", tables=PROBE.format("build"), writes="builds", act=end),
             faced(
@@ -745,7 +800,7 @@ def at_slaves(row: Row, record: dict[str, Any], outcome: str, *, is_live: bool) 
 
 
 #: what may keep a bus that goes on from asking its slaves
-_PAUSES: Final = ("stopped", "port", "bus process", "signal")
+_PAUSES: Final = ("stopped", "port", "bus process", "signal", "connector")
 #: parts of texts that differ from run to run
 _VARIABLE: Final = (
     (re.compile(r"/tmp/\w+/line"), "PORT"),
@@ -760,12 +815,16 @@ _NO_STORY: Final = re.compile(
     r"^($|  |Traceback|Task |task:|future:|handle:|source_traceback|Exception |During|The above|sys:1|AttributeError)"
     r"|^SlaveFaulted: .*(taken up again|wants parameters again)|^Notice: .*telegrams dropped|^dpstack: probe: born "
 )
+#: notices about connectors that have given orders
+_LOSS: Final = re.compile(r" *[\d.]+ s  connectors: (.*(?: fault of |safe values are|stay as|refused|sign of life).*)")
 _MOST: Final = 150
 
 
 def told(program: Program) -> str:
     """Events, log and standard error, the first sentence of each."""
     lines = [line.removeprefix("event: ") for line in program.written["out"] if line.startswith("event: ")]
+    if "go =" in program.row.tables:
+        lines += [found[1] for line in program.written["out"] if (found := _LOSS.match(line))]
     lines += [line.removeprefix("dpstack.errors.") for line in program.written["err"]]
     unsure = program.row.may_tell
     lines = [line for line in lines if not (_NO_STORY.search(line) or (unsure and line.startswith(unsure)))]
