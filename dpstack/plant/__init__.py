@@ -10,6 +10,7 @@ the stream, docs/explanation/bridge.md the tree.
 - ``orders``: Orders to a plant: named outputs of a slave, the operation of a drive, the mode of the master
 - ``pending``: The items that wait for one reader: events up to a limit, snapshots merged into one
 - ``quality``: Values with quality, reason and source time; values of the stream by type
+- ``sender``: The live stream to a reader in another program, as fast as that one reads
 - ``state``: The plant as the items so far describe it
 - ``tree``: The tree: items in; changed values, births, deaths and conditions out
 - ``verdicts``: Verdicts on a running bus and its slaves, by the counters of the run

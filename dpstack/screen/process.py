@@ -13,12 +13,13 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from dpstack.plant.items import Item
-from dpstack.plant.pending import portions
+from dpstack.plant.sender import Items, send_items
+from dpstack.plant.state import begins_plant
 from dpstack.ports.posix import termios
 from dpstack.text import json_text
 
@@ -42,15 +43,6 @@ _FROM_TERMINALS: Final = tuple(
 _RESET: Final = b"".join(
     b"\x1b[" + code for code in b"?1000l ?1003l ?1015l ?1006l ?1004l ?2004l ?2048l <u ?7h ?1049l ?25h 0m".split()
 )
-
-
-class Items(Protocol):
-    """The live stream of a bus (``bus.live()``), which merges what is not read."""
-
-    def __aiter__(self) -> AsyncIterator[Item]: ...
-
-    def close(self) -> None:
-        """Stop receiving items."""
 
 
 def is_installed() -> bool:
@@ -136,14 +128,12 @@ class ScreenProcess:
 
     async def _send(self, stream: Items, name: Callable[[], str]) -> None:
         assert self._writer is not None
+
+        def send(item: Item) -> None:
+            self.tell({"plant": item["plant"] | {"ctl": name()}} if begins_plant(item) else item)
+
         with contextlib.suppress(OSError):
-            async for item in stream:
-                if "plant" in item:
-                    item = {"plant": item["plant"] | {"ctl": name()}}
-                for portion in portions(item, _SLAVES):
-                    self.tell(portion)
-                    await self._writer.drain()
-                    await asyncio.sleep(0)  # the bus has its turn
+            await send_items(stream, send, self._writer.drain, _SLAVES)
 
     def _take(self, order: Mapping[str, Any]) -> None:
         if order.get("order") == "left":

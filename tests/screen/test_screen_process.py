@@ -25,14 +25,14 @@ class Stream:
         self._pending = Pending()
         self._pending.put(plant({str(address): slave_plant(address, "s") for address in range(1, 126)}))
 
-    def __aiter__(self) -> Stream:
-        return self
+    async def wait(self) -> None:
+        await asyncio.Event().wait()
 
-    async def __anext__(self) -> Item:
+    def take(self) -> Item | None:
         item = self._pending.take()
         if item is None:
             if not self._left:
-                await asyncio.Event().wait()
+                return None
             self._left -= 1
             octets = values(inputs="ab" * 244, outputs="cd" * 244)
             item = snapshot({str(address): octets for address in range(1, 126)})

@@ -6,10 +6,9 @@ import asyncio
 from typing import Final
 
 from dpstack.api.bus.bus import Bus
-from dpstack.api.bus.live import LiveStream
 from dpstack.api.control import arguments
 from dpstack.api.control.control_server import LongCommand, Sender
-from dpstack.plant.pending import portions
+from dpstack.plant.sender import send_items
 from dpstack.text import json_text
 
 #: octets that may wait for a client before its items are kept back, and merged
@@ -26,27 +25,16 @@ def live_items(bus: Bus, args: list[str]) -> LongCommand:
     async def feed(sender: Sender) -> object:
         stream = bus.live(interval)
         try:
-            await _send(stream, sender)
+            await send_items(
+                stream,
+                lambda item: sender.offer(json_text({"item": item}).encode() + b"\n"),
+                lambda: _wait_for_room(sender),  # beyond its limit a sender drops lines
+            )
         finally:
             stream.close()
         return None
 
     return feed
-
-
-async def _send(stream: LiveStream, sender: Sender) -> None:
-    while True:
-        await _wait_for_room(sender)
-        item = stream.take()
-        if item is None:
-            await stream.wait()
-            continue
-        for portion in portions(item):
-            await _wait_for_room(sender)  # in a long item, too: beyond its limit a sender drops lines
-            sender.offer(json_text({"item": portion}).encode() + b"\n")
-            await asyncio.sleep(0)  # the bus has its turn
-        if "end" in item:
-            return
 
 
 async def _wait_for_room(sender: Sender) -> None:

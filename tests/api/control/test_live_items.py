@@ -58,7 +58,8 @@ async def test_a_client_that_reads_slowly_gets_the_whole_plant_in_lines_of_bound
             await asyncio.sleep(0)
 
     bus = asyncio.create_task(count_turns())
-    await live_items._send(LiveStream(items, None), Sender(None, client))  # type: ignore[arg-type]
+    bus_with_items: Any = type("Bus", (), {"live": lambda _, interval: LiveStream(items, None)})()
+    await live_items.live_items(bus_with_items, [])(Sender(None, client))  # type: ignore[arg-type]
     bus.cancel()
     assert max(map(len, client.lines)) < 66_000
     assert client.most < 200_000
