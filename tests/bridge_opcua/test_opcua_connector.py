@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import inspect
 import math
 import stat
 from collections import Counter, deque
@@ -16,6 +17,7 @@ from typing import Any, Final
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+from asyncua.common.utils import ServiceError
 from asyncua.server.address_space import NodeManagementService
 from opcua_rig import ANNA, BOB, Rig, id_of
 
@@ -535,6 +537,8 @@ async def test_a_session_reaches_nothing_of_others_and_is_one_of_its_connection(
         params = ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True)
         own = await one.uaclient.create_subscription(params, lambda _: None)
         sessions = rig.connector._server.sessions if rig.connector._server else ()
+        tokens = {it.auth_token.Identifier for it in sessions}  # nobody can guess that of another one
+        assert [len(token) for token in tokens] == [32, 32]
         stranger = next(it for it in sessions if not it.owns(own.SubscriptionId))
         with pytest.raises(ua.UaError):  # BadNoSubscription
             stranger.publish([ua.SubscriptionAcknowledgement(own.SubscriptionId, 1)])
@@ -542,12 +546,54 @@ async def test_a_session_reaches_nothing_of_others_and_is_one_of_its_connection(
             ua.TransferSubscriptionsParameters([own.SubscriptionId], False)
         )
         assert moved.StatusCode.value == 0x80280000  # BadSubscriptionIdInvalid
+        id_: Any = own.SubscriptionId
+        for work in (
+            lambda: stranger.modify_subscription(ua.ModifySubscriptionParameters(id_)),
+            lambda: stranger.set_publishing_mode(ua.SetPublishingModeParameters(True, [id_])),
+            lambda: stranger.create_monitored_items(ua.CreateMonitoredItemsParameters(id_)),
+            lambda: stranger.modify_monitored_items(ua.ModifyMonitoredItemsParameters(id_)),
+            lambda: stranger.delete_monitored_items(ua.DeleteMonitoredItemsParameters(id_, [1])),
+            lambda: stranger.set_monitoring_mode(ua.SetMonitoringModeParameters(id_, MonitoredItemIds=[1])),
+            lambda: stranger.republish(ua.RepublishParameters(id_, 1)),
+        ):
+            with pytest.raises(ServiceError) as refused:
+                await asyncio.ensure_future(_awaited(work))
+            assert refused.value.code == 0x80280000
+        [gone] = await stranger.delete_subscriptions([id_])
+        assert gone.value == 0x80280000
+        assert rig.connector._server is not None
+        assert id_ in rig.connector._server.subscription_service.subscriptions
         count = len(sessions)
         for _ in range(20):
             with pytest.raises(ua.UaStatusCodeError, match=r"session"):
                 await other.create_session()
         assert rig.connector._server is not None
         assert len(rig.connector._server.sessions) == count
+
+
+async def _awaited(work: Callable[[], Any]) -> Any:
+    found = work()
+    return await found if inspect.isawaitable(found) else found
+
+
+async def test_the_user_of_a_session_stays(rig: Rig) -> None:
+    """Another client with its token would change its rights."""
+    assert rig.connector._server is not None
+    async with rig.connected(ANNA):
+        [session] = rig.connector._server.sessions
+        another = ua.ActivateSessionParameters(UserIdentityToken=ua.AnonymousIdentityToken())
+        with pytest.raises(ServiceError) as refused:
+            session.activate_session(another, None)
+        assert refused.value.code == 0x80C60000  # BadIdentityChangeNotSupported
+        assert session.user.name == "anna"
+
+
+async def test_history_of_many_nodes_in_one_request_is_refused(rig: Rig) -> None:
+    async with rig.connected() as client:
+        level = ua.HistoryReadValueId(id_of("slave/8/input/level"))
+        params = ua.HistoryReadParameters(ua.ReadRawModifiedDetails(), NodesToRead=[level] * 11)
+        with pytest.raises(ua.UaStatusCodeError, match=r"too many operations|BadTooManyOperations"):
+            await client.uaclient.history_read(params)
 
 
 async def test_filters_that_nobody_can_judge_are_refused(rig: Rig) -> None:

@@ -12,6 +12,7 @@ from typing import Any, Final, cast
 import pytest
 from asyncua import ua
 from asyncua.common.utils import Buffer
+from asyncua.server.address_space import NodeData
 from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.ua import ua_binary
 from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
@@ -282,6 +283,35 @@ async def test_queues_of_a_client_that_fetches_nothing_are_bounded_and_what_they
     assert [one.ClientHandle for one in made._triggered_datachanges[1]] == list(range(15, 25))
     assert [one.ClientHandle for one in made._triggered_datachanges[2]] == [24]  # the newest of a queue of one: no loss
     assert (losses.dropped, losses.new_dropped(), losses.new_dropped()) == (15, 15, 0)
+
+
+async def test_orders_of_a_connection_that_is_gone_are_taken_back() -> None:
+    wire = await Wire(by.bare_server()).opened()
+    processor: Any = wire.protocol.processor
+    order = asyncio.ensure_future(asyncio.sleep(60))
+    processor._orders.add(order)
+    await processor.close()
+    await asyncio.wait((order,))
+    assert order.cancelled()
+
+
+def test_a_path_between_nodes_that_name_each_other_twice_does_not_double() -> None:
+    here, there = ua.NodeId("here", 2), ua.NodeId("there", 2)
+
+    def way(to: ua.NodeId) -> ua.ReferenceDescription:
+        return ua.ReferenceDescription(
+            ua.NodeId(ua.ObjectIds.Organizes), True, to, ua.QualifiedName(str(to.Identifier), 2)
+        )
+
+    nodes: dict[ua.NodeId, Any] = {}
+    for one, other in ((here, there), (there, here)):
+        nodes[one] = NodeData(one)
+        nodes[one].references = [way(other), way(other)]
+    elements = [
+        ua.RelativePathElement(ua.NodeId(), False, True, ua.QualifiedName(name, 2)) for name in ("there", "here") * 6
+    ]
+    assert server._Views(nodes)._navigate(here, elements) == [here]
+    assert server._Views(nodes)._navigate(ua.NodeId("nowhere", 2), elements) == []
 
 
 def test_losses_are_told_once_a_minute_and_counted_always() -> None:

@@ -284,10 +284,6 @@ class LimitedSession(InternalSession):
             await asyncio.sleep(0)
         return found
 
-    async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
-        bad = ua.StatusCode(_S.BadContinuationPointInvalid)  # each answer of browse is whole
-        return [ua.BrowseResult(bad) for _ in parameters.ContinuationPoints]
-
     async def translate_browsepaths_to_nodeids(self, params: list[ua.BrowsePath]) -> list[ua.BrowsePathResult]:
         _limit(params)
         if sum(len(one.RelativePath.Elements) for one in params) > MOST_OPERATIONS:
