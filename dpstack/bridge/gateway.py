@@ -64,7 +64,7 @@ class Gateway:
         self._tell = tell
         self._now = now
         self._on_loss = on_loss
-        #: time of the loop at which it last looked for items
+        #: time of the loop of its last sign of life
         self.beat = 0.0
         self._serving: dict[asyncio.Task[None], Connector] = {}
         self._waiting: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(MOST_ITEMS)
@@ -144,6 +144,7 @@ class Gateway:
                 self._give_out(changes)
                 changes = []
                 await asyncio.sleep(0)
+                self.beat = asyncio.get_running_loop().time()
         self._give_out(changes + self._compare_clocks(now))
 
     def _give_out(self, changes: Sequence[Change]) -> None:
