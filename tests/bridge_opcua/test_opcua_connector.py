@@ -27,6 +27,7 @@ from dpstack.bridge.opcua.certificate import utc_now
 from dpstack.bridge.opcua.connector import OpcUaConnector
 from dpstack.bridge.opcua.sessions import MOST_QUEUE
 from dpstack.bridge.opcua.space import DRIVE_STATES, Space
+from dpstack.bridge.opcua.subscriptions import Subscription
 from dpstack.bridge.orders import Orders
 from dpstack.errors import ConfigError, PortError
 from dpstack.plant.conditions import Condition, ConditionBook
@@ -574,6 +575,18 @@ async def test_a_session_reaches_nothing_of_others_and_is_one_of_its_connection(
 async def _awaited(work: Callable[[], Any]) -> Any:
     found = work()
     return await found if inspect.isawaitable(found) else found
+
+
+async def test_a_subscription_is_no_faster_than_its_bound_and_has_the_others(rig: Rig) -> None:
+    assert rig.connector._server is not None
+    async with rig.connected() as client:
+        for asked, given in ((0.001, 100.0), (-1.0, 100.0), (math.nan, 100.0), (250.0, 250.0), (1e9, 3_600_000.0)):
+            params = ua.CreateSubscriptionParameters(asked, 600, 10, 0, True)
+            made = await client.uaclient.create_subscription(params, lambda _: None)
+            assert made.RevisedPublishingInterval == given
+            bounded = rig.connector._server.subscription_service.subscriptions[made.SubscriptionId]
+            assert isinstance(bounded, Subscription)
+            await client.uaclient.delete_subscriptions([made.SubscriptionId])
 
 
 async def test_the_user_of_a_session_stays(rig: Rig) -> None:

@@ -7,12 +7,13 @@ import inspect
 import struct
 import time
 import tracemalloc
+from types import SimpleNamespace
 from typing import Any, Final, cast
 
 import pytest
 from asyncua import ua
 from asyncua.common.utils import Buffer
-from asyncua.server.address_space import NodeData
+from asyncua.server.address_space import AddressSpace, NodeData
 from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.ua import ua_binary
 from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
@@ -325,13 +326,39 @@ def test_losses_are_told_once_a_minute_and_counted_always() -> None:
 
 
 def test_a_filter_whose_elements_name_each_other_is_false_soon() -> None:
-    def element(*to: int) -> ua.ContentFilterElement:
-        return ua.ContentFilterElement(ua.FilterOperator.Or, [ua.ElementOperand(one) for one in to])
+    """Each of twelve elements asks for the next one twice; asyncua alone says true behind 4096 steps."""
 
-    doubling = [element(number + 1, number + 1) for number in range(60)] + [element(60, 60)]
+    def both(number: int) -> ua.ContentFilterElement:
+        return ua.ContentFilterElement(ua.FilterOperator.And, [ua.ElementOperand(number + 1)] * 2)
+
+    one = ua.LiteralOperand(ua.Variant(1))
+    elements = [*map(both, range(12)), ua.ContentFilterElement(ua.FilterOperator.Equals, [one, one])]
     none: Any = None
     log: Any = type("Log", (), {"exception": lambda *_: None, "warning": lambda *_: None})()
     event: Any = type("Event", (), {"types": (ua.NodeId(),)})()
-    clause = WhereClause(log, none, ua.ContentFilter(doubling))
-    assert clause.eval(event) is False  # 2 ** 60 steps otherwise
+    assert WhereClause(log, none, ua.ContentFilter(elements[-1:])).eval(event) is True
+    assert WhereClause(log, none, ua.ContentFilter(elements)).eval(event) is False
     assert decoding.DEEPEST < 100
+
+
+def test_monitored_items_that_a_request_names_are_found_without_a_search() -> None:
+    """A request may name a thousand of 20 000."""
+
+    class Unsearched(dict[int, Any]):
+        def values(self) -> Any:
+            raise AssertionError("a search")
+
+        items = values
+
+    made = InternalSubscription(
+        ua.CreateSubscriptionResult(78, 100.0), AddressSpace(), cast(Any, None), ua.NodeId(1), lambda _: None
+    )
+    bound(made, Losses(), lambda: [made])
+    service = made.monitored_item_srv
+    item = SimpleNamespace(callback_handle=7, where_clause_evaluator=None, filter=None, queue_size=1)
+    service._monitored_items = Unsearched({5: item})
+    service._monitored_datachange = Unsearched({7: 5})
+    wanted = ua.MonitoredItemModifyRequest(5, ua.MonitoringParameters(QueueSize=4))
+    assert service._modify_monitored_item(wanted).RevisedQueueSize == item.queue_size == 4
+    assert service._delete_monitored_items(5).is_good()
+    assert (len(service._monitored_items), len(service._monitored_datachange)) == (0, 0)
