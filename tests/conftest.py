@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import inspect
 import os
 import signal
 import tempfile
@@ -10,6 +11,7 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
+from api_kit import in_virtual_time
 from forked_programs import ForkServer
 from hypothesis import is_hypothesis_test
 from lost_errors import no_lost_errors
@@ -38,6 +40,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             if is_hypothesis_test(getattr(item, "obj", None)):
                 item.add_marker(pytest.mark.soak)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class, name: str, obj: object) -> None:
+    """``pytestmark = pytest.mark.virtual_time``: the coroutines of a module are programs of simulated buses."""
+    if collector.get_closest_marker("virtual_time") is None:
+        return
+    if inspect.iscoroutinefunction(obj) and collector.istestfunction(obj, name):
+        setattr(collector.obj, name, in_virtual_time(obj))
 
 
 @pytest.hookimpl(trylast=True)

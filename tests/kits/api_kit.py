@@ -36,7 +36,7 @@ def virtual(program: Coroutine[Any, Any, T]) -> T:
 
 
 def in_virtual_time(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P, None]:
-    """A test that runs in the event loop of a simulated bus."""
+    """A test in the event loop of a simulated bus. All of a module: ``pytestmark = pytest.mark.virtual_time``."""
 
     @functools.wraps(test)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:

@@ -7,14 +7,15 @@ import gc
 from collections.abc import AsyncIterator, Callable
 
 import pytest
-from api_kit import RAW, RIG, in_virtual_time, mirror, operating, serving
+from api_kit import RAW, RIG, mirror, operating, serving
 from soak.leftovers import stack_objects
 
 import dpstack
 
+pytestmark = pytest.mark.virtual_time
+
 
 @pytest.mark.parametrize("reader", ["events", "live", "cycles"])
-@in_virtual_time
 async def test_a_loop_that_was_left_leaves_nothing(reader: str) -> None:
     async with operating(RAW) as bus:
         for _ in range(3):  # what is made once is there
@@ -53,7 +54,6 @@ def statuses(bus: dpstack.Bus) -> AsyncIterator[object]:
 
 
 @pytest.mark.parametrize("reader", [events, live, cycles, alarms, statuses])
-@in_virtual_time
 async def test_a_task_that_waits_for_an_item_is_kept(reader: Callable[[dpstack.Bus], AsyncIterator[object]]) -> None:
     """Event loops hold tasks weakly, and many programs do not hold theirs: the bus must."""
     got: list[object] = []

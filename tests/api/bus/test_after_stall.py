@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bench_of, bus_of, in_virtual_time, stack_of
+from api_kit import HOIST, RAW, bench_of, bus_of, stack_of
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -18,6 +18,8 @@ from dpstack.errors import ConfigError, DriveError, UsageError
 from dpstack.machine import HeldUp
 from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_MS
+
+pytestmark = pytest.mark.virtual_time
 
 CONFIG = """
 [bus]
@@ -48,7 +50,6 @@ async def mirrored(slave: dpstack.Slave, octets: bytes) -> None:
     raise AssertionError(f"its inputs are {slave.inputs.hex()}")
 
 
-@in_virtual_time
 async def test_the_bus_stays_in_clear_until_operate() -> None:
     told: list[Event] = []
     async with bus_of(RAW, on_event=told.append) as bus:
@@ -78,7 +79,6 @@ async def test_the_bus_stays_in_clear_until_operate() -> None:
     assert line == {"event": "stalled", "t": 1.5, "blocked": "suspended", "slaves": [9], "text": stall.text}
 
 
-@in_virtual_time
 async def test_a_drive_that_ran_stays_off_until_it_is_started_again() -> None:
     async with bus_of(HOIST | {"simulated": {"412": 1}}) as bus:
         await bus.operate()
@@ -104,7 +104,6 @@ async def test_a_drive_that_ran_stays_off_until_it_is_started_again() -> None:
         assert hoist.status.speed == pytest.approx(0.5, abs=0.01)
 
 
-@in_virtual_time
 async def test_resume_is_what_it_says() -> None:
     async with bus_of(RAW, after_stall="resume") as bus:
         raw = bus.slave("raw")
@@ -116,7 +115,6 @@ async def test_resume_is_what_it_says() -> None:
         assert (bus.mode, raw.inputs, bus.forced_clear) == (dpstack.Mode.OPERATE, b"\x5a", None)
 
 
-@in_virtual_time
 async def test_auto_clear_is_told_the_same_way() -> None:
     async with bus_of(RAW, auto_clear=True) as bus:
         await bus.operate()
@@ -134,7 +132,6 @@ async def test_auto_clear_is_told_the_same_way() -> None:
 # --- the application watchdog -----------------------------------------------------------------------------------------
 
 
-@in_virtual_time
 async def test_a_program_that_hangs_is_noticed() -> None:
     told: list[Event] = []
     async with bus_of(RAW, application_watchdog_ms=100, on_event=told.append) as bus:
@@ -164,7 +161,6 @@ async def test_a_program_that_hangs_is_noticed() -> None:
     assert silent.severity is Severity.ERROR
 
 
-@in_virtual_time
 async def test_alive_without_a_watchdog_and_without_a_bus() -> None:
     bus = bus_of(RAW)
     with pytest.raises(UsageError, match="not open"):

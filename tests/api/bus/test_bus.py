@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, operating, slave_in, stack_of
+from api_kit import FAN, HOIST, RAW, bus_of, operating, slave_in, stack_of
 from slave_kit import make_slave
 from support import WorldFactory
 
@@ -24,10 +24,11 @@ from dpstack.sim.world import World
 from dpstack.stats import Histogram
 from dpstack.trace import Notice
 
+pytestmark = pytest.mark.virtual_time
+
 # --- bring-up and process data --------------------------------------------------------------------------------------
 
 
-@in_virtual_time
 async def test_a_raw_slave_mirrors() -> None:
     async with bus_of(RAW) as bus:
         assert bus.mode is dpstack.Mode.CLEAR
@@ -50,7 +51,6 @@ async def test_a_raw_slave_mirrors() -> None:
         assert (slave.retries, slave.timeouts, slave.fault) == (0, 0, None)
 
 
-@in_virtual_time
 async def test_stop_lets_the_watchdog_expire_and_operate_takes_up_again() -> None:
     async with operating(RAW) as bus:
         await bus.stop()
@@ -71,7 +71,6 @@ def test_the_same_program_in_an_ordinary_loop() -> None:
     assert asyncio.run(program()) >= 20
 
 
-@in_virtual_time
 async def test_waiting_for_what_does_not_come() -> None:
     world = World()
     async with bus_of(RAW, world=world) as bus:  # an existing world: nobody is simulated
@@ -81,7 +80,6 @@ async def test_waiting_for_what_does_not_come() -> None:
             await bus.slave("raw").wait_state(dpstack.SlaveState.DATA_EXCHANGE, timeout=0.1)
 
 
-@in_virtual_time
 async def test_refusals_are_typed(world: WorldFactory) -> None:
     w = world()
     slave_in(w, MirrorDevice(0x4321, bytes.fromhex("20 10")), 9)
@@ -99,7 +97,6 @@ async def test_refusals_are_typed(world: WorldFactory) -> None:
             await bus.ready(2)
 
 
-@in_virtual_time
 async def test_a_slave_that_dies_in_the_middle(world: WorldFactory) -> None:
     w = world()
     station, _ = slave_in(w, MirrorDevice(0x1234, bytes.fromhex("20 10")), 9)
@@ -127,7 +124,6 @@ class LyingApp(SlaveApp):
         return reply
 
 
-@in_virtual_time
 async def test_wrong_length(world: WorldFactory) -> None:
     w = world()
     app = LyingApp(MirrorDevice(0x1234, bytes.fromhex("20 10")))
@@ -143,7 +139,6 @@ async def test_wrong_length(world: WorldFactory) -> None:
         await bus.slave("good").ready(1)
 
 
-@in_virtual_time
 async def test_owned_by_another_master(world: WorldFactory) -> None:
     w = world()
     _, app = slave_in(w, MirrorDevice(0x1234, bytes.fromhex("20 10")), 9)
@@ -162,7 +157,6 @@ async def test_owned_by_another_master(world: WorldFactory) -> None:
 # --- drives ---------------------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
 async def test_both_drives_through_their_runs() -> None:
     async with bus_of(HOIST, FAN) as bus:
         await bus.operate()
@@ -184,7 +178,6 @@ async def test_both_drives_through_their_runs() -> None:
         assert not hoist.status.running
 
 
-@in_virtual_time
 async def test_drive_errors_are_typed() -> None:
     async with bus_of(HOIST, FAN) as bus:
         hoist, fan = bus.drive("hoist"), bus.drive("fan")
@@ -209,7 +202,6 @@ async def test_drive_errors_are_typed() -> None:
             bus.slave("fan").outputs = bytes(4)
 
 
-@in_virtual_time
 async def test_an_order_to_a_drive_that_is_not_there(world: WorldFactory) -> None:
     w = world()
     async with bus_of(FAN, world=w) as bus:
@@ -218,7 +210,6 @@ async def test_an_order_to_a_drive_that_is_not_there(world: WorldFactory) -> Non
             await bus.drive("fan").start(1)
 
 
-@in_virtual_time
 async def test_a_drive_that_vanishes_fails_what_is_pending(world: WorldFactory) -> None:
     w = world()
     fan = dpstack.profile.find("fuji-frenic").simulated("PPO3", {}, {})
@@ -237,7 +228,6 @@ async def test_a_drive_that_vanishes_fails_what_is_pending(world: WorldFactory) 
         assert drive.status.state == "offline"
 
 
-@in_virtual_time
 async def test_statuses_the_latest_wins() -> None:
     async with bus_of(FAN) as bus:
         await bus.operate()
@@ -255,7 +245,6 @@ async def test_statuses_the_latest_wins() -> None:
         assert stack_of(bus).master.on_round is None or fan._readers
 
 
-@in_virtual_time
 async def test_a_plugin_that_raises_stops_its_drive_only(monkeypatch: pytest.MonkeyPatch) -> None:
     async with bus_of(FAN, RAW) as bus:
         await bus.operate()
@@ -279,7 +268,6 @@ async def test_a_plugin_that_raises_stops_its_drive_only(monkeypatch: pytest.Mon
 # --- slaves come and go ---------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
 async def test_findings_of_the_plan_about_an_added_slave_are_told() -> None:
     """As at the start: notes of its table, its watchdog, its place in the round. What was told then is not repeated."""
     told: list[str] = []
@@ -300,7 +288,6 @@ async def test_findings_of_the_plan_about_an_added_slave_are_told() -> None:
     assert far.startswith("plan: slave 20 (far): its watchdog is off")
 
 
-@in_virtual_time
 async def test_add_and_remove() -> None:
     async with bus_of(RAW) as bus:
         await bus.operate()
@@ -323,7 +310,6 @@ async def test_add_and_remove() -> None:
 # --- events ---------------------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
 async def test_events_from_the_start_on() -> None:
     seen: list[dpstack.Event] = []
     async with bus_of(RAW, on_event=seen.append) as bus:
@@ -339,7 +325,6 @@ async def test_events_from_the_start_on() -> None:
     assert [e async for e in bus.events()] == told  # after the end there is the history
 
 
-@in_virtual_time
 async def test_a_reader_that_does_not_read_loses_the_oldest() -> None:
     async with bus_of(RAW) as bus:
         stream = bus.events()
@@ -357,7 +342,6 @@ async def test_a_reader_that_does_not_read_loses_the_oldest() -> None:
 
 @pytest.mark.parametrize("baud", [9600, 45_450, 500_000, 1_500_000, 12_000_000])
 @pytest.mark.parametrize("count", [1, 3, 20])
-@in_virtual_time
 async def test_the_shortest_rotation_is_the_plans(baud: int, count: int) -> None:
     """No more than one bit time a telegram between the plan and the wire."""
     kinds = ["20 10", "F3 71", "20", "10", "71"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, RAW, bus_of, in_virtual_time, operating, slave_in, stack_of, virtual
+from api_kit import FAN, RAW, bus_of, operating, slave_in, stack_of, virtual
 from foreign_master import ForeignMaster
 from support import WorldFactory
 
@@ -15,6 +15,8 @@ from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.trace import Notice, Severity
 
+pytestmark = pytest.mark.virtual_time
+
 # --- every kind of end ----------------------------------------------------------------------------------------------
 
 
@@ -23,7 +25,6 @@ class BoomError(Exception):
 
 
 @pytest.mark.parametrize("how", ["exit", "exception", "cancelled", "close twice"])
-@in_virtual_time
 async def test_the_end_is_orderly(world: WorldFactory, how: str) -> None:
     w = world()
     outputs: list[bytes] = []
@@ -68,7 +69,6 @@ async def test_the_end_is_orderly(world: WorldFactory, how: str) -> None:
     assert len(clears) >= 2
 
 
-@in_virtual_time
 async def test_pending_orders_and_readers_end_with_the_bus() -> None:
     async with bus_of(FAN) as bus:
         await bus.operate()
@@ -87,7 +87,6 @@ async def _count(drive: dpstack.Drive) -> int:
     return len([status async for status in drive.statuses()])
 
 
-@in_virtual_time
 async def test_a_second_station_with_our_address(world: WorldFactory) -> None:
     w = world(referee=False)
     async with bus_of(RAW, world=w):
@@ -96,7 +95,6 @@ async def test_a_second_station_with_our_address(world: WorldFactory) -> None:
                 pass
 
 
-@in_virtual_time
 async def test_without_a_ring_there_is_a_reason(world: WorldFactory) -> None:
     w = world()
     # master 1 does not look further than its HSA: master 50 is never asked in
@@ -113,7 +111,6 @@ class Tokenless(ForeignMaster):
         self.plan = [(at + self.bits(200), bytes.fromhex("68 04 04 68 08 02 7D 55 DC 16"))]
 
 
-@in_virtual_time
 async def test_a_master_without_a_token_is_named_as_the_reason(world: WorldFactory) -> None:
     w = world(referee=False)
     master = Tokenless(2, 2)
@@ -127,7 +124,6 @@ async def test_a_master_without_a_token_is_named_as_the_reason(world: WorldFacto
         await bus.open()
 
 
-@in_virtual_time
 async def test_a_master_without_a_token_that_pauses_is_named_when_the_station_joins(world: WorldFactory) -> None:
     """Its requests stop for longer than T_TO: the station claims the token, and says whom it has heard."""
 
@@ -174,7 +170,6 @@ def test_missing_port_raises_on_entering() -> None:
         asyncio.run(program())
 
 
-@in_virtual_time
 async def test_plan_notes_are_told_at_the_start() -> None:
     seen: list[dpstack.Event] = []
     async with bus_of(RAW | {"watchdog_ms": 0}, on_event=seen.append):
@@ -207,7 +202,6 @@ def test_a_handler_that_raises_loses_no_event_and_does_not_hold_up_the_end() -> 
     assert seen[-1] == "station 2 left the token ring: ordered"
 
 
-@in_virtual_time
 async def test_a_waiting_caller_is_told_of_the_end() -> None:
     async with bus_of(RAW) as bus:
         waiting = [
@@ -222,14 +216,12 @@ async def test_a_waiting_caller_is_told_of_the_end() -> None:
         await bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)
 
 
-@in_virtual_time
 async def test_statuses_asked_for_after_the_end_end() -> None:
     async with bus_of(FAN) as bus:
         await bus.ready()
     assert len([status async for status in bus.drive("fan").statuses()]) == 1
 
 
-@in_virtual_time
 async def test_a_defect_ends_streams_and_statuses(monkeypatch: pytest.MonkeyPatch) -> None:
     async with bus_of(FAN) as bus:
         await bus.ready()
@@ -255,7 +247,6 @@ async def test_a_defect_ends_streams_and_statuses(monkeypatch: pytest.MonkeyPatc
             await bus.until(lambda: False)
 
 
-@in_virtual_time
 async def test_an_event_stream_may_be_closed_twice() -> None:
     async with bus_of(RAW) as bus:
         stream = bus.events()
@@ -263,7 +254,6 @@ async def test_an_event_stream_may_be_closed_twice() -> None:
         stream.close()
 
 
-@in_virtual_time
 async def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
     closed: list[bool] = []
     bus = bus_of(RAW)
@@ -285,7 +275,6 @@ async def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytes
     assert closed == [True]
 
 
-@in_virtual_time
 async def test_a_slave_that_was_removed_may_come_again() -> None:
     """With port "virtual" there is one simulated slave at the address, not two."""
     async with bus_of(RAW) as bus:

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time, slave_in, virtual
+from api_kit import RAW, bus_of, slave_in, virtual
 from ends.telegrams import told
 from support import WorldFactory
 
@@ -16,6 +16,8 @@ from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.machine import LineDown
 from dpstack.sim.world import World
+
+pytestmark = pytest.mark.virtual_time
 
 PLANT = RAW | {"safe": "11"}
 LIVE, SAFE = "77", "11"
@@ -63,7 +65,6 @@ def plant(world: WorldFactory) -> Plant:
 
 
 @pytest.mark.parametrize("times", [1, 2, 50])
-@in_virtual_time
 async def test_any_number_of_cancellations(plant: Plant, times: int) -> None:
     task = asyncio.ensure_future(plant.run())
     await asyncio.sleep(0.5)
@@ -77,7 +78,6 @@ async def test_any_number_of_cancellations(plant: Plant, times: int) -> None:
     plant.ended_in_order()
 
 
-@in_virtual_time
 async def test_a_timeout_around_the_bus_is_a_timeout(plant: Plant) -> None:
     task = asyncio.current_task()
     assert task is not None
@@ -88,7 +88,6 @@ async def test_a_timeout_around_the_bus_is_a_timeout(plant: Plant) -> None:
     plant.ended_in_order()
 
 
-@in_virtual_time
 async def test_a_timeout_that_runs_out_during_the_end(plant: Plant) -> None:
     async with plant.bus:
         await plant.live()
@@ -98,7 +97,6 @@ async def test_a_timeout_that_runs_out_during_the_end(plant: Plant) -> None:
     plant.ended_in_order()
 
 
-@in_virtual_time
 async def test_a_timeout_and_a_cancellation_is_a_cancellation(plant: Plant) -> None:
     async def limited() -> None:
         async with asyncio.timeout(0.5):
@@ -112,7 +110,6 @@ async def test_a_timeout_and_a_cancellation_is_a_cancellation(plant: Plant) -> N
     plant.ended_in_order()
 
 
-@in_virtual_time
 async def test_a_task_group_that_fails_twice(plant: Plant) -> None:
     async def fails() -> None:
         await asyncio.sleep(0.5)
@@ -133,7 +130,6 @@ async def test_a_task_group_that_fails_twice(plant: Plant) -> None:
     plant.ended_in_order()
 
 
-@in_virtual_time
 async def test_cancelled_while_it_opens(plant: Plant) -> None:
     """In Listen_Token, in the ring, and in the end that follows: nobody is left in the ring."""
     for after in (0.0, 0.0005, 0.002, 0.004):
@@ -151,7 +147,6 @@ async def test_cancelled_while_it_opens(plant: Plant) -> None:
         assert len(plant.world.log) == count
 
 
-@in_virtual_time
 async def test_all_tasks_are_cancelled_as_by_asyncio_run(plant: Plant) -> None:
     """The task that carries the end out is one of them."""
     task = asyncio.ensure_future(plant.run())
@@ -165,7 +160,6 @@ async def test_all_tasks_are_cancelled_as_by_asyncio_run(plant: Plant) -> None:
     plant.ended_in_order()
 
 
-@in_virtual_time
 async def test_a_generator_that_is_abandoned(plant: Plant) -> None:
     async def values() -> AsyncIterator[bytes]:
         async with plant.bus:
@@ -194,7 +188,6 @@ def test_a_bus_that_nobody_closes(world: WorldFactory) -> None:
     made[0].ended_in_order()
 
 
-@in_virtual_time
 async def test_the_bound_holds_where_nobody_answers(world: WorldFactory) -> None:
     """All telegrams are lost from the beginning of the end on, and it is cancelled again and again."""
     plant = Plant(world(referee=False))
@@ -213,7 +206,6 @@ async def test_the_bound_holds_where_nobody_answers(world: WorldFactory) -> None
     assert not plant.bus.is_open
 
 
-@in_virtual_time
 async def test_an_end_that_cannot_be_sent_is_told_once(world: WorldFactory) -> None:
     """Without its port the master has no token."""
     plant = Plant(world(referee=False))
@@ -230,7 +222,6 @@ async def test_an_end_that_cannot_be_sent_is_told_once(world: WorldFactory) -> N
     ]
 
 
-@in_virtual_time
 async def test_a_hurried_end_is_over_within_a_second(plant: Plant) -> None:
     async with plant.bus:
         await plant.live()

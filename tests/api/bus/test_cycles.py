@@ -7,12 +7,14 @@ import itertools
 from typing import Any
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bench_of, bus_of, in_virtual_time, operating, slave_in, stack_of
+from api_kit import FAN, HOIST, RAW, bench_of, bus_of, operating, slave_in, stack_of
 from support import WorldFactory
 
 import dpstack
 from dpstack.api.config.config import parse_config
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+
+pytestmark = pytest.mark.virtual_time
 
 A: dict[str, object] = {
     "name": "a", "address": 5, "ident": 0x1234, "config": "23 13", "inputs": {"limit": "bool@0.3", "level": "i16@2"},
@@ -25,7 +27,6 @@ def word(n: int) -> bytes:
     return bytes([n]) * 4
 
 
-@in_virtual_time
 async def test_one_cycle_for_each_round_and_outputs_come_back_in_the_one_after_next() -> None:
     """The slaves mirror: set in the body of cycle n, on the wire in n + 1, which gives them back."""
     async with operating(A, B, cycle_ms=4) as bus:
@@ -48,7 +49,6 @@ async def test_one_cycle_for_each_round_and_outputs_come_back_in_the_one_after_n
             cycle.values("c")
 
 
-@in_virtual_time
 async def test_a_slow_reader_gets_the_latest_and_how_many_it_missed() -> None:
     async with operating(A, cycle_ms=4) as bus:
         got: list[dpstack.Cycle] = []
@@ -63,7 +63,6 @@ async def test_a_slow_reader_gets_the_latest_and_how_many_it_missed() -> None:
         assert bus.stats.summary()["missed"] == 0  # the bus did not wait for it
 
 
-@in_virtual_time
 async def test_several_readers_and_one_that_leaves() -> None:
     async with bus_of(A, cycle_ms=4) as bus:
         await bus.ready()
@@ -81,7 +80,6 @@ async def test_several_readers_and_one_that_leaves() -> None:
         assert stack_of(bus).master.on_round is None  # nobody reads any more: nothing is made
 
 
-@in_virtual_time
 async def test_the_stream_ends_with_the_bus() -> None:
     async with bus_of(A, cycle_ms=4) as bus:
         await bus.ready()
@@ -98,7 +96,6 @@ async def test_the_stream_ends_with_the_bus() -> None:
     assert [cycle async for cycle in bus.cycles()] == []
 
 
-@in_virtual_time
 async def test_free_running_rounds_are_cycles_too() -> None:
     async with operating(A, gap=0) as bus:
         got = []
@@ -113,7 +110,6 @@ async def test_free_running_rounds_are_cycles_too() -> None:
         assert bus.stats.cycles is None
 
 
-@in_virtual_time
 async def test_a_loop_goes_on_while_a_slave_is_away() -> None:
     async with operating(A, B, cycle_ms=8) as bus:
         seen: list[tuple[bool, bool, bool]] = []
@@ -144,7 +140,6 @@ async def test_a_loop_goes_on_while_a_slave_is_away() -> None:
         assert [state[0] for state in seen if state[1] or not state[0]] == [True, False, True]
 
 
-@in_virtual_time
 async def test_inputs_of_an_earlier_round_are_marked() -> None:
     async with bus_of(A, {**B, "every": 3}, cycle_ms=8) as bus:
         await bus.ready()
@@ -158,7 +153,6 @@ async def test_inputs_of_an_earlier_round_are_marked() -> None:
         assert set().union(*stale) == {"b"}
 
 
-@in_virtual_time
 async def test_a_slave_added_and_removed_between_two_cycles() -> None:
     async with bus_of(A, cycle_ms=8) as bus:
         await bus.ready()
@@ -174,7 +168,6 @@ async def test_a_slave_added_and_removed_between_two_cycles() -> None:
         assert set((await anext(stream)).inputs) == {"a"}
 
 
-@in_virtual_time
 async def test_the_summary_says_how_it_went() -> None:
     async with operating(A, cycle_ms=2.5) as bus:
         await asyncio.sleep(1)
@@ -201,7 +194,6 @@ def test_groups_of_a_cycle_are_checked_with_the_configuration() -> None:
     assert (made.bus.cycle_freeze, made.bus.cycle_sync) == ((1, 2), (3,))
 
 
-@in_virtual_time
 async def test_drives_a_scan_and_class_2_beside_a_cycle() -> None:
     """A motor is started and its parameter read, everybody is asked who he is; no cycle begins late."""
     bus = bus_of(HOIST, FAN, A, baud=1_500_000, cycle_ms=5)
@@ -230,7 +222,6 @@ class Ailing(MirrorDevice):
         return self.said
 
 
-@in_virtual_time
 async def test_a_diagnosis_is_fetched_in_the_gap_after_it_was_announced(world: WorldFactory) -> None:
     """A high-priority answer (DH), Slave_Diag before the next cycle, which begins in time."""
     w = world()
@@ -248,7 +239,6 @@ async def test_a_diagnosis_is_fetched_in_the_gap_after_it_was_announced(world: W
         assert (await anext(stream)).t_ns - before.t_ns == 8 * MS
 
 
-@in_virtual_time
 async def test_a_group_of_a_cycle_without_a_slave_is_remarked() -> None:
     grouped = {**A, "groups": [1], "sync": True, "freeze": True}
     events: list[dpstack.Event] = []

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 
-from api_kit import FAN, RAW, bus_of, in_virtual_time, off_and_on
+import pytest
+from api_kit import FAN, RAW, bus_of, off_and_on
 
 import dpstack
 from dpstack.api.bus.events_json import event_json
@@ -13,6 +14,8 @@ from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.master.events import DriveEvent, SlaveEvent, SlaveStateChanged
 from dpstack.trace import Event
 from dpstack.units import NS_PER_S
+
+pytestmark = pytest.mark.virtual_time
 
 FLAPS = 60
 
@@ -28,7 +31,6 @@ def states_of(events: list[Event], address: int) -> list[dpstack.SlaveState]:
     return [event.state for event in events if isinstance(event, SlaveStateChanged) and event.address == address]
 
 
-@in_virtual_time
 async def test_a_flapping_slave_has_at_most_ten_events_a_second_and_the_last_one_is_its_last_state() -> None:
     events: list[Event] = []
     async with bus_of(RAW, FAN, on_event=events.append, baud=93_750) as bus:
@@ -52,7 +54,6 @@ async def test_a_flapping_slave_has_at_most_ten_events_a_second_and_the_last_one
     assert (line["event"], line["address"], line["name"]) == ("flapping", 9, "raw")
 
 
-@in_virtual_time
 async def test_no_change_is_held_back_at_the_end_of_the_bus() -> None:
     events: list[Event] = []
     async with bus_of(RAW, on_event=events.append, baud=93_750) as bus:
@@ -61,7 +62,6 @@ async def test_no_change_is_held_back_at_the_end_of_the_bus() -> None:
     assert states_of(events, 9)[-1] is last
 
 
-@in_virtual_time
 async def test_events_of_other_slaves_and_of_drives_are_not_limited() -> None:
     events: list[Event] = []
     async with bus_of(RAW, FAN, on_event=events.append, baud=93_750) as bus:

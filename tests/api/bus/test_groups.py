@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import FAN, RAW, bench_of, bus_of, in_virtual_time, operating
+from api_kit import FAN, RAW, bench_of, bus_of, operating
 from gsd_kit import FILES
 
 import dpstack
@@ -15,11 +15,12 @@ from dpstack.api.config.config import parse_config
 from dpstack.dp.master.commands import DeactivateSlave, SetMode
 from dpstack.dp.master.events import AutoCleared, OperateWaits
 
+pytestmark = pytest.mark.virtual_time
+
 NORTH = RAW | {"name": "north", "address": 5, "groups": [1], "sync": True, "freeze": True}
 SOUTH = RAW | {"name": "south", "address": 6, "groups": [1, 2], "sync": True, "freeze": True}
 
 
-@in_virtual_time
 async def test_sync_returns_when_its_last_bit_has_left() -> None:
     async with operating(NORTH, SOUTH) as bus:
         sent = await bus.sync(1)
@@ -42,7 +43,6 @@ async def test_sync_returns_when_its_last_bit_has_left() -> None:
         assert not bus.slave("south").frozen
 
 
-@in_virtual_time
 async def test_a_group_is_written_and_read_at_one_moment_and_let_go_in_the_end() -> None:
     async with operating(NORTH, SOUTH, RAW) as bus:
         async with bus.group(1) as group:
@@ -58,7 +58,6 @@ async def test_a_group_is_written_and_read_at_one_moment_and_let_go_in_the_end()
         assert not bus.slave("south").frozen
 
 
-@in_virtual_time
 async def test_nothing_is_half_written() -> None:
     async with operating(NORTH, SOUTH, RAW) as bus:
         group = bus.group(1)
@@ -73,7 +72,6 @@ async def test_nothing_is_half_written() -> None:
             bus.group(7)
 
 
-@in_virtual_time
 async def test_a_global_control_that_cannot_be_sent_says_why_and_does_not_hang() -> None:
     async with bus_of(NORTH, SOUTH) as bus:
         await bus.ready()
@@ -95,7 +93,6 @@ async def test_a_global_control_that_cannot_be_sent_says_why_and_does_not_hang()
         await bus.sync(1)
 
 
-@in_virtual_time
 async def test_out_of_service_and_back() -> None:
     async with operating(RAW, FAN) as bus:
         raw, fan = bus.slave("raw"), bus.drive("fan")
@@ -123,7 +120,6 @@ async def test_out_of_service_and_back() -> None:
         await fan.start()
 
 
-@in_virtual_time
 async def test_parameterised_anew() -> None:
     async with operating(RAW, NORTH) as bus:
         raw = bus.slave("raw")
@@ -148,7 +144,6 @@ async def test_parameterised_anew() -> None:
         await raw.reparameterise(config=b"\x20\x10")
 
 
-@in_virtual_time
 async def test_names_and_the_gsd_file_hold_new_parameters_too() -> None:
     named = {**RAW, "inputs": {"limit": "bool@0.3"}}
     told = {"name": "told", "address": 8, "gsd": str(FILES / "slots.gsd")}
@@ -188,7 +183,6 @@ ignore_auto_clear = true
 """
 
 
-@in_virtual_time
 async def test_auto_clear_says_who_and_why() -> None:
     config = parse_config(AUTO, "auto.toml")
     assert (config.bus.auto_clear, config.bus.data_control_time_ms) == (True, 300)
@@ -208,7 +202,6 @@ async def test_auto_clear_says_who_and_why() -> None:
         assert "slave 9 (raw) had no data exchange for 300 ms" in cleared.text
 
 
-@in_virtual_time
 async def test_removed_while_out_of_service() -> None:
     async with bus_of(RAW, NORTH) as bus:
         await bus.ready()

@@ -6,12 +6,14 @@ import operator
 from collections.abc import Callable
 
 import pytest
-from api_kit import FAN, bus_of, in_virtual_time
+from api_kit import FAN, bus_of
 from ms2_kit import ms2_in
 
 import dpstack
 from dpstack.api.config.config import make_config
 from dpstack.sim.world import World
+
+pytestmark = pytest.mark.virtual_time
 
 VALVES: dict[str, object] = {
     "name": "valves", "address": 5, "ident": 0x1234, "config": "21 11",
@@ -39,7 +41,6 @@ ASSIGNED: list[tuple[Misuse, str, object, str]] = [
 
 
 @pytest.mark.parametrize(("thing", "name", "value", "text"), ASSIGNED)
-@in_virtual_time
 async def test_an_attribute_that_does_not_exist(thing: Misuse, name: str, value: object, text: str) -> None:
     async with bus_of(VALVES, FAN) as bus:
         with pytest.raises(dpstack.UnknownAttribute) as raised:
@@ -70,7 +71,6 @@ def test_an_attribute_that_a_slave_of_ones_own_does_not_have(which: str, name: s
     assert str(raised.value) == text
 
 
-@in_virtual_time
 async def test_an_attribute_that_a_connection_does_not_have() -> None:
     world = World()
     ms2_in(world)
@@ -95,7 +95,6 @@ def test_a_slave_of_ones_own_may_have_more_attributes_in_a_class_of_its_own() ->
     assert pump.pressure == 3
 
 
-@in_virtual_time
 async def test_attributes_that_may_be_assigned_still_may() -> None:
     class Named(dpstack.Bus):
         """A class of a user's own has attributes of its own."""
@@ -121,7 +120,6 @@ async def test_attributes_that_may_be_assigned_still_may() -> None:
     ],
     ids=["read a field", "write a field", "read the outputs", "write the outputs"],
 )
-@in_virtual_time
 async def test_data_of_a_bus_that_is_not_open(misuse: Misuse) -> None:
     bus = bus_of(VALVES)
     with pytest.raises(dpstack.UsageError, match="the bus is not open"):
@@ -146,7 +144,6 @@ def test_a_name_that_only_begins_with_a_number() -> None:
     assert bus_of({**VALVES, "name": "4th valve"}).slaves[0].name == "4th valve"
 
 
-@in_virtual_time
 async def test_a_name_that_is_a_number_is_refused_on_a_running_bus() -> None:
     async with bus_of(FAN) as bus:
         with pytest.raises(dpstack.ConfigError, match="looks like an address"):

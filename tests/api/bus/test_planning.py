@@ -6,7 +6,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, in_virtual_time, stack_of
+from api_kit import HOIST, RAW, bus_of, stack_of
 
 import dpstack
 from dpstack.api.bus.compose import plan_bus
@@ -16,6 +16,8 @@ from dpstack.dp.plan.rotation_time import Case
 from dpstack.errors import ConfigError
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS
+
+pytestmark = pytest.mark.virtual_time
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 BUS = '[bus]\nport = "virtual"\nbaud = 500000\n'
@@ -58,7 +60,6 @@ def test_an_interval_and_a_watchdog_that_do_not_fit_name_the_slave() -> None:
     )
 
 
-@in_virtual_time
 async def test_a_slave_without_room_in_the_cycle_is_refused_while_the_bus_runs() -> None:
     long = {"name": "long", "address": 10, "ident": 1, "config": "FF FF"}
     async with bus_of(RAW, cycle_ms=1.0) as bus:
@@ -160,7 +161,6 @@ def test_rates_that_a_slave_does_not_know_do_not_count() -> None:
 # --- the manual's 1 to 2 ms ------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
 async def test_the_manuals_rotation_in_virtual_time() -> None:
     async with dpstack.open_bus(EXAMPLES / "two_milliseconds.toml") as bus:
         await bus.operate()
@@ -176,7 +176,6 @@ async def test_the_manuals_rotation_in_virtual_time() -> None:
         assert bus.stats.bad == {}
 
 
-@in_virtual_time
 async def test_a_hoist_on_a_bus_with_a_cycle_is_planned_like_any_other() -> None:
     async with bus_of(HOIST, cycle_ms=20.0) as bus:
         assert bus.plan.cycle is not None

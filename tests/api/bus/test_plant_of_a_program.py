@@ -8,11 +8,13 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from api_kit import FAN, bus_of, in_virtual_time, operating
+from api_kit import FAN, bus_of, operating
 
 import dpstack
 from dpstack import Int, at
 from dpstack.events import Severity
+
+pytestmark = pytest.mark.virtual_time
 
 TANK: dict[str, object] = {
     "name": "tank", "address": 8, "ident": 0x1234, "config": "10 21",
@@ -28,7 +30,6 @@ class Other(dpstack.Outputs):
     order: Int = at()
 
 
-@in_virtual_time
 async def test_a_program_sets_inputs_of_its_simulated_slaves_and_switches_them() -> None:
     world = dpstack.World()
     bench = dpstack.simulate(world, [TANK, FAN], baud=500_000)
@@ -68,7 +69,6 @@ async def test_a_program_sets_inputs_of_its_simulated_slaves_and_switches_them()
                 wrong()
 
 
-@in_virtual_time
 async def test_the_key_simulate_without_an_effect_is_reported() -> None:
     table = {**TANK, "simulate": {"function": "tank:inputs"}}
     async with bus_of(table) as bus:
@@ -85,7 +85,6 @@ async def _until_ready(bus: dpstack.Bus) -> AsyncIterator[dpstack.Event]:
         yield event
 
 
-@in_virtual_time
 async def test_a_followed_value_begins_with_the_present_one() -> None:
     world = dpstack.World()
     bench = dpstack.simulate(world, [TANK], baud=500_000)
@@ -129,7 +128,6 @@ async def test_a_followed_value_begins_with_the_present_one() -> None:
     # the tasks end with the bus, and so does the group around it
 
 
-@in_virtual_time
 async def test_a_round_has_names_classes_and_a_wall_clock() -> None:
     async with operating(TANK, FAN) as bus:
         before = datetime.now(UTC)
@@ -167,7 +165,6 @@ READ = [
 ]
 
 
-@in_virtual_time
 async def test_an_attribute_that_is_read_and_does_not_exist() -> None:
     async with operating(TANK, FAN) as bus:
         names = {"bus": bus, "tank": bus.slave("tank"), "fan": bus.drive("fan")}

@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, in_virtual_time, operating, slave_in
+from api_kit import FAN, HOIST, RAW, bus_of, operating, slave_in
 
 import dpstack
 from dpstack.api.bus.bus import Bus
@@ -19,6 +19,8 @@ from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.telegram import StationType
 from dpstack.sim.world import World
 from dpstack.trace import Notice
+
+pytestmark = pytest.mark.virtual_time
 
 
 def brief(stations: tuple[Found, ...]) -> list[tuple[object, ...]]:
@@ -36,7 +38,6 @@ async def scan(world: World, **how: Any) -> LiveListResult:
 # --- a scan of its own ----------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
 async def test_a_silent_bus_is_asked_from_0() -> None:
     world = World()
     for address in (3, 125, 126):
@@ -50,7 +51,6 @@ async def test_a_silent_bus_is_asked_from_0() -> None:
     world.referee.check()
 
 
-@in_virtual_time
 async def test_a_slave_at_the_scanners_own_address_is_found_too() -> None:
     world = World()
     for address in (0, 1):
@@ -59,7 +59,6 @@ async def test_a_slave_at_the_scanners_own_address_is_found_too() -> None:
     assert brief(result.stations) == [(a, "slave", 0x1234, "wait_prm", None) for a in (0, 1)]
 
 
-@in_virtual_time
 async def test_beside_masters_one_of_them_at_0() -> None:
     async with operating(HOIST, RAW, address=0, gap=1) as bus:
         assert bus.world is not None
@@ -74,7 +73,6 @@ async def test_beside_masters_one_of_them_at_0() -> None:
         assert all(slave.ready_now and slave.timeouts == slave.retries == 0 for slave in bus.slaves)
 
 
-@in_virtual_time
 async def test_an_address_given_and_in_use_is_refused() -> None:
     async with bus_of(RAW, gap=1) as bus:
         await bus.ready()
@@ -88,7 +86,6 @@ async def test_an_address_given_and_in_use_is_refused() -> None:
 # --- beside data exchange -------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
 async def test_an_address_that_no_station_can_have_is_refused_and_the_bus_goes_on() -> None:
     async with operating(RAW) as bus:
         for address in (127, 200, -1, 9_999_999_999_999):
@@ -98,7 +95,6 @@ async def test_an_address_that_no_station_can_have_is_refused_and_the_bus_goes_o
         assert brief(await bus.scan(addresses=[9, 126])) == [(9, "slave", 0x1234, "data_exchange", 2)]
 
 
-@in_virtual_time
 async def test_the_live_list_of_a_running_bus() -> None:
     async with operating(HOIST, RAW) as bus:
         assert bus.world is not None
@@ -122,7 +118,6 @@ async def test_the_live_list_of_a_running_bus() -> None:
 # --- read-only ------------------------------------------------------------------------------------------------------
 
 
-@in_virtual_time
 async def test_a_read_only_bus_shows_and_changes_nothing() -> None:
     async with bus_of(RAW, gap=1) as owner:
         await owner.ready()
@@ -178,7 +173,6 @@ async def test_a_read_only_bus_shows_and_changes_nothing() -> None:
         assert owner.slave("raw").timeouts == 0
 
 
-@in_virtual_time
 async def test_a_silent_bus_is_reported_as_silent() -> None:
     told: list[dpstack.Event] = []
     async with bus_of(RAW, on_event=told.append):
@@ -247,7 +241,6 @@ def test_the_skeleton_names_drive_and_telegram(ident: int, octets: str, drive: s
     assert f'telegram = "{telegram}"' in text
 
 
-@in_virtual_time
 async def test_a_scan_ends_with_an_answer_to_its_caller_and_not_with_an_event() -> None:
     told: list[str] = []
     async with operating(RAW, on_event=lambda event: told.append(event.text)) as bus:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from api_kit import RAW, in_virtual_time, operating
+import pytest
+from api_kit import RAW, operating
 
 import dpstack
 from dpstack.sim.world import World
 
+pytestmark = pytest.mark.virtual_time
 
-@in_virtual_time
+
 async def test_a_clean_bus_counts_every_telegram_and_nothing_wrong() -> None:
     async with operating(RAW, gap=0) as bus:
         await asyncio.sleep(0.5)
@@ -44,7 +46,6 @@ def damage(world: World, seconds: float) -> None:
     world.call_at(world.now + step, lambda: hit(round(seconds * 1e9 / step)))
 
 
-@in_virtual_time
 async def test_damage_is_counted_by_cause_and_for_the_station_asked() -> None:
     async with operating(RAW, gap=0) as bus:
         assert bus.world is not None

@@ -8,10 +8,12 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from api_kit import FAN, bus_of, in_virtual_time, operating
+from api_kit import FAN, bus_of, operating
 
 import dpstack
 from dpstack import Int, at
+
+pytestmark = pytest.mark.virtual_time
 
 TANK: dict[str, object] = {
     "name": "tank", "address": 8, "ident": 0x1234, "config": "10 20",
@@ -88,7 +90,6 @@ CALLED: list[tuple[Call, str]] = [
 ]  # fmt: skip
 
 
-@in_virtual_time
 async def test_calls_of_a_running_bus_refuse() -> None:
     said: list[str] = []
     async with operating(TANK, FAN) as bus:
@@ -120,7 +121,6 @@ WAITING: list[Callable[[dpstack.Bus], Awaitable[object]]] = [
 
 
 @pytest.mark.parametrize("wait", WAITING, ids=range(len(WAITING)))
-@in_virtual_time
 async def test_waiting_on_a_bus_that_is_not_open_raises_at_once(
     wait: Callable[[dpstack.Bus], Awaitable[object]],
 ) -> None:
@@ -134,7 +134,6 @@ async def test_waiting_on_a_bus_that_is_not_open_raises_at_once(
     assert time.monotonic() - began < 60
 
 
-@in_virtual_time
 async def test_a_wait_in_vain_says_what_it_waited_for() -> None:
     async with bus_of(TANK, FAN) as bus:
         with pytest.raises(TimeoutError, match=r"the master is not in operate after 0.1 s, it is in clear$"):

@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from api_kit import in_virtual_time, running
+from api_kit import running
 
 import dpstack
 from dpstack.api.config.config import parse_config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.errors import ConfigError
+
+pytestmark = pytest.mark.virtual_time
 
 FRENIC = """#Profibus_DP
 GSD_Revision = 3
@@ -105,7 +107,6 @@ def test_refused(folder: Path, keys: str, message: str) -> None:
     assert str(caught.value).startswith(f"{folder}/plant.toml:{message}")
 
 
-@in_virtual_time
 async def test_the_drive_runs_with_its_file(folder: Path) -> None:
     async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[fan(folder, 'telegram = "PPO3"\n')]) as bus:
         await bus.operate()
@@ -145,7 +146,6 @@ EndModule
     ],
     ids=lambda value: str(value)[:40],
 )
-@in_virtual_time
 async def test_other_drives_run_as_their_files_say(
     tmp_path: Path, table: dict[str, object], text: str, config: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

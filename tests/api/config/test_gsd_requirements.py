@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time, slave_in
+from api_kit import RAW, bus_of, slave_in
 
 import dpstack
 from dpstack import UsageError
@@ -13,6 +13,8 @@ from dpstack.api.config.config import parse_config
 from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, device_block
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import ConfigError
+
+pytestmark = pytest.mark.virtual_time
 
 GSD = """#Profibus_DP
 GSD_Revision = 5
@@ -108,7 +110,6 @@ def test_a_required_alarm_without_its_supp_keyword_can_be_enabled(folder: Path) 
     ("old", "new", "ident"),
     [(9, 10, None), (126, 9, None), (126, 10, 0x1234)],
 )
-@in_virtual_time
 async def test_set_slave_add_is_refused_where_the_file_excludes_it(
     folder: Path, old: int, new: int, ident: int | None
 ) -> None:
@@ -125,7 +126,6 @@ async def test_set_slave_add_is_refused_where_the_file_excludes_it(
 
 
 @pytest.mark.parametrize("says", ["Set_Slave_Add_supp = 1", None])
-@in_virtual_time
 async def test_set_slave_add_where_the_file_allows_it_or_there_is_none(folder: Path, says: str | None) -> None:
     (folder / "rig.gsd").write_text(f"{GSD}{says}\n", encoding="ascii")
     table = {"name": "rig", "address": 9, "gsd": str(folder / "rig.gsd")} if says else RAW
@@ -145,7 +145,6 @@ class Faulty(MirrorDevice):
 
 
 @pytest.mark.parametrize(("ident", "words"), [(0x1234, True), (0x4321, False)])
-@in_virtual_time
 async def test_a_diagnosis_over_class_2_has_the_texts_of_the_gsd_file(folder: Path, ident: int, words: bool) -> None:
     """Only for the configured device, not for another one at its address."""
     world = dpstack.World()

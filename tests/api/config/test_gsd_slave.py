@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from api_kit import bus_of, in_virtual_time
+from api_kit import bus_of
 from gsd_kit import FILES
 
 from dpstack.api.config.config import Config, parse_config, rate_findings
 from dpstack.cli.main import main
 from dpstack.errors import ConfigError
+
+pytestmark = pytest.mark.virtual_time
 
 HEAD = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "io"\naddress = 8\n'
 
@@ -149,7 +151,6 @@ def test_bus_parameters_fit_the_slowest_slave() -> None:
     assert slow.params(45_450).t_sl > 250
 
 
-@in_virtual_time
 async def test_a_slave_by_its_gsd_file_on_a_bus() -> None:
     table = {"name": "io", "address": 8, "gsd": str(FILES / "whole.gsd"), "modules": ["8 DO", "8 DI"]}
     async with bus_of(table) as bus:
@@ -235,7 +236,6 @@ def test_plan_prints_both_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "5 octets of user parameters, User_Prm_Data_Len is 4" in " ".join(capsys.readouterr().out.split())
 
 
-@in_virtual_time
 async def test_the_simulated_slave_accepts_a_user_prm_of_its_own() -> None:
     table = {"address": 8, "gsd": str(FILES / "prm.gsd"), "modules": ["PLAIN"], "user_prm": "01 02"}
     async with bus_of(table) as bus:

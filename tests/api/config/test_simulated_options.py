@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from api_kit import bench_of, device_of, in_virtual_time, running
+from api_kit import bench_of, device_of, running
 
 import dpstack
+
+pytestmark = pytest.mark.virtual_time
 
 BASE = """
 [bus]
@@ -24,7 +26,6 @@ simulated = {table}
 """
 
 
-@in_virtual_time
 async def test_options_and_parameters_of_the_simulated_drive(tmp_path: Path) -> None:
     path = tmp_path / "bus.toml"
     path.write_text(BASE.format(table="{ load = 0.8, 412 = 1, fixed_frequency_1 = 7.5 }"), encoding="utf-8")
@@ -63,7 +64,6 @@ DRIVES: list[tuple[Mapping[str, object], str | int]] = [
 
 
 @pytest.mark.parametrize(("table", "parameter"), DRIVES, ids=lambda value: str(value)[:30])
-@in_virtual_time
 async def test_a_new_address_acts_from_the_next_power_on(table: Mapping[str, object], parameter: str | int) -> None:
     """Until then it keeps the old address (for one drive: docs/reference/drives/demag.md#address)."""
     async with running({"name": "it", "address": 4, **table}, 1_500_000) as (bus, drive):

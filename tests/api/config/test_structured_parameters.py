@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bus_of, in_virtual_time, serving
+from api_kit import bus_of, serving
 
 import dpstack
 from dpstack.api.config.config import parse_config
 from dpstack.errors import ConfigError
 from dpstack.slave import DpSlave, PrmBlock, SlaveDescription
+
+pytestmark = pytest.mark.virtual_time
 
 HEAD = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "io"\naddress = 9\n'
 PLAIN = 'ident = 1\nconfig = "10"\nuser_prm = "00 00 00 07"\n'
@@ -63,7 +65,6 @@ def test_a_gsd_file_that_requires_blocks_and_has_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("required", [False, True])
-@in_virtual_time
 async def test_the_slave_of_the_same_file_accepts_them(tmp_path: Path, required: bool) -> None:
     seen: list[tuple[PrmBlock, ...]] = []
 
@@ -100,7 +101,6 @@ def test_fail_safe_in_dpv1_status_without_a_gsd_file(keys: str, octets: str) -> 
 
 
 @pytest.mark.parametrize("wanted", [{"fail_safe": True, "fail_safe_required": True}, {"prm_blocks_required": True}])
-@in_virtual_time
 async def test_a_slave_that_requires_it_comes_up(wanted: dict[str, Any]) -> None:
     rig = SlaveDescription(ident=1, configs=(b"\x10\x20",), dpv1=True, **wanted)
     async with serving(DpSlave(rig, lambda outputs, elapsed: bytes(1))):

@@ -7,7 +7,7 @@ from collections.abc import Coroutine
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, in_virtual_time, operating, slave_in
+from api_kit import HOIST, RAW, operating, slave_in
 
 import dpstack
 from dpstack.api.config.config import make_config
@@ -15,6 +15,8 @@ from dpstack.api.control.commands import KINDS
 from dpstack.api.control.handlers import control_run
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError
+
+pytestmark = pytest.mark.virtual_time
 
 
 async def ignored(_item: object) -> None:
@@ -30,7 +32,6 @@ def scan(bus: dpstack.Bus, send: Any = ignored) -> Coroutine[Any, Any, Any]:
     return result
 
 
-@in_virtual_time
 async def test_a_scan_beside_data_exchange() -> None:
     items: list[Any] = []
 
@@ -89,7 +90,6 @@ async def test_a_scan_beside_data_exchange() -> None:
         await scan(bus)  # and another one
 
 
-@in_virtual_time
 async def test_one_scan_at_a_time() -> None:
     async with operating(RAW) as bus:
         server = control_run(bus, "pty")
@@ -104,7 +104,6 @@ async def test_one_scan_at_a_time() -> None:
         assert len((await command([])(ignored))["stations"]) == 1
 
 
-@in_virtual_time
 async def test_a_scan_of_a_read_only_run_changes_no_slave() -> None:
     async with operating(RAW) as owner:
         world = owner.world

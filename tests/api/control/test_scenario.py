@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 
 import pytest
-from api_kit import bench_of, in_virtual_time, operating
+from api_kit import bench_of, operating
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -20,6 +20,8 @@ from dpstack.dp.master.events import SlaveDiagnosis
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 from dpstack.sim.world import World
+
+pytestmark = pytest.mark.virtual_time
 
 VALVES: dict[str, object] = {
     "name": "valves",
@@ -76,7 +78,6 @@ def bench_with(*tables: Mapping[str, object]) -> VirtualBench:
     return bench
 
 
-@in_virtual_time
 async def test_steps_happen_in_the_order_of_their_times_and_end() -> None:
     events: list[dpstack.Event] = []
     async with operating(VALVES, RAW, on_event=events.append, baud=45_450) as bus:
@@ -182,7 +183,6 @@ def test_errors_have_the_line_and_say_what_to_do(text: str, says: str) -> None:
     assert "\n" not in str(told.value)
 
 
-@in_virtual_time
 async def test_ctl_begins_and_ends_faults() -> None:
     events: list[str] = []
     async with operating(RAW, on_event=lambda event: events.append(event.text)) as bus:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from api_kit import RAW, bench_of, bus_of, in_virtual_time, virtual
+from api_kit import RAW, bench_of, bus_of, virtual
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,6 +19,8 @@ from dpstack.api.lists.list_file import ListComparison
 from dpstack.api.lists.parameter_list import ParameterList, SavedParam
 from dpstack.errors import ConfigError, UsageError
 from dpstack.profile import DriveDevice
+
+pytestmark = pytest.mark.virtual_time
 
 TEXT = """\
 # Parameters of a drive; `dpstack drive CONFIG NAME compare FILE` tells where a drive differs.
@@ -207,7 +209,6 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", DRIVES)
-@in_virtual_time
 async def test_each_drive_is_dumped_and_compared(kind: str, tmp_path: Path) -> None:
     count, name, value, data_set = DRIVES[kind]
     path = tmp_path / "it.toml"
@@ -232,7 +233,6 @@ async def test_each_drive_is_dumped_and_compared(kind: str, tmp_path: Path) -> N
         assert f"drive {value!r}" in found_one.text
 
 
-@in_virtual_time
 async def test_a_parameter_that_cannot_be_read_says_why_and_is_not_compared(tmp_path: Path) -> None:
     async with bus_with("demag-dedrive") as bus:
         await bus.operate()
@@ -257,7 +257,6 @@ async def test_a_parameter_that_cannot_be_read_says_why_and_is_not_compared(tmp_
             await it.compare(replace(found, drive="keb-f5"))
 
 
-@in_virtual_time
 async def test_a_telegram_without_a_channel_is_refused_at_once(tmp_path: Path) -> None:
     async with bus_of({**slave("demag-dedrive"), "telegram": "PPO3"}) as bus:
         with pytest.raises(UsageError, match="PPO3 of demag-dedrive has no parameter channel"):
@@ -270,7 +269,6 @@ def no_room(file: AtomicFile, octets: bytes) -> None:
         raise UsageError(f"{file.path}: is full")
 
 
-@in_virtual_time
 async def test_cut_short_it_keeps_what_was_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "it.toml"
     path.write_text(older := replace(LIST, drive="demag-dedrive", name="it").text())
@@ -321,7 +319,6 @@ class Mute:
         return bytes.fromhex("7102 0100 0000 0011") if octets[:4] == bytes.fromhex("1102 0100") else bytes(8)
 
 
-@in_virtual_time
 async def test_a_drive_that_does_not_answer_some() -> None:
     """Reads that are refused stand in the list; a few that time out as well, three in a row end it."""
     async with bus_with("fuji-frenic") as bus:

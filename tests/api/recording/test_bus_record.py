@@ -14,12 +14,14 @@ from pathlib import Path
 from types import CodeType, FrameType
 
 import pytest
-from api_kit import HOIST, RAW, bench_of, bus_of, in_virtual_time, operating, virtual
+from api_kit import HOIST, RAW, bench_of, bus_of, operating, virtual
 
 import dpstack
 from dpstack.api.bus import recording as bus_recording
 from dpstack.api.bus.bus import core_of
 from dpstack.api.recording.line_file import LineFile
+
+pytestmark = pytest.mark.virtual_time
 
 VALVES: dict[str, object] = {
     **RAW,
@@ -36,7 +38,6 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@in_virtual_time
 async def test_every_cycle_is_a_row(tmp_path: Path) -> None:
     path = tmp_path / "plant.csv"
     seen: list[tuple[float, float]] = []
@@ -64,7 +65,6 @@ async def test_every_cycle_is_a_row(tmp_path: Path) -> None:
     assert {row["valves.state"] for row in rows} == {"data_exchange"}
 
 
-@in_virtual_time
 async def test_values_are_empty_while_they_are_not_valid(tmp_path: Path) -> None:
     path = tmp_path / "plant.csv"
     async with operating(VALVES, cycle_ms=20) as bus:
@@ -86,7 +86,6 @@ async def test_values_are_empty_while_they_are_not_valid(tmp_path: Path) -> None
     assert gone  # also where there is no round any more
 
 
-@in_virtual_time
 async def test_the_quantities_of_a_drive(tmp_path: Path) -> None:
     path = tmp_path / "plant.jsonl"
     hoist = {**HOIST, "options": {"set_412": True}}
@@ -107,7 +106,6 @@ async def test_the_quantities_of_a_drive(tmp_path: Path) -> None:
     assert len(set(speeds)) > 5  # it ramps
 
 
-@in_virtual_time
 async def test_on_change_with_the_dead_band_of_the_field(tmp_path: Path) -> None:
     path = tmp_path / "plant.csv"
     async with operating(VALVES) as bus, bus.record(path, on_change=True):
@@ -122,7 +120,6 @@ async def test_on_change_with_the_dead_band_of_the_field(tmp_path: Path) -> None
     assert len(rows) < 12
 
 
-@in_virtual_time
 async def test_a_slave_that_is_added_begins_a_new_file(tmp_path: Path) -> None:
     async with operating(VALVES, cycle_ms=20) as bus, bus.record(tmp_path / "plant.csv") as recording:
         await asyncio.sleep(0.05)
@@ -135,7 +132,6 @@ async def test_a_slave_that_is_added_begins_a_new_file(tmp_path: Path) -> None:
     assert "more.level [bar]" in read_csv(second)[0]
 
 
-@in_virtual_time
 async def test_a_disk_that_hangs_holds_up_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bus goes on while the thread hangs in a write; what found no room in the queue is counted in the file."""
     hangs, goes_on = threading.Event(), threading.Event()
@@ -167,7 +163,6 @@ async def test_a_disk_that_hangs_holds_up_nobody(tmp_path: Path, monkeypatch: py
     assert notes[-1].endswith(f"{lost} rounds lost, because this computer or its disk was too slow")
 
 
-@in_virtual_time
 async def test_a_recording_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "plant.csv"
     path.write_text("mine")

@@ -6,12 +6,14 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import in_virtual_time, mirror, serving
+from api_kit import mirror, serving
 
 import dpstack
 from dpstack import RecordRefused, UsageError
 from dpstack.profile.record47 import Address
 from dpstack.slave import SlaveDescription
+
+pytestmark = pytest.mark.virtual_time
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process",))
 PUMP = {"name": "pump", "address": 6, "drive": "ls-s100"}
@@ -21,7 +23,6 @@ def odd(value: object) -> Any:
     return value
 
 
-@in_virtual_time
 async def test_the_list_of_parameters() -> None:
     async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
         await bus.ready()
@@ -78,7 +79,6 @@ async def fails(slot: int, index: int) -> bytes:
         (fails, f"(KeyError: 1), in fails(), {__name__}.py line {fails.__code__.co_firstlineno + 1}"),
     ],
 )
-@in_virtual_time
 async def test_a_failed_function_is_reported_with_its_place(function: Any, text: str) -> None:
     events: list[dpstack.Event] = []
     async with serving(mirror(RIG, on_read=function, ms2=1), events=events) as (bus, slave):
@@ -92,7 +92,6 @@ async def test_a_failed_function_is_reported_with_its_place(function: Any, text:
     assert any(text in event.text for event in events), events
 
 
-@in_virtual_time
 async def test_services_end_with_the_bus() -> None:
     """The error blames the bus: a program that drops slaves with errors must not drop this one."""
 

@@ -9,7 +9,7 @@ from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 import pytest
-from api_kit import RAW, in_virtual_time, mirror, serving
+from api_kit import RAW, mirror, serving
 from msgspec import structs
 from support import WorldFactory
 
@@ -22,6 +22,8 @@ from dpstack.errors import AlarmError, SlaveFault, UsageError
 from dpstack.sim.world import World
 from dpstack.slave import ModuleState, SlaveDescription
 from dpstack.trace import Severity
+
+pytestmark = pytest.mark.virtual_time
 
 ALL = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")
 TYPE_MODE = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=ALL)
@@ -47,7 +49,6 @@ async def first_of(alarms: Any, count: int) -> list[SlaveAlarm]:
 
 
 @pytest.mark.parametrize("description", [RIG, TYPE_MODE])
-@in_virtual_time
 async def test_alarms_in_order_acknowledged_when_read(world: WorldFactory, description: SlaveDescription) -> None:
     events: list[dpstack.Event] = []
     async with rig(world(), events, description=description) as (bus, slave):
@@ -68,11 +69,9 @@ async def test_alarms_in_order_acknowledged_when_read(world: WorldFactory, descr
         assert (counts.raised, counts.acknowledged, counts.too_many, counts.repeated) == (20, 20, 0, 0)
         assert bus.stats.slaves[9].as_dict()["alarms"] == structs.asdict(counts)
 
-    # LHS told =  TAIL
     assert len([event for event in events if isinstance(event, AlarmRaised)]) == 20
 
 
-@in_virtual_time
 async def test_the_attributes_of_an_alarm(world: WorldFactory) -> None:
     events: list[dpstack.Event] = []
     async with rig(world(), events) as (bus, slave):
@@ -92,7 +91,6 @@ async def test_the_attributes_of_an_alarm(world: WorldFactory) -> None:
             assert (alarm.appears, alarm.disappears, alarm.slot_good) == expected
             await raising
 
-    # LHS told =  TAIL
     raised = [event for event in events if isinstance(event, AlarmRaised)]
     assert [event.severity for event in raised[:2]] == [Severity.WARNING, Severity.INFO]
     line = event_json(raised[0], 1.0)
@@ -104,20 +102,17 @@ async def test_the_attributes_of_an_alarm(world: WorldFactory) -> None:
     }  # fmt: skip
 
 
-@in_virtual_time
 async def test_the_station_acknowledges_alarms_without_a_listener(world: WorldFactory) -> None:
     events: list[dpstack.Event] = []
     async with rig(world(), events) as (_, slave):
         await asyncio.gather(*(slave.alarm(PROCESS, slot) for slot in range(10)))
 
-    # LHS told =  TAIL
     raised = [event for event in events if isinstance(event, AlarmRaised)]
     assert [event.alarm.slot for event in raised] == [*range(10)]
     assert not any(event.held for event in raised)
 
 
 @pytest.mark.parametrize("how", ["break", "close", "cancel"])
-@in_virtual_time
 async def test_a_listener_that_leaves_delays_no_alarm(world: WorldFactory, how: str) -> None:
     async with rig(world()) as (bus, slave):
         raising = [raised(slave, slot) for slot in range(5)]
@@ -148,7 +143,6 @@ async def test_a_listener_that_leaves_delays_no_alarm(world: WorldFactory, how: 
         await asyncio.gather(*raising)
 
 
-@in_virtual_time
 async def test_acknowledgement_by_the_program(world: WorldFactory) -> None:
     async with rig(world()) as (bus, slave):
         alarms = bus.slave(9).alarms(acknowledge=False)
@@ -163,7 +157,6 @@ async def test_acknowledgement_by_the_program(world: WorldFactory) -> None:
         await asyncio.gather(first.acknowledge(), second.acknowledge(), *raising)
 
 
-@in_virtual_time
 async def test_an_alarm_waits_until_both_listeners_have_read_it(world: WorldFactory) -> None:
     async with rig(world()) as (bus, slave):
         one, other = bus.slave(9).alarms(), bus.slave(9).alarms()
@@ -182,7 +175,6 @@ async def test_an_alarm_waits_until_both_listeners_have_read_it(world: WorldFact
         await task
 
 
-@in_virtual_time
 async def test_alarms_of_a_slave_that_leaves_data_exchange_and_comes_back(world: WorldFactory) -> None:
     async with rig(world()) as (bus, slave):
         found = bus.slave(9)
@@ -212,7 +204,6 @@ async def test_alarms_of_a_slave_that_leaves_data_exchange_and_comes_back(world:
         await task
 
 
-@in_virtual_time
 async def test_alarms_end_with_the_bus_and_with_the_slave(world: WorldFactory) -> None:
     async with rig(world()) as (bus, slave):
         found = bus.slave(9)
@@ -238,7 +229,6 @@ async def test_alarms_end_with_the_bus_and_with_the_slave(world: WorldFactory) -
         await acknowledging
 
 
-@in_virtual_time
 async def test_an_alarm_of_a_removed_slave_is_none_of_the_slave_that_is_added_later(world: WorldFactory) -> None:
     async with rig(world()) as (bus, slave):
         old_stream = bus.slave(9).alarms(acknowledge=False)
@@ -262,7 +252,6 @@ async def test_an_alarm_of_a_removed_slave_is_none_of_the_slave_that_is_added_la
 
 
 @pytest.mark.parametrize("listens", [True, False])
-@in_virtual_time
 async def test_dpv1_off_and_on_again(world: WorldFactory, listens: bool) -> None:
     async with rig(world()) as (bus, slave):
         found = bus.slave(9)
@@ -283,7 +272,6 @@ async def test_dpv1_off_and_on_again(world: WorldFactory, listens: bool) -> None
         assert found.alarm_counts.raised == 2
 
 
-@in_virtual_time
 async def test_status_messages(world: WorldFactory) -> None:
     events: list[dpstack.Event] = []
     async with rig(world(), events) as (bus, slave):
@@ -300,13 +288,11 @@ async def test_status_messages(world: WorldFactory) -> None:
         assert statuses.dropped == 6
         assert bus.slave(9).diagnosis_texts[-1].startswith("vendor status 40, slot 1")
 
-    # LHS told =  TAIL
     line = event_json(next(event for event in events if isinstance(event, StatusTold)), 0)
     assert line is not None
     assert (line["event"], line["title"], line["data"]) == ("status_message", "status message", "01")
 
 
-@in_virtual_time
 async def test_misuse(world: WorldFactory) -> None:
     bus = dpstack.open_bus(port="virtual", baud=500_000, slaves=[RAW])
     with pytest.raises(UsageError, match="the bus is not open"):
@@ -319,7 +305,6 @@ async def test_misuse(world: WorldFactory) -> None:
         assert bus.slave(9).alarm_counts is None
 
 
-@in_virtual_time
 async def test_misuse_beside_a_listener(world: WorldFactory) -> None:
     async with rig(world()) as (bus, _):
         found = bus.slave("rig")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, in_virtual_time, slave_in
+from api_kit import HOIST, RAW, bus_of, slave_in
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -21,10 +21,11 @@ from dpstack.fdl.telegram import Telegram
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 
+pytestmark = pytest.mark.virtual_time
+
 NAMED = {**RAW, "config": "21 11", "inputs": {"limit": "bool@0.3", "low": "u8@1"}, "outputs": {"level": "i16@0"}}
 
 
-@in_virtual_time
 async def test_its_own_slaves_by_name_and_address() -> None:
     async with bus_of(NAMED, HOIST) as bus:
         await bus.ready()
@@ -45,7 +46,6 @@ async def test_its_own_slaves_by_name_and_address() -> None:
 
 
 @pytest.mark.parametrize("read_only", [False, True])
-@in_virtual_time
 async def test_the_slaves_of_another_master(read_only: bool) -> None:
     """A read-only bus reads them, too, and refuses the service that writes."""
     async with bus_of(NAMED, gap=1) as owner:
@@ -106,7 +106,6 @@ def settable(world: World, address: int = 126) -> Settable:
     return app
 
 
-@in_virtual_time
 async def test_a_slave_as_delivered_gets_its_address_and_is_taken_up() -> None:
     """The whole commissioning: 126 becomes 9, the address of a slave that the master waits for."""
     world = World()
@@ -153,7 +152,6 @@ Call = Callable[[Class2], Coroutine[Any, Any, object]]
         (lambda c: c.diagnosis(77, timeout=0.0), dpstack.SlaveTimeout, "was not over after 0 s"),
     ],
 )
-@in_virtual_time
 async def test_every_error_is_typed(call: Call, kind: type[dpstack.DpError], text: str) -> None:
     async with bus_of(NAMED) as bus:
         await bus.ready()
@@ -165,7 +163,6 @@ async def test_every_error_is_typed(call: Call, kind: type[dpstack.DpError], tex
         assert bus.slave(9).ready_now
 
 
-@in_virtual_time
 async def test_too_many_at_a_time() -> None:
     async with bus_of(NAMED) as bus:
         await bus.ready()
@@ -177,7 +174,6 @@ async def test_too_many_at_a_time() -> None:
         assert (await bus.class2.config(9)).octets == b"\x21\x11"
 
 
-@in_virtual_time
 async def test_services_end_with_the_bus_and_need_an_open_one() -> None:
     bus = bus_of(NAMED)
     with pytest.raises(dpstack.UsageError, match="the bus is not open"):
@@ -193,7 +189,6 @@ async def test_services_end_with_the_bus_and_need_an_open_one() -> None:
         await bus.class2.config(9)
 
 
-@in_virtual_time
 async def test_cancelled_services_leave_the_queue() -> None:
     async with bus_of(NAMED) as bus:
         await bus.ready()
@@ -210,7 +205,6 @@ def test_identifier_octets_that_cannot_be_read() -> None:
     assert Configuration.of(b"\x21\xc0").octets == b"\x21\xc0"
 
 
-@in_virtual_time
 async def test_services_do_not_fill_the_history() -> None:
     told: list[dpstack.Event] = []
     async with bus_of(NAMED, on_event=told.append) as bus:

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time
+from api_kit import RAW, bus_of
 from ms2_kit import Ms2Server, ms2_in, served
 from msgspec import structs
 
@@ -28,6 +28,8 @@ from dpstack.gsd.model import Device
 from dpstack.profile.record47 import Address, Values
 from dpstack.sim.world import World
 from dpstack.trace import Severity
+
+pytestmark = pytest.mark.virtual_time
 
 
 @contextlib.asynccontextmanager
@@ -60,7 +62,6 @@ async def beside(events: list[dpstack.Event] | None = None) -> AsyncIterator[tup
     world.referee.check()
 
 
-@in_virtual_time
 async def test_a_connection_without_a_reference_is_closed() -> None:
     """A program may fail before it can close a connection, and the slave has two only."""
 
@@ -81,13 +82,11 @@ async def test_a_connection_without_a_reference_is_closed() -> None:
         await asyncio.sleep(0.1)
         assert bus.class2.connections == 0
 
-    # LHS told =  TAIL
     overs = [event.text for event in events if isinstance(event, ConnectionOver)]
     assert len(overs) == 4
     assert all(text.endswith("it was closed here") for text in overs)
 
 
-@in_virtual_time
 async def test_everything_over_one_connection_beside_the_slaves_own_master() -> None:
     events: list[dpstack.Event] = []
     async with beside(events) as (bus, _):
@@ -111,7 +110,6 @@ async def test_everything_over_one_connection_beside_the_slaves_own_master() -> 
         await connection.close()
         await connection.ended()
 
-    # LHS told =  TAIL
     (over,) = [event for event in events if isinstance(event, ConnectionOver)]
     assert over.severity is Severity.INFO
     assert structs.replace(over, ordered=False).severity is Severity.WARNING
@@ -123,7 +121,6 @@ async def test_everything_over_one_connection_beside_the_slaves_own_master() -> 
     }
 
 
-@in_virtual_time
 async def test_several_connections_to_a_slave_of_this_bus() -> None:
     async with owner() as (bus, server):
         first = await bus.class2.connect("raw")
@@ -142,7 +139,6 @@ async def test_several_connections_to_a_slave_of_this_bus() -> None:
     assert (second.reason, third.is_open) == ("the bus was closed here", False)
 
 
-@in_virtual_time
 async def test_im() -> None:
     calls: list[bytes] = []
 
@@ -164,7 +160,6 @@ async def test_im() -> None:
         assert calls == [b"\x08\x00\xfd\xe8"]
 
 
-@in_virtual_time
 async def test_typed_errors() -> None:
     async with beside() as (bus, server):
         server.serve = lambda pdu: bytes((pdu[0] | 0x80, 0x80, 0xB5, 3))
@@ -208,7 +203,6 @@ async def test_typed_errors() -> None:
         assert bus.class2.connections == 0
 
 
-@in_virtual_time
 async def test_a_connection_is_opened_once() -> None:
     async with beside() as (bus, server):
         connecting = bus.class2.connect(9)
@@ -218,7 +212,6 @@ async def test_a_connection_is_opened_once() -> None:
             assert (await connection.read(1, 2), len(server.sessions)) == (b"\1\2", 1)
 
 
-@in_virtual_time
 async def test_impossible_timeouts() -> None:
     async with beside() as (bus, server):
         connect = bus.class2.connect
@@ -241,7 +234,6 @@ async def test_impossible_timeouts() -> None:
         assert [sap for sap, pdu in server.heard if pdu[:1] == b"\x57"] == [49]
 
 
-@in_virtual_time
 async def test_after_a_defect_every_call_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulated bus stands still then: an order raises what happened, and the end comes at once."""
 
@@ -258,7 +250,6 @@ async def test_after_a_defect_every_call_ends(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("after_ms", range(12))
-@in_virtual_time
 async def test_a_cancelled_connect_leaves_no_connection(after_ms: int) -> None:
     """The caller is cancelled while the connection opens, or just when it is open."""
 
@@ -272,7 +263,6 @@ async def test_a_cancelled_connect_leaves_no_connection(after_ms: int) -> None:
         assert len(server.sessions) == bus.class2.connections == len(opened)
 
 
-@in_virtual_time
 async def test_a_cancelled_service_leaves_the_connection_open() -> None:
     async with beside() as (bus, server):
         server.polls = 30
@@ -286,7 +276,6 @@ async def test_a_cancelled_service_leaves_the_connection_open() -> None:
             assert connection.is_open
 
 
-@in_virtual_time
 async def test_the_bus_ends_meanwhile() -> None:
     async with owner() as (bus, server):
         connection = await bus.class2.connect(9)
@@ -308,7 +297,6 @@ async def _connected(bus: dpstack.Bus, address: int) -> Connection:
     return await bus.class2.connect(address)
 
 
-@in_virtual_time
 async def test_the_limits_of_the_gsd_file() -> None:
     dpv1 = DpV1(
         slave=True,
@@ -350,7 +338,6 @@ def test_send_timeouts_by_rate() -> None:
     assert [least_send_timeout(rate) // 1_000_000 for rate in rates] == [1_000, 1_000, 2_000, 4_000, 4_000]
 
 
-@in_virtual_time
 async def test_a_read_only_bus_opens_none() -> None:
     world = World()
     ms2_in(world)
@@ -360,7 +347,6 @@ async def test_a_read_only_bus_opens_none() -> None:
             await bus.class2.connect(9)
 
 
-@in_virtual_time
 async def test_the_parameter_channel_over_a_connection() -> None:
     """Record 47 of the simulated LS S100, while its own master uses it over MS1."""
     pump = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bus_of, in_virtual_time, mirror, serving
+from api_kit import bus_of, mirror, serving
 from support import WorldFactory
 
 import dpstack
@@ -17,6 +17,8 @@ from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.errors import ConfigError, UsageError
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
+
+pytestmark = pytest.mark.virtual_time
 
 FILES = Path(__file__).parents[2] / "gsd" / "files"
 
@@ -38,7 +40,6 @@ async def rig(world: World, sent: list[str], **keys: Any) -> AsyncIterator[dpsta
         assert (slave.ready_now, slave.outputs) == (True, b"\x42")
 
 
-@in_virtual_time
 async def test_dpv1_switched_on_changed_and_switched_off(world: WorldFactory) -> None:
     sent: list[str] = []
     async with rig(world(), sent, dpv1=False) as slave:
@@ -94,7 +95,6 @@ async def test_dpv1_switched_on_changed_and_switched_off(world: WorldFactory) ->
         (1, "dpv1 = 1 is an integer; it must be a table"),
     ],
 )
-@in_virtual_time
 async def test_a_refused_change_changes_nothing(world: WorldFactory, given: Any, text: str) -> None:
     sent: list[str] = []
     async with rig(world(), sent) as slave:
@@ -106,7 +106,6 @@ async def test_a_refused_change_changes_nothing(world: WorldFactory, given: Any,
     assert sent == ["80 00 00"]
 
 
-@in_virtual_time
 async def test_a_change_that_the_gsd_file_excludes() -> None:
     async with bus_of({"name": "told", "address": 8, "gsd": str(FILES / "slots.gsd")}) as bus:
         await bus.ready()
@@ -114,7 +113,6 @@ async def test_a_change_that_the_gsd_file_excludes() -> None:
             await bus.slave("told").reparameterise(dpv1=True)
 
 
-@in_virtual_time
 async def test_a_drive_plugin_keeps_its_way_to_the_parameters() -> None:
     pump: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
     async with bus_of(pump) as bus:

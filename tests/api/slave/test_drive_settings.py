@@ -6,13 +6,15 @@ import asyncio
 import json
 
 import pytest
-from api_kit import bench_of, in_virtual_time, running
+from api_kit import bench_of, running
 
 import dpstack
 from dpstack.api.config.config import parse_config
 from dpstack.api.control.handlers import run_status
 from dpstack.errors import DriveFault
 from dpstack.profile import DriveDevice
+
+pytestmark = pytest.mark.virtual_time
 
 PLANT = """
 [bus]
@@ -64,7 +66,6 @@ SAYS = {
 }
 
 
-@in_virtual_time
 async def test_each_drive_is_refused_and_the_status_of_the_run_says_why() -> None:
     async with dpstack.open_bus(parse_config(PLANT, "plant.toml")) as bus:
         await bus.operate()
@@ -83,7 +84,6 @@ async def test_each_drive_is_refused_and_the_status_of_the_run_says_why() -> Non
         assert "PPO3 has no parameter channel" in slaves["8"]["drive"]["settings_texts"][0]
 
 
-@in_virtual_time
 async def test_a_drive_that_comes_back_with_other_settings_is_refused() -> None:
     """The drive has other settings after power-on: the comparison begins again with data exchange."""
     fan = {"name": "fan", "address": 4, "drive": "fuji-frenic"}

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import in_virtual_time, mirror, serving
+from api_kit import mirror, serving
 from support import WorldFactory
 
 import dpstack
@@ -19,6 +19,8 @@ from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.sim.world import World
 from dpstack.slave import DpSlave
+
+pytestmark = pytest.mark.virtual_time
 
 
 @contextlib.asynccontextmanager
@@ -46,7 +48,6 @@ class Memory:
         self.kept[number_of(record)] = record
 
 
-@in_virtual_time
 async def test_records_that_a_master_writes_survive_a_restart(world: WorldFactory) -> None:
     memory = Memory()
     async with master_of(memory.slave(), world()) as slave:
@@ -58,7 +59,6 @@ async def test_records_that_a_master_writes_survive_a_restart(world: WorldFactor
         assert await slave.im(2, slot=1) == Im2("2026-02-01 08:00")
 
 
-@in_virtual_time
 async def test_a_slave_that_is_served_again_has_what_was_written(world: WorldFactory) -> None:
     served = Memory().slave()
     async with master_of(served, world()) as slave:
@@ -68,7 +68,6 @@ async def test_a_slave_that_is_served_again_has_what_was_written(world: WorldFac
     assert served.im[1] == Im1("pump")
 
 
-@in_virtual_time
 async def test_a_record_that_cannot_be_kept_is_refused_and_reported(world: WorldFactory) -> None:
     def keep(slot: int, record: Im) -> None:
         if record == Im1("locked"):
@@ -88,7 +87,6 @@ async def test_a_record_that_cannot_be_kept_is_refused_and_reported(world: World
     assert "RecordRefused" not in reported
 
 
-@in_virtual_time
 async def test_each_slot_has_its_own_records(world: WorldFactory) -> None:
     each: dict[int, list[Im]] = {0: [Im0(order_id="HEAD"), Im1("line")], 2: [Im0(order_id="8DI"), Im3("lamps")]}
     served = mirror(im=each)
@@ -106,7 +104,6 @@ async def test_each_slot_has_its_own_records(world: WorldFactory) -> None:
     assert (served.im_of(2)[1], served.im_of(1)) == (Im3("doors"), ())
 
 
-@in_virtual_time
 async def test_a_record_that_the_device_announces_and_refuses(world: WorldFactory) -> None:
     async with master_of(mirror(im=[Im0(supported=0b111), Im2("2026")]), world()) as slave:
         found = (await carry_out(slave, parse_order("im", [])))["im"]
@@ -115,7 +112,6 @@ async def test_a_record_that_the_device_announces_and_refuses(world: WorldFactor
         assert found["2"] == {"date": "2026"}
 
 
-@in_virtual_time
 async def test_i_and_m_beside_records(world: WorldFactory) -> None:
     served = mirror(im=[Im0()])
     served.serve_records(RecordTable({(1, 2): b"\x11"}))
@@ -145,7 +141,6 @@ class Slow:
 
 
 @pytest.mark.parametrize("code", [0xB5, 0xC0, 0xC2])
-@in_virtual_time
 async def test_a_slave_that_is_not_ready_is_asked_again(world: WorldFactory, code: int) -> None:
     slow = Slow(3, code)
 
@@ -159,7 +154,6 @@ async def test_a_slave_that_is_not_ready_is_asked_again(world: WorldFactory, cod
 
 
 @pytest.mark.parametrize(("code", "asked"), [(0xB5, 40), (0xB0, 1)])
-@in_virtual_time
 async def test_a_slave_that_is_never_ready_or_has_no_record(world: WorldFactory, code: int, asked: int) -> None:
     slow = Slow(1000, code)
 
@@ -173,7 +167,6 @@ async def test_a_slave_that_is_never_ready_or_has_no_record(world: WorldFactory,
     assert asked // 2 <= len(slow.asked) <= asked * 2
 
 
-@in_virtual_time
 async def test_a_slave_that_is_not_ready_is_asked_until_the_timeout(world: WorldFactory) -> None:
     async with master_of(slave_of(Slow(1000, 0xB5)), world()) as slave:
         begun = asyncio.get_running_loop().time()

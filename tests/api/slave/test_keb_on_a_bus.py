@@ -6,15 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from api_kit import in_virtual_time, off_and_on, running, trip
+from api_kit import off_and_on, running, trip
 
 import dpstack
+
+pytestmark = pytest.mark.virtual_time
 
 SAW: Mapping[str, object] = {"name": "saw", "address": 5, "drive": "keb-f5", "telegram": "PCH+8/8"}
 INPUTS, OUTPUTS = "ru.12:long sy.51 sy.53", "cS.19:long sy.50 sy.52"
 
 
-@in_virtual_time
 async def test_a_users_program() -> None:
     """Start, a map that acts after power-on, and a fault."""
     async with running(SAW) as (bus, saw):
@@ -44,7 +45,6 @@ async def test_a_users_program() -> None:
             await saw.order("dance")
 
 
-@in_virtual_time
 async def test_a_map_in_the_configuration() -> None:
     table = {**SAW, "options": {"map_inputs": INPUTS, "map_outputs": "cS.19:long=100 sy.50 sy.52"}}
     async with running(table) as (bus, saw):
@@ -59,7 +59,6 @@ async def test_a_map_in_the_configuration() -> None:
         assert await saw.order("output", number="cS.19", value=100) == 100
 
 
-@in_virtual_time
 async def test_a_fault_on_the_bus_is_named_and_acknowledged() -> None:
     async with running(SAW) as (bus, saw):
         await saw.start()
@@ -101,7 +100,6 @@ ident = 0x1234
 
 
 @pytest.mark.parametrize(("bits", "outputs"), [("simulated", "00 05"), ("run=15", "80 00")])
-@in_virtual_time
 async def test_the_simulated_drive_takes_the_options_that_it_shares(bits: str, outputs: str) -> None:
     """Plugin and simulated drive have the same options: bits of the user, or the made-up ones by name."""
     async with running({**SAW, "options": {"control_bits": bits, "pd_in_cycle_ms": 25}}) as (bus, saw):

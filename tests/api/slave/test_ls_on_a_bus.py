@@ -7,15 +7,16 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from api_kit import device_of, in_virtual_time, off_and_on, running, trip
+from api_kit import device_of, off_and_on, running, trip
 
 import dpstack
+
+pytestmark = pytest.mark.virtual_time
 
 PUMP: Mapping[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "PPO1"}
 LS = {"profile": "ls"}
 
 
-@in_virtual_time
 async def test_a_users_program() -> None:
     async with running(PUMP) as (bus, pump):
         pump.frequency = 30.0
@@ -41,7 +42,6 @@ async def test_a_users_program() -> None:
 
 @pytest.mark.parametrize("way", ["clear", "stop"])
 @pytest.mark.parametrize(("telegram", "options"), [("PPO3", {}), ("PPO3", LS), ("VENDOR 2/3", {})])
-@in_virtual_time
 async def test_a_running_drive_comes_to_rest(telegram: str, options: Mapping[str, object], way: str) -> None:
     """The safe outputs stop it before Clear, whose zeros PROFIdrive ignores."""
     table = {**PUMP, "telegram": telegram, "options": options}
@@ -61,7 +61,6 @@ async def test_a_running_drive_comes_to_rest(telegram: str, options: Mapping[str
         assert pump.speed == 0.5  # the set point stays, the run command does not
 
 
-@in_virtual_time
 async def test_the_message_about_a_wrong_profile_names_the_parameter() -> None:
     async with running({**PUMP, "options": LS}) as (_, pump):
         await pump.start()

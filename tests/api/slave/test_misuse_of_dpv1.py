@@ -6,11 +6,13 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from api_kit import HOIST, bus_of, in_virtual_time, serving
+from api_kit import HOIST, bus_of, serving
 
 from dpstack import ConfigError, Im0, Im1, IoStation, UsageError
 from dpstack.errors import PduError
 from dpstack.slave import DpSlave, SlaveDescription
+
+pytestmark = pytest.mark.virtual_time
 
 VALVES = SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="valves", dpv1=True, alarms=("process",))
 
@@ -101,7 +103,6 @@ async def refused(uses: list[tuple[Use, str]], error: type[Exception] = UsageErr
         assert text in str(caught.value)
 
 
-@in_virtual_time
 async def test_arguments_of_services_and_alarms() -> None:
     slave = DpSlave(VALVES, cycle, im=[Im0(order_id="V")], ms2=1)
     async with serving(slave) as (bus, server):
@@ -167,7 +168,6 @@ async def test_arguments_of_services_and_alarms() -> None:
             assert [there.services for there in server.connections] == [0]
 
 
-@in_virtual_time
 async def test_several_parameters_of_a_drive() -> None:
     async with bus_of(HOIST) as bus:
         await bus.ready()

@@ -7,13 +7,15 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from api_kit import bench_of, device_of, in_virtual_time, running
+from api_kit import bench_of, device_of, running
 
 import dpstack
 from dpstack import ParameterError, ParameterPlace, UsageError
 from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.errors import DriveError
+
+pytestmark = pytest.mark.virtual_time
 
 
 class Counted:
@@ -59,7 +61,6 @@ async def drive_at(
         ("ls-s100", "ST1", 930, "record 47"),
     ],
 )
-@in_virtual_time
 async def test_the_way_of_each_drive_and_telegram(kind: str, telegram: str, number: int | str, way: str | None) -> None:
     async with drive_at(kind, telegram) as (drive, counted):
         if way is None:
@@ -75,7 +76,6 @@ async def test_the_way_of_each_drive_and_telegram(kind: str, telegram: str, numb
         assert again.value == pytest.approx(value)
 
 
-@in_virtual_time
 async def test_without_dp_v1_the_ls_is_asked_by_its_telegram() -> None:
     async with drive_at("ls-s100", "PPO1", dpv1=False) as (drive, counted):
         found = await drive.read_many(["dr-03", 918, 930])
@@ -87,7 +87,6 @@ async def test_without_dp_v1_the_ls_is_asked_by_its_telegram() -> None:
 ALONE: dict[str, object] = {"check_settings": False}
 
 
-@in_virtual_time
 async def test_several_in_one_request_and_what_is_refused_in_its_place() -> None:
     async with drive_at("ls-s100", "ST1", options=ALONE) as (drive, counted):
         first, wrong, last = await drive.read_many(["dr-03", "dr-99", 918])
@@ -110,7 +109,6 @@ async def test_several_in_one_request_and_what_is_refused_in_its_place() -> None
             await drive.read_many(nothing)
 
 
-@in_virtual_time
 async def test_a_dump_asks_for_as_many_as_a_request_takes() -> None:
     # a slow bus asks the busy drive less often, which costs the test less
     async with drive_at("ls-s100", "ST1", baud=187_500) as (drive, counted):
@@ -133,7 +131,6 @@ async def test_a_dump_asks_for_as_many_as_a_request_takes() -> None:
         assert lost.name == "dr-03"
 
 
-@in_virtual_time
 async def test_elements_of_an_array_are_one_address() -> None:
     async with drive_at("ls-s100", "PPO1") as (drive, counted):
         found = await drive.read_array(964, 7)
@@ -145,7 +142,6 @@ async def test_elements_of_an_array_are_one_address() -> None:
         assert [one.value for one in mixed if not isinstance(one, ParameterError)] == [0x0A6C, 0x0351, 6]
 
 
-@in_virtual_time
 async def test_a_drive_that_is_gone_is_no_entry() -> None:
     async with running({"name": "it", "address": 6, "drive": "ls-s100", "telegram": "ST1"}) as (bus, _):
         bench_of(bus).power(6, False)

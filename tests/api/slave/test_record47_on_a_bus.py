@@ -7,13 +7,15 @@ import contextlib
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import bench_of, in_virtual_time, running
+from api_kit import bench_of, running
 from support import WorldFactory
 
 import dpstack
 from bench.parameters import MIXER, mixer, read_out
 from dpstack.profile.record47 import Address, ErrorValue, Values
 from dpstack.sim.world import World
+
+pytestmark = pytest.mark.virtual_time
 
 PUMP: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
 
@@ -49,7 +51,6 @@ async def mixing(bench: World) -> AsyncIterator[dpstack.Bus]:
         yield bus
 
 
-@in_virtual_time
 async def test_1000_parameters_with_progress(world: WorldFactory) -> None:
     """With the referee on the wire."""
     bench = world()
@@ -62,7 +63,6 @@ async def test_1000_parameters_with_progress(world: WorldFactory) -> None:
         assert bus.slave(9).retries == bus.slave(9).timeouts == 0
 
 
-@in_virtual_time
 async def test_a_lost_request_is_written_again(world: WorldFactory) -> None:
     bench = world()
     async with mixing(bench) as bus:
@@ -75,7 +75,6 @@ async def test_a_lost_request_is_written_again(world: WorldFactory) -> None:
             await parameters.change([(Address(1), Values(6, (2,)))])
 
 
-@in_virtual_time
 async def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
     async with running(PUMP) as (bus, pump):
         assert await pump.read(965) == 0x0328
@@ -92,7 +91,6 @@ async def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
         assert several == [Values(6, (6,)), Values(6, (1,)), Values(6, (1,)), ErrorValue(0), Values(6, (4,))]
 
 
-@in_virtual_time
 async def test_plugin_and_programs_that_ask_at_the_same_time_take_turns() -> None:
     async with running(PUMP) as (bus, pump):
         first, second = bus.slave("pump").parameters(), bus.slave("pump").parameters()
@@ -105,7 +103,6 @@ async def test_plugin_and_programs_that_ask_at_the_same_time_take_turns() -> Non
         assert first.counters.requests == second.counters.requests == 10
 
 
-@in_virtual_time
 async def test_without_dp_v1_it_goes_by_pkw_or_says_what_to_do() -> None:
     slaves = [PUMP | {"telegram": "PPO1", "dpv1": False}, PUMP | {"name": "old", "address": 7, "dpv1": False}]
     async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:
@@ -115,7 +112,6 @@ async def test_without_dp_v1_it_goes_by_pkw_or_says_what_to_do() -> None:
             await bus.drive("old").read(965)
 
 
-@in_virtual_time
 async def test_the_drive_goes_and_comes_in_between() -> None:
     async with running(PUMP) as (bus, pump):
         reading = asyncio.ensure_future(pump.read(965))

@@ -6,7 +6,6 @@ import asyncio
 
 import pytest
 from acyclic_kit import octets
-from api_kit import in_virtual_time
 
 import dpstack
 from dpstack.api.slave.record_parameters import RecordParameters
@@ -23,6 +22,8 @@ from dpstack.profile.record47 import (
     WriteReq,
 )
 from dpstack.units import NS_PER_MS, s_to_ns
+
+pytestmark = pytest.mark.virtual_time
 
 
 def access_to(server: ParameterServer) -> RecordParameters:
@@ -51,7 +52,6 @@ def drive(busy_ms: int = 10) -> tuple[RecordParameters, ParamStore]:
     return access_to(ParameterServer(StoreParameters(store), Rules(busy_ns=busy_ms * NS_PER_MS))), store
 
 
-@in_virtual_time
 async def test_the_whole_list_with_progress_and_a_change() -> None:
     parameters, store = drive()
     assert (await parameters.limits()).parameters == 39
@@ -68,7 +68,6 @@ async def test_the_whole_list_with_progress_and_a_change() -> None:
     assert parameters.counters.busy > 0
 
 
-@in_virtual_time
 async def test_tasks_take_turns_and_a_time_ends() -> None:
     parameters, _ = drive(busy_ms=50)
     both = await asyncio.gather(*(parameters.read([Address(pnu)]) for pnu in (11, 13)))
@@ -79,7 +78,6 @@ async def test_tasks_take_turns_and_a_time_ends() -> None:
     assert await slow.read([Address(11)]) == [Values(6, (10,))]  # 0xB5 until the first one is over
 
 
-@in_virtual_time
 async def test_a_drive_without_the_record_says_so() -> None:
     async def none(service: ReadReq | WriteReq) -> bytes | Refused:
         return Refused(0xB0)
@@ -132,7 +130,6 @@ def test_a_drive_over_its_store_in_octets(request_: str, answer: str) -> None:
     assert server.read_record(1, 47, 240, 0) == octets(answer)
 
 
-@in_virtual_time
 async def test_texts_of_values_both_ways() -> None:
     store = drive()[1]
     names = ("off", "on", "by itself, and longer than 16")

@@ -7,7 +7,7 @@ from contextlib import AbstractAsyncContextManager
 from typing import Any, cast
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time, mirror, serving
+from api_kit import RAW, bus_of, mirror, serving
 from support import WorldFactory
 
 import dpstack
@@ -20,6 +20,8 @@ from dpstack.dpv1.pdu.im import Im
 from dpstack.errors import ConfigError, SlaveTimeout
 from dpstack.sim.world import World
 from dpstack.slave import DpSlave
+
+pytestmark = pytest.mark.virtual_time
 
 
 class Store:
@@ -57,7 +59,6 @@ def rig(
     return serving(slave, world, events, **keys)
 
 
-@in_virtual_time
 async def test_read_write_and_im(world: WorldFactory) -> None:
     events: list[dpstack.Event] = []
     async with rig(world(), events) as (bus, served):
@@ -82,7 +83,6 @@ async def test_read_write_and_im(world: WorldFactory) -> None:
     assert not [event for event in events if "refused" in event.text]
 
 
-@in_virtual_time
 async def test_im_calls_at_once_each_get_their_own(world: WorldFactory) -> None:
     records: dict[int, list[Im]] = {0: [Im0(order_id="RIG"), Im1("pump")], 3: [Im0(order_id="3")]}
     async with serving(mirror(im=records), world()) as (bus, _):
@@ -113,7 +113,6 @@ async def test_im_calls_at_once_each_get_their_own(world: WorldFactory) -> None:
         (99, (0x80, 0xB0, 0), r"invalid index"),
     ],
 )
-@in_virtual_time
 async def test_negative_answers(world: WorldFactory, index: int, code: tuple[int, int, int], text: str) -> None:
     events: list[dpstack.Event] = []
     async with rig(world(), events) as (bus, served):
@@ -131,7 +130,6 @@ async def test_negative_answers(world: WorldFactory, index: int, code: tuple[int
     assert ("on_read returned str, a record is bytes" in reported) is (index == 12)
 
 
-@in_virtual_time
 async def test_a_function_that_is_cancelled_inside_is_answered(world: WorldFactory) -> None:
     async def cancelled(slot: int, index: int) -> bytes:
         inner: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
@@ -146,7 +144,6 @@ async def test_a_function_that_is_cancelled_inside_is_answered(world: WorldFacto
     assert any("its function failed (CancelledError: " in event.text for event in events)
 
 
-@in_virtual_time
 async def test_other_errors(world: WorldFactory) -> None:
     async with rig(world(), dpv1={"response_timeout_ms": 50}) as (bus, served):
         slave = bus.slave(9)
@@ -173,7 +170,6 @@ async def test_other_errors(world: WorldFactory) -> None:
         assert await slave.read(1, 2) == b"\x11\x22\x33"
 
 
-@in_virtual_time
 async def test_a_slave_may_take_longer_than_10_s_where_that_is_known() -> None:
     async def read(slot: int, index: int) -> bytes:
         await asyncio.sleep(11)
@@ -188,7 +184,6 @@ async def test_a_slave_may_take_longer_than_10_s_where_that_is_known() -> None:
     assert first == second == b"\x07"
 
 
-@in_virtual_time
 async def test_the_slave_goes_while_it_is_read(world: WorldFactory) -> None:
     async with rig(world()) as (bus, served):
         reading = asyncio.create_task(bus.slave(9).read(1, 11))
@@ -203,7 +198,6 @@ async def test_the_slave_goes_while_it_is_read(world: WorldFactory) -> None:
             await cancelled
 
 
-@in_virtual_time
 async def test_a_slave_without_dpv1(world: WorldFactory) -> None:
     async with bus_of(RAW) as bus:
         await bus.ready()
@@ -219,7 +213,6 @@ async def test_a_slave_without_dpv1(world: WorldFactory) -> None:
         assert (caught.value.service, caught.value.status) == ("Read", "RS")
 
 
-@in_virtual_time
 async def test_services_without_a_function_are_refused(world: WorldFactory) -> None:
     async def nothing(slot: int, index: int) -> bytes:
         return b""

@@ -8,10 +8,12 @@ from dataclasses import replace
 from typing import assert_type
 
 import pytest
-from api_kit import RAW, bench_of, bus_of, in_virtual_time, operating
+from api_kit import RAW, bench_of, bus_of, operating
 
 import dpstack
 from dpstack import Bool, Int, Octets, Scaled, SlaveTimeout, UsageError, at
+
+pytestmark = pytest.mark.virtual_time
 
 VALVES: dict[str, object] = {
     **RAW,
@@ -43,7 +45,6 @@ class Orders(dpstack.Outputs):
     target: Scaled = at()
 
 
-@in_virtual_time
 async def test_inputs_of_one_exchange_with_their_types() -> None:
     async with operating(VALVES) as bus:
         slave = bus.slave("valves")
@@ -64,7 +65,6 @@ async def test_inputs_of_one_exchange_with_their_types() -> None:
             slave.value("levle", float)
 
 
-@in_virtual_time
 async def test_outputs_change_only_the_bits_that_the_class_has() -> None:
     async with operating(VALVES) as bus:
         slave = bus.slave("valves")
@@ -112,14 +112,12 @@ class NoPlace(dpstack.Inputs):
         (NoPlace, r"NoPlace: level is no field; write level: Bool = at\(0, 3\), or Int, Scaled, Octets"),
     ],
 )
-@in_virtual_time
 async def test_a_class_that_does_not_fit_the_configuration(kind: type[dpstack.Inputs], says: str) -> None:
     async with operating(VALVES) as bus:
         with pytest.raises(UsageError, match=rf"^slave 9 \(valves\): {says}"):
             bus.slave("valves").inputs_as(kind)
 
 
-@in_virtual_time
 async def test_until_says_why_it_was_not_reached() -> None:
     async with operating(VALVES) as bus:
         slave, bench = bus.slave("valves"), bench_of(bus)
@@ -136,7 +134,6 @@ async def test_until_says_why_it_was_not_reached() -> None:
             await slave.until(lambda v: bool(v["limt"]), 60)
 
 
-@in_virtual_time
 async def test_changes_are_told_while_the_inputs_are_valid_and_end_with_the_bus() -> None:
     told: list[object] = []
     async with bus_of(VALVES) as bus:
@@ -164,7 +161,6 @@ async def test_changes_are_told_while_the_inputs_are_valid_and_end_with_the_bus(
     assert told == [0.1, 3.2]
 
 
-@in_virtual_time
 async def test_the_mode_of_the_bus_is_waited_for() -> None:
     async with bus_of(VALVES, auto_clear=True) as bus:
         waiting = asyncio.create_task(bus.wait_state(dpstack.Mode.OPERATE, 5))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bench_of, bus_of, in_virtual_time
+from api_kit import bench_of, bus_of
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -16,6 +16,8 @@ from dpstack.api.config.config import parse_config
 from dpstack.api.slave_side import simulated_inputs
 from dpstack.api.slave_side.simulated_inputs import SimulatedInputs
 from dpstack.errors import ConfigError
+
+pytestmark = pytest.mark.virtual_time
 
 
 @pytest.fixture(autouse=True)
@@ -64,7 +66,6 @@ async def inputs_at(
 
 
 @pytest.mark.parametrize("name", ["plant.csv", "plant.jsonl"])
-@in_virtual_time
 async def test_a_recording_is_played(tmp_path: Path, name: str) -> None:
     text = RECORDED
     if name.endswith("jsonl"):
@@ -85,7 +86,6 @@ async def test_a_recording_is_played(tmp_path: Path, name: str) -> None:
     ]
 
 
-@in_virtual_time
 async def test_a_table_with_t_alone_is_played_again_and_again(tmp_path: Path) -> None:
     (tmp_path / "hand.csv").write_text("t,tank.level\n5,1\nx,9\n5.1,2 bar\n", encoding="utf-8")
     found, told = await inputs_at(tmp_path, 'recording = "hand.csv", repeat = true', (0.05, 0.15, 0.25, 0.35, 0.45))
@@ -138,7 +138,6 @@ def functions(folder: Path, name: str) -> str:
     return name
 
 
-@in_virtual_time
 async def test_a_function_gets_outputs_and_gives_inputs(tmp_path: Path) -> None:
     module = functions(tmp_path, "tank_fill")
     given = f'function = "{module}:fill", period_ms = 100'
@@ -153,7 +152,6 @@ async def test_a_function_gets_outputs_and_gives_inputs(tmp_path: Path) -> None:
     assert (found, told) == (["0100", "0101"], [])
 
 
-@in_virtual_time
 async def test_an_ill_function_is_told_once_and_the_last_inputs_stay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,7 +171,6 @@ async def test_an_ill_function_is_told_once_and_the_last_inputs_stay(
     ]
 
 
-@in_virtual_time
 async def test_a_function_that_fails_again_and_again_does_not_fill_the_screen(tmp_path: Path) -> None:
     module = functions(tmp_path, "tank_flaky")
     _, told = await inputs_at(tmp_path, f'function = "{module}:flaky", period_ms = 100', (2.35,))
@@ -185,7 +182,6 @@ async def test_a_function_that_fails_again_and_again_does_not_fill_the_screen(tm
     ]
 
 
-@in_virtual_time
 async def test_a_function_that_never_returns_does_not_hold_the_bus(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -217,7 +213,6 @@ async def test_a_function_that_never_returns_does_not_hold_the_bus(
         ('function = "math:pi"', "'math:pi' is no function; name a function"),
     ],
 )
-@in_virtual_time
 async def test_sources_that_cannot_be_used(tmp_path: Path, simulate: str, says: str) -> None:
     (tmp_path / "other.csv").write_text("t,other.level\n0,1\n", encoding="utf-8")
     (tmp_path / "empty.csv").write_text("", encoding="utf-8")
@@ -228,7 +223,6 @@ async def test_sources_that_cannot_be_used(tmp_path: Path, simulate: str, says: 
     assert "\n" not in str(told.value)
 
 
-@in_virtual_time
 async def test_code_needs_a_word_for_it(tmp_path: Path) -> None:
     (tmp_path / "evil.py").write_text("raise AssertionError('it was loaded')", encoding="utf-8")
     config = parse_config(f'{TANK}simulate = {{ function = "evil:f" }}\n', str(tmp_path / "plant.toml"))

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 
 import pytest
-from api_kit import RAW, bench_of, in_virtual_time, operating
+from api_kit import RAW, bench_of, operating
 
 import dpstack
 from dpstack import Im0
@@ -18,6 +18,8 @@ from dpstack.api.slave_side.virtual_bench import SimulatedSlave
 from dpstack.cli.commands import ctl
 from dpstack.errors import UsageError
 from dpstack.params import BusParams
+
+pytestmark = pytest.mark.virtual_time
 
 IO: dict[str, object] = {
     "name": "io",
@@ -52,7 +54,6 @@ def ext(slave: dpstack.Slave) -> str:
     return slave.diagnosis.ext.hex(" ").upper()
 
 
-@in_virtual_time
 async def test_faults_of_the_station_reach_the_master() -> None:
     async with station() as (bus, order):
         left_out = "done, without an alarm: slave io: process alarm, slot 1: its master did not enable process alarms"
@@ -84,7 +85,6 @@ async def test_faults_of_the_station_reach_the_master() -> None:
 
 
 @pytest.mark.parametrize("mode", [0, 3])
-@in_virtual_time
 async def test_its_alarms_reach_the_program_in_order_and_are_acknowledged(mode: int) -> None:
     table = IO | {"dpv1": {"alarms": ["pull_plug", "process", "diagnostic", "update"], "alarm_mode": mode}}
     async with station(table) as (bus, order):
@@ -123,7 +123,6 @@ async def test_its_alarms_reach_the_program_in_order_and_are_acknowledged(mode: 
         assert device.alarm_server.pending == ()
 
 
-@in_virtual_time
 async def test_status_shows_its_slots(capsys: pytest.CaptureFixture[str]) -> None:
     async with station() as (bus, order):
         bus.slave("io").outputs = b"\xa5"
@@ -154,7 +153,6 @@ async def test_status_shows_its_slots(capsys: pytest.CaptureFixture[str]) -> Non
         )
 
 
-@in_virtual_time
 async def test_switched_off_it_keeps_what_is_plugged() -> None:
     async with station() as (bus, order):
         order("pull io 2")
@@ -181,7 +179,6 @@ async def test_switched_off_it_keeps_what_is_plugged() -> None:
         ("parameter io 1 80", "bits 80 have no meaning"),
     ],
 )
-@in_virtual_time
 async def test_orders_that_cannot_be(text: str, says: str) -> None:
     async with station() as (_, order):
         name, *args = text.split()

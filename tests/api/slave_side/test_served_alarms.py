@@ -8,7 +8,6 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from api_kit import in_virtual_time
 from slave_alarm_kit import OctetMaster, prm
 
 import dpstack
@@ -18,6 +17,8 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.errors import ConfigError, PduError, SlaveTimeout, UsageError
 from dpstack.slave import DpSlave, ModuleState, SlaveDescription
+
+pytestmark = pytest.mark.virtual_time
 
 RIG = SlaveDescription.simple(0x0A35, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process", "diagnostic"))
 
@@ -43,7 +44,6 @@ async def raised(slave: ServedSlave, *args: Any, **keys: Any) -> asyncio.Task[No
     return task
 
 
-@in_virtual_time
 async def test_it_is_over_when_it_is_acknowledged() -> None:
     async with rig() as (slave, master):
         first = await raised(slave, AlarmType.PROCESS, 3, data=b"\xaa")
@@ -58,7 +58,6 @@ async def test_it_is_over_when_it_is_acknowledged() -> None:
         await first
 
 
-@in_virtual_time
 async def test_status_messages() -> None:
     async with rig() as (slave, master):
         slave.status(StatusType.MESSAGE, 2, Specifier.DISAPPEARS, b"\x01\x02")
@@ -76,7 +75,6 @@ async def test_status_messages() -> None:
         (prm()[:7] + b"\0\0\0", AlarmType.PROCESS, "not in data exchange"),
     ],
 )
-@in_virtual_time
 async def test_an_alarm_that_cannot_go_out_raises_at_once(
     parameters: bytes | None, kind: AlarmType, reason: str
 ) -> None:
@@ -86,7 +84,6 @@ async def test_an_alarm_that_cannot_go_out_raises_at_once(
         assert caught.value.reason == reason
 
 
-@in_virtual_time
 async def test_leaving_data_exchange_and_the_end_of_serving() -> None:
     async with rig() as (slave, master):
         for leave in (slave.restart, lambda: master.prm(prm())):
@@ -101,7 +98,6 @@ async def test_leaving_data_exchange_and_the_end_of_serving() -> None:
         await task
 
 
-@in_virtual_time
 async def test_a_time_limit_says_where_it_got_stuck() -> None:
     async with rig() as (slave, master):
         with pytest.raises(SlaveTimeout, match="its master has not fetched it"):
@@ -114,7 +110,6 @@ async def test_a_time_limit_says_where_it_got_stuck() -> None:
         assert master.ack("03 02 08") == "5C 03 02 08"  # late, and right
 
 
-@in_virtual_time
 async def test_cancelled_it_is_withdrawn() -> None:
     async with rig() as (slave, master):
         task = await raised(slave, AlarmType.PROCESS, 3)
@@ -124,7 +119,6 @@ async def test_cancelled_it_is_withdrawn() -> None:
         assert not master.must_fetch
 
 
-@in_virtual_time
 async def test_misuse() -> None:
     async with rig() as (slave, _):
         for args in ((9, 1), (2, 255), (2, 1, 4), (2, 1, 0, bytes(60))):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from api_kit import in_virtual_time, serving
+import pytest
+from api_kit import serving
 from slave_kit import Bench
 
 import dpstack
@@ -26,6 +27,8 @@ from dpstack.profile.record47 import (
 )
 from dpstack.slave import DpSlave, SlaveDescription
 from dpstack.units import NS_PER_MS
+
+pytestmark = pytest.mark.virtual_time
 
 TABLE = ParamTable(
     (
@@ -63,7 +66,6 @@ def test_literally() -> None:
         assert (reply.status, reply.data.hex(" ").upper()) == (Resp.DL, response)
 
 
-@in_virtual_time
 async def test_over_a_bus_by_both_classes_of_master() -> None:
     store = ParamStore(TABLE, {})
     async with serving(rig(store, busy_ms=3)) as (bus, _):
@@ -78,7 +80,6 @@ async def test_over_a_bus_by_both_classes_of_master() -> None:
     assert store.value("ramp") == 7.5
 
 
-@in_virtual_time
 async def test_a_list_is_read_within_the_limits_that_the_drive_tells() -> None:
     table = ParamTable(ParamSpec(number=n, name=f"p{n}", title="Word") for n in range(1, 60))
     limits = Limits(octets=56, parameters=4)
@@ -110,7 +111,6 @@ class Lengths:
         self._server.ask(request)
 
 
-@in_virtual_time
 async def test_no_request_is_longer_than_c1_max_data_len(tmp_path: Path) -> None:
     gsd = tmp_path / "drive.gsd"
     gsd.write_text(

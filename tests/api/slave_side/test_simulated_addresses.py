@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from functools import wraps
 
 import pytest
-from api_kit import bench_of, in_virtual_time, operating
+from api_kit import bench_of, operating
 from octet_wire import Wire, framed
 
 import dpstack
@@ -16,6 +16,8 @@ from dpstack.api.config.config import make_config
 from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.slave_side.simulation import Simulation
 from dpstack.profile import DriveDevice
+
+pytestmark = pytest.mark.virtual_time
 
 ALONE = {"check_settings": False}
 DRIVES: dict[str, dict[str, object]] = {
@@ -205,7 +207,6 @@ MOVES: list[tuple[str, list[tuple[str | int, int]], str]] = [
 
 
 @pytest.mark.parametrize(("drive", "writes", "says"), MOVES)
-@in_virtual_time
 async def test_the_plugin_that_moved_a_drive_says_where_it_is(
     drive: str, writes: list[tuple[str | int, int]], says: str
 ) -> None:
@@ -261,7 +262,6 @@ def test_a_master_finds_it_behind_a_pty(drive: str, writes: list[tuple[str | int
     asyncio.run(program())
 
 
-@in_virtual_time
 async def test_a_drive_that_kept_its_address_is_looked_for_as_before() -> None:
     async with operating(drive_table("demag")) as bus:
         await bus.drive("it").write(391, 4)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import device_of, in_virtual_time, operating
+from api_kit import device_of, operating
 
 import dpstack
 from dpstack.api.control.control_server import ControlServer
 from dpstack.api.control.handlers import control_run
 from dpstack.dp.pdu.alarm_blocks import AlarmType, Specifier
 from dpstack.errors import UsageError
+
+pytestmark = pytest.mark.virtual_time
 
 ALONE = {"check_settings": False}
 HOIST: dict[str, object] = {
@@ -40,7 +42,6 @@ def order(server: ControlServer, text: str) -> object:
     return server._handlers[name](args)
 
 
-@in_virtual_time
 async def test_orders_that_take_power_links_and_answers() -> None:
     async with operating(HOIST, FAN, SAW) as bus:
         server = control_run(bus, "virtual")
@@ -76,7 +77,6 @@ async def test_orders_that_take_power_links_and_answers() -> None:
                 order(server, text)
 
 
-@in_virtual_time
 async def test_a_trip_of_the_ls_is_an_alarm_with_the_gsd_file_of_revision_5() -> None:
     async with operating(PUMP) as bus:
         pump = bus.drive("pump")
@@ -97,7 +97,6 @@ async def test_a_trip_of_the_ls_is_an_alarm_with_the_gsd_file_of_revision_5() ->
 @pytest.mark.parametrize(
     ("table", "writes"), [(HOIST, [(391, 9)]), (PUMP, [("COM-07", 9), ("COM-94", 1)])], ids=["demag", "ls"]
 )
-@in_virtual_time
 async def test_an_address_that_acts_at_once(table: dict[str, object], writes: list[tuple[str | int, int]]) -> None:
     async with operating(table) as bus:
         drive = bus.drive(str(table["name"]))
@@ -108,7 +107,6 @@ async def test_an_address_that_acts_at_once(table: dict[str, object], writes: li
         assert {station.address for station in found if station.ident is not None} == {9}
 
 
-@in_virtual_time
 async def test_contacts_set_point_and_the_keypad_by_ctl() -> None:
     """A local run of a hoist, a fan whose terminal takes the command away, and a fault acknowledged at the keypad."""
     local = HOIST | {"simulated": {"412": 0, "434": 1, "ready": False}}
