@@ -19,6 +19,8 @@ from programs import Starter
 from property_kit import register_profiles, soaking
 from support import WorldFactory, wire_log
 
+from dpstack.sim.world import World
+
 register_profiles()  # before test modules take their settings from them
 
 
@@ -85,6 +87,12 @@ def world() -> Iterator[WorldFactory]:
     factory = WorldFactory()
     yield factory
     factory.check()
+
+
+@pytest.fixture
+def w(world: WorldFactory) -> World:
+    """A world that has nothing of its own."""
+    return world()
 
 
 @pytest.fixture(scope="session")

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import pytest
 from demag_kit import ZERO, ppo1, ppo3
+from drive_bench import PluginBench
 
 
-def test_d6_read_400() -> None:
-    bench = ppo1()
+@pytest.fixture
+def bench() -> PluginBench:
+    return ppo1()
+
+
+def test_d6_read_400(bench: PluginBench) -> None:
     token = bench.order("read", number=400)
     bench.run()
     assert bench.out() == "11 90 00 00 00 00 00 00 00 00 00 00"
@@ -17,8 +22,7 @@ def test_d6_read_400() -> None:
     assert bench.out() == ZERO + "00 00 00 00"
 
 
-def test_d6_write_480_in_data_set_3() -> None:
-    bench = ppo1()
+def test_d6_write_480_in_data_set_3(bench: PluginBench) -> None:
     token = bench.order("write", number=480, value=-300.0, data_set=3)
     bench.run()
     assert bench.out() == "81 E0 03 00 FF FF 8A D0 00 00 00 00"
@@ -27,8 +31,7 @@ def test_d6_write_480_in_data_set_3() -> None:
     assert (result["value"], result["raw"], result["data_set"]) == (-300.0, -30000, 3)
 
 
-def test_d16_value_of_the_example() -> None:
-    bench = ppo1()
+def test_d16_value_of_the_example(bench: PluginBench) -> None:
     token = bench.order("read", number="fixed_frequency_1", data_set=3)
     bench.run()
     assert bench.out() == "61 E0 03 00 00 00 00 00 00 00 00 00"
@@ -36,8 +39,7 @@ def test_d16_value_of_the_example() -> None:
     assert bench.value(token) == -55.0
 
 
-def test_d3_negative_replies() -> None:
-    bench = ppo1()
+def test_d3_negative_replies(bench: PluginBench) -> None:
     token = bench.order("read", number=412)
     bench.run(2)
     bench.see("71 9C 00 00 00 00 00 6B 02 40 00 00")
@@ -53,16 +55,14 @@ def test_d3_negative_replies() -> None:
     assert "no control" in str(result["text"])
 
 
-def test_a_reply_that_does_not_fit_the_order() -> None:
-    bench = ppo1()
+def test_a_reply_that_does_not_fit_the_order(bench: PluginBench) -> None:
     token = bench.order("write", number=414, value=2)
     bench.run(2)
     bench.see("21 9E 00 00 00 00 00 02 02 40 00 00")
     assert "reply 2 does not answer order 2" in bench.text(token)
 
 
-def test_d4_d17_a_second_request_waits_and_a_silent_drive_times_out() -> None:
-    bench = ppo1()
+def test_d4_d17_a_second_request_waits_and_a_silent_drive_times_out(bench: PluginBench) -> None:
     first = bench.order("read", number=400, timeout_s=0.1)
     second = bench.order("read", number=414)
     bench.run(60)
@@ -82,8 +82,7 @@ def test_an_answer_for_another_number_is_named() -> None:
     assert "answered for parameter 401" in bench.text(token)
 
 
-def test_d20_an_unknown_parameter_is_read_raw_and_its_type_found_before_a_write() -> None:
-    bench = ppo1()
+def test_d20_an_unknown_parameter_is_read_raw_and_its_type_found_before_a_write(bench: PluginBench) -> None:
     token = bench.order("write", number=700, value=-2)
     bench.run()
     assert bench.out().startswith("12 BC 00 00 00 00 00 00")
@@ -94,9 +93,8 @@ def test_d20_an_unknown_parameter_is_read_raw_and_its_type_found_before_a_write(
     assert (result["value"], result["raw"]) == (-2, -2)
 
 
-def test_d20_a_negative_word_comes_back_as_it_was_written() -> None:
+def test_d20_a_negative_word_comes_back_as_it_was_written(bench: PluginBench) -> None:
     """303 is in no table: the drive says that it is a word, and takes FFFB. A number without a sign keeps none."""
-    bench = ppo1()
     for value, octets in ((-5, "FF FB"), (65_531, "FF FB")):
         token = bench.order("write", number=303, value=value)
         bench.run()
@@ -139,8 +137,7 @@ def test_ppo3_has_no_parameters() -> None:
     assert "no parameter channel" in bench.misuse("read", number=400)
 
 
-def test_d5_eeprom_writes_in_a_loop_are_told() -> None:
-    bench = ppo1()
+def test_d5_eeprom_writes_in_a_loop_are_told(bench: PluginBench) -> None:
     for _ in range(10):
         bench.order("write", number=414, value=1)
         bench.run(2)

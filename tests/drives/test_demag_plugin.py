@@ -60,8 +60,12 @@ def test_d11_field_weakening_of_the_example() -> None:
     assert bench.core.status().frequency_hz == pytest.approx(199.99, abs=0.01)
 
 
-def test_actual_value() -> None:
-    bench = running()
+@pytest.fixture
+def bench() -> PluginBench:
+    return running()
+
+
+def test_actual_value(bench: PluginBench) -> None:
     bench.see("06 27 20 00")
     status = bench.core.status()
     assert (status.speed, status.frequency_hz, status.reached, status.remote) == (0.5, 25.0, True, True)
@@ -77,8 +81,7 @@ def test_actual_value() -> None:
         ("coast", "00 00", ["02 40 00 00"], "switch_on_inhibited"),
     ],
 )
-def test_d8_ways_to_stop(op: str, control: str, answers: list[str], state: str) -> None:
-    bench = running()
+def test_d8_ways_to_stop(bench: PluginBench, op: str, control: str, answers: list[str], state: str) -> None:
     token = bench.order(op)
     assert bench.out() == control + " 00 00"
     for answer in answers[:-1]:
@@ -88,8 +91,7 @@ def test_d8_ways_to_stop(op: str, control: str, answers: list[str], state: str) 
     assert bench.value(token) == state
 
 
-def test_own_command_tells_stopping_from_running() -> None:
-    bench = running()
+def test_own_command_tells_stopping_from_running(bench: PluginBench) -> None:
     bench.order("stop")
     bench.see("02 27 10 00")
     assert bench.core.status().state is State.STOPPING
@@ -99,8 +101,7 @@ def test_own_command_tells_stopping_from_running() -> None:
     assert bench.core.status().state is State.RUNNING
 
 
-def test_reached_needs_the_bit_and_fresh_inputs() -> None:
-    bench = running()
+def test_reached_needs_the_bit_and_fresh_inputs(bench: PluginBench) -> None:
     bench.see("06 27 00 00")
     bench.order("speed", value=0.5)
     token = bench.order("reached")
@@ -112,8 +113,7 @@ def test_reached_needs_the_bit_and_fresh_inputs() -> None:
     assert bench.value(token) == 0.5
 
 
-def test_reached_with_a_tolerance_is_judged_by_the_speed() -> None:
-    bench = running()
+def test_reached_with_a_tolerance_is_judged_by_the_speed(bench: PluginBench) -> None:
     bench.order("speed", value=0.5)
     token = bench.order("reached", tolerance=0.01)
     bench.see("06 27 00 00", 100)
@@ -127,8 +127,7 @@ def test_reached_of_a_drive_that_does_not_run() -> None:
     assert "start it first" in bench.misuse("reached")
 
 
-def test_d13_d15_a_trip_drops_the_goal_and_is_named_through_the_selector() -> None:
-    bench = running()
+def test_d13_d15_a_trip_drops_the_goal_and_is_named_through_the_selector(bench: PluginBench) -> None:
     # fault: bits 12-14 ask for the fault word, the goal is gone
     assert bench.see("02 08 00 00") == "60 00 00 00"
     assert bench.core.status().faults == ("not yet named",)
@@ -166,8 +165,7 @@ def test_d9_a_fault_that_stays_is_an_error_that_says_why() -> None:
     assert "15 s" in text
 
 
-def test_d13_d21_a_warning_is_fetched_and_the_frequency_kept() -> None:
-    bench = running()
+def test_d13_d21_a_warning_is_fetched_and_the_frequency_kept(bench: PluginBench) -> None:
     bench.see("06 27 20 00")
     assert bench.see("86 A7 20 00") == "50 0F 00 00"
     assert bench.see("D6 A7 00 80") == "00 0F 00 00"
@@ -230,8 +228,7 @@ def test_412_is_1_but_no_release() -> None:
     assert "no hardware release" in bench.text(token)
 
 
-def test_lost_ends_what_is_pending_and_forgets_the_goal() -> None:
-    bench = running()
+def test_lost_ends_what_is_pending_and_forgets_the_goal(bench: PluginBench) -> None:
     reading = ppo1()
     token = bench.order("reached")
     bench.core.lost(bench.now)
@@ -288,14 +285,12 @@ def test_a_start_that_fails_leaves_no_command_behind() -> None:
     assert bench.out() == "00 00 00 00"
 
 
-def test_inputs_of_a_wrong_length_are_not_looked_at() -> None:
-    bench = running()
+def test_inputs_of_a_wrong_length_are_not_looked_at(bench: PluginBench) -> None:
     assert bench.see("08") == "00 0F 00 00"
     assert bench.core.status().state is State.RUNNING
 
 
-def test_status_events_only_on_changes() -> None:
-    bench = running()
+def test_status_events_only_on_changes(bench: PluginBench) -> None:
     bench.events.clear()
     for value in range(0x1000, 0x1040):
         bench.see(f"02 27 {value:04X}")

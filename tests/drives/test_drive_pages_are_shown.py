@@ -61,16 +61,30 @@ def definitions(path: Path) -> dict[str, ast.AST]:
     return found
 
 
+def fixtures(known: dict[str, ast.AST]) -> set[str]:
+    """They are used by those that ask for them as an argument; a variable may have the same name."""
+    made = {name: node for name, node in known.items() if isinstance(node, ast.FunctionDef)}
+    return {name for name, node in made.items() if "pytest.fixture" in map(ast.unparse, node.decorator_list)}
+
+
 def used(node: ast.AST, known: dict[str, ast.AST]) -> Iterator[ast.AST]:
     """The nodes of a definition and of all that it uses; the benches themselves are names only."""
     seen: set[str] = set()
     todo = [node]
+    asked = fixtures(known)
     while todo:
         for inner in ast.walk(todo.pop()):
             yield inner
-            if isinstance(inner, ast.Name) and inner.id in known and inner.id not in (*seen, *MAKES, PAIR):
-                seen.add(inner.id)
-                todo.append(known[inner.id])
+            match inner:
+                case ast.Name(id=name) if name not in asked:
+                    pass
+                case ast.arg(arg=name) if name in asked:
+                    pass
+                case _:
+                    continue
+            if name in known and name not in (*seen, *MAKES, PAIR):
+                seen.add(name)
+                todo.append(known[name])
 
 
 def ends(test: ast.AST, known: dict[str, ast.AST]) -> set[str]:

@@ -23,8 +23,12 @@ def quiet() -> PluginBench:
     return Card(RUNS)
 
 
-def test_i3_the_read_of_the_manual() -> None:
-    bench = quiet()
+@pytest.fixture
+def bench() -> PluginBench:
+    return quiet()
+
+
+def test_i3_the_read_of_the_manual(bench: PluginBench) -> None:
     token = bench.order("read", number="P00.10")
     assert pkw(bench, "00 00 00 00 00 00 00 00") == "00 01 00 0A 00 00 00 00"
     assert pkw(bench, "00 01 00 0A 00 00 13 88") == "00 00 00 00 00 00 00 00"
@@ -37,25 +41,22 @@ def test_i3_the_read_of_the_manual() -> None:
     assert bench.value(by_number) == 1.0
 
 
-def test_i3_a_long_response() -> None:
-    bench = quiet()
+def test_i3_a_long_response(bench: PluginBench) -> None:
     token = bench.order("read", number="P07.20")
     assert pkw(bench, "00 00 00 00 00 00 00 00") == "00 01 07 14 00 00 00 00"
     pkw(bench, "00 02 07 14 00 01 E2 40")
     assert bench.value(token) == 123456
 
 
-def test_i3_a_write_is_request_4_with_cw_bit_8() -> None:
-    bench = quiet()
+def test_i3_a_write_is_request_4_with_cw_bit_8(bench: PluginBench) -> None:
     bench.order("write", number="P00.10", value=12.5)
     assert bench.see("00 00 00 00 00 00 00 00 " + READY + NOTHING, 2)[:29] == "00 04 00 0A 00 00 04 E2 01 05"
     assert bench.see("00 01 00 0A 00 00 04 E2 " + READY + NOTHING, 2)[:29] == "00 00 00 00 00 00 00 00 00 05"
     assert any("request 4" in text for text in bench.notices())
 
 
-def test_i3_a_negative_value_comes_back_as_it_was_written() -> None:
+def test_i3_a_negative_value_comes_back_as_it_was_written(bench: PluginBench) -> None:
     """P01.47 (address 303, 012Fh) is not in the manual of the card: its type is not known."""
-    bench = quiet()
     token = bench.order("write", number=303, value=-5)
     assert bench.see("00 00 00 00 00 00 00 00 " + READY + NOTHING, 2).startswith("00 04 01 2F 00 00 FF FB")
     bench.see("00 01 01 2F 00 00 FF FB " + READY + NOTHING, 2)
@@ -79,8 +80,7 @@ def test_i3_a_negative_value_comes_back_as_it_was_written() -> None:
         ("00 04 00 0A 00 00 00 00", "no right to change parameters (response 4)", None),
     ],
 )
-def test_i3_refusals(reply: str, says: str, number: int | None) -> None:
-    bench = quiet()
+def test_i3_refusals(bench: PluginBench, reply: str, says: str, number: int | None) -> None:
     token = bench.order("write", number="P00.10", value=1)
     pkw(bench, "00 00 00 00 00 00 00 00")
     pkw(bench, reply)
@@ -111,8 +111,7 @@ def test_i3_i5_misuse_is_refused_before_anything_is_sent(op: str, args: dict[str
     assert bench.seen == ["00 00 00 00 00 00 00 00"]
 
 
-def test_i3_a_drive_that_is_silent_or_answers_for_another_address() -> None:
-    bench = quiet()
+def test_i3_a_drive_that_is_silent_or_answers_for_another_address(bench: PluginBench) -> None:
     token = bench.order("read", number="P00.10", timeout_s=0.1)
     pkw(bench, "00 01 00 0B 00 00 00 00")
     bench.run(60)

@@ -35,8 +35,12 @@ def ask(bench: KebBench, request: str) -> str:
 # -- the plugin --------------------------------------------------------------------------------------------------------
 
 
-def test_k3_k4_the_plugin_writes_with_four_octets_and_judges_handshake_and_result_only() -> None:
-    bench = plugin()
+@pytest.fixture
+def bench() -> PluginBench:
+    return plugin()
+
+
+def test_k3_k4_the_plugin_writes_with_four_octets_and_judges_handshake_and_result_only(bench: PluginBench) -> None:
     token = bench.order("write", number="oP.3", value=20)
     assert bench.out()[:23] == WRITE_20_HZ
     assert channel(bench, ZERO, 5) == WRITE_20_HZ  # held: bit 6 is not yet ours
@@ -45,8 +49,7 @@ def test_k3_k4_the_plugin_writes_with_four_octets_and_judges_handshake_and_resul
     assert (result["ok"], result["value"], result["raw"], result["unit"]) == (True, 20.0, 0x640, "Hz")
 
 
-def test_k4_the_confirmation_of_the_manual_is_one() -> None:
-    bench = plugin()
+def test_k4_the_confirmation_of_the_manual_is_one(bench: PluginBench) -> None:
     token = bench.order("write", number="oP.3", value=20)
     channel(bench, ZERO, 2)
     channel(bench, "42 01 23 03 06 40 00 00")
@@ -54,8 +57,7 @@ def test_k4_the_confirmation_of_the_manual_is_one() -> None:
     assert (result["ok"], result["value"]) == (True, 20.0)
 
 
-def test_k3_the_handshake_is_inverted_for_every_new_request() -> None:
-    bench = plugin()
+def test_k3_the_handshake_is_inverted_for_every_new_request(bench: PluginBench) -> None:
     first, second = bench.order("read", number="oP.3"), bench.order("read", number="sy.51", data_set=2)
     assert bench.out()[:23] == "71 01 23 03 00 00 00 00"
     assert channel(bench, "41 01 23 03 00 00 06 40") == "31 04 20 33 00 00 00 00"
@@ -84,8 +86,7 @@ def test_k3_the_handshake_is_inverted_for_every_new_request() -> None:
         ("C1 01 23 03 09 09 12 34", 0x09091234, "9/9/1234, an error without a text in the manual"),
     ],
 )
-def test_k5_errors_as_texts(answer: str, number: int, text: str) -> None:
-    bench = plugin()
+def test_k5_errors_as_texts(bench: PluginBench, answer: str, number: int, text: str) -> None:
     token = bench.order("read", number="oP.3")
     bench.run()
     channel(bench, answer)
@@ -94,8 +95,7 @@ def test_k5_errors_as_texts(answer: str, number: int, text: str) -> None:
     assert f"oP.03 (2303h) digital setpoint setting: error {text}" in str(result["text"])
 
 
-def test_k5_a_busy_inverter_is_asked_again() -> None:
-    bench = plugin()
+def test_k5_a_busy_inverter_is_asked_again(bench: PluginBench) -> None:
     token = bench.order("read", number="oP.3")
     assert bench.out()[0:2] == "71"
     assert channel(bench, "C1 01 23 03 08 00 00 22")[:2] == "71"
@@ -105,8 +105,7 @@ def test_k5_a_busy_inverter_is_asked_again() -> None:
     assert bench.value(token) == 1.0
 
 
-def test_k5_busy_up_to_the_time_out_is_told() -> None:
-    bench = plugin()
+def test_k5_busy_up_to_the_time_out_is_told(bench: PluginBench) -> None:
     token = bench.order("read", number="oP.3", timeout_s=0.2)
     for hand in "C8" * 20:
         channel(bench, f"{hand}1 01 23 03 08 00 00 22", 10)
@@ -120,17 +119,15 @@ def test_k5_busy_up_to_the_time_out_is_told() -> None:
         ("41 01 22 0C 00 00 00 00", "answered for index 220Ch subindex 1 instead"),
     ],
 )
-def test_a_drive_that_is_silent_or_answers_for_another_parameter(answer: str, says: str) -> None:
-    bench = plugin()
+def test_a_drive_that_is_silent_or_answers_for_another_parameter(bench: PluginBench, answer: str, says: str) -> None:
     token = bench.order("read", number="oP.3", timeout_s=0.1)
     bench.run()
     channel(bench, answer, 60)
     assert says in bench.text(token, "timeout")
 
 
-def test_a_request_given_up_keeps_the_channel_until_the_drive_confirms_it() -> None:
+def test_a_request_given_up_keeps_the_channel_until_the_drive_confirms_it(bench: PluginBench) -> None:
     """With the bit inverted under it, a late confirmation would be taken for the next request's."""
-    bench = plugin()
     bench.order("read", number="oP.3", timeout_s=0.05)
     bench.run(40)
     late = bench.order("read", number="sy.51", timeout_s=0.05)
@@ -176,8 +173,7 @@ def test_after_a_new_start_the_drives_own_handshake_bit_is_taken() -> None:
         ({"number": 0x6000, "index": 2}, "71 02 60 00 00 00 00 00"),
     ],
 )
-def test_k6_sets_by_the_bit_of_the_subindex(args: dict[str, object], request_octets: str) -> None:
-    bench = plugin()
+def test_k6_sets_by_the_bit_of_the_subindex(bench: PluginBench, args: dict[str, object], request_octets: str) -> None:
     bench.order("read", **args)
     assert bench.out()[:23] == request_octets
 
@@ -195,8 +191,7 @@ def test_k6_sets_by_the_bit_of_the_subindex(args: dict[str, object], request_oct
         ({"number": "speedy"}, "neither a parameter such as oP.3 nor an index in hex"),
     ],
 )
-def test_k6_wrong_parameters_raise_at_once(args: dict[str, object], says: str) -> None:
-    bench = plugin()
+def test_k6_wrong_parameters_raise_at_once(bench: PluginBench, args: dict[str, object], says: str) -> None:
     token = bench.order("read", **args)
     assert says in bench.text(token, "usage")
     assert bench.out()[:23] == ZERO
@@ -211,13 +206,11 @@ def test_k6_wrong_parameters_raise_at_once(args: dict[str, object], says: str) -
         ({"number": "oP.3", "value": 1, "ram": True}, "no writes to RAM only"),
     ],
 )
-def test_values_are_checked_before_anything_is_sent(args: dict[str, object], says: str) -> None:
-    bench = plugin()
+def test_values_are_checked_before_anything_is_sent(bench: PluginBench, args: dict[str, object], says: str) -> None:
     assert says in bench.misuse("write", **args)
 
 
-def test_negative_values_are_32_bits() -> None:
-    bench = plugin()
+def test_negative_values_are_32_bits(bench: PluginBench) -> None:
     bench.order("write", number="oP.3", value=-20)
     assert bench.out()[:23] == "72 01 23 03 FF FF F9 C0"
 

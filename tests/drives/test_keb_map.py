@@ -209,8 +209,17 @@ class Requests:
             assert self.ask(2, subindex, record, value) == value.to_bytes(4, "big").hex(" ").upper()
 
 
-def test_k7_a_change_resets_the_enable_and_is_lost_without_it() -> None:
-    line = Requests()
+@pytest.fixture
+def line() -> Requests:
+    return Requests()
+
+
+@pytest.fixture
+def bench() -> PairBench:
+    return pair("PCH+4/4")
+
+
+def test_k7_a_change_resets_the_enable_and_is_lost_without_it(line: Requests) -> None:
     assert [line.ask(1, n, "60 00") for n in (1, 2, 3, 6)] == [
         "00 00 00 04",
         "00 00 20 33",
@@ -224,9 +233,8 @@ def test_k7_a_change_resets_the_enable_and_is_lost_without_it() -> None:
     assert again(line.device).operator.into.map() == DEFAULT_INPUTS
 
 
-def test_k7_the_enable_is_answered_by_an_error_and_the_map_acts_after_power_on() -> None:
+def test_k7_the_enable_is_answered_by_an_error_and_the_map_acts_after_power_on(line: Requests) -> None:
     """The number of the error is a reading: 8/0/0034."""
-    line = Requests()
     line.write("60 00", [2, 0x2200, 1] + 14 * [0])
     assert line.ask(2, 0, "5F F8", 0xFF) == "error 08 00 00 34"
     assert line.ask(1, 0, "5F F8") == "00 00 00 FF"
@@ -337,16 +345,14 @@ def test_k11_read_the_other_way_a_wrong_map_is_an_invalid_description() -> None:
         [8, 0x2F13, 1, 0, 0, 0, 0, 0, 0, 0x2032, 1, 0, 0, 0x2034, 1, 0, 0],  # mixed, the inputs are not
     ],
 )
-def test_k11_a_wrong_map_is_taken_but_not_confirmed(values: list[int]) -> None:
-    line = Requests()
+def test_k11_a_wrong_map_is_taken_but_not_confirmed(line: Requests, values: list[int]) -> None:
     line.write("60 01", values)
     assert line.ask(2, 0, "60 02", 0xFF).startswith("error")
     assert line.ask(1, 0, "60 02") == "00 00 00 00"
     assert again(line.device).operator.out.map() == DEFAULT_OUTPUTS
 
 
-def test_k11_each_bit_of_the_enable_stands_for_an_octet() -> None:
-    line = Requests()
+def test_k11_each_bit_of_the_enable_stands_for_an_octet(line: Requests) -> None:
     line.ask(2, 0, "5F F8", 0x03)
     after = Requests(line)
     after.device.trip("E.OL")
@@ -354,8 +360,7 @@ def test_k11_each_bit_of_the_enable_stands_for_an_octet() -> None:
     assert [entry.index for _, entry in after.device.operator.into.active[0]] == [0x2033]
 
 
-def test_k11_fb23_0_restores_the_default_map_at_power_on() -> None:
-    line = Requests()
+def test_k11_fb23_0_restores_the_default_map_at_power_on(line: Requests) -> None:
     line.write("60 00", [2, 0x2200, 1] + 14 * [0])
     line.ask(2, 0, "5F F8", 0xFF)
     line = Requests(line)
@@ -419,14 +424,12 @@ def test_k12_two_blocks_both_ways() -> None:
     assert values["ru.00 (2200h)"] == 16
 
 
-def test_k11_a_drive_that_does_not_confirm_is_told() -> None:
-    bench = pair("PCH+4/4")
+def test_k11_a_drive_that_does_not_confirm_is_told(bench: PairBench) -> None:
     text = bench.refused("write_map", outputs="2032 2A00=1")[1]
     assert "does not confirm the enable of outputs, block 1 (6002h is 00h)" in text
 
 
-def test_a_map_that_makes_no_sense_is_told() -> None:
-    bench = pair("PCH+4/4")
+def test_a_map_that_makes_no_sense_is_told(bench: PairBench) -> None:
     device = bench.device
     assert isinstance(device, KebDevice)
     device.operator.access(0x6000, 1, 3)
@@ -539,8 +542,7 @@ def test_k7_a_map_that_acts_with_its_enable_is_used_at_once() -> None:
     assert bench.ok("inputs") == {"sy.51 (2033h)": 0x15, "ru.00 (2200h)": 66}
 
 
-def test_k7_a_map_that_acts_at_power_on_leaves_the_outputs_at_0_and_refuses_the_start() -> None:
-    bench = pair("PCH+4/4")
+def test_k7_a_map_that_acts_at_power_on_leaves_the_outputs_at_0_and_refuses_the_start(bench: PairBench) -> None:
     bench.ok("speed", value=0.5)
     bench.run(200)
     assert bench.do("write_map", **MAP)["acts"] == "after power-on"
@@ -550,15 +552,13 @@ def test_k7_a_map_that_acts_at_power_on_leaves_the_outputs_at_0_and_refuses_the_
     assert text.startswith("other maps were written to the drive, which act from its next power-on: ")
 
 
-def test_k7_the_map_that_is_in_force_is_not_written_again() -> None:
+def test_k7_the_map_that_is_in_force_is_not_written_again(bench: PairBench) -> None:
     """In one of the readings it would stop the outputs until the next power-on."""
-    bench = pair("PCH+4/4")
     assert "acts" not in bench.do("write_map", outputs="2032 2034")
     bench.ok("start")
 
 
-def test_k7_a_write_map_that_fails_halfway_leaves_the_drive_without_outputs() -> None:
-    bench = pair("PCH+4/4")
+def test_k7_a_write_map_that_fails_halfway_leaves_the_drive_without_outputs(bench: PairBench) -> None:
     token = bench.order("write_map", **MAP, timeout_s=0.25)
     bench.run(400)
     assert bench.done(token)["error"] == "timeout"

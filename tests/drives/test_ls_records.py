@@ -47,8 +47,17 @@ def asked(bench: LsBench, request: str) -> str:
     return answer
 
 
-def test_l8_965_and_busy_while_it_is_carried_out() -> None:
-    bench = drive()
+@pytest.fixture
+def bench() -> LsBench:
+    return drive()
+
+
+@pytest.fixture
+def master() -> Master:
+    return Master("ST1", ST1)
+
+
+def test_l8_965_and_busy_while_it_is_carried_out(bench: LsBench) -> None:
     assert service(bench, "5E 01 2F F0") == BUSY  # nobody asked for anything
     assert service(bench, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00") == "5F 01 2F 0A"
     assert service(bench, "5F 01 2F 0A 02 01 01 01 10 00 03 C5 00 00") == "DF 80 B5 00"
@@ -92,8 +101,7 @@ def test_l8_requests_and_responses(request_: str, answer: str) -> None:
     assert asked(drive(), request_) == answer
 
 
-def test_l8_a_change_acts() -> None:
-    bench = drive()
+def test_l8_a_change_acts(bench: LsBench) -> None:
     asked(bench, "04 02 01 01 10 00 11 03 00 00 06 01 00 32")
     assert bench.device.store.value("dr-03") == 5.0
 
@@ -115,16 +123,14 @@ def test_l8_what_is_refused(request_: str, refused: str) -> None:
     assert service(drive(), request_) == refused
 
 
-def test_l8_a_short_read_does_not_lose_the_response() -> None:
-    bench = drive()
+def test_l8_a_short_read_does_not_lose_the_response(bench: LsBench) -> None:
     service(bench, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00")
     bench.pass_time(12)
     assert service(bench, "5E 01 2F 07") == "DE 80 B7 00"
     assert service(bench, "5E 01 2F 08") == "01 01 01 01 06 01 03 28"
 
 
-def test_l8_data_exchange_begins_anew_and_the_old_module_has_none() -> None:
-    bench = drive()
+def test_l8_data_exchange_begins_anew_and_the_old_module_has_none(bench: LsBench) -> None:
     service(bench, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00")
     bench.device.enter(b"\x71", bench.now)
     bench.pass_time(12)
@@ -179,16 +185,14 @@ def read(master: Master, number: object, *, reference: str, address: str, answer
     return master.bench.done(token)
 
 
-def test_l8_the_plugin_reads_965_as_the_manual_prints_it_and_addresses() -> None:
-    master = Master("ST1", ST1)
+def test_l8_the_plugin_reads_965_as_the_manual_prints_it_and_addresses(master: Master) -> None:
     found = read(master, 965, reference="01", address="00 03 C5 00 00", answer="01 01 01 06 01 03 28")
     assert (found["ok"], found["value"], found["number"]) == (True, 0x0328, 965)
     found = read(master, "dr-20", reference="02", address="00 11 14 00 00", answer="01 01 01 06 01 17 70")
     assert (found["value"], found["unit"], found["raw"]) == (60.0, "Hz", 6000)
 
 
-def test_l8_the_plugin_writes_and_reads_elements() -> None:
-    master = Master("ST1", ST1)
+def test_l8_the_plugin_writes_and_reads_elements(master: Master) -> None:
     token = master.bench.order("write", number="dr-03", value=5.0)
     assert master.asks() == "5F 01 2F 0E 01 02 01 01 10 00 11 03 00 00 06 01 00 32"
     master.accepts("01 02 01 01")
@@ -215,8 +219,7 @@ def test_l8_the_plugin_writes_and_reads_elements() -> None:
         ),
     ],
 )
-def test_l8_refusals_as_texts(answer: str | Refused | ServiceFailure, error: str, text: str) -> None:
-    master = Master("ST1", ST1)
+def test_l8_refusals_as_texts(master: Master, answer: str | Refused | ServiceFailure, error: str, text: str) -> None:
     token = master.bench.order("read", number=965)
     assert master.asks() == "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00"
     master.accepts(answer)
@@ -224,8 +227,7 @@ def test_l8_refusals_as_texts(answer: str | Refused | ServiceFailure, error: str
     assert (result["ok"], result["error"], result["text"]) == (False, error, text)
 
 
-def test_orders_queue_and_their_time_ends() -> None:
-    master = Master("ST1", ST1)
+def test_orders_queue_and_their_time_ends(master: Master) -> None:
     first = master.bench.order("read", number=965, timeout_s=0.05)
     second = master.bench.order("read", number=922)
     assert master.asks() == "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00"
@@ -257,8 +259,7 @@ def test_a_drive_without_the_record_is_asked_by_pkw() -> None:
     assert master.asks()[:2] == "5F"  # it may be another drive now
 
 
-def test_without_either_the_reason_is_told() -> None:
-    master = Master("ST1", ST1)
+def test_without_either_the_reason_is_told(master: Master) -> None:
     token = master.bench.order("read", number=965)
     master.asks()
     master.answers(Refused(0, "SAP 51 is closed"))
@@ -269,8 +270,7 @@ def test_without_either_the_reason_is_told() -> None:
     )
 
 
-def test_l8_trips_have_names_in_a_telegram_without_a_channel() -> None:
-    master = Master("ST1", ST1)
+def test_l8_trips_have_names_in_a_telegram_without_a_channel(master: Master) -> None:
     master.bench.see("00 48 00 00")
     assert master.bench.core.faults() == ("not yet named",)
     assert master.asks() == "5F 01 2F 0A 01 01 01 01 10 01 03 B3 00 00"
@@ -289,8 +289,7 @@ def du(device: LsDevice, service: str) -> str:
     return request.response.build().hex(" ").upper()
 
 
-def test_l8_l10_as_the_slave_application_asks() -> None:
-    bench = drive()
+def test_l8_l10_as_the_slave_application_asks(bench: LsBench) -> None:
     assert du(bench.device, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00") == "5F 01 2F 0A"
     assert du(bench.device, "5E 01 2F F0") == "DE 80 B5 00"
     bench.pass_time(12)

@@ -112,8 +112,12 @@ def test_cuts_do_not_matter(cuts: list[int]) -> None:
     assert counted(decoder.stats) == {"octets": len(STREAM), "telegrams": len(ALL), "empty_le3": 1}
 
 
-def test_le3_is_an_empty_answer_and_counted() -> None:
-    decoder = fresh()
+@pytest.fixture
+def decoder() -> Decoder:
+    return fresh()
+
+
+def test_le3_is_an_empty_answer_and_counted(decoder: Decoder) -> None:
     (telegram,) = decoder.feed(EMPTY, 0)
     assert telegram.empty_le3
     assert telegram.data == b""
@@ -134,8 +138,7 @@ def test_bytearray_and_memoryview_are_not_kept() -> None:
     assert decoder.feed(ANSWER[8:], 0) == [ANSWER_T]
 
 
-def test_empty_chunk() -> None:
-    decoder = fresh()
+def test_empty_chunk(decoder: Decoder) -> None:
     assert decoder.feed(b"", 0) == []
     decoder.feed(DIAG[:3], 0)
     assert decoder.feed(b"", 0) == []
@@ -165,18 +168,16 @@ DAMAGED: list[tuple[str, dict[str, int]]] = [
 @pytest.mark.parametrize(("octets", "counters"), DAMAGED)
 @pytest.mark.parametrize("cut_up", [whole, bytewise])
 def test_damage_counts_once_and_the_next_telegram_is_found(
-    octets: str, counters: dict[str, int], cut_up: Callable[[bytes], list[bytes]]
+    decoder: Decoder, octets: str, counters: dict[str, int], cut_up: Callable[[bytes], list[bytes]]
 ) -> None:
-    decoder = fresh()
     stream = bytes.fromhex(octets) + DIAG
     assert feed_all(decoder, cut_up(stream)) == [DIAG_T]
     assert counted(decoder.stats) == {"octets": len(stream), "telegrams": 1, **counters}
     assert decoder.stats.bad == sum(counters.values()) - counters["skipped"]
 
 
-def test_a_rejected_frame_hides_no_telegram_inside() -> None:
+def test_a_rejected_frame_hides_no_telegram_inside(decoder: Decoder) -> None:
     # the rest of a frame that was cut off, then a whole one that the first one's length would swallow
-    decoder = fresh()
     assert decoder.feed(ANSWER[:6] + STATUS + bytes(8), 0) == [STATUS_T]
     assert decoder.stats.bad_ed == 1
     assert fresh().feed(DIAG[:5] + STATUS, 0) == [STATUS_T]  # the ED of one is where the other's would be
@@ -237,8 +238,7 @@ def test_an_acknowledgement_after_a_glitch_counts() -> None:
 
 
 # --- stalls -----------------------------------------------------------------------------------------------------------
-def test_a_stalled_telegram_is_given_up() -> None:
-    decoder = fresh()
+def test_a_stalled_telegram_is_given_up(decoder: Decoder) -> None:
     decoder.feed(ANSWER[:7], 10)
     decoder.feed(ANSWER[7:9], 20)
     assert decoder.stall_at() == 20 + STALL
@@ -251,29 +251,25 @@ def test_a_stalled_telegram_is_given_up() -> None:
     assert decoder.stats.stalled == 1
 
 
-def test_a_stalled_start_gives_the_telegrams_behind_it() -> None:
-    decoder = fresh()
+def test_a_stalled_start_gives_the_telegrams_behind_it(decoder: Decoder) -> None:
     assert decoder.feed(b"\x68\xc8\xc8\x68\x03\x02" + STATUS + DIAG, 0) == []
     assert decoder.stalled(STALL) == [STATUS_T, DIAG_T]
     assert counted(decoder.stats) == {"octets": 23, "telegrams": 2, "stalled": 1, "skipped": 6}
 
 
-def test_nothing_waits_after_a_stall() -> None:
-    decoder = fresh()
+def test_nothing_waits_after_a_stall(decoder: Decoder) -> None:
     assert decoder.feed(b"\x68\xc8\xc8\x68\x03\x02" + STATUS + ANSWER[:8] + b"\x10", 0) == []
     assert decoder.stalled(STALL) == [STATUS_T]
     assert not decoder.pending
 
 
-def test_late_pieces_of_a_telegram_are_put_together() -> None:
+def test_late_pieces_of_a_telegram_are_put_together(decoder: Decoder) -> None:
     # a host that slept: who is late reads before it judges
-    decoder = fresh()
     decoder.feed(ANSWER[:7], 0)
     assert decoder.feed(ANSWER[7:], 50 * STALL) == [ANSWER_T]
 
 
-def test_reset_forgets() -> None:
-    decoder = fresh()
+def test_reset_forgets(decoder: Decoder) -> None:
     decoder.feed(ANSWER[:7], 0)
     decoder.reset()
     assert not decoder.pending
@@ -319,8 +315,7 @@ def test_runs_are_counted_as_octet_by_octet(garbage: bytes) -> None:
     assert at_once.stats.skipped + 3 * len(found) + len(at_once.pending) >= 1_000 or found[0] is SHORT_ACK
 
 
-def test_of_repeated_start_octets_each_claimed_length_counts_once() -> None:
-    decoder = fresh()
+def test_of_repeated_start_octets_each_claimed_length_counts_once(decoder: Decoder) -> None:
     decoder.feed(b"\x10" * 606, 0)  # an SD1 claims 6 octets; the last 5 may still become one
     assert counted(decoder.stats) == {"octets": 606, "skipped": 601, "bad_ed": 101}
     decoder = fresh()
@@ -334,9 +329,8 @@ def test_a_telegram_behind_a_run_of_start_octets_is_found() -> None:
         assert decoder.feed(bytes([start]) * 1_000 + ANSWER, 0) == [ANSWER_T], hex(start)
 
 
-def test_a_frame_that_lost_its_first_octet_is_known_by_any_le() -> None:
+def test_a_frame_that_lost_its_first_octet_is_known_by_any_le(decoder: Decoder) -> None:
     # LE = DC, the start octet of a token, inside a damaged SD3; an SC within the 220 octets counts as doubtful
-    decoder = fresh()
     assert decoder.feed(bytes.fromhex("A2 00 00 00 00 00 00 00 00 00 DC DC 68") + bytes(60) + SC, 0) == []
     assert counted(decoder.stats) == {"octets": 74, "skipped": 74, "bad_ed": 1, "doubtful": 3}
 

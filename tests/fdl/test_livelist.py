@@ -35,8 +35,7 @@ def polls(bus: RingBus, sender: int = 2) -> list[int]:
     return [s.octets[1] for s in bus.log if s.octets[0] == 0x10 and s.sender == sender and s.octets[3] == 0x49]
 
 
-def test_all_addresses_but_the_own_one() -> None:
-    bus = RingBus()
+def test_all_addresses_but_the_own_one(bus: RingBus) -> None:
     live = LiveList(2)
     bus.slaves[126] = fixed(TO_126, SLAVE_126)
     list_of(bus, live)
@@ -49,8 +48,7 @@ def test_all_addresses_but_the_own_one() -> None:
     assert found == [(4, StationType.SLAVE), (126, StationType.SLAVE)]
 
 
-def test_one_poll_a_hold_after_all_other_traffic() -> None:
-    bus = RingBus()
+def test_one_poll_a_hold_after_all_other_traffic(bus: RingBus) -> None:
     user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, b"\x01"), Request(9, Req.SDN_HIGH, b"\x02")])
     bus.master(2, user, LiveList(2), gap=0)
     bus.run_ms(20)
@@ -58,8 +56,7 @@ def test_one_poll_a_hold_after_all_other_traffic() -> None:
     assert kinds.startswith("rrptrrptrrpt")
 
 
-def test_nothing_when_the_time_is_over() -> None:
-    bus = RingBus()
+def test_nothing_when_the_time_is_over(bus: RingBus) -> None:
     user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, bytes(60))])
     station = bus.master(2, user, LiveList(2), gap=0, t_tr=256)
     bus.run_ms(100)
@@ -67,8 +64,7 @@ def test_nothing_when_the_time_is_over() -> None:
     assert len(polls(bus)) <= 1
 
 
-def test_the_types_of_masters() -> None:
-    bus = RingBus()
+def test_the_types_of_masters(bus: RingBus) -> None:
     live = LiveList(2)
     bus.master(2, live, hsa=10)
     bus.master(7, hsa=10)
@@ -77,8 +73,7 @@ def test_the_types_of_masters() -> None:
     assert live.stations == {7: StationType.MASTER_IN_RING}
 
 
-def test_a_damaged_answer_hides_no_station() -> None:
-    bus = RingBus()
+def test_a_damaged_answer_hides_no_station(bus: RingBus) -> None:
     live = LiveList(2)
     answers = count()
     bus.drop = lambda sent: sent.sender == 4 and next(answers) == 0
@@ -89,8 +84,7 @@ def test_a_damaged_answer_hides_no_station() -> None:
     assert station.stats.stations[4].bad
 
 
-def test_an_address_that_is_never_readable_is_reported() -> None:
-    bus = RingBus()
+def test_an_address_that_is_never_readable_is_reported(bus: RingBus) -> None:
     live = LiveList(2)
     bus.drop = lambda sent: sent.sender == 4
     list_of(bus, live)
@@ -99,8 +93,7 @@ def test_an_address_that_is_never_readable_is_reported() -> None:
     assert live.unreadable == {4}
 
 
-def test_a_repeated_live_list_drops_stations_that_are_gone() -> None:
-    bus = RingBus()
+def test_a_repeated_live_list_drops_stations_that_are_gone(bus: RingBus) -> None:
     live = LiveList(2, addresses=[3, 4], period_ns=100 * NS_PER_MS)
     list_of(bus, live, 300)
     assert live.stations == {4: StationType.SLAVE}
@@ -141,8 +134,7 @@ def test_silent_polls_on_a_host_port_keep_to_their_share_and_leave_the_gap_its_o
     assert station.stats.gap_polls > 17
 
 
-def test_a_user_that_comes_and_goes() -> None:
-    bus = RingBus()
+def test_a_user_that_comes_and_goes(bus: RingBus) -> None:
     station = bus.master(2, gap=0)
     bus.run_ms(10)
     bus.command(station, SurveyOrder(1, tuple(range(127)), (), configs=False, quick=True))
@@ -155,8 +147,7 @@ def test_a_user_that_comes_and_goes() -> None:
     assert station.in_ring
 
 
-def test_soon_and_forgotten() -> None:
-    bus = RingBus()
+def test_soon_and_forgotten(bus: RingBus) -> None:
     live = LiveList(2, addresses=range(10))
     live.ask_soon(77)
     live.ask_soon(77)

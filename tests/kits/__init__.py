@@ -12,7 +12,7 @@ Packages, each with a map of its own:
 
 Buses, all in virtual time:
 
-- ``support``: worlds with a referee (fixture ``world``), the decoded wire log, dummy stations.
+- ``support``: worlds with a referee (fixtures ``world`` and ``w``), the decoded wire log, dummy stations.
 - ``bus_kit``: a station in a world (``add_station``), a master with mirror slaves (``SimBus``). On it: ``planned_bus``
   (undisturbed rounds), ``fire_kit`` (token ring of several masters), ``report_kit`` (a bus that is listened to).
 - ``wire_truth``: the world's own account of a bus, for counters of listening stations.

@@ -31,6 +31,11 @@ def plugged(world: World, habits: Habits, **dummy: object) -> Dummy:
     return host
 
 
+@pytest.fixture
+def w(world: WorldFactory) -> World:
+    return world(referee=False)
+
+
 @pytest.mark.parametrize(
     ("habits", "injected", "delivered"),
     [
@@ -58,9 +63,8 @@ def plugged(world: World, habits: Habits, **dummy: object) -> Dummy:
     ],
 )
 def test_octets_reach_the_host_in_packets_and_frames(
-    world: WorldFactory, habits: Habits, injected: list[tuple[int, bytes]], delivered: list[tuple[int, bytes]]
+    w: World, habits: Habits, injected: list[tuple[int, bytes]], delivered: list[tuple[int, bytes]]
 ) -> None:
-    w = world(referee=False)
     host = plugged(w, habits)
     for at, octets in injected:
         w.call_at(at, partial(w.inject, octets))
@@ -70,8 +74,7 @@ def test_octets_reach_the_host_in_packets_and_frames(
     assert host.heard == []
 
 
-def test_sending_begins_at_the_next_frame_and_the_host_believes_at_once(world: WorldFactory) -> None:
-    w = world(referee=False)
+def test_sending_begins_at_the_next_frame_and_the_host_believes_at_once(w: World) -> None:
     host = plugged(w, FTDI_LOW_LATENCY, plan=[(4_200 * US, STATUS), (4_400 * US, TOKEN)])
     w.run_until(20 * MS)
     sent = [(entry.start_ns, entry.octets) for entry in w.log]
@@ -79,16 +82,14 @@ def test_sending_begins_at_the_next_frame_and_the_host_believes_at_once(world: W
     assert host.ends == [4_200 * US + 132 * US, 4_400 * US + 66 * US]
 
 
-def test_echo(world: WorldFactory) -> None:
-    w = world(referee=False)
+def test_echo(w: World) -> None:
     host = plugged(w, Habits(echo=True), plan=[(4_990 * US, STATUS)])
     w.call_at(5_140 * US, lambda: w.inject(TOKEN))
     w.run_until(20 * MS)
     assert host.octets == [(6 * MS, STATUS + TOKEN)]
 
 
-def test_damaged_octets_and_collisions_reach_a_port_as_they_reach_others(world: WorldFactory) -> None:
-    w = world(referee=False)
+def test_damaged_octets_and_collisions_reach_a_port_as_they_reach_others(w: World) -> None:
     host = plugged(w, FTDI_LOW_LATENCY)
     plain = Dummy(hears_all=True)
     w.add(plain)
@@ -104,8 +105,7 @@ def test_damaged_octets_and_collisions_reach_a_port_as_they_reach_others(world: 
     assert host.text[6:8] == STATUS[:2]
 
 
-def test_a_sender_that_is_cut_off_gives_no_octet_twice(world: WorldFactory) -> None:
-    w = world(referee=False)
+def test_a_sender_that_is_cut_off_gives_no_octet_twice(w: World) -> None:
     host = plugged(w, FTDI_LOW_LATENCY)
     sender = Dummy(address=9, plan=[(MS, STATUS)])
     w.add(sender)
@@ -115,8 +115,7 @@ def test_a_sender_that_is_cut_off_gives_no_octet_twice(world: WorldFactory) -> N
     assert host.text == STATUS[:2]
 
 
-def test_the_cost_of_reception_is_counted(world: WorldFactory) -> None:
-    w = world(referee=False)
+def test_the_cost_of_reception_is_counted(w: World) -> None:
     adapter = Adapter(Dummy(hears_all=True), FTDI)
     w.add(adapter)
     w.call_at(2 * MS, lambda: w.inject(TOKEN))

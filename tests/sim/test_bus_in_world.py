@@ -62,8 +62,12 @@ def test_no_station_breaks_the_rules_under_noise(world: WorldFactory, per_bit: f
         bus.until_exchanging(within_ns=15 * S)
 
 
-def test_a_slave_switched_off_and_on_again(world: WorldFactory) -> None:
-    bus = bring_up(world)
+@pytest.fixture
+def bus(world: WorldFactory) -> SimBus:
+    return bring_up(world)
+
+
+def test_a_slave_switched_off_and_on_again(bus: SimBus) -> None:
     bus.world.remove(bus.slaves[5])
     bus.world.run_for(S)
     assert bus.master.handlers[5].state is not SlaveState.DATA_EXCHANGE
@@ -72,8 +76,7 @@ def test_a_slave_switched_off_and_on_again(world: WorldFactory) -> None:
     bus.until_exchanging()
 
 
-def test_a_slave_that_falls_silent_for_a_time(world: WorldFactory) -> None:
-    bus = bring_up(world)
+def test_a_slave_that_falls_silent_for_a_time(bus: SimBus) -> None:
     bus.world.silence(bus.slaves[6], S)
     bus.world.run_for(S // 2)
     assert bus.master.handlers[6].state is not SlaveState.DATA_EXCHANGE
@@ -81,8 +84,7 @@ def test_a_slave_that_falls_silent_for_a_time(world: WorldFactory) -> None:
     bus.until_exchanging()
 
 
-def test_a_slave_cut_off_in_the_middle_of_its_answer(world: WorldFactory) -> None:
-    bus = bring_up(world)
+def test_a_slave_cut_off_in_the_middle_of_its_answer(bus: SimBus) -> None:
     world_ = bus.world
     slave = bus.slaves[5]
     while not (len(world_.log) and list(world_.log)[-1].octets[:6] == bytes.fromhex("68 0F 0F 68 05 02")):
@@ -123,8 +125,7 @@ def test_a_damaged_answer_is_asked_for_again(world: WorldFactory) -> None:
     assert bus.exchanging
 
 
-def test_garbage_on_the_line_disturbs_the_ring_only_shortly(world: WorldFactory) -> None:
-    bus = bring_up(world)
+def test_garbage_on_the_line_disturbs_the_ring_only_shortly(bus: SimBus) -> None:
     for number in range(50):
         bus.world.run_for(777_777)
         bus.world.inject(bytes((number * 37 & 0xFF, 0x68, 0xE5, 0x10)))
@@ -132,8 +133,7 @@ def test_garbage_on_the_line_disturbs_the_ring_only_shortly(world: WorldFactory)
     bus.until_exchanging()
 
 
-def test_a_station_at_another_rate_hears_only_garbage(world: WorldFactory) -> None:
-    bus = bring_up(world)
+def test_a_station_at_another_rate_hears_only_garbage(bus: SimBus) -> None:
     other = mirror(9, BusParams.preset(1_500_000, address=2))
     bus.world.add(other)
     bus.world.run_for(S)

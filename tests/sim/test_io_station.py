@@ -56,8 +56,12 @@ class Station(OctetMaster):
         return self.poll()
 
 
-def test_inputs_and_outputs() -> None:
-    bench = Station()
+@pytest.fixture
+def bench() -> Station:
+    return Station()
+
+
+def test_inputs_and_outputs(bench: Station) -> None:
     assert bench.inputs() == "00 00 00 00 00 00 00"
     bench.io.set_input(5, b"\x12\x34")
     bench.io.set_input(3, b"\x00\x01\xff\xfe")
@@ -69,8 +73,7 @@ def test_inputs_and_outputs() -> None:
     assert bench.outputs_of_slots()[0] == "00"
 
 
-def test_edges_raise_process_alarms_as_parameters_say() -> None:
-    bench = Station()
+def test_edges_raise_process_alarms_as_parameters_say(bench: Station) -> None:
     bench.io.set_input(1, b"\x05")
     bench.acknowledge_alarm("06 02 01 00 05 05")
     bench.io.set_input(1, b"\x06")
@@ -83,8 +86,7 @@ def test_edges_raise_process_alarms_as_parameters_say() -> None:
     bench.acknowledge_alarm("08 02 05 18 80 00 00 01")
 
 
-def test_a_wire_breaks_and_is_whole_again() -> None:
-    bench = Station()
+def test_a_wire_breaks_and_is_whole_again(bench: Station) -> None:
     bench.io.wire_break(3, 1, True)
     # alarm; module status of seven slots, the third has a fault; slots, module 2; channel: an input, word, line break
     assert bench.fetch() == "06 01 03 01 01 06 06 82 00 00 10 00 42 04 82 41 A6"
@@ -112,8 +114,7 @@ def test_no_diagnosis_where_parameters_say_so() -> None:
     bench.acknowledge_alarm("06 01 03 0A 01 06")
 
 
-def test_pull_and_plug() -> None:
-    bench = Station()
+def test_pull_and_plug(bench: Station) -> None:
     bench.io.set_input(1, b"\x05")
     bench.acknowledge_alarm("06 02 01 00 05 05")
     bench.io.pull(1)
@@ -131,8 +132,7 @@ def test_pull_and_plug() -> None:
     assert bench.ext() == ""
 
 
-def test_a_pulled_module_takes_its_outputs_and_its_channel_faults_along() -> None:
-    bench = Station()
+def test_a_pulled_module_takes_its_outputs_and_its_channel_faults_along(bench: Station) -> None:
     bench.outputs = b"\xaa" + bytes(6)
     bench.io.wire_break(3, 0, True)
     bench.acknowledge_alarm("06 01 03 01 00 06")
@@ -147,8 +147,7 @@ def test_a_pulled_module_takes_its_outputs_and_its_channel_faults_along() -> Non
     bench.acknowledge_alarm("05 04 03 1B 51 06 82 00 00 1C 00 42 06 82 40 A6")  # the wire is still broken
 
 
-def test_parameters_changed_at_the_device() -> None:
-    bench = Station()
+def test_parameters_changed_at_the_device(bench: Station) -> None:
     bench.io.set_parameter(1, 0x02)
     bench.acknowledge_alarm("05 06 01 00 02")
     assert bench.record("5E 01 01 F0") == "5E 01 01 01 02"
@@ -210,15 +209,13 @@ def test_more_faults_than_the_diagnosis_holds() -> None:
         ("5F 01 FF 04 08 00 FD E9", "DF 80 B7 00"),  # I&M1 has the head only
     ],
 )
-def test_records(request_: str, response: str) -> None:
-    bench = Station()
+def test_records(bench: Station, request_: str, response: str) -> None:
     bench.io.wire_break(3, 1, True)
     bench.io.pull(6)
     assert bench.record(request_) == response
 
 
-def test_im_of_every_slot() -> None:
-    bench = Station()
+def test_im_of_every_slot(bench: Station) -> None:
     for slot, order_id in ((0, b"IO-STATION"), (1, b"8 DI"), (7, b"2 AO")):
         assert bench.record(f"5F {slot:02X} FF 04 08 00 FD E8") == f"5F {slot:02X} FF 04"
         read = bytes.fromhex(bench.record(f"5E {slot:02X} FF F0"))

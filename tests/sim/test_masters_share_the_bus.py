@@ -14,6 +14,7 @@ from dpstack.dp.plan.cycle_check import token_wait_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
+from dpstack.sim.world import World
 from dpstack.stats import Histogram
 from dpstack.units import ns_to_bits
 
@@ -116,9 +117,8 @@ def test_masters_alike_need_no_list() -> None:
 
 
 @pytest.mark.parametrize("counts", [[5, 5], [5, 20], [3, 4, 5]])
-def test_a_fixed_cycle_begins_no_later_than_the_plan_says(world: WorldFactory, counts: list[int]) -> None:
+def test_a_fixed_cycle_begins_no_later_than_the_plan_says(w: World, counts: list[int]) -> None:
     """The others run free with slow slaves: they have the token nearly always when the cycle is due."""
-    w = world()
     params = BusParams.preset(BAUD, gap=10, hsa=2 + len(counts))
     plants = [[replace(setup, max_diag_len=6) for setup in slaves] for slaves in slaves_of(counts)]
     others = OtherMasters(rounds=tuple(rotation(params, slaves, Case.NORMAL).bits for slaves in plants[1:]))

@@ -40,8 +40,12 @@ def late(asked: Asked) -> list[tuple[int, str]]:
     return sent
 
 
-def test_a_late_answer_comes_at_its_time_and_the_slave_is_deaf_until_then() -> None:
-    asked = Asked()
+@pytest.fixture
+def asked() -> Asked:
+    return Asked()
+
+
+def test_a_late_answer_comes_at_its_time_and_the_slave_is_deaf_until_then(asked: Asked) -> None:
     sent = late(asked)
     fault = LateAnswers(3_000_000)
     asked.unit.faults.begin(fault)
@@ -63,8 +67,7 @@ def test_a_late_answer_comes_at_its_time_and_the_slave_is_deaf_until_then() -> N
 
 
 @pytest.mark.parametrize(("status", "octets"), [("RS", "10 02 08 03 0D 16"), ("UE", "10 02 08 01 0B 16")])
-def test_data_exchange_is_refused_and_nothing_else(status: str, octets: str) -> None:
-    asked = Asked()
+def test_data_exchange_is_refused_and_nothing_else(asked: Asked, status: str, octets: str) -> None:
     assert asked.exchange("12 34") == GOOD
     fault = Refusals(Resp[status])
     asked.unit.faults.begin(fault)
@@ -83,14 +86,12 @@ def test_data_exchange_is_refused_and_nothing_else(status: str, octets: str) -> 
         (1, "68 06 06 68 02 08 08 12 34 00 58 16"),
     ],
 )
-def test_inputs_of_the_wrong_length(by: int, octets: str) -> None:
-    asked = Asked()
+def test_inputs_of_the_wrong_length(asked: Asked, by: int, octets: str) -> None:
     asked.unit.faults.begin(WrongLength(by))
     assert asked.exchange("12 34") == octets
 
 
-def test_every_answer_is_sent_twice() -> None:
-    asked = Asked()
+def test_every_answer_is_sent_twice(asked: Asked) -> None:
     sent = late(asked)
     asked.unit.faults.begin(RepeatedAnswers())
     assert asked.exchange("12 34") == GOOD
@@ -100,8 +101,7 @@ def test_every_answer_is_sent_twice() -> None:
     assert at == begun + 11 * 11 * BIT + 11 * BIT  # eleven octets of eleven bits, and the gap
 
 
-def test_a_diagnosis_is_offered_and_taken_back() -> None:
-    asked = Asked()
+def test_a_diagnosis_is_offered_and_taken_back(asked: Asked) -> None:
     asked.exchange("12 34")
     fault = ReportedDiagnosis(UserDiag(bytes.fromhex("80 43 26"), fault=True))
     asked.unit.faults.begin(fault)
@@ -144,9 +144,8 @@ def _noisy(seed: int) -> list[str]:
     return found
 
 
-def test_behind_a_port_late_answers_come_at_their_time_unless_the_slave_is_off() -> None:
+def test_behind_a_port_late_answers_come_at_their_time_unless_the_slave_is_off(asked: Asked) -> None:
     """All slaves of a port are one machine, which sends the late answer by itself."""
-    asked = Asked()
     unit = asked.unit
     port = Multidrop([unit.station], PARAMS)
     unit.faults.connect(lambda octets, at: port.send_at(unit.station, octets, at))

@@ -65,8 +65,12 @@ def test_run_stops_after_the_event_that_was_waited_for(world: WorldFactory) -> N
     assert w.now == 10
 
 
-def test_octets_come_before_orders_and_timers_of_the_same_instant(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+@pytest.fixture
+def w(world: WorldFactory) -> World:
+    return world(token_rules=False)
+
+
+def test_octets_come_before_orders_and_timers_of_the_same_instant(w: World) -> None:
     order: list[str] = []
 
     class Watch(Dummy):
@@ -104,8 +108,7 @@ def test_a_station_is_woken_at_its_deadline_and_not_at_one_it_gave_up(world: Wor
 
 
 # --- stations ---
-def test_events_are_handed_on_as_they_happen(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_events_are_handed_on_as_they_happen(w: World) -> None:
     got: list[Event] = []
     station = Dummy(5)
     w.add(station, on_events=got.extend)
@@ -124,8 +127,7 @@ def test_events_nobody_wants_are_taken_away(world: WorldFactory) -> None:
     assert station.events == []
 
 
-def test_commands_act_at_once(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_commands_act_at_once(w: World) -> None:
 
     class Obeys(Dummy):
         def command(self, command: object, now: int) -> None:
@@ -139,8 +141,7 @@ def test_commands_act_at_once(world: WorldFactory) -> None:
     assert station.ends == [MS + 66 * BIT]
 
 
-def test_names_in_the_log(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_names_in_the_log(w: World) -> None:
     w.add(Dummy(2, plan=[(0, ASK)]), name="master")
     w.add(Dummy(3, plan=[(MS, ASK)]))
     w.run_until(2 * MS)
@@ -214,8 +215,7 @@ def sending(w: World, count: int = 3) -> Dummy:
     return receiver
 
 
-def test_no_station_hears_a_dropped_transmission(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_no_station_hears_a_dropped_transmission(w: World) -> None:
     w.faults.drop(from_2, times=2)
     receiver = sending(w)
     w.run_until(3 * MS)
@@ -225,8 +225,7 @@ def test_no_station_hears_a_dropped_transmission(world: WorldFactory) -> None:
     assert not w.faults.armed
 
 
-def test_a_chosen_octet_is_damaged(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_a_chosen_octet_is_damaged(w: World) -> None:
     w.faults.damage(lambda tx: tx.octets == DATA, octet=-2)
     w.faults.damage(lambda tx: tx.octets == DATA, octet=7, flips=0b110)
     receiver = sending(w)
@@ -250,8 +249,7 @@ def test_damage_anywhere_is_decided_by_the_seed(world: WorldFactory) -> None:
     assert heard[1] != heard[2] != heard[3]
 
 
-def test_a_delayed_transmission_begins_later(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_a_delayed_transmission_begins_later(w: World) -> None:
     w.faults.delay(from_2, 300 * BIT)
     receiver = sending(w)
     w.run_until(3 * MS)
@@ -259,8 +257,7 @@ def test_a_delayed_transmission_begins_later(world: WorldFactory) -> None:
     assert next(iter(w.log)).note == "delayed"
 
 
-def test_a_truncated_transmission_has_its_first_octets_only(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_a_truncated_transmission_has_its_first_octets_only(w: World) -> None:
     w.faults.truncate(from_2, octets=4)
     receiver = sending(w, 4)
     w.run_until(MS - 1)
@@ -274,8 +271,7 @@ def test_a_truncated_transmission_has_its_first_octets_only(world: WorldFactory)
     assert all(DATA.startswith(entry.octets) and entry.octets not in (b"", DATA) for entry in cut)
 
 
-def test_a_repeated_transmission_is_on_the_wire_twice(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_a_repeated_transmission_is_on_the_wire_twice(w: World) -> None:
     w.faults.repeat(from_2, 40 * BIT)
     receiver = sending(w, 2)
     w.run_until(3 * MS)
@@ -320,8 +316,7 @@ def test_bursts_damage_neighbouring_octets(world: WorldFactory) -> None:
     assert not w.faults.armed
 
 
-def test_a_delayed_transmission_of_a_station_that_went_never_begins(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_a_delayed_transmission_of_a_station_that_went_never_begins(w: World) -> None:
     receiver = sending(w, 1)
     sender = Dummy(3, plan=[(0, ASK)])
     w.faults.delay(lambda tx: tx.sender == "3", MS)
@@ -343,8 +338,7 @@ def test_a_silenced_station_believes_to_send(world: WorldFactory) -> None:
     assert [at for at, _ in receiver.heard] == [ends(0, DATA), ends(2 * MS, DATA)]
 
 
-def test_a_deaf_station_does_not_hear_either(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_a_deaf_station_does_not_hear_either(w: World) -> None:
     receiver = sending(w)
     w.run_until(MS // 2)
     w.silence(receiver, MS, deaf=True)
@@ -415,8 +409,7 @@ def test_impossible_faults_are_refused(world: WorldFactory) -> None:
     assert not faults.armed
 
 
-def test_faults_can_be_ended(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_faults_can_be_ended(w: World) -> None:
     w.faults.noise(0.5)
     w.faults.drop(from_2, times=None)
     w.faults.clear()
@@ -437,8 +430,7 @@ def test_faults_hit_injected_octets_too(world: WorldFactory) -> None:
     assert [at for at, _ in receiver.heard] == [ends(2 * MS, ASK)]
 
 
-def test_injecting_into_a_telegram_is_no_violation(world: WorldFactory) -> None:
-    w = world(token_rules=False)
+def test_injecting_into_a_telegram_is_no_violation(w: World) -> None:
     receiver = sending(w, 1)
     w.call_at(50 * BIT, lambda: w.inject(b"\x00"))
     w.run_until(MS)

@@ -7,7 +7,6 @@ import asyncio
 import pytest
 from api_kit import FAN, HOIST, RAW, bus_of, operating, slave_in, stack_of
 from slave_kit import make_slave
-from support import WorldFactory
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -80,8 +79,7 @@ async def test_waiting_for_what_does_not_come() -> None:
             await bus.slave("raw").wait_state(dpstack.SlaveState.DATA_EXCHANGE, timeout=0.1)
 
 
-async def test_refusals_are_typed(world: WorldFactory) -> None:
-    w = world()
+async def test_refusals_are_typed(w: World) -> None:
     slave_in(w, MirrorDevice(0x4321, bytes.fromhex("20 10")), 9)
     slave_in(w, MirrorDevice(0x1234, bytes.fromhex("21 11")), 10)
     slave_in(w, MirrorDevice(0x1234, bytes.fromhex("20 10")), 11)
@@ -97,8 +95,7 @@ async def test_refusals_are_typed(world: WorldFactory) -> None:
             await bus.ready(2)
 
 
-async def test_a_slave_that_dies_in_the_middle(world: WorldFactory) -> None:
-    w = world()
+async def test_a_slave_that_dies_in_the_middle(w: World) -> None:
     station, _ = slave_in(w, MirrorDevice(0x1234, bytes.fromhex("20 10")), 9)
     async with bus_of(RAW, world=w) as bus:
         await bus.ready()
@@ -124,8 +121,7 @@ class LyingApp(SlaveApp):
         return reply
 
 
-async def test_wrong_length(world: WorldFactory) -> None:
-    w = world()
+async def test_wrong_length(w: World) -> None:
     app = LyingApp(MirrorDevice(0x1234, bytes.fromhex("20 10")))
     w.add(PassiveStation(9, app, BusParams.preset(500_000)))
     slave_in(w, MirrorDevice(0x1234, bytes.fromhex("20 10")), 11)
@@ -139,8 +135,7 @@ async def test_wrong_length(world: WorldFactory) -> None:
         await bus.slave("good").ready(1)
 
 
-async def test_owned_by_another_master(world: WorldFactory) -> None:
-    w = world()
+async def test_owned_by_another_master(w: World) -> None:
     _, app = slave_in(w, MirrorDevice(0x1234, bytes.fromhex("20 10")), 9)
     first = bus_of(RAW, address=1, world=w)
     async with first:
@@ -202,16 +197,14 @@ async def test_drive_errors_are_typed() -> None:
             bus.slave("fan").outputs = bytes(4)
 
 
-async def test_an_order_to_a_drive_that_is_not_there(world: WorldFactory) -> None:
-    w = world()
+async def test_an_order_to_a_drive_that_is_not_there(w: World) -> None:
     async with bus_of(FAN, world=w) as bus:
         await bus.operate()
         with pytest.raises(dpstack.DriveTimeout, match=r"slave 4 is not in data exchange: no answer from address 4"):
             await bus.drive("fan").start(1)
 
 
-async def test_a_drive_that_vanishes_fails_what_is_pending(world: WorldFactory) -> None:
-    w = world()
+async def test_a_drive_that_vanishes_fails_what_is_pending(w: World) -> None:
     fan = dpstack.profile.find("fuji-frenic").simulated("PPO3", {}, {})
     station = make_slave(4, fan, BusParams.preset(500_000))
     w.add(station)

@@ -13,6 +13,7 @@ import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.user_slave import DpSlave
+from dpstack.sim.world import World
 from dpstack.trace import Notice, Severity
 
 pytestmark = pytest.mark.virtual_time
@@ -25,8 +26,7 @@ class BoomError(Exception):
 
 
 @pytest.mark.parametrize("how", ["exit", "exception", "cancelled", "close twice"])
-async def test_the_end_is_orderly(world: WorldFactory, how: str) -> None:
-    w = world()
+async def test_the_end_is_orderly(w: World, how: str) -> None:
     outputs: list[bytes] = []
 
     def device(data: bytes, elapsed: int) -> bytes:
@@ -95,8 +95,7 @@ async def test_a_second_station_with_our_address(world: WorldFactory) -> None:
                 pass
 
 
-async def test_without_a_ring_there_is_a_reason(world: WorldFactory) -> None:
-    w = world()
+async def test_without_a_ring_there_is_a_reason(w: World) -> None:
     # master 1 does not look further than its HSA: master 50 is never asked in
     async with bus_of(address=1, world=w, hsa=10):
         bus = bus_of(address=50, world=w, join_timeout=2.0)

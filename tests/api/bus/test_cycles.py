@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 from api_kit import FAN, HOIST, RAW, bench_of, bus_of, operating, slave_in, stack_of
-from support import WorldFactory
 
 import dpstack
 from dpstack.api.config.config import parse_config
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.sim.world import World
 
 pytestmark = pytest.mark.virtual_time
 
@@ -222,9 +222,8 @@ class Ailing(MirrorDevice):
         return self.said
 
 
-async def test_a_diagnosis_is_fetched_in_the_gap_after_it_was_announced(world: WorldFactory) -> None:
+async def test_a_diagnosis_is_fetched_in_the_gap_after_it_was_announced(w: World) -> None:
     """A high-priority answer (DH), Slave_Diag before the next cycle, which begins in time."""
-    w = world()
     device = Ailing(0x1234, bytes.fromhex("23 13"))
     slave_in(w, device, 5)
     async with operating(A, world=w, cycle_ms=8) as bus:

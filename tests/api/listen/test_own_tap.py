@@ -58,8 +58,12 @@ def _tokens(count: int, begin: int = 0) -> list[tuple[int, int, bytes, bool]]:
     return [((begin + number + 1) * 1_000_000, BAUD, TOKEN, True) for number in range(count)]
 
 
-async def test_every_telegram_once_and_in_order_and_steps_are_short() -> None:
-    line = Line()
+@pytest.fixture
+def line() -> Line:
+    return Line()
+
+
+async def test_every_telegram_once_and_in_order_and_steps_are_short(line: Line) -> None:
     line.own.begin()
     line.send(*_tokens(3000))
     await line.until(1)
@@ -76,8 +80,7 @@ async def test_every_telegram_once_and_in_order_and_steps_are_short() -> None:
     assert line.own.timing.resolution_ns == 1
 
 
-async def test_a_lost_entry_is_told_in_its_place() -> None:
-    line = Line()
+async def test_a_lost_entry_is_told_in_its_place(line: Line) -> None:
     line.own.begin()
     assert line.tap is not None
     line.send(*_tokens(CAPACITY + 7))
@@ -89,8 +92,7 @@ async def test_a_lost_entry_is_told_in_its_place() -> None:
     assert sum(event.count for event in line.events if isinstance(event, OctetsLost)) == line.own.lost
 
 
-async def test_a_queue_that_is_full_delays_nobody() -> None:
-    line = Line()
+async def test_a_queue_that_is_full_delays_nobody(line: Line) -> None:
     line.own.begin()
     for number in range(4):  # nothing runs between these
         line.own.put(0, _tokens(CAPACITY // 2, number * CAPACITY))
@@ -100,8 +102,7 @@ async def test_a_queue_that_is_full_delays_nobody() -> None:
     assert line.own.lost >= CAPACITY
 
 
-async def test_a_port_that_was_lost_and_is_back() -> None:
-    line = Line()
+async def test_a_port_that_was_lost_and_is_back(line: Line) -> None:
     line.own.begin()
     line.send(*_tokens(1), (2_000_000, 0, b"", False), (3_000_000, BAUD, b"", False), *_tokens(1, 3))
     await line.until(2)
@@ -109,9 +110,8 @@ async def test_a_port_that_was_lost_and_is_back() -> None:
     assert [type(event) for event in line.events] == [PortLost, PortBack]
 
 
-async def test_a_step_ends_when_its_time_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_step_ends_when_its_time_is_over(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a computer that needs 60 us for a telegram a cycle of the bus is delayed by 0.25 ms at most."""
-    line = Line()
     line.own.begin()
     line.own.put(0, _tokens(100))
     clock = itertools.count(0, 60_000)

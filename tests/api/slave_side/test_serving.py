@@ -65,9 +65,8 @@ async def test_beside_a_master_in_one_world(world: WorldFactory) -> None:
 
 
 @in_virtual_time
-async def test_a_slave_at_another_rate_than_its_world_says_so_at_its_end(world: WorldFactory) -> None:
+async def test_a_slave_at_another_rate_than_its_world_says_so_at_its_end(w: World) -> None:
     """A slave that a master has spoken to says nothing."""
-    w = world()
     seen: list[dpstack.Event] = []
     raw = {"name": "raw", "address": 8, "ident": 0x1234, "config": "10 20"}
     heard = dpstack.slave.serve_slave(DpSlave(RIG, mirror), address=8, baud=500_000, world=w, on_event=seen.append)
@@ -83,8 +82,7 @@ async def test_a_slave_at_another_rate_than_its_world_says_so_at_its_end(world: 
 
 
 @in_virtual_time
-async def test_a_function_that_raises_stops_its_slave_only(world: WorldFactory) -> None:
-    w = world()
+async def test_a_function_that_raises_stops_its_slave_only(w: World) -> None:
     given: list[bytes] = []
     events: list[object] = []
 
@@ -141,8 +139,7 @@ async def test_a_function_cannot_restart_its_own_slave(world: WorldFactory) -> N
 
 @pytest.mark.parametrize("how", ["exit", "exception", "cancelled"])
 @in_virtual_time
-async def test_outputs_are_safe_however_serving_ends(world: WorldFactory, how: str) -> None:
-    w = world()
+async def test_outputs_are_safe_however_serving_ends(w: World, how: str) -> None:
     given = Outputs()
 
     async def serve() -> None:
@@ -239,8 +236,7 @@ async def test_a_defect_of_ours_ends_serving_with_safe_outputs(
 
 
 @in_virtual_time
-async def test_nobody_speaks_to_it(world: WorldFactory) -> None:
-    w = world()
+async def test_nobody_speaks_to_it(w: World) -> None:
     async with dpstack.slave.serve_slave(DpSlave(RIG, mirror), world=w, address=9) as server:
         with pytest.raises(SlaveTimeout, match="no master has spoken to it; check address, baud rate and cable"):
             await server.slave.reached(DATA_EXCH, timeout=1)

@@ -251,9 +251,8 @@ def order(token: int, address: int, *, write: bool) -> RecordOrder:
 
 
 @pytest.mark.parametrize("write", [False, True])
-def test_silence_is_in_the_longest_rotation(write: bool, world: WorldFactory) -> None:
+def test_silence_is_in_the_longest_rotation(w: World, write: bool) -> None:
     """T_SL with every retry, to the bit: what is longer than without is that, and Global_Control now and then."""
-    w = world()
     plant = silent(w)
     w.run_for(S)
     quiet = plant.master.rotation.min_ns
@@ -294,11 +293,10 @@ def test_silence_misses_no_cycle_where_every_attempt_fits(
 
 
 @pytest.mark.parametrize("class2", [True, False], ids=["class 2", "MS1"])
-def test_on_a_port_that_delivers_late_silence_costs_what_a_dying_slave_costs(class2: bool, world: WorldFactory) -> None:
+def test_on_a_port_that_delivers_late_silence_costs_what_a_dying_slave_costs(w: World, class2: bool) -> None:
     """MS1 waits with the patience of a station that is there (50 ms on a pty), once for each retry; so does the last
     attempt of a class 2 service, those before it wait 2 ms.
     """
-    w = world()
     plant = silent(w, patience=HOST)
     w.run_for(S)
     quiet = plant.master.rotation.min_ns
@@ -318,9 +316,8 @@ def test_on_a_port_that_delivers_late_silence_costs_what_a_dying_slave_costs(cla
     assert plant.exchanging
 
 
-def test_an_unknown_slave_is_waited_for_on_a_late_port_between_two_cycles_only(world: WorldFactory) -> None:
+def test_an_unknown_slave_is_waited_for_on_a_late_port_between_two_cycles_only(w: World) -> None:
     """A class 2 service to an absent address: its last attempt has 50 ms, and never more than there is room."""
-    w = world()
     plant = silent(w, cycle_ns=10 * MS, patience=HOST)
     book = plant.master.cycles
     missed = book.missed
@@ -331,9 +328,8 @@ def test_an_unknown_slave_is_waited_for_on_a_late_port_between_two_cycles_only(w
     assert plant.exchanging
 
 
-def test_in_stop_a_silent_slave_is_asked_as_often_as_otherwise(world: WorldFactory) -> None:
+def test_in_stop_a_silent_slave_is_asked_as_often_as_otherwise(w: World) -> None:
     """There is no Data_Exchange to wait for: four attempts, a look whether it is there, and an end that says so."""
-    w = world()
     plant = silent(w)
     w.command(plant.station, SetMode(Mode.STOP))
     w.run_for(S // 2)

@@ -6,7 +6,6 @@ import pytest
 from bus_kit import IDENT, PPO1, SimBus, setup
 from class2_kit import MS, Class2Bus
 from octet_slave import NR, RR, RS, UE, OctetSlave, sd1, sd2
-from support import WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.acyclic.job import ServiceFailure
@@ -27,14 +26,14 @@ from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
 from dpstack.machine import LineDown, LineUp
 from dpstack.params import BusParams
+from dpstack.sim.world import World
 from dpstack.trace import Event
 
 READS = (Service.DIAGNOSIS, Service.CONFIG, Service.INPUTS, Service.OUTPUTS)
 
 
-def test_literal_octets() -> None:
+def test_literal_octets(kit: Class2Bus) -> None:
     """Slave 4, in data exchange with master 1, ident 0x0CDA, a word of inputs, an octet of outputs."""
-    kit = Class2Bus()
     answers = {
         "68 05 05 68 84 82 6d 3c 3e ed 16": "68 0b 0b 68 82 84 08 3e 3c 00 0c 00 01 0c da 7b 16",
         "68 05 05 68 84 82 5d 3b 3e dc 16": "68 07 07 68 82 84 08 3e 3b 11 20 b8 16",
@@ -56,24 +55,21 @@ def test_literal_octets() -> None:
     assert kit.done[2].text == "slave 4: RD_Inp, 2 octets"
 
 
-def test_no_inputs_and_no_outputs_are_empty_not_a_refusal() -> None:
-    kit = Class2Bus()
+def test_no_inputs_and_no_outputs_are_empty_not_a_refusal(kit: Class2Bus) -> None:
     OctetSlave(kit.bus, 4, master=1)
     assert kit.read(4, Service.INPUTS).data == b""
     assert kit.read(4, Service.OUTPUTS, 0).failure is None
 
 
 @pytest.mark.parametrize("short", ["e5", "10 02 04 00 06 16", "10 02 04 09 0f 16"])
-def test_other_ways_to_say_that_there_is_nothing(short: str) -> None:
-    kit = Class2Bus()
+def test_other_ways_to_say_that_there_is_nothing(kit: Class2Bus, short: str) -> None:
     OctetSlave(kit.bus, 4, master=1).says[56] = lambda octets: bytes.fromhex(short)
     outcome = kit.read(4, Service.INPUTS)
     assert (outcome.failure, outcome.data) == (None, b"")
 
 
 @pytest.mark.parametrize("service", READS)
-def test_nobody_there(service: Service) -> None:
-    kit = Class2Bus()
+def test_nobody_there(kit: Class2Bus, service: Service) -> None:
     outcome = kit.read(77, service)
     assert outcome.failure is ServiceFailure.SILENT
     assert outcome.text == (
@@ -85,8 +81,7 @@ def test_nobody_there(service: Service) -> None:
 
 
 @pytest.mark.parametrize("service", [service for service in READS if service is not Service.DIAGNOSIS])
-def test_a_slave_that_is_there_and_leaves_a_service_without_an_answer(service: Service) -> None:
-    kit = Class2Bus()
+def test_a_slave_that_is_there_and_leaves_a_service_without_an_answer(kit: Class2Bus, service: Service) -> None:
     OctetSlave(kit.bus, 4, master=1).says[service] = lambda _octets: None
     outcome = kit.read(4, service)
     assert (outcome.failure, outcome.status) == (ServiceFailure.REFUSED, "no answer")
@@ -97,8 +92,7 @@ def test_a_slave_that_is_there_and_leaves_a_service_without_an_answer(service: S
 
 @pytest.mark.parametrize("service", READS)
 @pytest.mark.parametrize(("fc", "name"), [(RS, "RS"), (RR, "RR"), (UE, "UE")])
-def test_refusals(service: Service, fc: int, name: str) -> None:
-    kit = Class2Bus()
+def test_refusals(kit: Class2Bus, service: Service, fc: int, name: str) -> None:
     slave = OctetSlave(kit.bus, 4, master=1, inputs=b"\1", outputs=b"\2")
     slave.says[service] = lambda octets: sd1(2, 4, fc)
     outcome = kit.read(4, service)
@@ -107,8 +101,7 @@ def test_refusals(service: Service, fc: int, name: str) -> None:
     assert len(slave.requests) == (1 if fc == RS else 4)  # what is busy is asked again
 
 
-def test_busy_for_a_moment() -> None:
-    kit = Class2Bus()
+def test_busy_for_a_moment(kit: Class2Bus) -> None:
     slave = OctetSlave(kit.bus, 4, master=1, inputs=b"\x11\x22")
 
     def busy_twice(octets: bytes) -> bytes:
@@ -145,8 +138,7 @@ def test_answers_that_are_none(sap: int, answer: bytes, failure: ServiceFailure)
     assert kit.read(4, Service.DIAGNOSIS if sap != 60 else Service.CONFIG).failure is None  # and the next is served
 
 
-def test_a_length_that_is_not_the_configured_one() -> None:
-    kit = Class2Bus()
+def test_a_length_that_is_not_the_configured_one(kit: Class2Bus) -> None:
     OctetSlave(kit.bus, 4, master=1, inputs=b"\1\2\3")
     assert kit.read(4, Service.INPUTS, 3).data == b"\1\2\3"
     outcome = kit.read(4, Service.INPUTS, 2)
@@ -154,10 +146,9 @@ def test_a_length_that_is_not_the_configured_one() -> None:
     assert outcome.text.startswith("slave 4 answers RD_Inp with 3 octets instead of 2; its real configuration differs")
 
 
-def test_a_late_answer_is_not_taken_for_the_next_ones() -> None:
+def test_a_late_answer_is_not_taken_for_the_next_ones(kit: Class2Bus) -> None:
     """The answer to RD_Inp comes when RD_Outp was asked already; the SAPs tell them apart, and a repetition of the
     same service keeps the first of two back."""
-    kit = Class2Bus()
     slave = OctetSlave(kit.bus, 4, master=1, inputs=b"\xaa", outputs=b"\xbb")
     assert kit.read(4, Service.DIAGNOSIS).failure is None
 
@@ -179,8 +170,7 @@ def test_a_late_answer_is_not_taken_for_the_next_ones() -> None:
 # --- the queue ------------------------------------------------------------------------------------------------------
 
 
-def test_one_request_a_token_hold() -> None:
-    kit = Class2Bus()
+def test_one_request_a_token_hold(kit: Class2Bus) -> None:
     OctetSlave(kit.bus, 4, master=1)
     for token in range(10):
         kit.send(ReadService(token, 4, Service.DIAGNOSIS))
@@ -190,8 +180,7 @@ def test_one_request_a_token_hold() -> None:
     assert [done.token for done in kit.done] == list(range(10))  # in their order
 
 
-def test_the_queue_is_bounded() -> None:
-    kit = Class2Bus()
+def test_the_queue_is_bounded(kit: Class2Bus) -> None:
     for token in range(CAPACITY):
         kit.send(ReadService(token, 9, Service.DIAGNOSIS))
     with pytest.raises(UsageError, match="32 class 2 services are waiting already: await their results first"):
@@ -209,8 +198,7 @@ def test_the_queue_is_bounded() -> None:
         (2, "address 2 is that of this master"),
     ],
 )
-def test_addresses_that_cannot_be(address: int, text: str) -> None:
-    kit = Class2Bus()
+def test_addresses_that_cannot_be(kit: Class2Bus, address: int, text: str) -> None:
     with pytest.raises(UsageError, match=text):
         kit.send(ReadService(1, address, Service.DIAGNOSIS))
     with pytest.raises(UsageError, match="does not read"):
@@ -218,8 +206,7 @@ def test_addresses_that_cannot_be(address: int, text: str) -> None:
     assert kit.acyclic.waiting == 0
 
 
-def test_the_port_vanishes_with_services_waiting_and_under_way() -> None:
-    kit = Class2Bus()
+def test_the_port_vanishes_with_services_waiting_and_under_way(kit: Class2Bus) -> None:
     OctetSlave(kit.bus, 4, master=1)
     for token in (101, 102, 103):
         kit.send(ReadService(token, 4, Service.DIAGNOSIS))
@@ -244,8 +231,7 @@ def test_the_port_vanishes_with_services_waiting_and_under_way() -> None:
     assert kit.read(4, Service.DIAGNOSIS).failure is None
 
 
-def test_without_a_token_it_ends_in_time() -> None:
-    kit = Class2Bus()
+def test_without_a_token_it_ends_in_time(kit: Class2Bus) -> None:
     kit.send(GoOffline())
     kit.bus.run(10 * MS)
     begun = kit.bus.now
@@ -258,8 +244,7 @@ def test_without_a_token_it_ends_in_time() -> None:
     assert kit.read(4, Service.DIAGNOSIS).failure is None
 
 
-def test_cancelled_ones_are_asked_no_more() -> None:
-    kit = Class2Bus()
+def test_cancelled_ones_are_asked_no_more(kit: Class2Bus) -> None:
     slave = OctetSlave(kit.bus, 4, master=1)
     kit.send(ReadService(1, 4, Service.DIAGNOSIS))
     kit.send(ReadService(2, 4, Service.CONFIG))
@@ -286,8 +271,7 @@ def ends(told: list[Event]) -> dict[int, ServiceDone]:
     return {event.token: event for event in told if isinstance(event, ServiceDone)}
 
 
-def test_beside_another_class_1_master_that_notices_nothing(world: WorldFactory) -> None:
-    w = world()
+def test_beside_another_class_1_master_that_notices_nothing(w: World) -> None:
     params = BusParams.preset(500_000, address=2)
     bus = SimBus(w, params, (3, 4, 5))
     bus.until_exchanging()
@@ -323,9 +307,8 @@ def test_beside_another_class_1_master_that_notices_nothing(world: WorldFactory)
         assert (app.state, app.master, app.stats.watchdogs) == (SlaveAppState.DATA_EXCH, 2, 0)
 
 
-def test_beside_the_class_1_master_of_its_own_station(world: WorldFactory) -> None:
+def test_beside_the_class_1_master_of_its_own_station(w: World) -> None:
     """Every rotation has its data exchange; with a service it is longer by that one service at most."""
-    w = world()
     params = BusParams.preset(500_000, address=2, gap=0)
     bus = SimBus(w, params, (3, 4, 5))
     bus.until_exchanging()
@@ -347,9 +330,8 @@ def test_beside_the_class_1_master_of_its_own_station(world: WorldFactory) -> No
     assert bus.station.stats.stations[4].retries == 0
 
 
-def test_without_time_to_spare_it_ends_and_says_so(world: WorldFactory) -> None:
+def test_without_time_to_spare_it_ends_and_says_so(w: World) -> None:
     """T_TR so short that data exchange alone uses it up: the cycle goes on, the service does not get in."""
-    w = world()
     params = BusParams.preset(500_000, address=2, gap=0).replace(t_tr=256)
     bus = SimBus(w, params, (3, 4))
     bus.until_exchanging()
@@ -381,9 +363,8 @@ class TellsOnce(SlaveApp):
         return reply
 
 
-def test_its_own_master_gets_a_diagnosis_that_it_read(world: WorldFactory) -> None:
+def test_its_own_master_gets_a_diagnosis_that_it_read(w: World) -> None:
     """What a slave shows in one diagnosis only is not lost for the master by being read for somebody else."""
-    w = world()
     params = BusParams.preset(500_000, address=2)
     app = TellsOnce(MirrorDevice(IDENT, PPO1))
     w.add(PassiveStation(3, app, params))

@@ -7,7 +7,6 @@ from bus_kit import IDENT, PPO1, SimBus
 from class2_kit import MS, Class2Bus
 from octet_slave import DL, RS, OctetSlave, sd1, sd2
 from ring_bus import fixed
-from support import WorldFactory
 
 from dpstack.dp.acyclic.class2 import ChangeAddress, Service, ServiceDone, ask
 from dpstack.dp.acyclic.job import Outcome, RequestEnd, ServiceFailure
@@ -20,6 +19,7 @@ from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
+from dpstack.sim.world import World
 from dpstack.trace import Notice
 
 
@@ -39,9 +39,8 @@ def begin_change(kit: Class2Bus, slave: OctetSlave) -> None:
         kit.bus.run(MS)
 
 
-def test_literal_octets() -> None:
+def test_literal_octets(kit: Class2Bus) -> None:
     """Slave 126 as delivered becomes slave 5: every telegram of it."""
-    kit = Class2Bus()
     slave = OctetSlave(kit.bus, 126)
     kit.bus.log.clear()
     outcome = kit.change(ChangeAddress(1, 126, 5, ident=0x1234))
@@ -62,8 +61,7 @@ def test_literal_octets() -> None:
     assert [event.text for event in kit.bus.events_of(Notice)] == ["class 2: slave 126 has address 5 now"]
 
 
-def test_the_rest_of_the_telegram() -> None:
-    kit = Class2Bus()
+def test_the_rest_of_the_telegram(kit: Class2Bus) -> None:
     slave = OctetSlave(kit.bus, 7)
     assert kit.change(ChangeAddress(1, 7, 125, no_add_chg=True, rem_slave_data=b"\xca\xfe")).failure is None
     assert orders(slave) == ["7d 12 34 ff ca fe"]
@@ -91,8 +89,7 @@ def test_the_effect_counts_not_the_acknowledgement(moves: str, mode: str) -> Non
         (True, "slave 126 did not acknowledge Set_Slave_Add and kept its address"),
     ],
 )
-def test_a_slave_that_ignores_it(silent: bool, text: str) -> None:
-    kit = Class2Bus()
+def test_a_slave_that_ignores_it(kit: Class2Bus, silent: bool, text: str) -> None:
     slave = OctetSlave(kit.bus, 126, moves="ignores")
     if silent:
         slave.says[55] = lambda octets: None
@@ -103,9 +100,8 @@ def test_a_slave_that_ignores_it(silent: bool, text: str) -> None:
     assert kit.bus.now - begun < 2_000 * MS
 
 
-def test_a_slave_that_takes_its_time() -> None:
+def test_a_slave_that_takes_its_time(kit: Class2Bus) -> None:
     """It restarts with the new address: silent for three seconds."""
-    kit = Class2Bus()
     slave = OctetSlave(kit.bus, 126, moves="dies")
     begin_change(kit, slave)
     kit.bus.run(3_000 * MS)
@@ -113,8 +109,7 @@ def test_a_slave_that_takes_its_time() -> None:
     assert kit.end(1).failure is None
 
 
-def test_a_slave_that_is_gone() -> None:
-    kit = Class2Bus()
+def test_a_slave_that_is_gone(kit: Class2Bus) -> None:
     OctetSlave(kit.bus, 126, moves="dies")
     outcome = change(kit)
     assert outcome.failure is ServiceFailure.GONE
@@ -124,8 +119,7 @@ def test_a_slave_that_is_gone() -> None:
     )
 
 
-def test_another_device_turns_up_at_the_new_address() -> None:
-    kit = Class2Bus()
+def test_another_device_turns_up_at_the_new_address(kit: Class2Bus) -> None:
     slave = OctetSlave(kit.bus, 126, moves="dies")
     begin_change(kit, slave)
     OctetSlave(kit.bus, 5, ident=b"\xde\xad")
@@ -134,8 +128,7 @@ def test_another_device_turns_up_at_the_new_address() -> None:
     assert outcome.text.startswith("another device answers at 5 after Set_Slave_Add: ident 0xDEAD instead of 0x1234;")
 
 
-def test_two_devices_at_the_old_address() -> None:
-    kit = Class2Bus()
+def test_two_devices_at_the_old_address(kit: Class2Bus) -> None:
     slave = OctetSlave(kit.bus, 126)
     begin_change(kit, slave)
     OctetSlave(kit.bus, 126)  # the other one had not heard it
@@ -147,13 +140,11 @@ def test_two_devices_at_the_old_address() -> None:
 # --- what is looked at before ---------------------------------------------------------------------------------------
 
 
-def test_nobody_there() -> None:
-    kit = Class2Bus()
+def test_nobody_there(kit: Class2Bus) -> None:
     assert change(kit).failure is ServiceFailure.SILENT
 
 
-def test_another_device() -> None:
-    kit = Class2Bus()
+def test_another_device(kit: Class2Bus) -> None:
     slave = OctetSlave(kit.bus, 126)
     outcome = kit.change(ChangeAddress(1, 126, 5, ident=0x0696))
     assert outcome.failure is ServiceFailure.IDENT
@@ -168,8 +159,7 @@ def test_another_device() -> None:
         (0x04, "its watchdog is off: switch it off and on, or let master 1 take it up again and end in order"),
     ],
 )
-def test_a_slave_that_a_master_left_locked_which_is_gone(octet_2: int, words: str) -> None:
-    kit = Class2Bus()
+def test_a_slave_that_a_master_left_locked_which_is_gone(kit: Class2Bus, octet_2: int, words: str) -> None:
     slave = OctetSlave(kit.bus, 7, master=1)
     slave.says[60] = lambda _: sd2(2, 7, DL, 62, 60, bytes((0, octet_2, 0, 1)) + slave.ident)
     outcome = change(kit, 7)
@@ -180,8 +170,7 @@ def test_a_slave_that_a_master_left_locked_which_is_gone(octet_2: int, words: st
     )
 
 
-def test_a_slave_of_another_master() -> None:
-    kit = Class2Bus()
+def test_a_slave_of_another_master(kit: Class2Bus) -> None:
     slave = OctetSlave(kit.bus, 7, master=1)
     kit.bus.slaves[1] = fixed("10 01 02 49 4C 16", "10 02 01 30 33 16")  # FDL status: a master in the ring
     outcome = change(kit, 7)
@@ -202,8 +191,7 @@ def test_an_address_in_use() -> None:
     assert orders(slave) == []
 
 
-def test_a_slave_that_cannot_do_it() -> None:
-    kit = Class2Bus()
+def test_a_slave_that_cannot_do_it(kit: Class2Bus) -> None:
     slave = OctetSlave(kit.bus, 126)
     slave.says[55] = lambda octets: sd1(2, 126, RS)
     outcome = change(kit)
@@ -245,8 +233,7 @@ def test_a_read_only_bus_changes_nothing() -> None:
     ]
 
 
-def test_cut_short_it_says_what_may_have_happened() -> None:
-    kit = Class2Bus()
+def test_cut_short_it_says_what_may_have_happened(kit: Class2Bus) -> None:
     slave = OctetSlave(kit.bus, 126, moves="dies")
     begin_change(kit, slave)
     kit.bus.run(MS)
@@ -259,8 +246,7 @@ def test_cut_short_it_says_what_may_have_happened() -> None:
 # --- beside class 1 masters -----------------------------------------------------------------------------------------
 
 
-def test_a_slave_of_its_own_station_is_refused_at_once(world: WorldFactory) -> None:
-    w = world()
+def test_a_slave_of_its_own_station_is_refused_at_once(w: World) -> None:
     bus = SimBus(w, BusParams.preset(500_000, address=2), (3,))
     bus.until_exchanging()
     with pytest.raises(UsageError, match="slave 3 is parameterised by this master"):
@@ -285,8 +271,7 @@ class Addressable(SlaveApp):
         return SC_REPLY
 
 
-def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFactory) -> None:
-    w = world()
+def test_beside_a_running_class_1_master_nobody_loses_an_exchange(w: World) -> None:
     params = BusParams.preset(500_000, address=2)
     bus = SimBus(w, params, (3, 4))
     w.add(PassiveStation(126, Addressable(MirrorDevice(IDENT, PPO1)), params))

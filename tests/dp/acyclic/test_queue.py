@@ -155,8 +155,12 @@ class Holds:
         return [(event.token, event.outcome.failure, event.text) for event in events]
 
 
-def test_services_without_a_lane_take_turns_and_known_stations_are_waited_for() -> None:
-    bus = Holds()
+@pytest.fixture
+def bus() -> Holds:
+    return Holds()
+
+
+def test_services_without_a_lane_take_turns_and_known_stations_are_waited_for(bus: Holds) -> None:
     for address in (3, 4, 5):
         bus.order(Pieces(address, 3))
     assert bus.queue.waiting == 3
@@ -165,24 +169,21 @@ def test_services_without_a_lane_take_turns_and_known_stations_are_waited_for() 
     assert bus.queue.waiting == 0
 
 
-def test_one_that_comes_later_waits_for_its_turn_once() -> None:
-    bus = Holds()
+def test_one_that_comes_later_waits_for_its_turn_once(bus: Holds) -> None:
     bus.order(Pieces(3, 4))
     assert bus.holds(2) == "3.0 3.1p"
     bus.order(Pieces(4, 2))
     assert bus.holds(4) == "3.2p 4.0 3.3p 4.1p"
 
 
-def test_a_station_that_falls_silent_is_not_waited_for_any_longer() -> None:
-    bus = Holds()
+def test_a_station_that_falls_silent_is_not_waited_for_any_longer(bus: Holds) -> None:
     bus.order(Pieces(3, 6))
     assert [bus.hold(answer) for answer in (SHORT_ACK, NONE, SHORT_ACK, Failure.GARBLED, SHORT_ACK, SHORT_ACK)] == [
         "3.0", "3.1p", "3.2", "3.3p", "3.4p", "3.5p",
     ]  # fmt: skip
 
 
-def test_services_of_one_lane_run_one_after_the_other() -> None:
-    bus = Holds()
+def test_services_of_one_lane_run_one_after_the_other(bus: Holds) -> None:
     for count, lane in ((2, "a"), (2, "a"), (3, "b")):
         bus.order(Pieces(3 if lane == "a" else 4, count, lane))
     assert bus.queue.lanes() == {"a", "b"}
@@ -191,8 +192,7 @@ def test_services_of_one_lane_run_one_after_the_other() -> None:
     assert bus.queue.lanes() == set()
 
 
-def test_a_service_that_may_not_begin_is_overtaken_in_its_lane() -> None:
-    bus = Holds()
+def test_a_service_that_may_not_begin_is_overtaken_in_its_lane(bus: Holds) -> None:
     first, second = Pieces(3, 2, "a", held="it waits"), Pieces(4, 2, "a")
     bus.order(first)
     bus.order(second)
@@ -202,8 +202,7 @@ def test_a_service_that_may_not_begin_is_overtaken_in_its_lane() -> None:
     assert [token for token, *_ in bus.ends] == [2, 1]
 
 
-def test_a_begun_service_is_not_held_up_any_more() -> None:
-    bus = Holds()
+def test_a_begun_service_is_not_held_up_any_more(bus: Holds) -> None:
     job = Pieces(3, 3, "a")
     bus.order(job)
     assert bus.hold() == "3.0"
@@ -211,8 +210,7 @@ def test_a_begun_service_is_not_held_up_any_more() -> None:
     assert bus.holds(3) == "3.1p 3.2p"
 
 
-def test_first_in_a_lane_is_behind_what_has_begun_and_before_the_rest() -> None:
-    bus = Holds()
+def test_first_in_a_lane_is_behind_what_has_begun_and_before_the_rest(bus: Holds) -> None:
     for address in (3, 4):
         bus.order(Pieces(address, 2, "a"))
     assert bus.hold() == "3.0"
@@ -225,15 +223,13 @@ def test_first_in_a_lane_is_behind_what_has_begun_and_before_the_rest() -> None:
     assert bus.holds(3) == "5.0p 3.0p"
 
 
-def test_pauses_begin_with_the_end_of_the_last_request() -> None:
+def test_pauses_begin_with_the_end_of_the_last_request(bus: Holds) -> None:
     """The first request of a service waits for nothing."""
-    bus = Holds()
     bus.order(Pieces(3, 3, pause_ms=10))
     assert [bus.hold() for _ in range(10)] == ["3.0", "", "", "3.1p", "", "", "3.2p", "", "", ""]
 
 
-def test_the_times_of_a_request() -> None:
-    bus = Holds()
+def test_the_times_of_a_request(bus: Holds) -> None:
     bus.now = 100 * MS
     job = Pieces(3, 3)
     bus.order(job)
@@ -246,8 +242,7 @@ def test_the_times_of_a_request() -> None:
 
 
 @pytest.mark.parametrize("answer", [Failure.ABANDONED, Failure.HELD_BACK])
-def test_a_request_that_was_not_sent_is_asked_again(answer: Failure) -> None:
-    bus = Holds()
+def test_a_request_that_was_not_sent_is_asked_again(bus: Holds, answer: Failure) -> None:
     job = Pieces(3, 2)
     bus.order(job)
     assert [bus.hold(answer), bus.hold(), bus.hold(answer), bus.hold()] == ["3.0", "3.0", "3.1p", "3.1p"]
@@ -324,8 +319,7 @@ def test_with_its_request_under_way_a_service_may_still_be_completed() -> None:
         assert bus.ends == []
 
 
-def test_cancelled_before_it_was_sent_and_between_two_requests() -> None:
-    bus = Holds()
+def test_cancelled_before_it_was_sent_and_between_two_requests(bus: Holds) -> None:
     for address in (3, 4):
         bus.order(Pieces(address, 2))
     bus.hold()
@@ -335,8 +329,7 @@ def test_cancelled_before_it_was_sent_and_between_two_requests() -> None:
     assert bus.holds(3) == "4.0 4.1p"
 
 
-def test_a_lost_port_ends_every_service() -> None:
-    bus = Holds()
+def test_a_lost_port_ends_every_service(bus: Holds) -> None:
     for address in (3, 4):
         bus.order(Pieces(address, 2))
     request = bus.begin()
@@ -393,8 +386,7 @@ def test_why_a_service_is_late(story: str, failure: ServiceFailure, why: str) ->
         assert text.startswith(f"Service to slave 3 was not over after 2.5 s: {why}")
 
 
-def test_a_late_service_with_its_request_under_way_ends_with_that_request() -> None:
-    bus = Holds()
+def test_a_late_service_with_its_request_under_way_ends_with_that_request(bus: Holds) -> None:
     bus.order(Pieces(3, 2), 10 * MS)
     request = bus.begin()
     assert request is not None
@@ -407,9 +399,8 @@ def test_a_late_service_with_its_request_under_way_ends_with_that_request() -> N
     ]
 
 
-def test_the_queue_is_full_for_each_lane_alone() -> None:
+def test_the_queue_is_full_for_each_lane_alone(bus: Holds) -> None:
     """32 services a lane. Acknowledgements of alarms do not count."""
-    bus = Holds()
     assert CAPACITY == 32
     for lane in (None, "a", "b"):
         for _ in range(3):
@@ -424,8 +415,7 @@ def test_the_queue_is_full_for_each_lane_alone() -> None:
     assert bus.queue.waiting == 3 * 35
 
 
-def test_an_event_of_a_provider_is_reported() -> None:
-    bus = Holds()
+def test_an_event_of_a_provider_is_reported(bus: Holds) -> None:
     event = End(t_ns=1, token=2, outcome=Outcome())
     bus.queue.report(event)
     assert bus.queue.take_events() == [event]

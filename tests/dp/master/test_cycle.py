@@ -11,6 +11,7 @@ from dpstack.dp.master.commands import AddSlave, Mode, SetMode
 from dpstack.dp.master.fixed_cycle import CycleData, MissReason
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
+from dpstack.sim.world import World
 from tests.dp.master.cycle_kit import P500, CycleBus, running, slave, steps
 
 #: a bit at 500 kbit/s in ns; one exchange of twelve octets each way in bits: request, T_SDR, answer, T_ID1
@@ -187,9 +188,8 @@ def test_a_slave_that_is_too_slow_for_the_cycle_is_refused(world: WorldFactory) 
 # --- two masters ------------------------------------------------------------------------------------------------------
 
 
-def test_two_masters_with_fixed_cycles_in_one_ring(world: WorldFactory) -> None:
+def test_two_masters_with_fixed_cycles_in_one_ring(w: World) -> None:
     """Each keeps its own grid on average; a start waits for the other's hold: a round, a poll, three tokens at most."""
-    w = world()
     first = CycleBus(w, P500, (slave(5), slave(6)), 8 * MS)
     w.run_for(100 * MS)
     second = CycleBus(w, BusParams.preset(500_000, address=1), (slave(15), slave(16)), 10 * MS)

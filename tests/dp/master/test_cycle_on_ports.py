@@ -27,6 +27,7 @@ from dpstack.fdl.events import DoesNotFit, StationFound
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST, measured
 from dpstack.sim.adapter import FTDI_LOW_LATENCY, Adapter
+from dpstack.sim.world import World
 from tests.dp.master.cycle_kit import P500, CycleBus, running, slave
 
 P1500 = BusParams.preset(1_500_000, address=2)
@@ -152,9 +153,8 @@ def test_the_end_does_not_wait_for_a_cycle_that_the_token_is_kept_for(world: Wor
     assert bus.exchanges(5)[0] - ordered <= 1100 * US
 
 
-def test_behind_an_adapter_a_slave_that_comes_later_is_taken_in(world: WorldFactory) -> None:
+def test_behind_an_adapter_a_slave_that_comes_later_is_taken_in(w: World) -> None:
     """Answers are 1 to 2 ms late; a poll of the GAP has less time than that in some cycles, and is found out."""
-    w = world()
     setups = [slave(5, watchdog_ms=1000), slave(6, watchdog_ms=1000)]
     stations = {s.address: mirror(s.address, P500) for s in setups}
     w.add(stations[5])

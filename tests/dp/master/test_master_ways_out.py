@@ -112,8 +112,12 @@ def test_nothing_goes_to_a_slave_removed_in_the_middle_of_a_round() -> None:
         master.result(request, Failure.NO_ANSWER, bus.now)
 
 
-def test_the_answer_to_a_removed_slave_is_nobodys() -> None:
-    bus = operating(setup(3))
+@pytest.fixture
+def bus() -> ScriptedLink:
+    return operating(setup(3))
+
+
+def test_the_answer_to_a_removed_slave_is_nobodys(bus: ScriptedLink) -> None:
     request = bus.next_request()
     bus.send(RemoveSlave(3))
     bus.send(AddSlave(setup(3)))
@@ -174,8 +178,7 @@ def test_no_farewell_after_the_line_was_down_or_in_stop(how: str) -> None:
     assert not any(r.da == 4 for r in bus.requests)
 
 
-def test_shutdown_during_bring_up_parameterises_nobody_any_more() -> None:
-    bus = operating(setup(3))
+def test_shutdown_during_bring_up_parameterises_nobody_any_more(bus: ScriptedLink) -> None:
     bus.slaves[4] = ScriptedSlave()
     bus.send(AddSlave(setup(4)))
     bus.hold()
@@ -189,9 +192,8 @@ def test_shutdown_during_bring_up_parameterises_nobody_any_more() -> None:
 # --- re-entry, back-off, what is told ---------------------------------------------------------------------------
 
 
-def test_parameters_follow_a_fresh_diagnosis_after_a_pause() -> None:
+def test_parameters_follow_a_fresh_diagnosis_after_a_pause(bus: ScriptedLink) -> None:
     """A slave that left after a short stay is parameterised later: by then another master may have taken it."""
-    bus = operating(setup(3))
     slave = bus.slave
     slave.answers[None] = refuses(0x03)
     slave.configured = False
@@ -203,8 +205,7 @@ def test_parameters_follow_a_fresh_diagnosis_after_a_pause() -> None:
     assert bus.faults(3)[-1] == "locked"
 
 
-def test_wrong_length_after_a_short_stay_is_retried_after_one_second() -> None:
-    bus = operating(setup(3))
+def test_wrong_length_after_a_short_stay_is_retried_after_one_second(bus: ScriptedLink) -> None:
     bus.slave.inputs = b"\x01"
     bus.run(10 * MS)
     assert bus.state(3) is SlaveState.FAULT
@@ -272,8 +273,7 @@ def test_the_first_inputs_after_a_re_entry_are_never_the_old_ones() -> None:
     assert set(seen.inputs) == {b"", b"\x55\x66\x77\x88"}
 
 
-def test_global_control_is_not_repeated_after_every_diagnosis() -> None:
-    bus = operating(setup(3))
+def test_global_control_is_not_repeated_after_every_diagnosis(bus: ScriptedLink) -> None:
     bus.slave.answers[None] = high  # always DH
     bus.run(1_000 * MS)
     assert sum(r.dsap == 60 for r in bus.requests) > 100
@@ -302,8 +302,7 @@ def test_a_bring_up_that_has_begun_is_not_held_up_by_many_others() -> None:
     assert worst < 200 * MS
 
 
-def test_a_slave_that_wants_parameters_again_and_again_never_left_data_exchange() -> None:
-    bus = operating(setup(3))
+def test_a_slave_that_wants_parameters_again_and_again_never_left_data_exchange(bus: ScriptedLink) -> None:
     bus.slaves[4] = ScriptedSlave(ready=bytes.fromhex("02 05 00 FF 06 96"))
     bus.send(AddSlave(setup(4)))
     bus.run(500 * MS)

@@ -74,9 +74,13 @@ def brief(found: dict[int, Found]) -> list[tuple[object, ...]]:
     return [(f.address, f.kind.name, f.ident, f.state and f.state.value, f.master) for _, f in sorted(found.items())]
 
 
+@pytest.fixture
+def bus() -> RingBus:
+    return RingBus()
+
+
 @pytest.mark.parametrize("baud", [9_600, 500_000, 12_000_000])
-def test_a_silent_bus(world: WorldFactory, baud: int) -> None:
-    w = world()
+def test_a_silent_bus(w: World, baud: int) -> None:
     params = BusParams.preset(baud)
     for address in (3, 126):
         w.add(mirror(address, params))
@@ -124,9 +128,8 @@ def test_beside_another_master_that_notices_nothing(world: WorldFactory) -> None
     assert longest < figures[0][1] + token_and_poll + diagnosis + params.ns(2 * params.t_sl)
 
 
-def test_the_owners_watchdog_still_runs_while_others_ask(world: WorldFactory) -> None:
+def test_the_owners_watchdog_still_runs_while_others_ask(w: World) -> None:
     """A Slave_Diag of another master is no sign of life of the owner."""
-    w = world()
     params = BusParams.preset(500_000, address=2)
     bus = SimBus(w, params, (3,))
     bus.until_exchanging()
@@ -143,8 +146,7 @@ def test_the_owners_watchdog_still_runs_while_others_ask(world: WorldFactory) ->
     assert states == [SlaveView.DATA_EXCHANGE, SlaveView.WAIT_PRM]
 
 
-def test_a_slave_that_goes_and_comes_while_it_is_watched(world: WorldFactory) -> None:
-    w = world()
+def test_a_slave_that_goes_and_comes_while_it_is_watched(w: World) -> None:
     params = BusParams.preset(500_000)
     slave = mirror(3, params)
     w.add(slave)
@@ -172,9 +174,8 @@ def scan_octets(bus: RingBus, addresses: Sequence[int]) -> Scanner:
     return scanner
 
 
-def test_a_station_that_is_no_dp_slave_stays_unknown() -> None:
+def test_a_station_that_is_no_dp_slave_stays_unknown(bus: RingBus) -> None:
     """It answers FDL status, and RS to everything else."""
-    bus = RingBus()
     status, refusal = bytes.fromhex("10 02 04 00 06 16"), bytes.fromhex("10 02 04 03 09 16")
     bus.slaves[4] = lambda octets, now: (11, status if octets[0] == 0x10 else refusal)
     scanner = scan_octets(bus, range(8))
@@ -189,9 +190,8 @@ def test_a_station_that_is_no_dp_slave_stays_unknown() -> None:
     }
 
 
-def test_literal_octets() -> None:
+def test_literal_octets(bus: RingBus) -> None:
     """Slave 4, in data exchange with master 1, ident 0x0CDA; it knows octets only."""
-    bus = RingBus()
     answers = {
         "10 04 02 49 4f 16": "10 02 04 00 06 16",
         "68 05 05 68 84 82 6d 3c 3e ed 16": "68 0b 0b 68 82 84 08 3e 3c 00 0c 00 01 0c da 7b 16",
@@ -236,9 +236,8 @@ def test_a_station_that_is_gone_hides_none_that_was_found_with_it() -> None:
 
 
 @pytest.mark.parametrize("quick", [False, True])
-def test_a_survey_asks_its_addresses_once_and_leaves_out_what_the_master_knows(quick: bool) -> None:
+def test_a_survey_asks_its_addresses_once_and_leaves_out_what_the_master_knows(bus: RingBus, quick: bool) -> None:
     """Slaves 4 and 5 name master 2, which asks, as their owner; Slave_Diag of slave 5 is left to the master."""
-    bus = RingBus()
     answers = {
         "10 04 02 49 4f 16": "10 02 04 00 06 16",
         "10 05 02 49 50 16": "10 02 05 00 07 16",
@@ -266,8 +265,7 @@ def test_a_survey_asks_its_addresses_once_and_leaves_out_what_the_master_knows(q
     assert set(asked) == set(answers)
 
 
-def test_a_slave_that_names_whoever_asks_has_no_owner() -> None:
-    bus = RingBus()
+def test_a_slave_that_names_whoever_asks_has_no_owner(bus: RingBus) -> None:
     answers = {
         "10 04 02 49 4f 16": "10 02 04 00 06 16",
         "68 05 05 68 84 82 6d 3c 3e ed 16": "68 0b 0b 68 82 84 08 3e 3c 00 0c 00 02 0c da 7c 16",
@@ -338,8 +336,7 @@ def test_a_request_that_is_refused_is_named(request_: Request, name: str) -> Non
     assert reading_only(request_) == text
 
 
-def test_nothing_else_leaves_a_guarded_station() -> None:
-    bus = RingBus()
+def test_nothing_else_leaves_a_guarded_station(bus: RingBus) -> None:
     user = ListUser(high=[*WRITES, *READS])
     station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [user], guard=reading_only)
     bus.stations.append(station)
@@ -353,9 +350,8 @@ def test_nothing_else_leaves_a_guarded_station() -> None:
     assert told[0].message.startswith("Data_Exchange to station 3 was not sent: this bus is read-only")
 
 
-def test_a_master_behind_the_guard_takes_no_slave(world: WorldFactory) -> None:
+def test_a_master_behind_the_guard_takes_no_slave(w: World) -> None:
     """Whatever a DP master tries: the slave stays where it is, and the attempt is a finding."""
-    w = world()
     params = BusParams.preset(500_000, address=2)
     slave: PassiveStation = mirror(3, params)
     w.add(slave)

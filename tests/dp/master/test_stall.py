@@ -122,8 +122,12 @@ def test_a_restart_of_one_slave_changes_nothing() -> None:
     assert mode_of(bus) is Mode.OPERATE
 
 
-def test_the_only_slave_may_restart() -> None:
-    bus = running(3)
+@pytest.fixture
+def bus() -> ScriptedLink:
+    return running(3)
+
+
+def test_the_only_slave_may_restart(bus: ScriptedLink) -> None:
     bus.slave.configured = False
     bus.run_long(3_000 * MS)
     assert bus.states(3)[-1] == "data_exchange"
@@ -179,9 +183,8 @@ def test_one_refuses_for_another_reason() -> None:
 # --- what blocked -----------------------------------------------------------------------------------------------------
 
 
-def test_the_computer_was_suspended() -> None:
+def test_the_computer_was_suspended(bus: ScriptedLink) -> None:
     """The machine's time does not contain it."""
-    bus = running(3)
     gap = HeldUp(3_000 * MS, "the computer was suspended for 3000 ms", suspended=True)
     bus.send(gap)
     bus.run(20 * MS)
@@ -201,8 +204,7 @@ def test_the_computer_was_suspended() -> None:
     ],
     ids=["the master did not run", "the token did not come"],
 )
-def test_most_of_the_gap_is_the_reason(held_up: int, blocked: Blocked, words: str) -> None:
-    bus = running(3)
+def test_most_of_the_gap_is_the_reason(bus: ScriptedLink, held_up: int, blocked: Blocked, words: str) -> None:
     bus.now += 500 * MS
     if held_up:
         bus.send(HeldUp(held_up, "the process was stopped for 498 ms"))
@@ -228,8 +230,7 @@ def test_a_lost_port(away_ms: int, mode: Mode) -> None:
         assert "the port vanished (the adapter was pulled)" in bus.events_of(Stalled)[0].text
 
 
-def test_the_token_was_away_so_long_that_the_line_counts_as_lost() -> None:
-    bus = running(3)
+def test_the_token_was_away_so_long_that_the_line_counts_as_lost(bus: ScriptedLink) -> None:
     bus.now += 3_000 * MS
     bus.master.tick(bus.now)
     bus.run(1_000 * MS)
@@ -237,9 +238,8 @@ def test_the_token_was_away_so_long_that_the_line_counts_as_lost() -> None:
     assert bus.events_of(Stalled)[0].blocked is Blocked.TOKEN
 
 
-def test_a_port_that_comes_back_when_its_slaves_are_gone_lets_nothing_old_out() -> None:
+def test_a_port_that_comes_back_when_its_slaves_are_gone_lets_nothing_old_out(bus: ScriptedLink) -> None:
     """Slave 3 was asked in vain at once, which is no sign that its watchdog was kept alive before."""
-    bus = running(3)
     bus.send(LineDown("pulled"))
     bus.now += 400 * MS
     with bus.without(3):
@@ -253,8 +253,7 @@ def test_a_port_that_comes_back_when_its_slaves_are_gone_lets_nothing_old_out() 
 # --- who is no stall --------------------------------------------------------------------------------------------------
 
 
-def test_a_gap_in_clear_tells_nothing() -> None:
-    bus = running(3)
+def test_a_gap_in_clear_tells_nothing(bus: ScriptedLink) -> None:
     bus.send(SetMode(Mode.CLEAR))
     bus.run(100 * MS)
     bus.now += 5_000 * MS
@@ -265,8 +264,7 @@ def test_a_gap_in_clear_tells_nothing() -> None:
     assert mode_of(bus) is Mode.OPERATE
 
 
-def test_operate_after_stop_begins_anew() -> None:
-    bus = running(3)
+def test_operate_after_stop_begins_anew(bus: ScriptedLink) -> None:
     bus.send(SetMode(Mode.STOP))
     bus.run(1_000 * MS)
     bus.slave.configured = False
@@ -356,8 +354,7 @@ def test_only_one_reason_for_one_clear() -> None:
     assert [type(e) for e in bus.events_of(ForcedClear)] == [Stalled]
 
 
-def test_a_second_stall_is_told_again() -> None:
-    bus = running(3)
+def test_a_second_stall_is_told_again(bus: ScriptedLink) -> None:
     for count in (1, 2):
         bus.now += 300 * MS
         bus.run(100 * MS)
@@ -367,9 +364,8 @@ def test_a_second_stall_is_told_again() -> None:
         assert mode_of(bus) is Mode.OPERATE
 
 
-def test_a_repetition_with_old_outputs_is_not_sent() -> None:
+def test_a_repetition_with_old_outputs_is_not_sent(bus: ScriptedLink) -> None:
     """The link layer asks before it repeats."""
-    bus = running(3)
     request = bus.next_request()
     assert request.still is not None
     bus.master.started(request, bus.now)
@@ -434,8 +430,7 @@ def test_the_application_watchdog_is_armed_by_operate_and_off_in_clear() -> None
     assert not bus.events_of(ApplicationSilent)
 
 
-def test_without_an_application_watchdog_alive_changes_nothing() -> None:
-    bus = running(3)
+def test_without_an_application_watchdog_alive_changes_nothing(bus: ScriptedLink) -> None:
     bus.send(Alive())
     bus.run_long(2_000 * MS)
     assert mode_of(bus) is Mode.OPERATE
@@ -484,9 +479,8 @@ def test_the_application_watchdog_runs_out_while_the_token_is_away() -> None:
     assert bus.state(3) is SlaveState.DATA_EXCHANGE
 
 
-def test_requests_of_services_are_asked_before_nothing() -> None:
+def test_requests_of_services_are_asked_before_nothing(bus: ScriptedLink) -> None:
     """Only outputs can be too old: a diagnosis is repeated as always."""
-    bus = running(3)
     bus.slave.configured = False
     bus.run(5 * MS)
     seen = [r for r in bus.requests if r.dsap is not None]

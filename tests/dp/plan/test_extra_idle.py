@@ -8,11 +8,12 @@ from itertools import pairwise
 import pytest
 from api_kit import bus_of, stack_of, virtual
 from bus_kit import SimBus
-from support import MS, WorldFactory
+from support import MS
 
 import dpstack
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.params import BusParams
+from dpstack.sim.world import World
 from dpstack.stats import Histogram
 from dpstack.trace import WireEntry
 from dpstack.units import ns_to_bits
@@ -36,9 +37,8 @@ def kind(entry: WireEntry) -> str:
     return "global control" if octets[4] & 0x7F == 127 else "request"
 
 
-def test_the_pause_is_kept_before_everything_that_is_sent(world: WorldFactory) -> None:
+def test_the_pause_is_kept_before_everything_that_is_sent(w: World) -> None:
     """Requests, retries, GAP polls, tokens and Global_Control, in exact bits; a slave dies on the way."""
-    w = world()
     bus = SimBus(w, BusParams.preset(BAUD, gap=1, hsa=20, extra_idle=EXTRA, t_tr=5_000), (3, 4, 5))
     entries: list[WireEntry] = []
     w.log.listener = entries.append

@@ -50,8 +50,12 @@ class Rig(OctetLine):
             self.hear(TOKEN)
 
 
-def test_all_slaves_answer_once_the_rate_is_found() -> None:
-    rig = Rig()
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def test_all_slaves_answer_once_the_rate_is_found(rig: Rig) -> None:
     rig.hear(STATUS[5])
     rig.hear(b"")
     assert rig.port.state is BaudState.SEARCH
@@ -92,8 +96,7 @@ def test_octets_that_are_no_telegrams_and_a_late_port() -> None:
     assert rig.changes() == [(BaudState.SEARCH, None)]
 
 
-def test_the_watchdog_of_one_slave_keeps_the_rate_of_all() -> None:
-    rig = Rig()
+def test_the_watchdog_of_one_slave_keeps_the_rate_of_all(rig: Rig) -> None:
     rig.find()
     rig.hear(SET_PRM)
     rig.hear(b"")
@@ -108,8 +111,7 @@ def test_the_watchdog_of_one_slave_keeps_the_rate_of_all() -> None:
     assert rig.changes() == [(BaudState.SEARCH, None)]
 
 
-def test_min_t_sdr_of_set_prm_outlives_a_search() -> None:
-    rig = Rig()
+def test_min_t_sdr_of_set_prm_outlives_a_search(rig: Rig) -> None:
     rig.find()
     rig.hear(SET_PRM_OFF)
     rig.hear(b"", SILENCE + MS)
@@ -124,8 +126,7 @@ def test_min_t_sdr_of_set_prm_outlives_a_search() -> None:
     assert rig.sent == [ANSWER[5]]
 
 
-def test_an_answer_that_waits_when_the_line_goes_is_forgotten() -> None:
-    rig = Rig()
+def test_an_answer_that_waits_when_the_line_goes_is_forgotten(rig: Rig) -> None:
     rig.find()
     rig.hear(STATUS[5])
     rig.port.command(LineDown("unplugged"), rig.now)
@@ -147,8 +148,7 @@ def test_rates_that_the_port_cannot_do() -> None:
         rig.port.command("search", 0)
 
 
-def test_why_nothing_is_found() -> None:
-    rig = Rig()
+def test_why_nothing_is_found(rig: Rig) -> None:
     rig.hear(b"", S)
     why = rig.port.in_vain(rig.now)
     assert why is not None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pytest
 from baud_rig import OctetLine
 from bus_kit import IDENT, PPO1, setup
-from support import MS, S, WorldFactory
+from support import MS, S
 
 from dpstack.api.config.config import slave_config
 from dpstack.api.slave_side.virtual_bench import SimulatedSlave
@@ -56,8 +56,7 @@ def run_until_exchanging(world: World, master: Master, within_ns: int) -> None:
 
 
 @pytest.mark.parametrize("baud", BAUD_RATES)
-def test_two_slaves_find_the_rate_and_are_taken_up(world: WorldFactory, baud: int) -> None:
-    w = world()
+def test_two_slaves_find_the_rate_and_are_taken_up(w: World, baud: int) -> None:
     events: list[Event] = []
     slaves = [slave(3), slave(7)]
     for each in slaves:
@@ -75,8 +74,7 @@ def test_two_slaves_find_the_rate_and_are_taken_up(world: WorldFactory, baud: in
     assert changes[0].text.startswith("slave 3 (mirror): baud_control at ")
 
 
-def test_back_to_the_search_when_the_bus_falls_silent_and_to_another_rate(world: WorldFactory) -> None:
-    w = world()
+def test_back_to_the_search_when_the_bus_falls_silent_and_to_another_rate(w: World) -> None:
     searching = slave(3)
     w.add(searching)
     station, master = master_at(w, 500_000, 3, watchdog_ms=100)
@@ -95,8 +93,7 @@ def test_back_to_the_search_when_the_bus_falls_silent_and_to_another_rate(world:
     assert searching.baud == 1_500_000
 
 
-def test_without_a_watchdog_it_searches_and_stays_in_data_exchange(world: WorldFactory) -> None:
-    w = world()
+def test_without_a_watchdog_it_searches_and_stays_in_data_exchange(w: World) -> None:
     searching = slave(3)
     w.add(searching)
     station, master = master_at(w, 500_000, 3, watchdog_ms=0)
@@ -109,8 +106,7 @@ def test_without_a_watchdog_it_searches_and_stays_in_data_exchange(world: WorldF
     assert searching.app.state is SlaveAppState.DATA_EXCH
 
 
-def test_a_slave_that_is_not_asked_keeps_the_rate_as_long_as_others_talk(world: WorldFactory) -> None:
-    w = world()
+def test_a_slave_that_is_not_asked_keeps_the_rate_as_long_as_others_talk(w: World) -> None:
     searching = slave(9)
     w.add(searching)
     master_at(w, 500_000)

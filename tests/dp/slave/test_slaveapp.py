@@ -179,9 +179,8 @@ def test_shapes_of_devices(config: str, outputs: bytes, expected: Reply) -> None
 
 
 @pytest.mark.parametrize("outputs", [b"", b"\x01\x02"])
-def test_outputs_of_the_wrong_length(outputs: bytes) -> None:
+def test_outputs_of_the_wrong_length(bench: Bench, outputs: bytes) -> None:
     """docs/reference/protocol.md#slave-states: back to Wait_Prm with Cfg_Fault."""
-    bench = Bench().up()
     bench.dx()
     assert bench.dx(outputs) == RS_REPLY
     assert bench.app.state is WAIT_PRM
@@ -193,10 +192,9 @@ def test_outputs_of_the_wrong_length(outputs: bytes) -> None:
 # --- diagnosis ----------------------------------------------------------------------------------------------------
 
 
-def test_extended_diagnosis_asks_to_be_fetched() -> None:
+def test_extended_diagnosis_asks_to_be_fetched(bench: Bench) -> None:
     """docs/reference/protocol.md#answers-to-data_exchange: DH from the change on until the owner has read it; Ext_Diag
     with it."""
-    bench = Bench().up()
     assert bench.dx().status is Resp.DL
     bench.recorder.ext = b"\x03\x01\x02"
     assert bench.dx() == Reply(Resp.DH, b"\x02")
@@ -219,8 +217,7 @@ def test_extended_diagnosis_of_a_slave_without_inputs() -> None:
     assert bench.dx() == Reply(Resp.DH, b"")
 
 
-def test_a_new_owner_has_read_nothing() -> None:
-    bench = Bench().up()
+def test_a_new_owner_has_read_nothing(bench: Bench) -> None:
     bench.recorder.ext = b"\x02\x05"
     bench.diag()
     assert bench.dx().status is Resp.DL
@@ -243,8 +240,7 @@ def test_too_much_extended_diagnosis_overflows() -> None:
 # --- watchdog -----------------------------------------------------------------------------------------------------
 
 
-def test_the_watchdog_clears_the_outputs() -> None:
-    bench = Bench().up()
+def test_the_watchdog_clears_the_outputs(bench: Bench) -> None:
     bench.dx()
     bench.pass_time(99 * MS)
     assert bench.app.state is DATA_EXCH
@@ -262,8 +258,7 @@ def test_the_watchdog_clears_the_outputs() -> None:
 
 
 @pytest.mark.parametrize(("dsap", "data"), [(None, b"\x55"), (60, b""), (62, CFG), (59, b""), (56, b""), (61, KEEP)])
-def test_requests_that_re_arm_the_watchdog(dsap: int | None, data: bytes) -> None:
-    bench = Bench().up()
+def test_requests_that_re_arm_the_watchdog(bench: Bench, dsap: int | None, data: bytes) -> None:
     for _ in range(10):
         bench.pass_time(90 * MS)
         bench.ask(dsap, data)
@@ -272,8 +267,7 @@ def test_requests_that_re_arm_the_watchdog(dsap: int | None, data: bytes) -> Non
     assert bench.app.state is WAIT_PRM
 
 
-def test_requests_that_do_not_re_arm_the_watchdog() -> None:
-    bench = Bench().up()
+def test_requests_that_do_not_re_arm_the_watchdog(bench: Bench) -> None:
     bench.pass_time(90 * MS)
     bench.control(b"\x00\x00")
     bench.diag(sa=OTHER)
@@ -298,9 +292,8 @@ def test_without_watchdog_the_slave_stays_in_data_exchange() -> None:
     assert bench.app.state is DATA_EXCH
 
 
-def test_the_deadline_does_not_move_with_every_exchange() -> None:
+def test_the_deadline_does_not_move_with_every_exchange(bench: Bench) -> None:
     """A driver re-arms a timer only when it moves."""
-    bench = Bench().up()
     bench.now = 50 * MS
     bench.dx()
     assert bench.app.wake_at() == 100 * MS
@@ -311,8 +304,7 @@ def test_the_deadline_does_not_move_with_every_exchange() -> None:
 # --- restart and construction -------------------------------------------------------------------------------------
 
 
-def test_restart() -> None:
-    bench = Bench().up()
+def test_restart(bench: Bench) -> None:
     bench.dx()
     bench.app.restart(5)
     assert bench.app.state is WAIT_PRM

@@ -112,8 +112,7 @@ def test_the_calls_of_the_device_step_by_step(name: str) -> None:
         assert (bench.app.outputs.hex(), " ".join(mode for mode in found if found[mode])) == (outputs, modes), line
 
 
-def test_leaving_forgets_clear() -> None:
-    bench = Bench().up()
+def test_leaving_forgets_clear(bench: Bench) -> None:
     bench.control(CLEAR)
     bench.up()
     assert not bench.app.clear
@@ -121,15 +120,13 @@ def test_leaving_forgets_clear() -> None:
     assert bench.app.outputs == b"\x11"
 
 
-def test_inputs_go_on_during_sync() -> None:
-    bench = Bench().up()
+def test_inputs_go_on_during_sync(bench: Bench) -> None:
     bench.dx()
     bench.control(SYNC)
     assert [bench.dx().data for _ in range(3)] == [b"\x03", b"\x04", b"\x05"]
 
 
-def test_freeze_holds_inputs_and_every_further_one_samples() -> None:
-    bench = Bench().up()
+def test_freeze_holds_inputs_and_every_further_one_samples(bench: Bench) -> None:
     assert bench.dx(b"\x11").data == b"\x01"
     bench.control(FREEZE)  # samples at that moment: the second call
     assert [bench.dx(b"\x22").data for _ in range(3)] == [b"\x02"] * 3
@@ -143,8 +140,7 @@ def test_freeze_holds_inputs_and_every_further_one_samples() -> None:
     assert bench.dx().data == b"\x08"
 
 
-def test_sync_and_freeze_at_once_take_one_sample() -> None:
-    bench = Bench().up()
+def test_sync_and_freeze_at_once_take_one_sample(bench: Bench) -> None:
     bench.dx(b"\x11")
     bench.control(b"\x28\x00")
     assert bench.recorder.take() == ["operate", "exchange 11", "exchange 11"]
@@ -164,9 +160,8 @@ def test_a_device_without_sync_or_freeze_ignores_it(mode: bytes) -> None:
     assert bench.app.outputs == b"\x77"
 
 
-def test_group_ident_only_with_lock_req() -> None:
+def test_group_ident_only_with_lock_req(bench: Bench) -> None:
     """docs/reference/protocol.md#set_prm: Group_Ident is taken only when Lock_Req is set."""
-    bench = Bench().up()
     bench.dx()
     bench.prm(bytes.fromhex("00 01 01 0B 0A 35 01"))
     bench.control(b"\x02\x01")
@@ -186,16 +181,14 @@ def test_global_control_is_for_the_owner_in_data_exchange_only() -> None:
     assert bench.app.stats.foreign == 1
 
 
-def test_global_control_of_the_wrong_length_is_reported_and_dropped() -> None:
-    bench = Bench().up()
+def test_global_control_of_the_wrong_length_is_reported_and_dropped(bench: Bench) -> None:
     bench.control(b"\x02")
     bench.control(b"\x02\x00\x00")
     assert not bench.app.clear
     assert ["octet 2" in text for text in bench.texts()] == [True, True]
 
 
-def test_other_broadcasts_are_dropped() -> None:
-    bench = Bench().up()
+def test_other_broadcasts_are_dropped(bench: Bench) -> None:
     bench.app.indicate(Telegram(Kind.SD2, 127, 2, 0x46, 55, 62, CLEAR), 0)
     bench.app.indicate(Telegram(Kind.SD2, 127, 2, 0x46, None, None, CLEAR), 0)
     assert not bench.app.clear
@@ -211,9 +204,8 @@ def test_inputs_before_the_first_exchange_are_zero() -> None:
     assert bench.app.state is SlaveAppState.DATA_EXCH
 
 
-def test_a_diagnosis_behind_that_of_the_device() -> None:
+def test_a_diagnosis_behind_that_of_the_device(bench: Bench) -> None:
     """As a fault of a test plant: octets and bits of both (octet 1 bit 3 Ext_Diag, octet 2 bit 1 Stat_Diag)."""
-    bench = Bench().up()
     bench.recorder.ext = b"\x02\x07"
     assert bench.diag().hex(" ") == "08 0c 00 02 0a 35 02 07"
     bench.app.diag.add(UserDiag(b"\x41\x01", stat=True))

@@ -60,8 +60,7 @@ def test_a_broken_device_waits_in_wait_cfg_until_restarted(call: str) -> None:
     assert bench.diag()[1] == 0x0C
 
 
-def test_an_exception_in_an_exchange_clears_the_outputs() -> None:
-    bench = Bench().up()
+def test_an_exception_in_an_exchange_clears_the_outputs(bench: Bench) -> None:
     bench.dx(b"\x11")
     bench.recorder.broken = "exchange"
     assert bench.dx(b"\x22") == RS_REPLY
@@ -70,8 +69,7 @@ def test_an_exception_in_an_exchange_clears_the_outputs() -> None:
     assert bench.diag() == bytes.fromhex("02 07 00 FF 0A 35")
 
 
-def test_a_failing_leave_after_a_watchdog_is_reported_too() -> None:
-    bench = Bench().up()
+def test_a_failing_leave_after_a_watchdog_is_reported_too(bench: Bench) -> None:
     bench.dx()
     bench.recorder.broken = "leave"
     bench.pass_time(100 * MS)
@@ -90,8 +88,7 @@ def test_a_failing_leave_at_another_configuration() -> None:
     assert "enter" not in bench.recorder.take()
 
 
-def test_a_failing_leave_does_not_keep_it_from_restarting() -> None:
-    bench = Bench().up()
+def test_a_failing_leave_does_not_keep_it_from_restarting(bench: Bench) -> None:
     bench.recorder.broken = "leave"
     bench.app.restart(0)
     assert bench.app.failure is None

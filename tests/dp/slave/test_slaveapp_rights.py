@@ -48,23 +48,20 @@ def test_services_are_open_as_in_the_table(state: SlaveAppState, sa: int) -> Non
 
 
 @pytest.mark.parametrize("function", [f for f in Req if f not in (Req.SRD_LOW, Req.SRD_HIGH, Req.CLOCK_VALUE)])
-def test_everything_but_srd_is_refused(function: Req) -> None:
-    bench = Bench().up()
+def test_everything_but_srd_is_refused(bench: Bench, function: Req) -> None:
     for dsap in (None, 60, 61, 62):
         assert bench.app.serve(srd(dsap, b"\x55", function=function), 0) == RS_REPLY
     assert bench.app.state is DATA_EXCH
     assert bench.recorder.calls == []
 
 
-def test_low_priority_is_served_like_high() -> None:
-    bench = Bench().up()
+def test_low_priority_is_served_like_high(bench: Bench) -> None:
     assert bench.app.serve(srd(None, b"\x55", function=Req.SRD_LOW), 0) == Reply(Resp.DL, b"\x01")
 
 
-def test_the_lock() -> None:
+def test_the_lock(bench: Bench) -> None:
     """docs/reference/protocol.md#lock-and-unlock: locked to its master; another one's requests change nothing, and are
     told."""
-    bench = Bench().up()
     bench.dx(b"\x11")
     assert bench.prm(sa=OTHER) == SC_REPLY
     assert bench.cfg(sa=OTHER) == SC_REPLY
@@ -80,8 +77,7 @@ def test_the_lock() -> None:
     ]
 
 
-def test_unlock_gives_it_to_others() -> None:
-    bench = Bench().up()
+def test_unlock_gives_it_to_others(bench: Bench) -> None:
     bench.dx()
     assert bench.prm(UNLOCK) == SC_REPLY
     assert (bench.app.state, bench.app.master) == (WAIT_PRM, None)

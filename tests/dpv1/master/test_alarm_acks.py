@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from alarm_kit import ALL, AlarmBus, block, refusing
+from alarm_kit import ALL, AlarmBus, AlarmSlave, block, refusing
 from ms1_kit import MS, answer, status
 from octet_slave import NR, RR, RS, SC
 
@@ -13,9 +13,17 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 PROCESS = block(2, 3, 1, data="12 34")
 
 
-def test_held_until_the_application_has_it() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+@pytest.fixture
+def kit() -> AlarmBus:
+    return AlarmBus()
+
+
+@pytest.fixture
+def slave(kit: AlarmBus) -> AlarmSlave:
+    return kit.alarm_slave
+
+
+def test_held_until_the_application_has_it(kit: AlarmBus, slave: AlarmSlave) -> None:
     kit.hold()
     slave.raises(PROCESS, block(2, 4))
     kit.run(500)
@@ -94,9 +102,7 @@ def test_sap_50_that_is_closed_by_a_second_acknowledgement_has_taken_the_first()
     assert (kit.counts.acknowledged, kit.counts.refused, at_51) == (2, 0, [])
 
 
-def test_at_sap_51_before_reads_that_wait() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_at_sap_51_before_reads_that_wait(kit: AlarmBus, slave: AlarmSlave) -> None:
     polls = iter([SC] * 20)
     slave.ms1 = lambda data: next(polls, None) or answer(4, "5E 01 02 01 55")
     tokens = [kit.order_read() for _ in range(32)]
@@ -109,8 +115,7 @@ def test_at_sap_51_before_reads_that_wait() -> None:
 
 
 @pytest.mark.parametrize("polls", [-1, 0, 7])
-def test_answered_at_once_or_later(polls: int) -> None:
-    kit = AlarmBus()
+def test_answered_at_once_or_later(kit: AlarmBus, polls: int) -> None:
     kit.alarm_slave.polls = polls
     kit.alarm_slave.raises(PROCESS, PROCESS)
     kit.until_ended(2)
@@ -170,9 +175,7 @@ def test_a_second_acknowledgement_that_the_slave_does_not_know(answers: str) -> 
 
 
 @pytest.mark.parametrize("code", ["B5", "C2"])
-def test_busy_is_asked_again(code: str) -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_busy_is_asked_again(kit: AlarmBus, slave: AlarmSlave, code: str) -> None:
     slave.refuses = [code, code]
     slave.raises(PROCESS)
     kit.until_ended()
@@ -181,8 +184,7 @@ def test_busy_is_asked_again(code: str) -> None:
     assert kit.blocks == [PROCESS]
 
 
-def test_busy_and_then_refused_is_refused() -> None:
-    kit = AlarmBus()
+def test_busy_and_then_refused_is_refused(kit: AlarmBus) -> None:
     kit.alarm_slave.refuses = ["C2", "B2"]
     kit.alarm_slave.raises(PROCESS)
     kit.until_ended()
@@ -190,9 +192,7 @@ def test_busy_and_then_refused_is_refused() -> None:
     assert (kit.counts.refused, kit.counts.acknowledged) == (1, 0)
 
 
-def test_a_refused_acknowledgement_ends_the_alarm_and_is_reported_once() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_a_refused_acknowledgement_ends_the_alarm_and_is_reported_once(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.refuses = ["B2", "B2"]
     slave.raises(PROCESS)
     kit.run(500)
@@ -207,9 +207,7 @@ def test_a_refused_acknowledgement_ends_the_alarm_and_is_reported_once() -> None
     )
 
 
-def test_closed_sap() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_closed_sap(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.says[51] = lambda octets: status(4, RS)
     slave.raises(PROCESS)
     kit.until_ended()
@@ -218,9 +216,7 @@ def test_closed_sap() -> None:
 
 
 @pytest.mark.parametrize("octets", ["5C 03 02", "5C 03 02 01 00", "DC 80 B5"])
-def test_a_response_that_cannot_be_read(octets: str) -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_a_response_that_cannot_be_read(kit: AlarmBus, slave: AlarmSlave, octets: str) -> None:
     slave.says[51] = lambda asked: answer(4, octets)
     slave.raises(PROCESS)
     kit.until_ended()
@@ -228,9 +224,7 @@ def test_a_response_that_cannot_be_read(octets: str) -> None:
     assert kit.blocks == [PROCESS]
 
 
-def test_answers_to_others_and_not_now_come_before_it() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_answers_to_others_and_not_now_come_before_it(kit: AlarmBus, slave: AlarmSlave) -> None:
     told = iter(
         [status(4, RR), status(4, NR), answer(4, "5E 01 02 00"), answer(4, "5C 04 02 01"), answer(4, "DE 80 B5 00")]
     )

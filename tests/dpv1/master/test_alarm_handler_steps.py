@@ -82,8 +82,12 @@ class Steps:
         return self.take()
 
 
-def test_the_beginning_of_data_exchange() -> None:
-    steps = Steps()
+@pytest.fixture
+def steps() -> Steps:
+    return Steps()
+
+
+def test_the_beginning_of_data_exchange(steps: Steps) -> None:
     steps.alarms.opened(None, 1)
     assert steps.take() == []
     steps.alarms.opened(diagnosis(A, STATUS, block(0x82, 1, 0)), 2)
@@ -93,8 +97,7 @@ def test_the_beginning_of_data_exchange() -> None:
     assert steps.alarms.busy
 
 
-def test_status_messages_are_delivered_when_they_are_new_or_changed() -> None:
-    steps = Steps()
+def test_status_messages_are_delivered_when_they_are_new_or_changed(steps: Steps) -> None:
     other = block(0x81, 1, 0, data="55")
     assert steps.read(STATUS, block(0x81, 2, 0), now=1) == ["1 status 04810100", "1 status 04810200"]
     assert steps.read(STATUS, now=2) == []
@@ -107,8 +110,7 @@ def test_status_messages_are_delivered_when_they_are_new_or_changed() -> None:
     assert steps.read(STATUS, now=8) == ["8 status 04810100"]
 
 
-def test_an_alarm_from_its_diagnosis_to_its_end() -> None:
-    steps = Steps()
+def test_an_alarm_from_its_diagnosis_to_its_end(steps: Steps) -> None:
     assert (steps.alarms.busy, steps.alarms.next_ack(0)) == (False, None)
     steps.exchanges = 5
     assert steps.read(A, now=1, after=0) == ["1 raised 1 04020101"]
@@ -124,8 +126,7 @@ def test_an_alarm_from_its_diagnosis_to_its_end() -> None:
     assert steps.read(A, now=70 * MS) == ["70000000 raised 2 04020101"]
 
 
-def test_alarms_are_acknowledged_in_the_order_they_came() -> None:
-    steps = Steps()
+def test_alarms_are_acknowledged_in_the_order_they_came(steps: Steps) -> None:
     assert steps.read(A, now=1) == ["1 raised 1 04020101"]
     assert steps.read(B, now=2) == ["2 raised 2 04030101"]
     assert steps.ack(TAKEN, 3) == ["3 done 1"]
@@ -168,9 +169,8 @@ def test_the_end_of_data_exchange(hold: bool) -> None:
     assert Steps(book=book).alarms.counts.raised == 3
 
 
-def test_the_alarms_that_the_slave_may_still_have_at_its_end() -> None:
+def test_the_alarms_that_the_slave_may_still_have_at_its_end(steps: Steps) -> None:
     """After data exchange the end of an acknowledgement means nothing any more."""
-    steps = Steps()
     steps.read(A, now=1)
     known = steps.alarms.next_ack(2)
     assert known is not None
@@ -215,8 +215,7 @@ def test_failures_of_an_acknowledgement(failure: ServiceFailure) -> None:
 
 
 @pytest.mark.parametrize(("code", "ended"), [(0xB5, False), (0xC0, False), (0xC1, False), (0xC2, False), (0xB8, True)])
-def test_a_slave_that_is_busy_gets_it_again(code: int, ended: bool) -> None:
-    steps = Steps()
+def test_a_slave_that_is_busy_gets_it_again(steps: Steps, code: int, ended: bool) -> None:
     steps.read(A, now=1)
     told = steps.ack(Outcome(ServiceFailure.NEGATIVE, "slave 4 x", codes=(0x80, code, 0)), 9)
     assert told == (["9 remark x", "9 done 1 negative"] if ended else [])
@@ -224,8 +223,7 @@ def test_a_slave_that_is_busy_gets_it_again(code: int, ended: bool) -> None:
     assert steps.alarms.counts.refused == int(ended)
 
 
-def test_refusals_are_remarked_once_and_silence_too() -> None:
-    steps = Steps()
+def test_refusals_are_remarked_once_and_silence_too(steps: Steps) -> None:
     for now in (10, 20):
         steps.read(now=now)
         steps.read(A, now=now + 1)
@@ -279,8 +277,7 @@ def test_more_alarms_than_there_is_room_for() -> None:
 
 
 @pytest.mark.parametrize("shown", [False, True])
-def test_the_diagnosis_is_read_again_where_it_may_hold_another_alarm(shown: bool) -> None:
-    steps = Steps()
+def test_the_diagnosis_is_read_again_where_it_may_hold_another_alarm(steps: Steps, shown: bool) -> None:
     steps.read(A, now=1)
     changed = block(2, 1, data="AA")
     told = steps.read(changed if shown else A, now=2, flagged=shown)
@@ -337,9 +334,8 @@ def test_an_alarm_in_the_place_of_one_whose_acknowledgement_had_no_answer(
     assert told == (["3 done 1", *raised] if same and instead != A else raised)
 
 
-def test_an_acknowledged_alarm_that_was_a_new_one_after_all() -> None:
+def test_an_acknowledged_alarm_that_was_a_new_one_after_all(steps: Steps) -> None:
     """The slave asked for the diagnosis with it, and then another alarm took its place."""
-    steps = Steps()
     steps.read(A, now=1)
     assert steps.ack(TAKEN, 2) == ["2 done 1"]
     assert steps.read(A, bytes.fromhex("42 01"), now=3) == []
@@ -428,8 +424,7 @@ def test_alarms_that_go() -> None:
     assert not made.still(alarm, A, found, True, 1)
 
 
-def test_the_diagnosis_is_read_again_when_the_time_is_over() -> None:
-    steps = Steps()
+def test_the_diagnosis_is_read_again_when_the_time_is_over(steps: Steps) -> None:
     steps.read(A, now=1)
     steps.ack(TAKEN, 2)
     assert steps.read(A, now=3, flagged=False) == []
@@ -443,8 +438,7 @@ def test_the_diagnosis_is_read_again_when_the_time_is_over() -> None:
     assert steps.read(A, now=at) == [f"{at} raised 2 04020101"]
 
 
-def test_a_slave_that_keeps_its_alarms_in_the_diagnosis_brings_each_once_more_at_most() -> None:
-    steps = Steps()
+def test_a_slave_that_keeps_its_alarms_in_the_diagnosis_brings_each_once_more_at_most(steps: Steps) -> None:
     assert steps.read(A, now=1) == ["1 raised 1 04020101"]
     assert steps.ack(TAKEN, 2) == ["2 done 1"]
     # nobody asked for this diagnosis, and the time is over: a new alarm, or a habit of the slave

@@ -17,9 +17,17 @@ from dpstack.errors import UsageError
 PROCESS = block(2, 3, 1, data="12 34")
 
 
-def test_literal_telegrams() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+@pytest.fixture
+def kit() -> AlarmBus:
+    return AlarmBus()
+
+
+@pytest.fixture
+def slave(kit: AlarmBus) -> AlarmSlave:
+    return kit.alarm_slave
+
+
+def test_literal_telegrams(kit: AlarmBus, slave: AlarmSlave) -> None:
     assert slave.prm[7:10].hex(" ") == "80 fc 00"
     seen = len(kit.bus.log)
     slave.raises(bytes.fromhex("06 02 03 2D 12 34"))  # sequence number 5, acknowledged by the user too, appears
@@ -44,8 +52,7 @@ def test_literal_telegrams() -> None:
 
 @pytest.mark.parametrize("kind", [1, 2, 3, 4, 5, 6, 32, 126])
 @pytest.mark.parametrize("specifier", [0, 1, 2, 3])
-def test_every_type(kind: int, specifier: int) -> None:
-    kit = AlarmBus()
+def test_every_type(kit: AlarmBus, kind: int, specifier: int) -> None:
     kit.alarm_slave.raises(block(kind, 254, specifier))
     kit.until_ended()
     assert kit.blocks == kit.alarm_slave.taken == [block(kind, 254, specifier)]
@@ -55,8 +62,7 @@ def test_every_type(kind: int, specifier: int) -> None:
 @pytest.mark.parametrize(
     "octets", ["05 07 03 01 00", "05 02 ff 01 00", "05 00 01 01 00", "05 7f 01 01 00", "03 02 01", "3f 01 02"]
 )
-def test_malformed_device_blocks_are_reported_once_and_counted(octets: str) -> None:
-    kit = AlarmBus()
+def test_malformed_device_blocks_are_reported_once_and_counted(kit: AlarmBus, octets: str) -> None:
     kit.alarm_slave.changes(bytes.fromhex(octets))
     kit.run(50)
     kit.alarm_slave.changes(bytes.fromhex(octets))
@@ -94,9 +100,7 @@ def test_an_alarm_of_a_kind_that_is_not_enabled_is_reported_and_not_acknowledged
     only.until_ended()
 
 
-def test_statuses_are_reported_when_they_are_new_and_never_acknowledged() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_statuses_are_reported_when_they_are_new_and_never_acknowledged(kit: AlarmBus, slave: AlarmSlave) -> None:
     message = block(0x81, 2, 1, data="55")
     slave.changes(message)
     kit.run(50)
@@ -120,9 +124,7 @@ def test_statuses_are_reported_when_they_are_new_and_never_acknowledged() -> Non
     assert kit.counts.statuses == 6
 
 
-def test_channels_of_the_same_diagnosis_come_along() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_channels_of_the_same_diagnosis_come_along(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.rest = bytes.fromhex("42 01 83 45 21")
     slave.raises(block(1, 2))
     kit.until(lambda: bool(kit.raised))
@@ -134,9 +136,7 @@ def test_channels_of_the_same_diagnosis_come_along() -> None:
 # --- alarms that stay in the diagnosis ------------------------------------------------------------------------------
 
 
-def test_an_acknowledged_alarm_that_stays_in_the_diagnosis_for_a_while() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_an_acknowledged_alarm_that_stays_in_the_diagnosis_for_a_while(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.keeps = True
     slave.raises(PROCESS)
     kit.until_ended()
@@ -148,9 +148,7 @@ def test_an_acknowledged_alarm_that_stays_in_the_diagnosis_for_a_while() -> None
     assert kit.blocks == [PROCESS]
 
 
-def test_numbered_alarms_that_stay_in_the_diagnosis() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_numbered_alarms_that_stay_in_the_diagnosis(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.keeps = True
     blocks = [block(2, 3, 0, number) for number in range(3)]
     slave.raises(*blocks)
@@ -161,9 +159,7 @@ def test_numbered_alarms_that_stay_in_the_diagnosis() -> None:
     assert kit.blocks == blocks
 
 
-def test_unnumbered_alarms_in_a_static_diagnosis() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_unnumbered_alarms_in_a_static_diagnosis(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.keeps = True
     slave.static = True
     slave.raises(PROCESS)
@@ -203,9 +199,7 @@ def test_equal_alarms_one_after_the_other(mode: int) -> None:
     assert kit.blocks == [PROCESS] * 5
 
 
-def test_a_diagnosis_that_is_read_again_and_again() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_a_diagnosis_that_is_read_again_and_again(kit: AlarmBus, slave: AlarmSlave) -> None:
     kit.hold()
     slave.raises(PROCESS)
     for at in range(20):
@@ -219,9 +213,7 @@ def test_a_diagnosis_that_is_read_again_and_again() -> None:
     assert kit.blocks == [PROCESS]
 
 
-def test_class_2_reads_the_diagnosis_before_its_master_does() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_class_2_reads_the_diagnosis_before_its_master_does(kit: AlarmBus, slave: AlarmSlave) -> None:
     for number in range(20):
         kit.send(ReadService(1000 + number, 4, Service.DIAGNOSIS))
         slave.raises(block(2, 3, data=f"{number:02X}"))
@@ -255,9 +247,7 @@ def test_a_storm_of_alarms_is_reported_once_and_data_exchange_goes_on() -> None:
     assert len(slave.taken) == MAX_OPEN + 1
 
 
-def test_an_alarm_that_replaces_an_unacknowledged_one() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_an_alarm_that_replaces_an_unacknowledged_one(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.at_a_time = 2000  # it does not care for what was agreed
     kit.hold()
     blocks = [block(2, 3, data=f"{number:02X}") for number in range(3)]
@@ -308,8 +298,7 @@ def test_the_slave_leaves_data_exchange_at_every_step_of_an_alarm(after_ms: int,
     assert kit.ends[-1].outcome.failure is None
 
 
-def test_untaken_alarms_are_bounded_over_many_restarts_of_the_slave() -> None:
-    kit = AlarmBus()
+def test_untaken_alarms_are_bounded_over_many_restarts_of_the_slave(kit: AlarmBus) -> None:
     kit.hold()
     for _ in range(3):
         for kind in range(32, 62):
@@ -324,9 +313,7 @@ def test_untaken_alarms_are_bounded_over_many_restarts_of_the_slave() -> None:
     kit.until(lambda: kit.blocks[-1] == PROCESS)
 
 
-def test_an_alarm_that_was_in_the_diagnosis_before_data_exchange() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_an_alarm_that_was_in_the_diagnosis_before_data_exchange(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.mute = True
     kit.until(lambda: kit.master.handlers[4].state is SlaveState.OFFLINE)
     slave.mute = False
@@ -337,9 +324,7 @@ def test_an_alarm_that_was_in_the_diagnosis_before_data_exchange() -> None:
     assert [told.status.type for told in kit.statuses] == [1]
 
 
-def test_stop_and_other_parameters() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
+def test_stop_and_other_parameters(kit: AlarmBus, slave: AlarmSlave) -> None:
     kit.hold()
     slave.raises(PROCESS)
     kit.until(lambda: bool(kit.raised))

@@ -29,8 +29,12 @@ def polled(slave: OctetMs1Slave, octets: str, after: int = 1) -> None:
     slave.ms1 = ms1
 
 
-def test_literal_telegrams_of_a_read() -> None:
-    kit = Ms1Bus()
+@pytest.fixture
+def kit() -> Ms1Bus:
+    return Ms1Bus()
+
+
+def test_literal_telegrams_of_a_read(kit: Ms1Bus) -> None:
     polled(kit.slave, "5E 01 02 03 AA BB CC")
     start = len(kit.bus.log)
     done = kit.read(1, 2, 8)
@@ -43,8 +47,7 @@ def test_literal_telegrams_of_a_read() -> None:
     assert ms1[2] == "68 0c 0c 68 82 84 08 33 33 5e 01 02 03 aa bb cc 09 16"
 
 
-def test_a_write_and_the_parameters_that_open_it() -> None:
-    kit = Ms1Bus()
+def test_a_write_and_the_parameters_that_open_it(kit: Ms1Bus) -> None:
     assert kit.slave.prm[7:] == b"\x80\0\0"
     polled(kit.slave, "5F 00 2F 02")
     done = kit.write(0, 47, b"\x12\x34")
@@ -53,16 +56,14 @@ def test_a_write_and_the_parameters_that_open_it() -> None:
     assert done.text == "slave 4: Write of slot 0, index 47 done"
 
 
-def test_answered_in_the_request_itself() -> None:
-    kit = Ms1Bus()
+def test_answered_in_the_request_itself(kit: Ms1Bus) -> None:
     kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 55")
     assert kit.read().outcome.data == b"\x55"
     assert len(kit.slave.asked) == 1
 
 
 @pytest.mark.parametrize("not_yet", [SC, status(4, NR), status(4, 0x00), status(4, RR), status(4, UE)])
-def test_the_slave_answers_not_yet(not_yet: bytes) -> None:
-    kit = Ms1Bus()
+def test_the_slave_answers_not_yet(kit: Ms1Bus, not_yet: bytes) -> None:
 
     def ms1(data: bytes) -> bytes:
         if data:
@@ -74,8 +75,7 @@ def test_the_slave_answers_not_yet(not_yet: bytes) -> None:
 
 
 @pytest.mark.parametrize("busy", [RR, UE])
-def test_a_request_that_is_not_taken_now_is_repeated(busy: int) -> None:
-    kit = Ms1Bus()
+def test_a_request_that_is_not_taken_now_is_repeated(kit: Ms1Bus, busy: int) -> None:
     kit.slave.ms1 = lambda data: status(4, busy) if len(kit.slave.asked) < 4 else answer(4, "5E 01 02 01 55")
     assert kit.read().outcome.data == b"\x55"
     assert kit.slave.asked == [bytes.fromhex("5E 01 02 F0")] * 4
@@ -94,8 +94,7 @@ def test_a_request_that_is_not_taken_now_is_repeated(busy: int) -> None:
         ("5E", ServiceFailure.LENGTH, "octet 2 (slot) is missing"),
     ],
 )
-def test_negative_and_unreadable_answers(octets: str, failure: ServiceFailure, text: str) -> None:
-    kit = Ms1Bus()
+def test_negative_and_unreadable_answers(kit: Ms1Bus, octets: str, failure: ServiceFailure, text: str) -> None:
     polled(kit.slave, octets)
     outcome = kit.read(1, 2, 8).outcome
     assert outcome.failure is failure
@@ -105,16 +104,14 @@ def test_negative_and_unreadable_answers(octets: str, failure: ServiceFailure, t
     assert kit.read().outcome.data == b"\x55"  # and the next is served
 
 
-def test_a_write_that_took_another_length() -> None:
-    kit = Ms1Bus()
+def test_a_write_that_took_another_length(kit: Ms1Bus) -> None:
     polled(kit.slave, "5F 01 02 01")
     outcome = kit.write(1, 2, b"\1\2").outcome
     assert outcome.failure is ServiceFailure.LENGTH
     assert outcome.text == "slave 4 says it took 1 octet by Write of slot 1, index 2, 2 were given"
 
 
-def test_answers_to_other_requests_are_dropped_and_counted() -> None:
-    kit = Ms1Bus()
+def test_answers_to_other_requests_are_dropped_and_counted(kit: Ms1Bus) -> None:
     others = ["5E 01 03 01 11", "5E 02 02 01 22", "5F 01 02 01", "DF 80 B0 00", "5E 01 02 01 55"]
 
     def ms1(data: bytes) -> bytes:
@@ -125,8 +122,7 @@ def test_answers_to_other_requests_are_dropped_and_counted() -> None:
     assert (done.outcome.data, done.stale) == (b"\x55", 4)
 
 
-def test_old_data_that_come_instead_of_taking_the_request() -> None:
-    kit = Ms1Bus()
+def test_old_data_that_come_instead_of_taking_the_request(kit: Ms1Bus) -> None:
     kit.slave.ms1 = lambda data: (
         answer(4, "5E 09 09 01 11", RDL) if len(kit.slave.asked) == 1 else answer(4, "5E 01 02 01 55")
     )
@@ -142,8 +138,7 @@ def test_old_data_that_come_instead_of_taking_the_request() -> None:
         pytest.param(RR, ServiceFailure.LATE, "", "it was busy all the time; try again", id="it is always busy"),
     ],
 )
-def test_a_slave_that_takes_no_request(code: int, failure: ServiceFailure, of: str, text: str) -> None:
-    kit = Ms1Bus()
+def test_a_slave_that_takes_no_request(kit: Ms1Bus, code: int, failure: ServiceFailure, of: str, text: str) -> None:
     kit.slave.ms1 = lambda data: status(4, code)
     outcome = kit.read().outcome
     assert (outcome.failure, outcome.status) == (failure, of)
@@ -248,8 +243,7 @@ def test_a_slow_slave_holds_no_other_one_up() -> None:
     assert kit.acyclic.waiting == 1
 
 
-def test_data_exchange_goes_on_with_one_request_at_most_between() -> None:
-    kit = Ms1Bus()
+def test_data_exchange_goes_on_with_one_request_at_most_between(kit: Ms1Bus) -> None:
     start = len(kit.bus.log)
     for _ in range(8):
         kit.order_read()
@@ -266,8 +260,7 @@ def test_data_exchange_goes_on_with_one_request_at_most_between() -> None:
 # --- ends from outside --------------------------------------------------------------------------------------------
 
 
-def test_misuse_raises_at_once() -> None:
-    kit = Ms1Bus()
+def test_misuse_raises_at_once(kit: Ms1Bus) -> None:
     for slot, index, length, address, what in (
         (255, 0, 240, 4, "slot 255 does not exist"),
         (0, 256, 240, 4, "index 256 does not exist"),
@@ -286,8 +279,7 @@ def test_misuse_raises_at_once() -> None:
         kit.order_read()
 
 
-def test_each_event_has_its_end_once() -> None:
-    kit = Ms1Bus()
+def test_each_event_has_its_end_once(kit: Ms1Bus) -> None:
     polled(kit.slave, "5E 01 02 00")
     for _ in range(3):
         kit.read()

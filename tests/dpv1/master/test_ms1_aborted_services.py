@@ -14,8 +14,12 @@ from dpstack.dpv1.pdu.read_write import Function
 from dpstack.machine import LineDown
 
 
-def test_the_slave_leaves_data_exchange() -> None:
-    kit = Ms1Bus()
+@pytest.fixture
+def kit() -> Ms1Bus:
+    return Ms1Bus()
+
+
+def test_the_slave_leaves_data_exchange(kit: Ms1Bus) -> None:
     tokens = [kit.order_read(), kit.order_read(2, 2)]
     kit.run(20)
     kit.slave.mute = True
@@ -29,8 +33,7 @@ def test_the_slave_leaves_data_exchange() -> None:
     assert kit.read().outcome.data == b"\x22"  # nothing is owed: it has forgotten everything
 
 
-def test_a_slave_that_is_not_in_data_exchange() -> None:
-    kit = Ms1Bus()
+def test_a_slave_that_is_not_in_data_exchange(kit: Ms1Bus) -> None:
     kit.slave.mute = True
     kit.run(200)
     outcome = kit.read().outcome
@@ -51,8 +54,7 @@ def test_the_slave_is_removed_the_master_stops_the_port_vanishes() -> None:
     assert (outcome.failure, "unplugged" in outcome.text) == (ServiceFailure.LINE, True)
 
 
-def test_stop_leaves_a_service_without_data_exchange() -> None:
-    kit = Ms1Bus()
+def test_stop_leaves_a_service_without_data_exchange(kit: Ms1Bus) -> None:
     token = kit.order_read()
     kit.run(10)
     kit.send(SetMode(Mode.STOP))
@@ -63,8 +65,7 @@ def test_stop_leaves_a_service_without_data_exchange() -> None:
     )
 
 
-def test_cancelled_under_way_its_answer_is_fetched_later() -> None:
-    kit = Ms1Bus()
+def test_cancelled_under_way_its_answer_is_fetched_later(kit: Ms1Bus) -> None:
     token = kit.order_read()
     kit.run(20)
     kit.send(CancelService(token))
@@ -73,8 +74,7 @@ def test_cancelled_under_way_its_answer_is_fetched_later() -> None:
     assert kit.read().outcome.data == b"\x22"
 
 
-def test_silence_a_read_is_repeated_a_write_is_not() -> None:
-    kit = Ms1Bus()
+def test_silence_a_read_is_repeated_a_write_is_not(kit: Ms1Bus) -> None:
 
     def silent_twice(data: bytes) -> bytes | None:
         return None if len(kit.slave.asked) <= 4 else answer(4, "5E 01 02 01 22")  # each time with its repetition
@@ -89,8 +89,7 @@ def test_silence_a_read_is_repeated_a_write_is_not() -> None:
 
 
 @pytest.mark.parametrize("cut", ["its time", "the slave's time", "data exchange", "the port", "Stop"])
-def test_a_write_that_is_cut_short_may_have_been_carried_out(cut: str) -> None:
-    kit = Ms1Bus()
+def test_a_write_that_is_cut_short_may_have_been_carried_out(kit: Ms1Bus, cut: str) -> None:
     tokens = (1, 2, 3)
     kit.slave.ms1 = lambda data: SC  # taken, and never answered
     timeout = 200 * MS if cut == "its time" else 1_500 * MS

@@ -23,8 +23,12 @@ def telegrams(kit: Ms2Bus, start: int) -> list[str]:
     return [s.octets.hex(" ") for s in kit.bus.log[start:] if s.octets[0] in (0x68, 0xE5)]
 
 
-def test_literal_telegrams() -> None:
-    kit = Ms2Bus()
+@pytest.fixture
+def kit() -> Ms2Bus:
+    return Ms2Bus()
+
+
+def test_literal_telegrams(kit: Ms2Bus) -> None:
     kit.slave.timeout = b"\x00\x64"
     start = len(kit.bus.log)
     done = kit.open(send_timeout_ns=2_000 * MS)
@@ -63,8 +67,7 @@ def test_literal_telegrams() -> None:
     kit.freed()
 
 
-def test_answers_in_the_requests_themselves() -> None:
-    kit = Ms2Bus()
+def test_answers_in_the_requests_themselves(kit: Ms2Bus) -> None:
     kit.slave.direct = True
     assert kit.open().server_sap == 48
     assert kit.read(1).outcome.data == b"\1\2"
@@ -74,8 +77,7 @@ def test_answers_in_the_requests_themselves() -> None:
 
 
 @pytest.mark.parametrize("sap", [0, 17, 48])
-def test_every_server_sap(sap: int) -> None:
-    kit = Ms2Bus()
+def test_every_server_sap(kit: Ms2Bus, sap: int) -> None:
     kit.slave.free = [sap]
     assert kit.open().server_sap == sap
     assert kit.read(1).outcome.data == b"\1\2"
@@ -84,9 +86,8 @@ def test_every_server_sap(sap: int) -> None:
 
 
 @pytest.mark.parametrize("not_yet", [SC, sd1(2, 4, NR), sd1(2, 4, 0), sd1(2, 4, RR), sd1(2, 4, UE)])
-def test_the_slave_answers_not_yet_or_not_now(not_yet: bytes) -> None:
+def test_the_slave_answers_not_yet_or_not_now(kit: Ms2Bus, not_yet: bytes) -> None:
     """Each answer of the slave comes after ten polls that say so, in four ways."""
-    kit = Ms2Bus()
     usual, turns = kit.slave.usual, [0]
 
     def slow(octets: bytes) -> bytes | None:
@@ -102,8 +103,7 @@ def test_the_slave_answers_not_yet_or_not_now(not_yet: bytes) -> None:
 
 @pytest.mark.parametrize("busy", [RR, UE])
 @pytest.mark.parametrize("sap", [48, 49])
-def test_a_request_that_is_not_taken_now_is_repeated(busy: int, sap: int) -> None:
-    kit = Ms2Bus()
+def test_a_request_that_is_not_taken_now_is_repeated(kit: Ms2Bus, busy: int, sap: int) -> None:
     refused = kit.slave.says_first(3, sap, sd1(2, 4, busy))
     kit.open()
     assert kit.read(1).outcome.data == b"\1\2"
@@ -136,9 +136,8 @@ def test_services_are_signs_of_life() -> None:
 
 
 @pytest.mark.parametrize("answers", [False, True], ids=["Idle", "its answer"])
-def test_an_idle_that_is_lost_is_sent_again(answers: bool) -> None:
+def test_an_idle_that_is_lost_is_sent_again(kit: Ms2Bus, answers: bool) -> None:
     """With every attempt, and then the slave says at polls that there is nothing."""
-    kit = Ms2Bus()
     connection = kit.open(send_timeout_ns=600 * MS).token
     idles = lost = 0
 
@@ -306,8 +305,7 @@ def test_one_request_a_token_hold() -> None:
     assert "rr" not in kinds
 
 
-def test_misuse_raises_at_once() -> None:
-    kit = Ms2Bus()
+def test_misuse_raises_at_once(kit: Ms2Bus) -> None:
     kit.slave.initiate = bytes.fromhex("57 20 01 00 00 00 00 00 00 02 00 02 00 00 00 00")
     assert kit.open().max_len == 32
     for wrong, what in [
@@ -342,8 +340,7 @@ def test_misuse_raises_at_once() -> None:
     assert kit.slave.received(0x48)  # and it is kept alive
 
 
-def test_addresses_and_profile_of_initiate() -> None:
-    kit = Ms2Bus()
+def test_addresses_and_profile_of_initiate(kit: Ms2Bus) -> None:
     net = bytes.fromhex("05 06 01 02 03 04 05 06 07")
     token = kit.next_token()
     profile: Any = {"profile_ident": 0x9700, "profile_features": 0x0102}

@@ -40,9 +40,13 @@ _ABORTS = [
 ]
 
 
+@pytest.fixture
+def kit() -> Ms2Bus:
+    return connected()
+
+
 @pytest.mark.parametrize(("abort", "text"), _ABORTS)
-def test_the_slave_aborts(abort: str, text: str) -> None:
-    kit = connected()
+def test_the_slave_aborts(kit: Ms2Bus, abort: str, text: str) -> None:
     octets = b"\x58" + bytes.fromhex(abort)
     kit.slave.serve = lambda pdu: octets
     first, second = kit.order_read(1), kit.order_read(1)
@@ -61,9 +65,8 @@ def test_the_slave_aborts(abort: str, text: str) -> None:
         kit.order_read(1)
 
 
-def test_a_server_sap_that_is_closed_at_once() -> None:
+def test_a_server_sap_that_is_closed_at_once(kit: Ms2Bus) -> None:
     """A slave that was restarted knows nothing of the connection."""
-    kit = connected()
     kit.slave.sessions.clear()
     done = kit.read(1)
     assert done.outcome.failure is ServiceFailure.ABORTED
@@ -76,8 +79,7 @@ def test_a_server_sap_that_is_closed_at_once() -> None:
     "answer",
     ["5E 01 02 05 01 02", "5E 01 02 00 01", "5E", "5E 01 02 F1" + " 55" * 240, "DE 80", "00", "57 00", "56 30 00 64"],
 )
-def test_wrong_lengths_end_the_connection(answer: str) -> None:
-    kit = connected()
+def test_wrong_lengths_end_the_connection(kit: Ms2Bus, answer: str) -> None:
     kit.slave.serve = lambda pdu: bytes.fromhex(answer)
     done = kit.read(1)
     assert done.outcome.failure is ServiceFailure.LENGTH
@@ -86,8 +88,7 @@ def test_wrong_lengths_end_the_connection(answer: str) -> None:
     kit.freed()
 
 
-def test_more_octets_than_requested() -> None:
-    kit = connected()
+def test_more_octets_than_requested(kit: Ms2Bus) -> None:
     kit.slave.serve = lambda pdu: b"\x5e\x01\x02\x03\x01\x02\x03"
     done = kit.read(1, length=2)
     assert "with 3 octets, 2 were asked for" in done.text
@@ -95,8 +96,7 @@ def test_more_octets_than_requested() -> None:
     kit.freed()
 
 
-def test_a_negative_answer_ends_the_service_only() -> None:
-    kit = connected()
+def test_a_negative_answer_ends_the_service_only(kit: Ms2Bus) -> None:
     kit.slave.serve = lambda pdu: bytes((pdu[0] | 0x80, 0x80, 0xB5, 7))
     for done in (kit.read(1), kit.write(1, 1, 2, b"\1"), kit.transport(1, 1, 2, b"")):
         assert (done.outcome.failure, done.outcome.codes) == (ServiceFailure.NEGATIVE, (0x80, 0xB5, 7))
@@ -105,8 +105,7 @@ def test_a_negative_answer_ends_the_service_only() -> None:
     assert kit.read(1).outcome.data == b"\1\2"
 
 
-def test_answers_to_other_requests_are_dropped() -> None:
-    kit = connected()
+def test_answers_to_other_requests_are_dropped(kit: Ms2Bus) -> None:
     session = kit.slave.sessions[48]
 
     def serve(pdu: bytes) -> bytes:
@@ -157,8 +156,7 @@ def test_a_write_without_an_answer_may_have_been_carried_out() -> None:
     kit.freed()
 
 
-def test_the_slave_vanishes() -> None:
-    kit = connected()
+def test_the_slave_vanishes(kit: Ms2Bus) -> None:
     kit.slave.mute = True
     begun = kit.bus.now
     done = kit.read(1)
@@ -169,8 +167,7 @@ def test_the_slave_vanishes() -> None:
     kit.freed()
 
 
-def test_the_slave_vanishes_while_nothing_is_asked() -> None:
-    kit = connected()
+def test_the_slave_vanishes_while_nothing_is_asked(kit: Ms2Bus) -> None:
     kit.slave.mute = True
     begun = kit.bus.now
     assert kit.over(1).reason == "nothing was heard of the slave for 0.2 s (the send time-out)"
@@ -181,8 +178,7 @@ def test_the_slave_vanishes_while_nothing_is_asked() -> None:
 # --- ends from outside --------------------------------------------------------------------------------------------
 
 
-def test_closed_with_services_waiting() -> None:
-    kit = connected()
+def test_closed_with_services_waiting(kit: Ms2Bus) -> None:
     kit.slave.polls = 100
     tokens = [kit.order_read(1) for _ in range(3)]
     kit.run(10)
@@ -197,8 +193,7 @@ def test_closed_with_services_waiting() -> None:
     kit.send(CloseConnection(99))
 
 
-def test_an_abort_that_is_lost_is_sent_again() -> None:
-    kit = connected()
+def test_an_abort_that_is_lost_is_sent_again(kit: Ms2Bus) -> None:
     # the request and its repetition, twice
     lost = kit.lose_first(4, lambda sent: sent.octets[0] == 0x68 and sent.octets[9:10] == b"\x58")
     kit.close(1)
@@ -222,9 +217,8 @@ def test_close_all_connections() -> None:
     assert {over.reason for over in kit.events_of(ConnectionOver)} == {"the bus was closed here"}
 
 
-def test_the_port_vanishes_and_comes_back() -> None:
+def test_the_port_vanishes_and_comes_back(kit: Ms2Bus) -> None:
     """The slave still holds the connection: it gets Abort."""
-    kit = connected()
     token = kit.order_read(1)
     opening = kit.order_open()
     kit.run(2)
@@ -238,15 +232,13 @@ def test_the_port_vanishes_and_comes_back() -> None:
     assert kit.open().outcome.failure is None
 
 
-def test_the_port_vanishes_for_good() -> None:
-    kit = connected()
+def test_the_port_vanishes_for_good(kit: Ms2Bus) -> None:
     kit.send(LineDown("unplugged"))
     kit.over(1)
     assert connections_of(kit.acyclic) == kit.acyclic.waiting == 0
 
 
-def test_the_station_leaves_the_ring() -> None:
-    kit = connected()
+def test_the_station_leaves_the_ring(kit: Ms2Bus) -> None:
     token = kit.order_read(1)
     kit.send(GoOffline())
     done = kit.end_of(token, RecordDone)

@@ -22,8 +22,12 @@ def failed(kit: Ms2Bus, **more: int) -> InitiateDone:
     return done
 
 
-def test_no_connection_left_or_none_at_all() -> None:
-    kit = Ms2Bus()
+@pytest.fixture
+def kit() -> Ms2Bus:
+    return Ms2Bus()
+
+
+def test_no_connection_left_or_none_at_all(kit: Ms2Bus) -> None:
     kit.slave.free = [48]
     kit.open()
     done = kit.open()
@@ -45,8 +49,7 @@ def test_initiate_to_an_absent_slave() -> None:
     assert done.text == "slave 4 does not answer Initiate; check address and power"
 
 
-def test_a_slave_of_dp_v0_is_there_and_has_no_connections() -> None:
-    kit = Ms2Bus()
+def test_a_slave_of_dp_v0_is_there_and_has_no_connections(kit: Ms2Bus) -> None:
     kit.slave.says[49] = lambda _octets: None  # a chip of DP-V0 knows no SAP 49, and says nothing at all
     done = failed(kit)
     assert done.outcome.failure is ServiceFailure.REFUSED
@@ -71,8 +74,7 @@ def test_a_slave_of_dp_v0_is_there_and_has_no_connections() -> None:
         ("5E 01 02 00", ServiceFailure.LENGTH, "octet 1 is 0x5E"),
     ],
 )
-def test_other_answers_of_the_resource_manager(answer: str, failure: ServiceFailure, text: str) -> None:
-    kit = Ms2Bus()
+def test_other_answers_of_the_resource_manager(kit: Ms2Bus, answer: str, failure: ServiceFailure, text: str) -> None:
     kit.slave.says[49] = lambda octets: SC if octets[9:-2] else sd2(2, 4, DL, 50, 49, bytes.fromhex(answer))
     done = kit.open()
     assert done.outcome.failure is failure
@@ -96,8 +98,7 @@ def test_other_answers_of_the_resource_manager(answer: str, failure: ServiceFail
         ("5E 01 02 00", ServiceFailure.LENGTH, "slave 4 answers Initiate with unreadable octets"),
     ],
 )
-def test_the_server_sap_refuses(answer: str, failure: ServiceFailure, text: str) -> None:
-    kit = Ms2Bus()
+def test_the_server_sap_refuses(kit: Ms2Bus, answer: str, failure: ServiceFailure, text: str) -> None:
     kit.slave.initiate = bytes.fromhex(answer)
     done = failed(kit)
     assert done.outcome.failure is failure
@@ -108,15 +109,13 @@ def test_the_server_sap_refuses(answer: str, failure: ServiceFailure, text: str)
     assert kit.slave.received(0x58) == ([b"\x58\x00\x14"] if failure is ServiceFailure.LENGTH else [])  # ABT_RE
 
 
-def test_the_longer_send_timeout_counts() -> None:
-    kit = Ms2Bus()
+def test_the_longer_send_timeout_counts(kit: Ms2Bus) -> None:
     kit.slave.timeout = b"\x01\x90"
     assert kit.open(send_timeout_ns=100 * MS).send_timeout_ns == 4_000 * MS
     assert kit.open(send_timeout_ns=5_000 * MS).send_timeout_ns == 5_000 * MS
 
 
-def test_a_slave_that_never_answers_initiate() -> None:
-    kit = Ms2Bus()
+def test_a_slave_that_never_answers_initiate(kit: Ms2Bus) -> None:
     kit.slave.polls = 1 << 20
     done = failed(kit, response_ns=300 * MS)
     assert done.outcome.failure is ServiceFailure.LATE
@@ -124,16 +123,14 @@ def test_a_slave_that_never_answers_initiate() -> None:
     assert kit.slave.heard[-1] == (48, b"\x58\x00\x13")  # ABT_TO
 
 
-def test_a_resource_manager_that_never_answers() -> None:
-    kit = Ms2Bus()
+def test_a_resource_manager_that_never_answers(kit: Ms2Bus) -> None:
     kit.slave.says[49] = lambda octets: SC
     done = failed(kit, response_ns=300 * MS)
     assert done.outcome.failure is ServiceFailure.LATE
     assert "its resource manager has no answer to Initiate within 0.3 s" in done.text
 
 
-def test_a_server_sap_that_the_slave_names_twice_stays_with_its_connection() -> None:
-    kit = Ms2Bus()
+def test_a_server_sap_that_the_slave_names_twice_stays_with_its_connection(kit: Ms2Bus) -> None:
     kit.slave.free = [48, 48]
     kit.open()
     done = kit.open()
@@ -143,17 +140,15 @@ def test_a_server_sap_that_the_slave_names_twice_stays_with_its_connection() -> 
 
 
 @pytest.mark.parametrize("lost", [(0,), (0, 1), (1,), (1, 2), (2, 3), (3,), (4,), (5,)])
-def test_telegrams_of_initiate_are_lost(lost: tuple[int, ...]) -> None:
+def test_telegrams_of_initiate_are_lost(kit: Ms2Bus, lost: tuple[int, ...]) -> None:
     """Requests and answers, with their repetitions: there is a connection in the end, and nothing else."""
-    kit = Ms2Bus()
     kit.lose(lost)
     done = kit.open()
     assert done.outcome.failure is None, done.text
     assert kit.read(1).outcome.data == b"\1\2"
 
 
-def test_an_initiate_whose_answers_are_lost_is_polled_and_not_sent_again() -> None:
-    kit = Ms2Bus()
+def test_an_initiate_whose_answers_are_lost_is_polled_and_not_sent_again(kit: Ms2Bus) -> None:
     kit.lose_first(2, lambda sent: sent.octets[0] == 0xE5)
     assert kit.open().server_sap == 48
     assert [(sap, pdu[:1].hex()) for sap, pdu in kit.slave.heard] == [(49, "57"), (49, ""), (48, "")]
@@ -194,9 +189,8 @@ def test_an_initiate_that_was_acknowledged_is_not_sent_again_when_a_poll_is_lost
     assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
 
 
-def test_an_initiate_that_arrived_at_last_is_not_sent_again() -> None:
+def test_an_initiate_that_arrived_at_last_is_not_sent_again(kit: Ms2Bus) -> None:
     """The first one and polls after it were lost, the second one is acknowledged, and its answer takes a while."""
-    kit = Ms2Bus()
     slow_manager(kit, 3)
     # Initiate and polls, with their repetitions
     kit.lose_first(4, lambda sent: sent.sender == 2 and sent.octets[0] == 0x68 and sent.octets[7] == 49)
@@ -206,9 +200,8 @@ def test_an_initiate_that_arrived_at_last_is_not_sent_again() -> None:
 
 @pytest.mark.parametrize("polls", [1, 2, 3])
 @pytest.mark.parametrize("free", [[48], [48, 47]])
-def test_an_initiate_is_not_sent_again_before_a_poll_is_answered(free: list[int], polls: int) -> None:
+def test_an_initiate_is_not_sent_again_before_a_poll_is_answered(kit: Ms2Bus, free: list[int], polls: int) -> None:
     """The slave took it, and was silent for a while: a second one would be refused, or leave a connection there."""
-    kit = Ms2Bus()
     kit.slave.free = [*free]
     silent = [polls]
 
@@ -226,18 +219,16 @@ def test_an_initiate_is_not_sent_again_before_a_poll_is_answered(free: list[int]
     assert list(kit.slave.sessions) == [48]
 
 
-def test_an_initiate_is_sent_again_to_a_slave_that_answers_polls_and_has_not_received_it() -> None:
+def test_an_initiate_is_sent_again_to_a_slave_that_answers_polls_and_has_not_received_it(kit: Ms2Bus) -> None:
     """More often than one that is silent: it says at each poll that it has nothing."""
-    kit = Ms2Bus()
     # six, each with its repetition
     kit.lose_first(2 * 6, lambda sent: sent.sender == 2 and len(sent.octets) > 12 and sent.octets[9] == 0x57)
     assert kit.open().outcome.failure is None
     assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
 
 
-def test_an_answer_for_an_earlier_master_comes_before_the_initiate_is_taken() -> None:
+def test_an_answer_for_an_earlier_master_comes_before_the_initiate_is_taken(kit: Ms2Bus) -> None:
     """RDL: the Initiate was not taken."""
-    kit = Ms2Bus()
     kit.slave.says_first(2, 49, sd2(2, 4, RDL, 50, 49, b"\x56\x11\x00\x64"))
     done = kit.open()
     assert (done.outcome.failure, done.server_sap) == (None, 48)
@@ -280,8 +271,7 @@ def test_initiate_closed_at_every_moment() -> None:
     assert 0 < opened < 100
 
 
-def test_initiate_times_out() -> None:
-    kit = Ms2Bus()
+def test_initiate_times_out(kit: Ms2Bus) -> None:
     kit.slave.polls = 1 << 20
     token = kit.order_open(timeout_ns=50 * MS)
     done = kit.end_of(token, InitiateDone)
@@ -304,9 +294,8 @@ def at_the_manager(kit: Ms2Bus) -> str:
     return "".join("I" if pdu else "n" for sap, pdu in kit.slave.heard if sap == 49)
 
 
-def test_the_resource_manager_is_asked_for_one_connection_at_a_time() -> None:
+def test_the_resource_manager_is_asked_for_one_connection_at_a_time(kit: Ms2Bus) -> None:
     """A slave chip has one Resource_Manager answer: the next Initiate waits until the last one has its server SAP."""
-    kit = Ms2Bus()
     kit.slave.free = [48, 47, 46]
     tokens = [kit.order_open() for _ in range(3)]
     assert sorted(kit.end_of(token, InitiateDone).server_sap for token in tokens) == [46, 47, 48]

@@ -124,8 +124,12 @@ def test_orders_to_slaves_without_dpv1_and_to_strangers() -> None:
     )
 
 
-def test_connections_that_cannot_be() -> None:
-    kit = Ms2Bus()
+@pytest.fixture
+def kit() -> Ms2Bus:
+    return Ms2Bus()
+
+
+def test_connections_that_cannot_be(kit: Ms2Bus) -> None:
     assert refusal(lambda: kit.order_read(7)) == "there is no open class 2 connection 7; open a new one"
     for ns in (0, -1):
         assert refusal(lambda ns=ns: kit.order_open(send_timeout_ns=ns)) == (  # type: ignore[misc]
@@ -142,8 +146,7 @@ def test_connections_that_cannot_be() -> None:
     assert refusal(lambda: kit.order_open()) == "64 class 2 connections are open already: close one first"
 
 
-def test_the_most_octets_of_a_connection() -> None:
-    kit = Ms2Bus()
+def test_the_most_octets_of_a_connection(kit: Ms2Bus) -> None:
     kit.slave.initiate = bytes.fromhex("57 05 01 00 00 00 00 00 00 02 00 02 00 00 00 00")
     assert kit.open().max_len == 5
     assert kit.write(1, 1, 2, bytes(5)).outcome == Outcome()
@@ -204,8 +207,7 @@ OVER = "slave 4: Initiate has no answer, the class 2 connection is over: the sla
         ),
     ],
 )
-def test_answers_of_the_resource_manager(pdu: str, text: str, codes: tuple[int, ...] | None) -> None:
-    kit = Ms2Bus()
+def test_answers_of_the_resource_manager(kit: Ms2Bus, pdu: str, text: str, codes: tuple[int, ...] | None) -> None:
     kit.slave.says = {49: lambda octets: sd2(2, 4, DL, 50, 49, bytes.fromhex(pdu))}
     done = kit.open()
     assert (done.text, done.outcome.codes) == (text, codes)
@@ -214,8 +216,7 @@ def test_answers_of_the_resource_manager(pdu: str, text: str, codes: tuple[int, 
 
 
 @pytest.mark.parametrize("idles", [1, 3])
-def test_idle_of_the_resource_manager_is_no_answer_yet(idles: int) -> None:
-    kit = Ms2Bus()
+def test_idle_of_the_resource_manager_is_no_answer_yet(kit: Ms2Bus, idles: int) -> None:
     waiting, usual = [b"\x48\x01"] * idles, kit.slave.manage
     kit.slave.manage = lambda pdu: waiting.pop() if waiting and not pdu else usual(pdu)  # type: ignore[method-assign]
     done = kit.open()
@@ -233,8 +234,7 @@ def test_idle_of_the_resource_manager_is_no_answer_yet(idles: int) -> None:
         ([7], 3, " (C2_Max_Count_Channels = 3, 1 of them from here)"),
     ],
 )
-def test_no_connection_left(free: list[int], channels: int, facts: str) -> None:
-    kit = Ms2Bus()
+def test_no_connection_left(kit: Ms2Bus, free: list[int], channels: int, facts: str) -> None:
     kit.slave.free = free
     if free:
         kit.open()

@@ -23,6 +23,11 @@ def refusal(bench: AlarmBench, raised: str) -> str:
     return caught.value.reason
 
 
+@pytest.fixture
+def bench() -> AlarmBench:
+    return AlarmBench().start()
+
+
 @pytest.mark.parametrize(
     ("raised", "block", "ack"),
     [
@@ -36,8 +41,7 @@ def refusal(bench: AlarmBench, raised: str) -> str:
         ("7E 01 00" + " 55" * 59, "3F 7E 01 00" + " 55" * 59, "01 7E 00"),
     ],
 )
-def test_every_type_is_shown_and_acknowledged(raised: str, block: str, ack: str) -> None:
-    bench = AlarmBench().start()
+def test_every_type_is_shown_and_acknowledged(bench: AlarmBench, raised: str, block: str, ack: str) -> None:
     assert not bench.must_fetch
     alarm = bench.raise_(raised)
     assert bench.fetch() == block
@@ -49,8 +53,7 @@ def test_every_type_is_shown_and_acknowledged(raised: str, block: str, ack: str)
     assert bench.ext() == ""
 
 
-def test_the_additional_acknowledgement_is_a_bit_of_the_specifier() -> None:
-    bench = AlarmBench().start()
+def test_the_additional_acknowledgement_is_a_bit_of_the_specifier(bench: AlarmBench) -> None:
     bench.raise_("01 02 01", add_ack=True)
     assert bench.fetch() == "04 01 02 05"
     assert bench.ack("02 01 05") == "5C 02 01 05"
@@ -105,8 +108,7 @@ def test_sequence_mode_keeps_the_order_and_numbers_that_are_used_are_left_out() 
 
 
 @pytest.mark.parametrize("ack", ["02 01 01", "01 02 01", "01 01 09"])
-def test_an_acknowledgement_of_something_else_is_refused(ack: str) -> None:
-    bench = AlarmBench().start()
+def test_an_acknowledgement_of_something_else_is_refused(bench: AlarmBench, ack: str) -> None:
     alarm = bench.raise_("01 01 01")
     bench.fetch()
     assert bench.ack(ack) == "DC 80 B8 00"
@@ -127,8 +129,7 @@ def test_an_acknowledgement_of_the_wrong_length(octets: str) -> None:
     assert bench.ack(octets, 50) == "DC 80 B8 00"
 
 
-def test_an_alarm_is_not_acknowledged_before_it_was_shown() -> None:
-    bench = AlarmBench().start()
+def test_an_alarm_is_not_acknowledged_before_it_was_shown(bench: AlarmBench) -> None:
     alarm = bench.raise_("01 01 01")
     assert bench.ack("01 01 01") == "DC 80 B8 00"
     assert bench.ext(OTHER) == "04 01 01 01"
@@ -136,8 +137,7 @@ def test_an_alarm_is_not_acknowledged_before_it_was_shown() -> None:
     assert alarm.end is None
 
 
-def test_repeated_acknowledgements_are_answered_and_do_nothing() -> None:
-    bench = AlarmBench().start()
+def test_repeated_acknowledgements_are_answered_and_do_nothing(bench: AlarmBench) -> None:
     first = bench.raise_("01 01 01")
     second = bench.raise_("01 01 01")
     bench.fetch()
@@ -163,8 +163,7 @@ def test_an_answer_to_a_poll_that_was_lost_is_given_again() -> None:
         assert bench.poll(sap) == "5C 01 01 01"
 
 
-def test_a_diagnosis_that_was_lost_is_fetched_again() -> None:
-    bench = AlarmBench().start()
+def test_a_diagnosis_that_was_lost_is_fetched_again(bench: AlarmBench) -> None:
     bench.raise_("02 01 00 77")
     bench.raise_("06 01 00")
     assert bench.fetch() == "05 02 01 00 77"
@@ -173,16 +172,14 @@ def test_a_diagnosis_that_was_lost_is_fetched_again() -> None:
     assert bench.fetch() == "04 06 01 08"
 
 
-def test_an_alarm_that_was_read_but_never_confirmed_is_acknowledged() -> None:
-    bench = AlarmBench().start()
+def test_an_alarm_that_was_read_but_never_confirmed_is_acknowledged(bench: AlarmBench) -> None:
     alarm = bench.raise_("02 01 00")
     bench.fetch()
     bench.ask(51, bytes.fromhex("5C 01 02 00"), fresh=True)
     assert alarm.end is AlarmEnd.ACKNOWLEDGED
 
 
-def test_class_2_reading_the_diagnosis_takes_nothing_away() -> None:
-    bench = AlarmBench().start()
+def test_class_2_reading_the_diagnosis_takes_nothing_away(bench: AlarmBench) -> None:
     bench.raise_("02 01 00")
     bench.alarms.status(Status(1, 3, 1))
     for _ in range(2):
@@ -266,16 +263,14 @@ def test_leaving_data_exchange_ends_alarms(way: str) -> None:
         assert bench.fetch() == "04 02 01 00"
 
 
-def test_the_same_configuration_again_changes_nothing() -> None:
-    bench = AlarmBench().start()
+def test_the_same_configuration_again_changes_nothing(bench: AlarmBench) -> None:
     alarm = bench.raise_("02 01 00")
     bench.cfg(CFG)
     assert bench.fetch() == "04 02 01 00"
     assert alarm.end is None
 
 
-def test_at_most_32_wait() -> None:
-    bench = AlarmBench().start()
+def test_at_most_32_wait(bench: AlarmBench) -> None:
     for _ in range(MAX_WAITING + 1):  # one is shown
         bench.raise_("02 01 00")
     assert refusal(bench, "02 01 00") == "queue full"
@@ -285,8 +280,7 @@ def test_at_most_32_wait() -> None:
         bench.alarms.status(Status(1, 1))
 
 
-def test_an_alarm_is_withdrawn_until_the_master_has_it() -> None:
-    bench = AlarmBench().start()
+def test_an_alarm_is_withdrawn_until_the_master_has_it(bench: AlarmBench) -> None:
     shown, second, third = (bench.raise_("02 01 00") for _ in range(3))
     bench.fetch()
     bench.alarms.withdraw(second)
@@ -301,8 +295,7 @@ def test_an_alarm_is_withdrawn_until_the_master_has_it() -> None:
 # --- status messages ----------------------------------------------------------------------------------------------
 
 
-def test_status_messages_are_shown_once_each() -> None:
-    bench = AlarmBench().start()
+def test_status_messages_are_shown_once_each(bench: AlarmBench) -> None:
     bench.alarms.status(Status(1, 3, 1, b"\x55"))
     states = (ModuleState.OK, ModuleState.INVALID, ModuleState.WRONG, ModuleState.MISSING, ModuleState.INVALID)
     bench.alarms.status(module_status(states))
@@ -314,8 +307,7 @@ def test_status_messages_are_shown_once_each() -> None:
     assert bench.ext() == ""
 
 
-def test_between_two_that_are_the_same_there_is_a_diagnosis_without() -> None:
-    bench = AlarmBench().start()
+def test_between_two_that_are_the_same_there_is_a_diagnosis_without(bench: AlarmBench) -> None:
     for status in (Status(1, 3), Status(1, 3), Status(1, 4), Status(1, 3)):
         bench.alarms.status(status)
     for block in ("04 81 03 00", "", "04 81 03 00", "04 81 04 00", "04 81 03 00"):

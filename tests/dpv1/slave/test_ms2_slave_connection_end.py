@@ -28,12 +28,21 @@ from tests.dpv1.ms2_slave_kit import READ, TIMEOUT, Later, Slave, cyclic, reach
 # --- time -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def later() -> Later:
+    return Later()
+
+
+@pytest.fixture
+def slave() -> Slave:
+    return Slave(count=1)
+
+
 @pytest.mark.parametrize(
     ("step", "factor"),
     [("initiate", 1), ("opened", 2), ("asked", 1), ("fetched", 2), ("idle", 1), ("idle answered", 2)],
 )
-def test_silence_ends_a_connection_to_the_nanosecond(step: str, factor: int) -> None:
-    later = Later()
+def test_silence_ends_a_connection_to_the_nanosecond(later: Later, step: str, factor: int) -> None:
     slave = Slave(later, count=1)
     reach(slave, later, step)
     deadline = slave.master.heard + factor * TIMEOUT
@@ -71,8 +80,7 @@ def test_each_connection_has_its_own_time_out() -> None:
         assert slave.saps() == open_ones
 
 
-def test_the_abort_after_silence_is_fetched() -> None:
-    later = Later()
+def test_the_abort_after_silence_is_fetched(later: Later) -> None:
     slave = Slave(later, count=1)
     reach(slave, later, "asked")
     dropped: list[int] = []
@@ -87,8 +95,7 @@ def test_the_abort_after_silence_is_fetched() -> None:
     slave.master.connect()
 
 
-def test_the_sap_of_a_connection_that_is_over_goes_to_the_next_master() -> None:
-    slave = Slave(count=1)
+def test_the_sap_of_a_connection_that_is_over_goes_to_the_next_master(slave: Slave) -> None:
     slave.master.connect()
     slave.wire.pass_time(2 * TIMEOUT + MS)
     other = Class2(slave.wire, 3)
@@ -97,8 +104,7 @@ def test_the_sap_of_a_connection_that_is_over_goes_to_the_next_master() -> None:
     assert [connection.master for connection in ms2_of(slave.app).connections] == [3]
 
 
-def test_polls_and_idle_keep_a_connection() -> None:
-    slave = Slave(count=1)
+def test_polls_and_idle_keep_a_connection(slave: Slave) -> None:
     sap = slave.master.connect()
     for _ in range(4):
         slave.wire.pass_time(2 * TIMEOUT - 20 * MS)
@@ -112,8 +118,7 @@ def test_polls_and_idle_keep_a_connection() -> None:
 
 
 @pytest.mark.parametrize("step", ["initiate", "manager", "opened", "asked", "fetched", "idle", "idle answered"])
-def test_an_abort_of_the_master_at_every_step(step: str) -> None:
-    later = Later()
+def test_an_abort_of_the_master_at_every_step(later: Later, step: str) -> None:
     slave = Slave(later, count=1)
     reach(slave, later, step)
     assert slave.master.ask(48, ABORT) == SC
@@ -127,8 +132,7 @@ def test_an_abort_of_the_master_at_every_step(step: str) -> None:
 @pytest.mark.parametrize("subnet", [0, 1, 2, 7])
 @pytest.mark.parametrize("instance", [0, 1, 2, 3])
 @pytest.mark.parametrize("reason", [1, 2, 3, 4, 5, 6, 7, 8, 15, 0, 12])
-def test_each_reason_of_an_abort_is_reported(subnet: int, instance: int, reason: int) -> None:
-    slave = Slave(count=1)
+def test_each_reason_of_an_abort_is_reported(slave: Slave, subnet: int, instance: int, reason: int) -> None:
     sap = slave.master.connect()
     slave.master.ask(sap, f"58 {subnet:02X} {instance << 4 | reason:02X} 00")
     assert slave.texts()[-1].endswith(f"its master aborted it: {Abort(reason, instance, subnet).text}")
@@ -136,8 +140,7 @@ def test_each_reason_of_an_abort_is_reported(subnet: int, instance: int, reason:
 
 
 @pytest.mark.parametrize("short", ["58", "58 00", "58 00 25", "58 00 25 00 01 02 03"])
-def test_an_abort_of_another_length_is_an_abort(short: str) -> None:
-    slave = Slave(count=1)
+def test_an_abort_of_another_length_is_an_abort(slave: Slave, short: str) -> None:
     assert slave.master.ask(slave.master.connect(), short) == SC
     assert slave.all_free()
 
@@ -157,8 +160,7 @@ def _set_address(slave: Slave) -> None:
     ],
     ids=["restart", "initial reset", "rate lost", "address"],
 )
-def test_the_slave_itself_ends_it(end: Callable[[Slave], None], reason: str, step: str) -> None:
-    later = Later()
+def test_the_slave_itself_ends_it(later: Later, end: Callable[[Slave], None], reason: str, step: str) -> None:
     device = Recorder()
     device.set_slave_add = True
     slave = Slave(later, count=1, device=device)
@@ -174,8 +176,7 @@ def test_the_slave_itself_ends_it(end: Callable[[Slave], None], reason: str, ste
     assert slave.app.wake_at() > now + 100 * TIMEOUT
 
 
-def test_a_slave_that_searches_its_rate_ends_its_connections() -> None:
-    slave = Slave(count=1)
+def test_a_slave_that_searches_its_rate_ends_its_connections(slave: Slave) -> None:
     searching = SearchingSlave(slave.wire.station, slave.app, rates=[500_000])
     slave.master.connect()
     searching._reach(searching.state.SEARCH, slave.wire.now)
@@ -201,8 +202,7 @@ def test_the_table_has_every_state_and_trigger() -> None:
 
 
 @pytest.mark.parametrize(("state", "event"), list(TABLE))
-def test_every_row_of_the_table(state: State, event: Ms2Trigger) -> None:
-    later = Later()
+def test_every_row_of_the_table(later: Later, state: State, event: Ms2Trigger) -> None:
     slave = Slave(later, count=1)
     master = slave.master
     reach(slave, later, {State.OPEN: "fetched", State.ANSWERED: "idle"}.get(state, "asked"))

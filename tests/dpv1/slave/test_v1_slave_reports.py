@@ -17,6 +17,7 @@ from dpstack.fdl.interface import RS_REPLY, SC_REPLY
 
 INITIATE = "57 00 00 00 00 64 01 00 00 00 00 00 00 02 00 02 00 00 00 00"
 NO_SERVICE = "57 00 00 00 00 64 01 00 00 00 00 00 00 02 00 02 00 00 00"
+FAR = "57 00 00 00 00 64 01 00 00 00 00 00 00 02 01 08 00 00 01 02 00 00 00 00 00 00"
 OPENED = "570401000000000000020002 00000000".replace(" ", "")
 
 
@@ -30,7 +31,8 @@ class _Records:
             request.answer(b"\1\2\3")
 
 
-def bench() -> Bench:
+@pytest.fixture
+def made() -> Bench:
     """In data exchange with master 2, with every alarm and two connections of 4 octets."""
     device = Recorder()
     device.records = _Records()
@@ -84,8 +86,7 @@ FAILED = "refused: its function failed (ZeroDivisionError: no record), in ask(),
         (50, "5E01", "de80a900", "Alarm_Ack of master 2 refused: octet 1: no service 0x5E at SAP 50"),
     ],
 )  # fmt: skip
-def test_ms1(sap: int, request_: str, answer: str, report: str) -> None:
-    made = bench()
+def test_ms1(made: Bench, sap: int, request_: str, answer: str, report: str) -> None:
     for time in range(2):
         told = [*ask(made, sap, request_, 2)[1]]
         found, more = ask(made, sap, "", 2)
@@ -125,8 +126,7 @@ SERVICE = "class 2 connection of master 1 (server SAP 48) is over after"
         ("580225", "RS", f"{SERVICE} 0 services: its master aborted it: its user, reason 5 in a remote subnet"),
     ],
 )  # fmt: skip
-def test_a_connection(request_: str, answer: str, report: str) -> None:
-    made = bench()
+def test_a_connection(made: Bench, request_: str, answer: str, report: str) -> None:
     opened = "class 2 connection of master 1 opened (server SAP 48, send time-out 1000 ms)"
     assert ask(made, 49, INITIATE, 1) == ("SC", [opened])
     assert [ask(made, sap, "", 1) for sap in (49, 48)] == [("56300064", []), (OPENED, [])]
@@ -140,8 +140,7 @@ def test_a_connection(request_: str, answer: str, report: str) -> None:
     assert bool(ms2_of(made.app).connections) is not ended
 
 
-def test_a_second_service_while_one_is_worked_at() -> None:
-    made = bench()
+def test_a_second_service_while_one_is_worked_at(made: Bench) -> None:
     for sap, octets in ((49, INITIATE), (49, ""), (48, ""), (48, "5E0108F0")):
         ask(made, sap, octets, 1)
     assert ask(made, 48, "5E0102F0", 1) == ("SC", [f"{SERVICE} 1 services: Read came in the state 'working'"])
@@ -149,21 +148,21 @@ def test_a_second_service_while_one_is_worked_at() -> None:
     assert ask(made, 48, "", 1) == ("RS", [])
 
 
-def test_initiates_that_are_refused() -> None:
-    far = "57 00 00 00 00 64 01 00 00 00 00 00 00 02 01 08 00 00 01 02 00 00 00 00 00 00"
-    for initiate, answer, reason in (
+@pytest.mark.parametrize(
+    ("initiate", "answer", "reason"),
+    [
         (NO_SERVICE, "580012", "Initiate: 2 and 2 octets of addresses are announced, 3 came"),
         ("57", "580012", "Initiate ends after 1 octet: octet 2 (reserved) is missing"),
-        (far, "580017", "D_Addr is an address in another network, and this slave is the end of the way"),
-    ):
-        made = bench()
-        assert ask(made, 49, initiate, 1) == ("SC", [f"Initiate of master 1 refused: {reason}"])
-        assert [ask(made, sap, "", 1)[0] for sap in (49, 48, 48)] == ["56300064", answer, "RS"]
-        assert (made.app.stats.connections, made.app.stats.closed) == (0, 0)
+        (FAR, "580017", "D_Addr is an address in another network, and this slave is the end of the way"),
+    ],
+)
+def test_initiates_that_are_refused(made: Bench, initiate: str, answer: str, reason: str) -> None:
+    assert ask(made, 49, initiate, 1) == ("SC", [f"Initiate of master 1 refused: {reason}"])
+    assert [ask(made, sap, "", 1)[0] for sap in (49, 48, 48)] == ["56300064", answer, "RS"]
+    assert (made.app.stats.connections, made.app.stats.closed) == (0, 0)
 
 
-def test_connections_that_end_without_their_master() -> None:
-    made = bench()
+def test_connections_that_end_without_their_master(made: Bench) -> None:
     for sap, octets in ((49, INITIATE), (49, ""), (48, "")):
         ask(made, sap, octets, 1)
     ms2 = ms2_of(made.app)
@@ -191,8 +190,7 @@ def test_connections_that_end_without_their_master() -> None:
         assert str(refused.value) == text
 
 
-def test_an_initiate_that_takes_the_place_of_another() -> None:
-    made = bench()
+def test_an_initiate_that_takes_the_place_of_another(made: Bench) -> None:
     device = made.device
     assert isinstance(device, Recorder)
     before = f"{SERVICE} 0 services: another Initiate of its master came before the answer was fetched"

@@ -14,8 +14,7 @@ from dpstack.phy.patience import ADAPTER, HOST, Patience
 from dpstack.units import NS_PER_MS
 
 
-def test_gap_finds_a_slave_and_loses_it() -> None:
-    bus = RingBus()
+def test_gap_finds_a_slave_and_loses_it(bus: RingBus) -> None:
     station = bus.master(2, hsa=6)
 
     def slave(octets: bytes, now: int) -> tuple[int, bytes] | None:
@@ -34,8 +33,7 @@ def test_gap_finds_a_slave_and_loses_it() -> None:
     assert polls[:6] == [3, 4, 5, 6, 0, 1]
 
 
-def test_one_gap_poll_a_hold_after_the_traffic() -> None:
-    bus = RingBus()
+def test_one_gap_poll_a_hold_after_the_traffic(bus: RingBus) -> None:
     user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, b"\x01"), Request(9, Req.SDN_HIGH, b"\x02")])
     bus.master(2, user, hsa=20)
     bus.run_ms(20)
@@ -43,8 +41,7 @@ def test_one_gap_poll_a_hold_after_the_traffic() -> None:
     assert kinds.startswith("rrgtrrgtrrgt")
 
 
-def test_an_unreadable_gap_answer_proves_nothing() -> None:
-    bus = RingBus()
+def test_an_unreadable_gap_answer_proves_nothing(bus: RingBus) -> None:
     station = bus.master(2, hsa=6)
     bus.slaves[4] = lambda octets, now: (11, bytes.fromhex("10 02 04 00 06 16"))
     bus.run_ms(300)
@@ -138,8 +135,7 @@ def test_two_masters_on_slow_ports() -> None:
     assert bus.healed
 
 
-def test_low_priority_does_not_starve_the_gap() -> None:
-    bus = RingBus()
+def test_low_priority_does_not_starve_the_gap(bus: RingBus) -> None:
     endless = [Request(9, Req.SDN_LOW, bytes(20)) for _ in range(10_000)]
     station = bus.master(2, ListUser(low=endless), hsa=6, t_tr=2000)
     bus.run_ms(200)

@@ -68,8 +68,7 @@ def test_high_priority_once_after_t_th_and_low_priority_never() -> None:
 
 
 @pytest.mark.parametrize(("skipped", "first"), [(7, "low"), (8, "gap")])
-def test_a_gap_poll_that_found_no_time_eight_times_goes_first(skipped: int, first: str) -> None:
-    bus = RingBus()
+def test_a_gap_poll_that_found_no_time_eight_times_goes_first(bus: RingBus, skipped: int, first: str) -> None:
     user = ListUser()
     station = bus.master(2, user, hsa=6)
     bus.until(station, State.PASS_TOKEN)
@@ -85,8 +84,7 @@ def test_a_gap_poll_that_found_no_time_eight_times_goes_first(skipped: int, firs
     assert user.asked[0] is (first == "gap")
 
 
-def test_a_hold_without_time_for_a_gap_poll_counts_once() -> None:
-    bus = RingBus()
+def test_a_hold_without_time_for_a_gap_poll_counts_once(bus: RingBus) -> None:
     station = bus.master(2, hsa=6)
     bus.until(station, State.PASS_TOKEN)
     station._gap.restart()
@@ -95,8 +93,7 @@ def test_a_hold_without_time_for_a_gap_poll_counts_once() -> None:
     assert station._gap.skipped == before + 1
 
 
-def test_rotations_are_measured_from_the_second_hold_on() -> None:
-    bus = RingBus()
+def test_rotations_are_measured_from_the_second_hold_on(bus: RingBus) -> None:
     station = bus.master(2, gap=0)
     bus.until(station, State.PASS_TOKEN)
     assert (station.token_rotation.count, station.stats.tokens) == (0, 1)
@@ -114,8 +111,7 @@ def test_whether_the_station_is_alone_is_read_with_each_token() -> None:
 
 
 # --- the guard -------------------------------------------------------------------------------------------------------
-def test_the_guard_refuses_and_tells_each_reason_once() -> None:
-    bus = RingBus()
+def test_the_guard_refuses_and_tells_each_reason_once(bus: RingBus) -> None:
     user = ListUser(high=[DX, SDN, DX, replace(DX, da=4)])
     params = BusParams.preset(500_000, address=2, gap=0)
 
@@ -385,8 +381,7 @@ def test_a_line_that_comes_back_starts_the_station_only_if_it_was_online(online:
 
 
 # --- collision and back-off ------------------------------------------------------------------------------------------
-def test_a_collision_keeps_the_station_out_for_ten_t_to() -> None:
-    bus = RingBus()
+def test_a_collision_keeps_the_station_out_for_ten_t_to(bus: RingBus) -> None:
     user = ListUser()
     station = bus.master(2, user, gap=0)
     bus.run_ms(20)
@@ -405,8 +400,7 @@ def test_a_collision_keeps_the_station_out_for_ten_t_to() -> None:
     assert [e.reason for e in bus.events_of(RingLeft)] == ["another station has the same address"]
 
 
-def test_no_answer_to_a_status_request_during_the_back_off() -> None:
-    bus = RingBus()
+def test_no_answer_to_a_status_request_during_the_back_off(bus: RingBus) -> None:
     station = bus.master(2, gap=0)
     bus.run_ms(20)
     bus.until(station, State.PASS_TOKEN)
@@ -429,8 +423,7 @@ def test_two_tokens_with_this_address_are_a_collision_within_ten_t_to(apart_t_to
     assert bool(station.take_events()) is collides
 
 
-def test_masters_heard_while_listening_are_noted() -> None:
-    bus = RingBus()
+def test_masters_heard_while_listening_are_noted(bus: RingBus) -> None:
     station = bus.master(2, gap=0)
     for n, telegram in enumerate(
         (token(7, 5), token(5, 7), Telegram(Kind.SD1, 3, 7, 0x49), Telegram(Kind.SD1, 3, 9, 0x49))
@@ -605,8 +598,7 @@ def test_a_request_older_than_a_millisecond_is_asked_whether_it_is_still_good(la
     assert calls == ([made_at + late_ns] if asked else [])
 
 
-def test_an_acknowledgement_before_the_first_request_counts_for_nobody() -> None:
-    bus = RingBus()
+def test_an_acknowledgement_before_the_first_request_counts_for_nobody(bus: RingBus) -> None:
     station = bus.master(2, gap=0)
     bus.run_ms(50)
     assert station.in_ring

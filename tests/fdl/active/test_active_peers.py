@@ -19,7 +19,8 @@ DX = Request(3, Req.SRD_HIGH, b"\x01")
 STATUS = Request(3, Req.FDL_STATUS)
 
 
-def peers_of() -> Peers:
+@pytest.fixture
+def peers() -> Peers:
     return ActiveStation(BusParams.preset(500_000, address=2), [ListUser()])._peers
 
 
@@ -48,8 +49,7 @@ STORIES = [
 
 
 @pytest.mark.parametrize(("story", "known", "slow"), STORIES, ids=[each[0] for each in STORIES])
-def test_known_and_slow_stations(story: str, known: bool, slow: bool) -> None:
-    peers = peers_of()
+def test_known_and_slow_stations(peers: Peers, story: str, known: bool, slow: bool) -> None:
     acts: dict[str, Callable[[], object]] = {
         "found": lambda: peers.gap.polled(3, StationType.SLAVE),
         "silent": lambda: peers.silent(3),
@@ -68,8 +68,7 @@ def test_known_and_slow_stations(story: str, known: bool, slow: bool) -> None:
 
 
 # --- answers that may still come -------------------------------------------------------------------------------------
-def test_an_answer_may_be_late_by_four_slot_times() -> None:
-    peers = peers_of()
+def test_an_answer_may_be_late_by_four_slot_times(peers: Peers) -> None:
     peers.expect_late(DX, 1_000, 50)
     assert peers.due == {3: (DX, 1_200)}
     assert peers.due_from(data_from(4), 1_200) == -1
@@ -99,8 +98,7 @@ def test_an_answer_may_be_late_by_four_slot_times() -> None:
         (STATUS, STATUS, True),
     ],
 )
-def test_a_late_answer_may_fit_two_requests(due: Request, request_: Request, confuses: bool) -> None:
-    peers = peers_of()
+def test_a_late_answer_may_fit_two_requests(peers: Peers, due: Request, request_: Request, confuses: bool) -> None:
     peers.expect_late(due, 0, 50)
     assert peers.may_confuse(request_, 100) is confuses
 
@@ -117,15 +115,13 @@ UNREADABLE = "half of the answers of station 3 cannot be read"
 
 
 @pytest.mark.parametrize(("count", "told"), [(9, []), (10, [DOUBLED]), (40, [DOUBLED])])
-def test_ten_surplus_answers_are_two_stations(count: int, told: list[str]) -> None:
-    peers = peers_of()
+def test_ten_surplus_answers_are_two_stations(peers: Peers, count: int, told: list[str]) -> None:
     for _ in range(count):
         peers.superfluous(3, 77)
     assert notices(peers) == told
 
 
-def test_an_answer_without_request_makes_up_for_a_failed_attempt() -> None:
-    peers = peers_of()
+def test_an_answer_without_request_makes_up_for_a_failed_attempt(peers: Peers) -> None:
     peers.attempt_failed(3)
     for _ in range(9):
         peers.superfluous(3, 77)
@@ -138,8 +134,7 @@ def test_an_answer_without_request_makes_up_for_a_failed_attempt() -> None:
     assert notices(peers) == [DOUBLED]
 
 
-def test_late_answers_are_counted_for_the_station() -> None:
-    peers = peers_of()
+def test_late_answers_are_counted_for_the_station(peers: Peers) -> None:
     for _ in range(10):
         peers.late(3, 77)
     assert (peers.stats.late, peers.stats.station(3).late, peers.stats.station(4).late) == (10, 10, 0)
@@ -147,8 +142,7 @@ def test_late_answers_are_counted_for_the_station() -> None:
 
 
 @pytest.mark.parametrize(("first", "repeated", "told"), [(49, 500, []), (50, 0, [UNREADABLE]), (80, 0, [UNREADABLE])])
-def test_fifty_requests_with_unreadable_answers(first: int, repeated: int, told: list[str]) -> None:
-    peers = peers_of()
+def test_fifty_requests_with_unreadable_answers(peers: Peers, first: int, repeated: int, told: list[str]) -> None:
     for _ in range(repeated):
         peers.unreadable(3, False, 77)
     for _ in range(first):
@@ -157,8 +151,7 @@ def test_fifty_requests_with_unreadable_answers(first: int, repeated: int, told:
 
 
 @pytest.mark.parametrize(("requests", "told"), [(100, [DOUBLED, UNREADABLE]), (101, [])])
-def test_the_counts_begin_anew_after_a_hundred_requests(requests: int, told: list[str]) -> None:
-    peers = peers_of()
+def test_the_counts_begin_anew_after_a_hundred_requests(peers: Peers, requests: int, told: list[str]) -> None:
     peers.stats.station(3).requests = 5
     for _ in range(9):
         peers.superfluous(3, 77)
@@ -172,8 +165,7 @@ def test_the_counts_begin_anew_after_a_hundred_requests(requests: int, told: lis
         assert (peers._odd[3].since, peers._odd[3].superfluous, peers._odd[3].unreadable) == (106, 1, 1)
 
 
-def test_le_3_is_reported_once_for_each_station() -> None:
-    peers = peers_of()
+def test_le_3_is_reported_once_for_each_station(peers: Peers) -> None:
     for address in (3, 4, 3):
         peers.empty_le3(address, 77)
     assert [(event.t_ns, event.source, event.message[:16]) for event in peers.events if isinstance(event, Notice)] == [
@@ -182,8 +174,7 @@ def test_le_3_is_reported_once_for_each_station() -> None:
     ]
 
 
-def test_texts() -> None:
-    peers = peers_of()
+def test_texts(peers: Peers) -> None:
     peers.knows_only_fcv(3, 77)
     assert [event.text for event in peers.events] == [
         "fdl: station 3 answered a request with FCV = 1 after three silent ones with FCV = 0: it was switched on just "

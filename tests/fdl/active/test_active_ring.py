@@ -42,8 +42,7 @@ def test_a_lone_master_keeps_exact_gaps(baud: int) -> None:
     assert station.stats.tokens == len(bus.log) - 1  # two tokens claim one hold
 
 
-def test_a_master_listens_for_t_to_first() -> None:
-    bus = RingBus()
+def test_a_master_listens_for_t_to_first(bus: RingBus) -> None:
     station = bus.master(9, gap=0, online=False)
     bus.run_ms(50)
     assert station.state is State.OFFLINE
@@ -81,8 +80,7 @@ def test_the_token_goes_up_and_wraps() -> None:
     assert tokens[start : start + 3] == ["dc0502", "dc0905", "dc0209"]
 
 
-def test_a_newcomer_says_not_ready_until_it_knows_the_ring() -> None:
-    bus = RingBus()
+def test_a_newcomer_says_not_ready_until_it_knows_the_ring(bus: RingBus) -> None:
     bus.master(2, hsa=6)
     bus.run_ms(3)
     bus.master(3, hsa=6)
@@ -93,8 +91,7 @@ def test_a_newcomer_says_not_ready_until_it_knows_the_ring() -> None:
     assert bus.healed
 
 
-def test_a_newcomer_does_not_say_that_a_master_joined_which_was_there_before() -> None:
-    bus = RingBus()
+def test_a_newcomer_does_not_say_that_a_master_joined_which_was_there_before(bus: RingBus) -> None:
     first = bus.master(2, hsa=6)
     bus.run_ms(100)
     assert first.in_ring
@@ -213,8 +210,7 @@ def test_a_token_with_an_impossible_address_is_noise() -> None:
     assert b.las == {2, 5}
 
 
-def test_line_down_and_up() -> None:
-    bus = RingBus()
+def test_line_down_and_up(bus: RingBus) -> None:
     user = ListUser(per_hold=[Request(9, Req.SRD_HIGH)])
     station = bus.master(2, user, gap=0)
     bus.run_ms(10)
@@ -237,8 +233,7 @@ def test_line_down_and_up() -> None:
     assert station.state is State.OFFLINE
 
 
-def test_going_offline_waits_for_the_answer_under_way() -> None:
-    bus = RingBus()
+def test_going_offline_waits_for_the_answer_under_way(bus: RingBus) -> None:
     user = ListUser(high=[Request(9, Req.SRD_HIGH)])
     station = bus.master(2, user, gap=0)
     bus.slaves[9] = lambda octets, now: (60, b"\xe5")
@@ -251,8 +246,7 @@ def test_going_offline_waits_for_the_answer_under_way() -> None:
     assert not isinstance(user.outcomes[0], Failure)
 
 
-def test_commands_ticks_and_events_of_users() -> None:
-    bus = RingBus()
+def test_commands_ticks_and_events_of_users(bus: RingBus) -> None:
     first, second = ListUser(), ListUser(at=7 * NS_PER_MS)
     station = bus.master(2, first, second, gap=0)
     bus.command(station, "mine")
@@ -266,8 +260,7 @@ def test_commands_ticks_and_events_of_users() -> None:
     assert first.tokens == second.tokens
 
 
-def test_the_wire_tap_gets_every_telegram() -> None:
-    bus = RingBus()
+def test_the_wire_tap_gets_every_telegram(bus: RingBus) -> None:
     heard: list[WireEntry] = []
     a = bus.master(2, hsa=6)
     a.wire = heard.append

@@ -23,15 +23,15 @@ from dpstack.params import BusParams
 TO_4, SLAVE_4 = "10 04 02 49 4F 16", "10 02 04 00 06 16"
 
 
-def station_2() -> ActiveStation:
+@pytest.fixture
+def station() -> ActiveStation:
     station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [ListUser()])
     station.command(GoOnline(), 0)
     return station
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_the_silence_of_a_station_that_the_gap_knows_is_waited_for(known: bool) -> None:
-    bus = RingBus()
+def test_the_silence_of_a_station_that_the_gap_knows_is_waited_for(bus: RingBus, known: bool) -> None:
     if known:
         bus.slaves[4] = fixed(TO_4, SLAVE_4)
     user = ListUser()
@@ -44,8 +44,7 @@ def test_the_silence_of_a_station_that_the_gap_knows_is_waited_for(known: bool) 
     assert request.patient is known
 
 
-def test_a_late_answer_is_no_longer_due() -> None:
-    station = station_2()
+def test_a_late_answer_is_no_longer_due(station: ActiveStation) -> None:
     peers = station._peers
     for address in (4, 5):
         peers.expect_late(Request(address, Req.SRD_HIGH, b"\x01"), 0, 10**6)
@@ -65,9 +64,8 @@ def test_a_late_answer_is_no_longer_due() -> None:
     ],
 )
 def test_an_acknowledgement_is_that_of_the_station_asked_while_the_token_is_here(
-    in_ring: bool, state: State, asked: int, counts: bool
+    station: ActiveStation, in_ring: bool, state: State, asked: int, counts: bool
 ) -> None:
-    station = station_2()
     station._membership.in_ring = in_ring
     station._machine.enter(state)
     station._exchange._asked_da = asked
@@ -77,9 +75,8 @@ def test_an_acknowledgement_is_that_of_the_station_asked_while_the_token_is_here
 
 
 @pytest.mark.parametrize(("late_ns", "state"), [(0, CLAIM_TOKEN), (1, LISTEN_TOKEN)])
-def test_t_to_begins_anew_behind_an_edge_that_outlasts_it(late_ns: int, state: State) -> None:
+def test_t_to_begins_anew_behind_an_edge_that_outlasts_it(station: ActiveStation, late_ns: int, state: State) -> None:
     """T_TO of station 2 is ten slot times of 200 bits: 4 ms."""
-    station = station_2()
     assert station.wake_at() == 4_000_000
     station._line.busy_until = 4_000_000 + late_ns
     station._machine.timeout(4_000_000)
@@ -88,8 +85,7 @@ def test_t_to_begins_anew_behind_an_edge_that_outlasts_it(late_ns: int, state: S
         assert station._machine.deadline == 8_000_000 + late_ns
 
 
-def test_a_token_that_goes_past_says_who_passed_it_to_whom() -> None:
-    bus = RingBus()
+def test_a_token_that_goes_past_says_who_passed_it_to_whom(bus: RingBus) -> None:
     station = bus.master(2, gap=0)
     bus.run_ms(50)
     assert station.in_ring
@@ -100,16 +96,14 @@ def test_a_token_that_goes_past_says_who_passed_it_to_whom() -> None:
     assert station.state is LISTEN_TOKEN
 
 
-def test_an_acknowledgement_behind_a_pass_counts_as_stray_and_shows_a_master() -> None:
-    station = station_2()
+def test_an_acknowledgement_behind_a_pass_counts_as_stray_and_shows_a_master(station: ActiveStation) -> None:
     station.stats.stray = 3
     station._machine.enter(CHECK_TOKEN_PASS)
     station.telegram(SHORT_ACK, 1_000)
     assert (station.stats.stray, station.state) == (4, ACTIVE_IDLE)
 
 
-def test_another_deadline_does_not_end_a_telegram_that_is_arriving() -> None:
-    station = station_2()
+def test_another_deadline_does_not_end_a_telegram_that_is_arriving(station: ActiveStation) -> None:
     station.receive(b"\xdc\x02", 100_000)
     station.wake(110_000)
     station.receive(b"\x03", 122_000)

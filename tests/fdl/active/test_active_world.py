@@ -11,6 +11,7 @@ from dpstack.fdl.interface import SC_REPLY, Reply, Request, Responder
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Req, Resp, StationType, Telegram
 from dpstack.params import BusParams
+from dpstack.sim.world import World
 from dpstack.units import BAUD_RATES
 
 
@@ -26,8 +27,7 @@ def dx(address: int, n: int = 0) -> Request:
 
 
 @pytest.mark.parametrize("baud", BAUD_RATES)
-def test_exchange_and_gap_at_every_rate(world: WorldFactory, baud: int) -> None:
-    w = world()
+def test_exchange_and_gap_at_every_rate(w: World, baud: int) -> None:
     params = BusParams.preset(baud, address=2, hsa=8, gap=1, t_tr=20_000)
     user = ListUser(per_hold=[dx(4, n) for n in range(3)])
     station = add_station(w, params, user)

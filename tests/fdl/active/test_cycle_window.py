@@ -27,16 +27,19 @@ def test_without_a_cycle_everything_fits() -> None:
     assert CycleWindow().admits(A, NEVER - 1)
 
 
-def test_a_request_that_ends_before_the_next_cycle_fits_to_the_nanosecond() -> None:
-    window = CycleWindow()
+@pytest.fixture
+def window() -> CycleWindow:
+    return CycleWindow()
+
+
+def test_a_request_that_ends_before_the_next_cycle_fits_to_the_nanosecond(window: CycleWindow) -> None:
     window.begin(1000)
     assert window.admits(A, 1000)
     assert not window.admits(A, 1001)
     assert (window.held_back, window.forced) == (1, 0)
 
 
-def test_a_request_that_never_fits_goes_out_in_every_eighth_cycle() -> None:
-    window = CycleWindow()
+def test_a_request_that_never_fits_goes_out_in_every_eighth_cycle(window: CycleWindow) -> None:
     sent = []
     for cycle in range(1, 41):
         window.begin(cycle * 1000)
@@ -49,8 +52,7 @@ def test_a_request_that_never_fits_goes_out_in_every_eighth_cycle() -> None:
     assert window.held_back == 36  # once in each cycle
 
 
-def test_the_longest_waiting_request_is_first_and_one_in_eight_cycles_may_begin_late() -> None:
-    window = CycleWindow()
+def test_the_longest_waiting_request_is_first_and_one_in_eight_cycles_may_begin_late(window: CycleWindow) -> None:
     sent = []
     for cycle in range(1, 31):
         window.begin(cycle * 1000)
@@ -59,23 +61,20 @@ def test_the_longest_waiting_request_is_first_and_one_in_eight_cycles_may_begin_
     assert sent == [(9, B), (17, A), (25, B)]
 
 
-def test_a_wait_that_was_given_up_does_not_count() -> None:
-    window = CycleWindow()
+def test_a_wait_that_was_given_up_does_not_count(window: CycleWindow) -> None:
     for cycle in range(1, 30):
         window.begin(cycle * 1000)
         if cycle % 7:  # nobody asks in every seventh
             assert not window.admits(A, cycle * 1000 + 1)
 
 
-def test_a_request_that_fitted_in_between_waits_anew() -> None:
-    window = CycleWindow()
+def test_a_request_that_fitted_in_between_waits_anew(window: CycleWindow) -> None:
     for cycle in range(1, 20):
         window.begin(cycle * 1000)
         assert window.admits(A, cycle * 1000 + (cycle != 7)) is (cycle in (7, 16))
 
 
-def test_the_end_of_the_cycles_forgets_who_waited() -> None:
-    window = CycleWindow()
+def test_the_end_of_the_cycles_forgets_who_waited(window: CycleWindow) -> None:
     for _ in range(8):
         window.begin(1000)
         assert not window.admits(A, 1001)
@@ -86,9 +85,8 @@ def test_the_end_of_the_cycles_forgets_who_waited() -> None:
     assert not window.admits(A, 1001)
 
 
-def test_a_request_of_the_cycle_before_last_waits_no_longer() -> None:
+def test_a_request_of_the_cycle_before_last_waits_no_longer(window: CycleWindow) -> None:
     """B was held back in cycle 1 and 2 only: in cycle 9 A is the one that waits longest."""
-    window = CycleWindow()
     for cycle in range(1, 12):
         window.begin(1000)
         if cycle < 3:
@@ -97,8 +95,7 @@ def test_a_request_of_the_cycle_before_last_waits_no_longer() -> None:
             assert window.admits(A, 1001) is (cycle == 10)
 
 
-def test_a_window_begins_alone_and_without_a_cycle() -> None:
-    window = CycleWindow()
+def test_a_window_begins_alone_and_without_a_cycle(window: CycleWindow) -> None:
     assert window.alone is True
     assert (window.next_at, window.held_back, window.forced) == (NEVER, 0, 0)
     assert (window.forced_service, window.unanswered) == ("", "")

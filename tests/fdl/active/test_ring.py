@@ -21,34 +21,34 @@ def test_distance_goes_up_and_wraps() -> None:
     assert [distance(2, 3), distance(3, 2), distance(5, 5), distance(125, 0)] == [1, 127, 128, 3]
 
 
-def test_las_needs_two_identical_rotations() -> None:
-    ring = Ring(4)
+@pytest.fixture
+def ring() -> Ring:
+    return Ring(4)
+
+
+def test_las_needs_two_identical_rotations(ring: Ring) -> None:
     learned = rotate(ring, [2, 7, 9], 3)
     assert learned.index(True) == 6  # the token comes by station 2 for the third time
     assert ring.members == {2, 4, 7, 9}
     assert (ring.ps, ring.ns) == (2, 7)
 
 
-def test_a_changing_ring_is_not_learned() -> None:
-    ring = Ring(4)
+def test_a_changing_ring_is_not_learned(ring: Ring) -> None:
     rotate(ring, [2, 7])
     rotate(ring, [2, 7, 9])
     assert not any(rotate(ring, [2, 9]))
 
 
-def test_a_repeated_pass_is_no_rotation() -> None:
-    ring = Ring(4)
+def test_a_repeated_pass_is_no_rotation(ring: Ring) -> None:
     assert not any(ring.learn(2, 7) for _ in range(20))
 
 
-def test_a_lone_master_is_learned_from_its_third_token() -> None:
-    ring = Ring(4)
+def test_a_lone_master_is_learned_from_its_third_token(ring: Ring) -> None:
     assert [ring.learn(9, 9) for _ in range(4)] == [False, False, True, True]
     assert (ring.ps, ring.ns, ring.members) == (9, 9, {4, 9})
 
 
-def test_observed_tokens_keep_the_las() -> None:
-    ring = Ring(4)
+def test_observed_tokens_keep_the_las(ring: Ring) -> None:
     rotate(ring, [2, 7, 9], 3)
     assert ring.observe(7, 2)
     assert ring.members == {2, 4, 7}
@@ -57,16 +57,14 @@ def test_observed_tokens_keep_the_las() -> None:
     assert not ring.observe(7, 11)
 
 
-def test_a_token_over_our_head_skips_us() -> None:
-    ring = Ring(4)
+def test_a_token_over_our_head_skips_us(ring: Ring) -> None:
     assert ring.skips(2, 7)
     assert ring.skips(9, 7)
     assert not ring.skips(2, 4)
     assert not ring.skips(7, 2)
 
 
-def test_two_tokens_to_itself_are_a_claim_the_third_means_alone() -> None:
-    ring = Ring(4)
+def test_two_tokens_to_itself_are_a_claim_the_third_means_alone(ring: Ring) -> None:
     rotate(ring, [2, 7], 3)
     for _ in range(2):
         ring.observe(7, 7)
@@ -77,8 +75,7 @@ def test_two_tokens_to_itself_are_a_claim_the_third_means_alone() -> None:
     assert ring.members == {4, 7}
 
 
-def test_ts_is_never_dropped() -> None:
-    ring = Ring(4)
+def test_ts_is_never_dropped(ring: Ring) -> None:
     assert not ring.drop(4)
     assert ring.add(9)
     assert not ring.add(9)

@@ -65,8 +65,12 @@ class Rig(Bench):
         assert machine.wake_at() == NEVER
 
 
-def test_each_station_answers_for_itself_in_time() -> None:
-    rig = Rig()
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def test_each_station_answers_for_itself_in_time(rig: Rig) -> None:
     for turn, number in enumerate((3, 4, 3, 4)):
         at = 10**8 * (turn + 1)
         assert rig.answers(REQUEST[number], at) == [ANSWER[number]]
@@ -77,8 +81,7 @@ def test_each_station_answers_for_itself_in_time() -> None:
     assert [station.address for station in rig.multidrop.stations] == [3, 4]
 
 
-def test_a_broadcast_reaches_all() -> None:
-    rig = Rig()
+def test_a_broadcast_reaches_all(rig: Rig) -> None:
     assert rig.answers(CLEAR, 10**6) == []
     assert [len(rig.applications[n].indicated) for n in (3, 4, 5)] == [1, 1, 0]
 
@@ -97,8 +100,7 @@ def test_one_answer_at_a_time() -> None:
     assert len(rig.sent) == 1
 
 
-def test_stations_come_and_go_while_running() -> None:
-    rig = Rig()
+def test_stations_come_and_go_while_running(rig: Rig) -> None:
     rig.multidrop.add(rig.stations[5])
     assert rig.answers(REQUEST[5], 10**6) == [ANSWER[5]]
     rig.say(REQUEST[5], 10**8)
@@ -111,8 +113,7 @@ def test_stations_come_and_go_while_running() -> None:
     assert rig.answers(REQUEST[5], 4 * 10**9) == [ANSWER[5]]
 
 
-def test_an_action_at_a_station_may_change_its_address_and_its_deadline() -> None:
-    rig = Rig()
+def test_an_action_at_a_station_may_change_its_address_and_its_deadline(rig: Rig) -> None:
 
     def act(now: int) -> None:
         application = rig.applications[3]
@@ -129,8 +130,7 @@ def test_an_action_at_a_station_may_change_its_address_and_its_deadline() -> Non
     assert len(rig.applications[3].ticks) == 1
 
 
-def test_misuse() -> None:
-    rig = Rig()
+def test_misuse(rig: Rig) -> None:
     with pytest.raises(ConfigError, match="two stations with address 4"):
         Multidrop([*rig.multidrop.stations, PassiveStation(4, rig.applications[4], PARAMS)], PARAMS)
     slow = PassiveStation(5, rig.applications[5], BusParams.preset(9_600))
@@ -145,8 +145,7 @@ def test_misuse() -> None:
         Multidrop([], PARAMS).remove(rig.stations[5])
 
 
-def test_a_silenced_station_is_deaf_and_mute_for_a_while() -> None:
-    rig = Rig()
+def test_a_silenced_station_is_deaf_and_mute_for_a_while(rig: Rig) -> None:
     rig.say(REQUEST[3], 10**6)
     rig.multidrop.silence(rig.stations[3], 10**9)
     rig.applications[3].due = 5 * 10**8
@@ -166,8 +165,7 @@ def test_a_silenced_station_is_deaf_and_mute_for_a_while() -> None:
     assert rig.answers(REQUEST[3], 2 * 10**12) == [ANSWER[3]]
 
 
-def test_a_station_that_changes_its_address() -> None:
-    rig = Rig()
+def test_a_station_that_changes_its_address(rig: Rig) -> None:
     rig.applications[4].move_to = 5
     assert rig.answers(REQUEST[4], 10**6) == [ANSWER[4]]  # still under the old one
     rig.applications[4].move_to = None
@@ -179,8 +177,7 @@ def test_a_station_that_changes_its_address() -> None:
     assert rig.answers(REQUEST[5], 10**11) == []
 
 
-def test_deadlines_of_the_applications() -> None:
-    rig = Rig()
+def test_deadlines_of_the_applications(rig: Rig) -> None:
     first, second = rig.applications[3], rig.applications[4]
     first.due_after_request = 10**8
     second.due_after_request = 10**8 + 7
@@ -196,8 +193,7 @@ def test_deadlines_of_the_applications() -> None:
     assert rig.multidrop.wake_at() == NEVER
 
 
-def test_another_baud_rate_is_for_all() -> None:
-    rig = Rig()
+def test_another_baud_rate_is_for_all(rig: Rig) -> None:
     rig.say(REQUEST[3], 10**6)
     rig.multidrop.set_params(BusParams.preset(1_500_000))
     rig.run_until(10**8)
@@ -207,8 +203,7 @@ def test_another_baud_rate_is_for_all() -> None:
     assert {station.baud for station in rig.multidrop.stations} == {1_500_000}
 
 
-def test_events_of_all() -> None:
-    rig = Rig()
+def test_events_of_all(rig: Rig) -> None:
     for number in (4, 3):
         rig.applications[number].events.append(Notice(t_ns=number, source="test", message="x"))
     assert [event.t_ns for event in rig.multidrop.take_events()] == [3, 4]

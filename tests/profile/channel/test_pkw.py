@@ -40,8 +40,12 @@ def test_octets_of_the_manuals() -> None:
     assert Pkw.parse(octets("19 90 00 FF 00 00 00 02")) == (1, 400, 0, 2)
 
 
-def test_d4_the_master_holds_its_order_until_the_reply_then_sends_zero_and_waits_for_zero() -> None:
-    client = channel()
+@pytest.fixture
+def client() -> PkwChannel:
+    return channel()
+
+
+def test_d4_the_master_holds_its_order_until_the_reply_then_sends_zero_and_waits_for_zero(client: PkwChannel) -> None:
     assert not busy(client)
     first, second = client.submit(Pkw(1, 400)), client.submit(Pkw(6, 480, 3))
     assert busy(client)
@@ -64,8 +68,7 @@ def test_d4_the_master_holds_its_order_until_the_reply_then_sends_zero_and_waits
     assert client.octets == ZERO
 
 
-def test_an_answer_for_another_parameter_is_not_accepted_but_kept() -> None:
-    client = channel()
+def test_an_answer_for_another_parameter_is_not_accepted_but_kept(client: PkwChannel) -> None:
     exchange = client.submit(Pkw(1, 400))
     client.step(ZERO, 0)
     client.step(octets("11 91 00 00 00 00 00 07"), 0)
@@ -76,8 +79,7 @@ def test_an_answer_for_another_parameter_is_not_accepted_but_kept() -> None:
     assert exchange.reply is not None
 
 
-def test_a_cancelled_order_is_withdrawn_with_zero() -> None:
-    client = channel()
+def test_a_cancelled_order_is_withdrawn_with_zero(client: PkwChannel) -> None:
     running, queued = client.submit(Pkw(1, 400)), client.submit(Pkw(1, 401))
     client.step(ZERO, 0)
     client.cancel(queued)
@@ -150,10 +152,9 @@ def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwD
     assert silent.reply is None
 
 
-def test_the_first_order_waits_until_the_reply_is_zero() -> None:
+def test_the_first_order_waits_until_the_reply_is_zero(client: PkwChannel) -> None:
     """docs/reference/drives/demag.md#handshake-of-the-parameter-channel: both start at 0; after a re-entry a drive may
     show its last reply for one more scan."""
-    client = channel()
     exchange = client.submit(Pkw(1, 400))
     client.step(REPLY_400, 0)
     client.step(REPLY_400, 0)
@@ -163,8 +164,7 @@ def test_the_first_order_waits_until_the_reply_is_zero() -> None:
     assert client.octets == READ_400
 
 
-def test_reset_starts_at_zero() -> None:
-    client = channel()
+def test_reset_starts_at_zero(client: PkwChannel) -> None:
     client.submit(Pkw(1, 400))
     client.step(ZERO, 0)
     client.reset()

@@ -75,8 +75,12 @@ def test_values_in_their_units(name: str | int, response: str, value: object, ra
     assert (found["value"], found["raw"]) == (value, raw)
 
 
-def test_elements_that_follow_each_other_are_one_address() -> None:
-    bench = Bench()
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_elements_that_follow_each_other_are_one_address(bench: Bench) -> None:
     keys = [*(ParamKey(20, index=at) for at in (1, 2, 3)), ParamKey("ramp"), ParamKey(20, index=3), ParamKey(21)]
     steps = bench.access.read_many(keys, 5 * S)
     found = bench.run(steps, "01 01 01 04 06 03 00 01 00 02 00 03 06 01 00 0A 06 01 00 03 03 01 FF FF")
@@ -86,8 +90,7 @@ def test_elements_that_follow_each_other_are_one_address() -> None:
     assert [(one["number"], one["value"]) for one in found] == [(20, 1), (20, 2), (20, 3), (11, 1.0), (20, 3), (21, -1)]
 
 
-def test_after_a_refusal_each_element_is_read_by_itself() -> None:
-    bench = Bench()
+def test_after_a_refusal_each_element_is_read_by_itself(bench: Bench) -> None:
     steps = bench.access.read_many([ParamKey(20, index=0), ParamKey(20, index=1), ParamKey("ramp")], 5 * S)
     found = bench.run(
         steps,
@@ -147,8 +150,7 @@ def test_a_change_in_the_format_that_the_drive_gives(name: str | int, value: flo
         (ParamKey(11, index=70000), 1, r"indexes are 0\.\.65535"),
     ],
 )
-def test_misuse_is_refused_before_a_request_is_sent(key: ParamKey, value: float, text: str) -> None:
-    bench = Bench()
+def test_misuse_is_refused_before_a_request_is_sent(bench: Bench, key: ParamKey, value: float, text: str) -> None:
     with pytest.raises(CommandError, match=text) as caught:
         bench.run(bench.access.write(key, value, 5 * S))
     assert caught.value.kind == "usage"
@@ -162,14 +164,12 @@ def test_a_value_that_the_format_cannot_hold() -> None:
             bench.run(bench.access.write(ParamKey(2002), value, 5 * S), "01 01 01 01 05 01 00 00")
 
 
-def test_elements_go_by_index() -> None:
-    bench = Bench()
+def test_elements_go_by_index(bench: Bench) -> None:
     bench.run(bench.access.read(ParamKey(947, index=3), 5 * S), "01 01 01 01 06 01 00 22")
     assert bench.requests == ["01 01 01 01 10 01 03 B3 00 03"]
 
 
-def test_the_slave_is_lost_in_between() -> None:
-    bench = Bench()
+def test_the_slave_is_lost_in_between(bench: Bench) -> None:
     steps = bench.access.read(ParamKey(11), 5 * S)
     next(steps)
     bench.access.reset()
