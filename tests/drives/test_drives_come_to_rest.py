@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Mapping
 
 import pytest
+from api_kit import operating
 from drive_bench import PluginBench
 
 import dpstack
@@ -20,10 +21,8 @@ def test_a_running_fuji_comes_to_rest(way: str) -> None:
     (docs/reference/drives/fuji.md#control-and-status-word)."""
 
     async def program() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[FAN]) as bus:
+        async with operating(FAN) as bus:
             fan = bus.drive("fan")
-            await bus.ready()
-            await bus.operate()
             await fan.start()
             fan.speed = 0.5
             await fan.reached()

@@ -10,7 +10,7 @@ from typing import Any, ParamSpec, TypeVar, Unpack
 from slave_kit import make_slave
 
 import dpstack
-from dpstack.api.bus.bus import core_of
+from dpstack.api.bus.bus import SlaveTable, core_of
 from dpstack.api.slave_side.slave_server import ServedSlave
 from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.dp.slave.application import SlaveApp
@@ -45,12 +45,12 @@ def in_virtual_time(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P,
     return run
 
 
-def bus_of(*slaves: dict[str, object], baud: int = 500_000, **more: Any) -> dpstack.Bus:
+def bus_of(*slaves: SlaveTable, baud: int = 500_000, **more: Any) -> dpstack.Bus:
     return dpstack.open_bus(port="virtual", baud=baud, slaves=slaves, **more)
 
 
 @contextlib.asynccontextmanager
-async def operating(*slaves: dict[str, object], **more: Any) -> AsyncIterator[dpstack.Bus]:
+async def operating(*slaves: SlaveTable, **more: Any) -> AsyncIterator[dpstack.Bus]:
     """A bus in Operate, with all slaves in data exchange."""
     async with bus_of(*slaves, **more) as bus:
         await bus.operate()

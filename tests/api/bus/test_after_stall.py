@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bench_of, bus_of, stack_of
+from api_kit import HOIST, RAW, bench_of, bus_of, operating, stack_of
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -116,9 +116,7 @@ async def test_resume_is_what_it_says() -> None:
 
 
 async def test_auto_clear_is_told_the_same_way() -> None:
-    async with bus_of(RAW, auto_clear=True) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(RAW, auto_clear=True) as bus:
         await bus.until(lambda: bus.mode is dpstack.Mode.OPERATE, 5)
         bench_of(bus).power(9, False)
         await bus.until(lambda: bus.forced_clear is not None, 5)

@@ -7,7 +7,7 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from api_kit import FAN, HOIST, RAW, in_virtual_time
+from api_kit import FAN, HOIST, RAW, in_virtual_time, operating
 from far_ends import until
 
 import dpstack
@@ -53,9 +53,7 @@ async def test_slaves_that_search_follow_the_master_from_rate_to_rate(plant: Wor
 async def test_slaves_that_search_are_switched_off_and_on() -> None:
     world = make_world()
     bench = dpstack.simulate(world, [RAW], baud="auto")
-    async with dpstack.open_bus(world=world, baud=500_000, slaves=[RAW]) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(RAW, world=world) as bus:
         bench.power(9, False)
         await bus.until(lambda: not bus.slave("raw").ready_now, 2)
         bench.power(9, True)

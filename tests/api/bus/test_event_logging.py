@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from api_kit import operating
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -194,9 +195,7 @@ def test_logging_is_asked_once_an_event_and_never_in_a_round(monkeypatch: pytest
 
     async def program() -> tuple[int, int]:
         slave = {"name": "tank", **RAW}
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[slave], on_event=events.append) as bus:
-            await bus.operate()
-            await bus.ready()
+        async with operating(slave, on_event=events.append) as bus:
             before = len(asked), core_of(bus).view.rotations
             await bus.rotated(core_of(bus).view.rotations + 500)
             return len(asked) - before[0], core_of(bus).view.rotations - before[1]

@@ -34,9 +34,7 @@ async def test_a_program_sets_inputs_of_its_simulated_slaves_and_switches_them()
     world = dpstack.World()
     bench = dpstack.simulate(world, [TANK, FAN], baud=500_000)
     assert isinstance(bench, dpstack.VirtualBench)
-    async with dpstack.open_bus(world=world, baud=500_000, slaves=[TANK, FAN]) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(TANK, FAN, world=world) as bus:
         tank = bus.slave("tank")
         bench.set("tank", level=60)
         tank.update({"valve": True, "order": 7})

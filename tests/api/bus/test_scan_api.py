@@ -119,9 +119,7 @@ async def test_the_live_list_of_a_running_bus() -> None:
 
 
 async def test_a_read_only_bus_shows_and_changes_nothing() -> None:
-    async with bus_of(RAW, gap=1) as owner:
-        await owner.ready()
-        await owner.operate()
+    async with operating(RAW, gap=1) as owner:
         world = owner.world
         assert world is not None
         tables = [RAW, {**HOIST, "address": 30}, {**FAN, "ident": 0x1111}]

@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, in_virtual_time
+from api_kit import HOIST, RAW, bus_of, in_virtual_time, operating
 from control_kit import octet_client
 
 import dpstack
@@ -109,9 +109,7 @@ def test_refused_fields(keys: str, line: str) -> None:
 
 @in_virtual_time
 async def test_names_in_a_program() -> None:
-    async with bus_of(VALVES) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(VALVES) as bus:
         valves = bus.slave("valves")
         valves.outputs = b"\x81\x55\x00\x00"
         valves["open"] = True
@@ -158,9 +156,7 @@ SCALED: dict[str, object] = {
 
 @in_virtual_time
 async def test_scaled_values_in_a_program() -> None:
-    async with bus_of(SCALED) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(SCALED) as bus:
         valves = bus.slave("valves")
         valves["target"] = 12.34
         assert valves.outputs == bytes.fromhex("0000 007b")  # 123, the nearest to 123.4

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from api_kit import running
+from api_kit import operating, running
 
-import dpstack
 from dpstack.api.config.config import parse_config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.errors import ConfigError
@@ -108,9 +107,7 @@ def test_refused(folder: Path, keys: str, message: str) -> None:
 
 
 async def test_the_drive_runs_with_its_file(folder: Path) -> None:
-    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[fan(folder, 'telegram = "PPO3"\n')]) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(fan(folder, 'telegram = "PPO3"\n')) as bus:
         drive = bus.drive("fan")
         await drive.start()
         drive.speed = 0.5

@@ -7,7 +7,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, slave_in
+from api_kit import HOIST, RAW, bus_of, operating, slave_in
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -27,9 +27,7 @@ NAMED = {**RAW, "config": "21 11", "inputs": {"limit": "bool@0.3", "low": "u8@1"
 
 
 async def test_its_own_slaves_by_name_and_address() -> None:
-    async with bus_of(NAMED, HOIST) as bus:
-        await bus.ready()
-        await bus.operate()
+    async with operating(NAMED, HOIST) as bus:
         raw = bus.slave("raw")
         raw["level"] = 0x0805
         await asyncio.sleep(0.05)
@@ -48,9 +46,7 @@ async def test_its_own_slaves_by_name_and_address() -> None:
 @pytest.mark.parametrize("read_only", [False, True])
 async def test_the_slaves_of_another_master(read_only: bool) -> None:
     """A read-only bus reads them, too, and refuses the service that writes."""
-    async with bus_of(NAMED, gap=1) as owner:
-        await owner.ready()
-        await owner.operate()
+    async with operating(NAMED, gap=1) as owner:
         owner.slave(9)["level"] = 0x1234
         await asyncio.sleep(0.05)
         world = owner.world

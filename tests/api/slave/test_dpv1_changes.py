@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bus_of, mirror, serving
+from api_kit import bus_of, mirror, operating, serving
 from support import WorldFactory
 
 import dpstack
@@ -115,9 +115,7 @@ async def test_a_change_that_the_gsd_file_excludes() -> None:
 
 async def test_a_drive_plugin_keeps_its_way_to_the_parameters() -> None:
     pump: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
-    async with bus_of(pump) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with operating(pump) as bus:
         slave, drive = bus.slave("pump"), bus.drive("pump")
         with pytest.raises(UsageError, match="remove the slave and add it with another dpv1"):
             await slave.reparameterise(dpv1=False)

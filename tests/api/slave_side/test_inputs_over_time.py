@@ -226,7 +226,7 @@ async def test_sources_that_cannot_be_used(tmp_path: Path, simulate: str, says: 
 async def test_code_needs_a_word_for_it(tmp_path: Path) -> None:
     (tmp_path / "evil.py").write_text("raise AssertionError('it was loaded')", encoding="utf-8")
     config = parse_config(f'{TANK}simulate = {{ function = "evil:f" }}\n', str(tmp_path / "plant.toml"))
-    async with bus_of(*config.slaves) as bus:  # type: ignore[arg-type]
+    async with bus_of(*config.slaves) as bus:
         with pytest.raises(ConfigError) as told:
             SimulatedInputs(bench_of(bus), core_of(bus).publish, allow_code=False)
     assert str(told.value).endswith(

@@ -6,7 +6,7 @@ import asyncio
 from typing import cast
 
 import pytest
-from api_kit import in_virtual_time
+from api_kit import in_virtual_time, operating
 from gsd_kit import FILES, device
 from octet_class2 import ABORT, INITIATE, RS, SC, Class2
 from octet_wire import PARAMS, Wire
@@ -206,10 +206,8 @@ async def test_three_masters_at_once_beside_its_own(world: WorldFactory) -> None
         dpstack.slave.serve_slave(
             slave, world=made, address=9, on_event=lambda event: told.append(event.text)
         ) as server,
-        dpstack.open_bus(world=made, baud=500_000, gap=1, slaves=[plant.table(9)]) as owner,
+        operating(plant.table(9), world=made, gap=1) as owner,
     ):
-        await owner.ready()
-        await owner.operate()
         owner.slave(9).outputs = b"\x55"
         async with (
             dpstack.open_bus(world=made, baud=500_000, address=5) as one,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from api_kit import operating
 from gsd_kit import FILES, HEAD, device, made
 from octet_wire import PARAMS, Wire, framed
 from slave_kit import make_slave
@@ -220,10 +221,8 @@ async def bring_up() -> tuple[str, bytes]:
     table = {"name": "io", "address": 9, "gsd": WHOLE, "modules": ["8 DO", "8 DI"], "sync": True, "freeze": True}
     async with (
         dpstack.slave.serve_slave(slave, world=world, address=9),
-        dpstack.open_bus(world=world, baud=500_000, slaves=[table]) as bus,
+        operating(table, world=world) as bus,
     ):
-        await bus.operate()
-        await bus.ready()
         bus.slave("io").outputs = b"\x0f"
         await bus.rotated(bus.stats.rotations + 5)
         return bus.slave("io").state.value, bus.slave("io").inputs
@@ -246,10 +245,8 @@ async def diagnosis_of(ext: bytes) -> tuple[tuple[str, ...], list[dict[str, obje
     slave = dpstack.slave.slave_from_gsd(DIAGNOSIS, lambda outputs, elapsed: b"\0", ["own texts"])
     async with (
         dpstack.slave.serve_slave(slave, world=world, address=9),
-        dpstack.open_bus(world=world, baud=500_000, slaves=[{"name": "io", "address": 9, "gsd": DIAGNOSIS}]) as bus,
+        operating({"name": "io", "address": 9, "gsd": DIAGNOSIS}, world=world) as bus,
     ):
-        await bus.operate()
-        await bus.ready()
         events = bus.events()
         slave.diag = dpstack.slave.UserDiag(ext, True)
         await bus.until(lambda: getattr(bus.slave("io").diagnosis, "ext", b"") == ext, timeout=1)

@@ -6,7 +6,7 @@ from collections import defaultdict
 from itertools import pairwise
 
 import pytest
-from api_kit import bus_of, stack_of, virtual
+from api_kit import bus_of, operating, stack_of, virtual
 from bus_kit import SimBus
 from support import MS
 
@@ -73,9 +73,7 @@ def test_the_plan_counts_it(extra: int) -> None:
     ]
 
     async def program() -> None:
-        async with bus_of(*tables, gap=0, extra_idle_bits=extra) as bus:
-            await bus.operate()
-            await bus.ready()
+        async with operating(*tables, gap=0, extra_idle_bits=extra) as bus:
             master = stack_of(bus).master
             master.rotation = Histogram()  # without the rounds of the bring-up
             await bus.rotated(30)

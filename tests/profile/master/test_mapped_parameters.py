@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from api_kit import operating
 from drive_bench import ALONE, PairBench, PluginBench
 
 import dpstack
@@ -207,10 +208,8 @@ def test_no_way_out_takes_the_ramp_away(way: str, monkeypatch: pytest.MonkeyPatc
         raise RuntimeError(core.name)
 
     async def program() -> None:
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[pump]) as bus:
+        async with operating(pump) as bus:
             drive = bus.drive("pump")
-            await bus.ready()
-            await bus.operate()
             drive.speed = 1.0
             await drive.start()
             await drive.order("output", number="dr-04", value=5)
