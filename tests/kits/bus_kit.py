@@ -128,9 +128,11 @@ class SimBus(KeepsEvents):
     def on_events(self, events: list[Event]) -> None:
         self.events += events
 
-    def send(self, order: object) -> None:
-        """Give the master's station an order now."""
+    def send(self, order: object, run_ns: int = 0) -> None:
+        """Give the master's station an order now, and let ``run_ns`` pass."""
         self.world.command(self.station, order)
+        if run_ns:
+            self.run(run_ns)
 
     def run(self, ns: int) -> None:
         """Let ``ns`` pass."""

@@ -206,9 +206,10 @@ class ScriptedLink(KeepsEvents):
         self.run(ns)
         self.period = before
 
-    def send(self, order: object) -> None:
-        """Give the master an order now."""
+    def send(self, order: object, run_ns: int = 0) -> None:
+        """Give the master an order now, and run for ``run_ns``."""
         self.master.command(order, self.now)
+        self.run(run_ns)
 
     def state(self, address: int) -> SlaveState:
         """The state of one slave."""
@@ -268,8 +269,7 @@ def operating(*setups: SlaveParams, **options: Any) -> ScriptedLink:
     """All slaves are in data exchange, in Operate; what was said until then is forgotten."""
     bus = link(*setups, **options)
     bus.run(20 * MS)
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(5 * MS)
+    bus.send(SetMode(Mode.OPERATE), 5 * MS)
     assert mode_of(bus) is Mode.OPERATE
     bus.requests.clear()
     bus.events.clear()

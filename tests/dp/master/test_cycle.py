@@ -121,12 +121,10 @@ def test_operate_in_the_middle_of_a_round_lets_all_outputs_out_at_once(world: Wo
     for image in bus.master.images.values():
         image.outputs = bytes([7]) * 12
     for offset in range(0, 4 * MS, 170_011):
-        bus.send(SetMode(Mode.CLEAR))
-        bus.run(20 * MS)
+        bus.send(SetMode(Mode.CLEAR), 20 * MS)
         bus.quiet()
         bus.run(4 * MS + offset)
-        bus.send(SetMode(Mode.OPERATE))
-        bus.run(20 * MS)
+        bus.send(SetMode(Mode.OPERATE), 20 * MS)
         first = bus.exchanges(5)[0]
         sent = {a: [e.octets[7] for e in bus.data(a) if e.start_ns >= first] for a in (5, 6)}
         assert set(zip(sent[5], sent[6], strict=False)) == {(0, 0), (7, 7)}

@@ -75,8 +75,7 @@ def test_a_forced_service_that_breaks_the_cycle_is_its_reason(world: WorldFactor
     class2 = acyclic_services(2)
     bus = running(world, cycle_ns=10 * MS, patience=HOST, more=[class2])
     bus.run(200 * MS)
-    bus.send(ReadService(1, 5, Service.DIAGNOSIS))
-    bus.run(150 * MS)
+    bus.send(ReadService(1, 5, Service.DIAGNOSIS), 150 * MS)
     bus.quiet()
     bus.send(ReadService(2, 5, Service.DIAGNOSIS))  # it is known now: 50 ms for it
     while not bus.requests(60):
@@ -142,8 +141,7 @@ def test_misses_are_told_at_once_then_once_a_second(world: WorldFactory) -> None
     assert {(b - a) % (2 * MS) for a, b in itertools.pairwise(bus.exchanges(5))} == {0}
     bus.events.clear()
     bus.run(500 * MS)
-    bus.send(Shutdown())
-    bus.run(S)
+    bus.send(Shutdown(), S)
     last = bus.events_of(CyclesMissed)
     assert sum(e.count for e in last) + told[-1].missed == bus.master.cycles.missed  # none is kept back
 
@@ -155,8 +153,7 @@ def test_the_end_does_not_wait_for_the_grid(world: WorldFactory) -> None:
     """Safe values for 50 ms, Clear twice: with a cycle of 500 ms it takes no longer than without."""
     bus = running(world, slave(5, safe=bytes([9]) * 12, watchdog_ms=3000), cycle_ns=500 * MS, after_ns=S)
     began = bus.world.now
-    bus.send(Shutdown())
-    bus.run(200 * MS)
+    bus.send(Shutdown(), 200 * MS)
     (stopped,) = bus.events_of(MasterStopped)
     assert stopped.t_ns - began < 60 * MS
     first = next(e for e in bus.wire if e.octets[:5] == bytes((0x68, 15, 15, 0x68, 5)))
@@ -167,8 +164,7 @@ def test_the_end_does_not_wait_for_the_grid(world: WorldFactory) -> None:
 
 def test_clear_stop_and_back_begin_a_new_grid(world: WorldFactory) -> None:
     bus = running(world)
-    bus.send(SetMode(Mode.STOP))
-    bus.run(50 * MS)
+    bus.send(SetMode(Mode.STOP), 50 * MS)
     bus.quiet()
     bus.run(50 * MS)
     assert bus.exchanges(5) == []
@@ -185,8 +181,7 @@ def test_clear_stop_and_back_begin_a_new_grid(world: WorldFactory) -> None:
 def test_slaves_come_and_go_without_a_miss(world: WorldFactory) -> None:
     bus = running(world, slave(5), slave(6), slave(7, every=3))
     for command in (DeactivateSlave(6), RemoveSlave(7), ActivateSlave(6)):
-        bus.send(command)
-        bus.run(120 * MS)
+        bus.send(command, 120 * MS)
     assert steps(bus.exchanges(5)) == {4 * MS}
     assert bus.master.cycles.missed == 0
     assert bus.state(6) is SlaveState.DATA_EXCHANGE

@@ -146,8 +146,7 @@ def test_the_end_does_not_wait_for_a_cycle_that_the_token_is_kept_for(world: Wor
         bus.run(10 * US)
     bus.quiet()
     ordered = bus.world.now
-    bus.send(Shutdown())
-    bus.run(5 * MS)
+    bus.send(Shutdown(), 5 * MS)
     assert bus.data(5)[0].octets[7:19] == bytes([9]) * 12
     # what was under way (a silent poll of 532 us and the token to itself), and T_ID1
     assert bus.exchanges(5)[0] - ordered <= 1100 * US

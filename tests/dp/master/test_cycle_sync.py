@@ -80,8 +80,7 @@ def test_outputs_change_at_the_sync_and_inputs_are_of_the_freeze(world: WorldFac
 
 def test_clear_and_the_end_let_go(world: WorldFactory) -> None:
     bus = running(world)
-    bus.send(SetMode(Mode.CLEAR))
-    bus.run(100 * MS)
+    bus.send(SetMode(Mode.CLEAR), 100 * MS)
     controls = [e.octets[9:11] for e in bus.requests(58)]
     assert b"\x16\x00" in controls  # Clear, Unfreeze, Unsync to all
     assert controls[-1] in (b"\x02\x00", b"\x16\x00")
@@ -94,8 +93,7 @@ def test_clear_and_the_end_let_go(world: WorldFactory) -> None:
     bus.run(50 * MS)
     assert [real_outputs(bus, a) for a in (5, 6)] == [bytes([3]) * 12] * 2
     assert {b"\x08\x01", b"\x20\x05"} <= {bytes(e.octets[9:11]) for e in bus.requests(58)}
-    bus.send(Shutdown())
-    bus.run(200 * MS)
+    bus.send(Shutdown(), 200 * MS)
     assert bus.requests(58)[-1].octets[9] & 0x16 == 0x16
     assert [real_outputs(bus, a) for a in (5, 6)] == [bytes(12)] * 2  # SYNC held nothing back
 
@@ -109,8 +107,7 @@ def test_a_slave_that_comes_back_is_taken_in_without_a_report(world: WorldFactor
     bus.run(30 * MS)
     assert bus.master.controls.sync.held == {5, 6}
     assert [e.message for e in bus.events_of(SlaveRemark) if "put back" in e.message] == []
-    bus.send(RemoveSlave(5))  # out of both modes first, see test_sync_freeze
-    bus.run(200 * MS)
+    bus.send(RemoveSlave(5), 200 * MS)  # out of both modes first, see test_sync_freeze
     alone = [e for e in bus.wire if e.octets[4:8] == bytes((0x85, 0x82, 0x46, 58)) and e.octets[9] & 0x14 == 0x14]
     assert alone
 

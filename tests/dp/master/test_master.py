@@ -103,8 +103,7 @@ def test_stop_sends_nothing_to_slaves() -> None:
 
 def test_shutdown_safe_values_then_clear_twice() -> None:
     bus = exchanging(setup(safe=b"\x00\x01\x00\x02", initial=b"\x01\x01\x01\x01"))
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(5 * MS)
+    bus.send(SetMode(Mode.OPERATE), 5 * MS)
     bus.requests.clear()
     bus.send(Shutdown())
     began = bus.now
@@ -147,12 +146,10 @@ def test_rotation_is_from_first_exchange_to_first_exchange() -> None:
 def test_add_and_remove_while_running() -> None:
     bus = exchanging(setup(3))
     bus.slaves[4] = ScriptedSlave()
-    bus.send(AddSlave(setup(4)))
-    bus.run(5 * MS)
+    bus.send(AddSlave(setup(4)), 5 * MS)
     assert bus.state(4) is SlaveState.DATA_EXCHANGE
     bus.requests.clear()
-    bus.send(RemoveSlave(4))
-    bus.run(60 * MS)
+    bus.send(RemoveSlave(4), 60 * MS)
     made = [(r.dsap, r.data) for r in bus.requests if r.da == 4]
     assert len(made) > 10
     assert set(made[:-1]) == {(None, bytes(4))}

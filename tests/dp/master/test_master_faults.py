@@ -107,8 +107,7 @@ def test_another_device_in_place_of_a_wrong_one_is_taken_up_at_once(news: str) -
     assert len(asked) < 8
     bus.slaves[3] = ScriptedSlave()
     if news == "GAP":
-        bus.send(StationFound(t_ns=bus.now, address=3, kind=None))
-        bus.run(10 * MS)
+        bus.send(StationFound(t_ns=bus.now, address=3, kind=None), 10 * MS)
         assert [r for r in bus.requests if r.da == 3] == asked  # nobody is there
         bus.send(StationFound(t_ns=bus.now, address=3, kind=StationType.SLAVE))
     else:  # read by a program, as a class 2 service

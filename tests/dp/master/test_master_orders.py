@@ -16,8 +16,7 @@ from dpstack.fdl.telegram import SHORT_ACK, Telegram
 def test_operate_with_auto_clear_waits_for_all_slaves() -> None:
     bus = link(setup(3), setup(4), auto_clear=True)
     with bus.without(4):
-        bus.send(SetMode(Mode.OPERATE))
-        bus.run(500 * MS)
+        bus.send(SetMode(Mode.OPERATE), 500 * MS)
         assert mode_of(bus) is Mode.CLEAR
         (waits,) = bus.events_of(OperateWaits)
         assert waits.slaves == (3, 4)
@@ -39,8 +38,7 @@ def test_auto_clear_after_the_data_control_time_and_back_by_order_only() -> None
     bus.run(2_000 * MS)
     assert bus.state(3) is SlaveState.DATA_EXCHANGE
     assert mode_of(bus) is Mode.CLEAR
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(5 * MS)
+    bus.send(SetMode(Mode.OPERATE), 5 * MS)
     assert mode_of(bus) is Mode.OPERATE
 
 
@@ -48,8 +46,7 @@ def test_auto_clear_after_the_data_control_time_and_back_by_order_only() -> None
 def test_no_auto_clear_for_a_slave_that_does_not_count(how: str) -> None:
     bus = operating(setup(3), setup(4, ignore_auto_clear=how == "ignored"), auto_clear=how != "off")
     if how == "deactivated":
-        bus.send(DeactivateSlave(4))
-        bus.run(100 * MS)
+        bus.send(DeactivateSlave(4), 100 * MS)
     del bus.slaves[4]
     bus.run(3_000 * MS)
     assert mode_of(bus) is Mode.OPERATE
@@ -67,8 +64,7 @@ def test_deactivate_and_activate() -> None:
     assert not bus.image.valid
     bus.slave.configured = False
     bus.requests.clear()
-    bus.send(ActivateSlave(3))
-    bus.run(20 * MS)
+    bus.send(ActivateSlave(3), 20 * MS)
     assert squeezed(wire(bus))[:5] == [DIAG, SET_PRM, CHK_CFG, DIAG, (None, "04 7F 40 00")]
     assert bus.states(3)[0] == "deactivated"
 
@@ -85,8 +81,7 @@ def test_parameterised_anew_while_the_bus_runs() -> None:
     slave.answers[61] = unlocked
     others = bus.master.handlers[4].exchanges
     order = ReparameteriseSlave(setup(3, user_prm=b"\xaa", groups=(2,), watchdog_ms=500, safe=SAFE))
-    bus.send(order)
-    bus.run(100 * MS)
+    bus.send(order, 100 * MS)
     assert squeezed(wire(bus))[:7] == [
         (None, "04 7E 00 00"),
         (61, "40 01 01 0B 06 96 00"),

@@ -38,8 +38,7 @@ def test_data_of_every_length_each_way(config: str, inputs: int, outputs: int) -
     bus.slave.inputs = down
     bus.slave.answers[None] = lambda r: data(r, down) if inputs else SHORT_ACK
     bus.run(20 * MS)
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(5 * MS)
+    bus.send(SetMode(Mode.OPERATE), 5 * MS)
     (request,) = [r for r in bus.hold() if r.dsap is None]
     assert (request.data, request.ssap) == (up, None)
     image = bus.image

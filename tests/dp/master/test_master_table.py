@@ -61,8 +61,7 @@ def test_a_pair_without_a_row_is_a_remark(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_second_order_to_leave_service_is_no_remark() -> None:
     bus = exchanging(setup())
     for _ in range(2):
-        bus.send(DeactivateSlave(3))
-        bus.run(50 * MS)
+        bus.send(DeactivateSlave(3), 50 * MS)
     assert bus.state(3) is SlaveState.DEACTIVATED
     assert bus.events_of(SlaveRemark) == []
 

@@ -53,8 +53,7 @@ def test_out_of_operate_safe_values_come_before_clear(mode: Mode) -> None:
 
 def test_stop_from_operate_clears_first_even_where_zeros_are_safe() -> None:
     bus = operating(setup(initial=RUN))
-    bus.send(SetMode(Mode.STOP))
-    bus.run(5 * MS)
+    bus.send(SetMode(Mode.STOP), 5 * MS)
     assert outputs(bus) == [bytes(4)]
     assert controls(bus) == [CLEAR_GC] * 2
     assert bus.hold() == []
@@ -62,18 +61,15 @@ def test_stop_from_operate_clears_first_even_where_zeros_are_safe() -> None:
 
 def test_back_to_operate_on_the_way_down() -> None:
     bus = operating(setup(safe=SAFE, initial=RUN))
-    bus.send(SetMode(Mode.CLEAR))
-    bus.run(5 * MS)
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(100 * MS)
+    bus.send(SetMode(Mode.CLEAR), 5 * MS)
+    bus.send(SetMode(Mode.OPERATE), 100 * MS)
     assert outputs(bus) == [SAFE, RUN]
     assert CLEAR_GC not in controls(bus)
 
 
 def test_safe_values_reach_a_slave_that_is_served_every_nth_round_only() -> None:
     bus = operating(setup(every=10_000, safe=SAFE, initial=RUN), setup(4))
-    bus.send(Shutdown())
-    bus.run(100 * MS)
+    bus.send(Shutdown(), 100 * MS)
     assert outputs(bus) == [SAFE, bytes(4)]
 
 
@@ -88,11 +84,9 @@ def test_line_down_on_the_way_down_ends_it_at_once() -> None:
 
 def test_stop_makes_inputs_invalid_and_is_no_rotation() -> None:
     bus = operating(setup())
-    bus.send(SetMode(Mode.STOP))
-    bus.run(1_000 * MS)
+    bus.send(SetMode(Mode.STOP), 1_000 * MS)
     stopped = bus.image.valid
-    bus.send(SetMode(Mode.CLEAR))
-    bus.run(5 * MS)
+    bus.send(SetMode(Mode.CLEAR), 5 * MS)
     assert (stopped, bus.image.valid) == (False, True)
     assert bus.master.rotation.max_ns < 100 * MS
 
@@ -129,8 +123,7 @@ def test_the_answer_to_a_removed_slave_is_nobodys(bus: ScriptedLink) -> None:
 def test_a_slave_added_where_one_was_just_removed_waits_for_its_farewell() -> None:
     bus = operating(setup(3), setup(4, safe=SAFE, initial=RUN))
     bus.send(RemoveSlave(4))
-    bus.send(AddSlave(setup(4, initial=RUN)))
-    bus.run(200 * MS)
+    bus.send(AddSlave(setup(4, initial=RUN)), 200 * MS)
     made = [(r.dsap, r.data) for r in bus.requests if r.da == 4]
     unlocked = next(at for at, (dsap, _) in enumerate(made) if dsap == 61)
     assert made[unlocked][1][0] == 0x40
@@ -147,16 +140,14 @@ def test_a_slave_removed_during_its_bring_up_is_unlocked_when_it_was_parameteris
     while bus.state(4).value != state:
         bus.hold()
     bus.requests.clear()
-    bus.send(RemoveSlave(4))
-    bus.run(200 * MS)
+    bus.send(RemoveSlave(4), 200 * MS)
     assert [(r.dsap, r.data[0]) for r in bus.requests if r.da == 4] == [(61, 0x40)] * unlocks
 
 
 def test_a_removed_slave_gets_its_farewell_before_the_end() -> None:
     bus = operating(setup(3), setup(4, safe=SAFE, initial=RUN))
     bus.send(RemoveSlave(4))
-    bus.send(Shutdown())
-    bus.run(100 * MS)
+    bus.send(Shutdown(), 100 * MS)
     assert [r.data[0] for r in bus.requests if r.da == 4 and r.dsap == 61] == [0x40]
     assert isinstance(bus.events[-1], MasterStopped)
 
@@ -166,15 +157,13 @@ def test_no_farewell_after_the_line_was_down_or_in_stop(how: str) -> None:
     """Meanwhile the slave may be another master's."""
     bus = operating(setup(3), setup(4))
     if how == "stop":
-        bus.send(SetMode(Mode.STOP))
-        bus.run(10 * MS)
+        bus.send(SetMode(Mode.STOP), 10 * MS)
         bus.requests.clear()
     bus.send(RemoveSlave(4))
     if how == "line down":
         bus.send(LineDown("unplugged"))
     bus.run(10 * MS)
-    bus.send(SetMode(Mode.CLEAR))
-    bus.run(200 * MS)
+    bus.send(SetMode(Mode.CLEAR), 200 * MS)
     assert not any(r.da == 4 for r in bus.requests)
 
 
@@ -183,8 +172,7 @@ def test_shutdown_during_bring_up_parameterises_nobody_any_more(bus: ScriptedLin
     bus.send(AddSlave(setup(4)))
     bus.hold()
     bus.requests.clear()
-    bus.send(Shutdown())
-    bus.run(100 * MS)
+    bus.send(Shutdown(), 100 * MS)
     assert not any(r.da == 4 for r in bus.requests)
     assert bus.master.mode is Mode.OFFLINE
 
@@ -304,7 +292,6 @@ def test_a_bring_up_that_has_begun_is_not_held_up_by_many_others() -> None:
 
 def test_a_slave_that_wants_parameters_again_and_again_never_left_data_exchange(bus: ScriptedLink) -> None:
     bus.slaves[4] = ScriptedSlave(ready=bytes.fromhex("02 05 00 FF 06 96"))
-    bus.send(AddSlave(setup(4)))
-    bus.run(500 * MS)
+    bus.send(AddSlave(setup(4)), 500 * MS)
     assert bus.faults(4) == ["not_ready"]
     assert "wants parameters again" in bus.fault(4).message

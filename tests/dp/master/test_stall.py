@@ -55,8 +55,7 @@ def test_no_old_output_goes_out_after_a_gap_longer_than_the_watchdog() -> None:
     assert set(clear) == {b"\x02\x00"}  # Global_Control: Clear, never Operate
     assert "slave 3 (s3) was not asked for 201 ms, longer than its watchdog of 200 ms" in stall.text
     bus.requests.clear()
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(10 * MS)
+    bus.send(SetMode(Mode.OPERATE), 10 * MS)
     assert outputs(bus) == [RUN]
     assert [event.mode for event in bus.events_of(ModeChanged)] == [Mode.CLEAR, Mode.OPERATE]
 
@@ -186,8 +185,7 @@ def test_one_refuses_for_another_reason() -> None:
 def test_the_computer_was_suspended(bus: ScriptedLink) -> None:
     """The machine's time does not contain it."""
     gap = HeldUp(3_000 * MS, "the computer was suspended for 3000 ms", suspended=True)
-    bus.send(gap)
-    bus.run(20 * MS)
+    bus.send(gap, 20 * MS)
     assert outputs(bus) == [ZEROS]
     (stall,) = bus.events_of(Stalled)
     assert stall.blocked is Blocked.SUSPENDED
@@ -220,8 +218,7 @@ def test_a_lost_port(away_ms: int, mode: Mode) -> None:
     for slave in bus.slaves.values():
         slave.configured = away_ms < 200
     bus.now += away_ms * MS
-    bus.send(LineUp())
-    bus.run(1_000 * MS)
+    bus.send(LineUp(), 1_000 * MS)
     assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
     assert mode_of(bus) is mode
     if mode is Mode.CLEAR:
@@ -254,22 +251,18 @@ def test_a_port_that_comes_back_when_its_slaves_are_gone_lets_nothing_old_out(bu
 
 
 def test_a_gap_in_clear_tells_nothing(bus: ScriptedLink) -> None:
-    bus.send(SetMode(Mode.CLEAR))
-    bus.run(100 * MS)
+    bus.send(SetMode(Mode.CLEAR), 100 * MS)
     bus.now += 5_000 * MS
     bus.run(100 * MS)
     assert not bus.events_of(Stalled)
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(300 * MS)
+    bus.send(SetMode(Mode.OPERATE), 300 * MS)
     assert mode_of(bus) is Mode.OPERATE
 
 
 def test_operate_after_stop_begins_anew(bus: ScriptedLink) -> None:
-    bus.send(SetMode(Mode.STOP))
-    bus.run(1_000 * MS)
+    bus.send(SetMode(Mode.STOP), 1_000 * MS)
     bus.slave.configured = False
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(300 * MS)
+    bus.send(SetMode(Mode.OPERATE), 300 * MS)
     assert bus.states(3)[-1] == "data_exchange"
     assert mode_of(bus) is Mode.OPERATE
 
@@ -277,8 +270,7 @@ def test_operate_after_stop_begins_anew(bus: ScriptedLink) -> None:
 def test_a_stop_by_order_is_no_stall_of_all_slaves() -> None:
     """Their watchdogs have run out in Stop, so all want parameters at the next Operate. Afterwards the rule counts."""
     bus = running(3, 4)
-    bus.send(SetMode(Mode.STOP))
-    bus.run(1_500 * MS)
+    bus.send(SetMode(Mode.STOP), 1_500 * MS)
     bus.slave.configured = bus.slaves[4].configured = False
     bus.send(SetMode(Mode.OPERATE))
     bus.run_long(3_000 * MS)
@@ -325,8 +317,7 @@ def test_operate_on_the_way_down_is_told() -> None:
     bus.now += 300 * MS
     bus.run(5 * MS)
     assert mode_of(bus) is Mode.OPERATE  # safe values stand for 50 ms
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(200 * MS)
+    bus.send(SetMode(Mode.OPERATE), 200 * MS)
     assert mode_of(bus) is Mode.OPERATE
     assert outputs(bus)[-1] == RUN
     assert len(bus.events_of(ModeChanged)) == 1
@@ -335,8 +326,7 @@ def test_operate_on_the_way_down_is_told() -> None:
 def test_operate_that_waits_for_slaves_ends_by_a_stall() -> None:
     bus = link(setup(3, initial=RUN), setup(4), auto_clear=True)
     with bus.without(4):
-        bus.send(SetMode(Mode.OPERATE))
-        bus.run(100 * MS)
+        bus.send(SetMode(Mode.OPERATE), 100 * MS)
         bus.now += 500 * MS
         bus.run(10 * MS)
     assert len(bus.events_of(Stalled)) == 1
@@ -359,8 +349,7 @@ def test_a_second_stall_is_told_again(bus: ScriptedLink) -> None:
         bus.now += 300 * MS
         bus.run(100 * MS)
         assert len(bus.events_of(Stalled)) == count
-        bus.send(SetMode(Mode.OPERATE))
-        bus.run(100 * MS)
+        bus.send(SetMode(Mode.OPERATE), 100 * MS)
         assert mode_of(bus) is Mode.OPERATE
 
 
@@ -394,8 +383,7 @@ def test_the_application_watchdog_runs_out() -> None:
     bus = running(3, application_watchdog_ns=100 * MS)
     began = bus.now
     for _ in range(20):
-        bus.send(Alive())
-        bus.run(90 * MS)
+        bus.send(Alive(), 90 * MS)
     assert mode_of(bus) is Mode.OPERATE
     assert bus.now - began > 1_800 * MS
     last = bus.now - 90 * MS
@@ -407,12 +395,10 @@ def test_the_application_watchdog_runs_out() -> None:
     assert 99 <= (event.t_ns - last) / MS <= 102
     assert "alive() was not called for 100 ms" in event.text
     assert outputs(bus) == [ZEROS]
-    bus.send(Alive())  # does not bring it back
-    bus.run(200 * MS)
+    bus.send(Alive(), 200 * MS)  # does not bring it back
     assert mode_of(bus) is Mode.CLEAR
     assert len(bus.events_of(ApplicationSilent)) == 1
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(50 * MS)
+    bus.send(SetMode(Mode.OPERATE), 50 * MS)
     assert mode_of(bus) is Mode.OPERATE
     bus.run(60 * MS)
     assert mode_of(bus) is Mode.CLEAR  # operate() armed it again
@@ -423,10 +409,8 @@ def test_the_application_watchdog_is_armed_by_operate_and_off_in_clear() -> None
     bus.run(1_000 * MS)
     bus.send(Alive())
     assert not bus.events_of(ApplicationSilent)
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(50 * MS)
-    bus.send(SetMode(Mode.CLEAR))
-    bus.run(1_000 * MS)
+    bus.send(SetMode(Mode.OPERATE), 50 * MS)
+    bus.send(SetMode(Mode.CLEAR), 1_000 * MS)
     assert not bus.events_of(ApplicationSilent)
 
 
@@ -505,8 +489,7 @@ def test_no_order_of_sync_before_the_first_token() -> None:
         bus.send(SendControl(1, (1,), sync=True))
     bus.hold()
     bus.send(SendControl(1, (1,), sync=True))
-    bus.send(SetMode(Mode.OPERATE))
-    bus.run(20 * MS)
+    bus.send(SetMode(Mode.OPERATE), 20 * MS)
     bus.send(SetMode(Mode.CLEAR))
     if mode_of(bus) is Mode.OPERATE:
         with pytest.raises(BusError, match="this station goes to a lower mode"):

@@ -56,8 +56,7 @@ def test_each_is_sent_once_to_its_groups(what: dict[str, bool], groups: tuple[in
     """Literal octets (docs/reference/protocol.md#global_control); a second SYNC would act again, so it is never
     repeated."""
     bus = operating(setup(3), setup(4))
-    bus.send(SendControl(7, groups, **what))
-    bus.run(500 * MS)
+    bus.send(SendControl(7, groups, **what), 500 * MS)
     assert controls(bus) == [(127, octets)]
     (sent,) = outcomes(bus)
     assert isinstance(sent, ControlSent)
@@ -68,10 +67,8 @@ def test_each_is_sent_once_to_its_groups(what: dict[str, bool], groups: tuple[in
 
 def test_in_clear_the_telegram_says_clear_too() -> None:
     bus = operating(setup(3))
-    bus.send(SetMode(Mode.CLEAR))
-    bus.run(5 * MS)
-    bus.send(SendControl(1, (1,), freeze=True))
-    bus.run(5 * MS)
+    bus.send(SetMode(Mode.CLEAR), 5 * MS)
+    bus.send(SendControl(1, (1,), freeze=True), 5 * MS)
     assert controls(bus) == [(127, "0a 01")]
 
 
@@ -85,8 +82,7 @@ def test_settle_waits_for_one_exchange_with_each_that_began_after_the_order() ->
 
     bus.slaves[5].answers[None] = answer  # RR three times
     bus.master.images[4].outputs = b"\x01\x02\x03\x04"
-    bus.send(SendControl(1, (1,), sync=True, settle=True))
-    bus.run(20 * MS)
+    bus.send(SendControl(1, (1,), sync=True, settle=True), 20 * MS)
     sync = next(n for n, r in enumerate(bus.requests) if r.data == b"\x20\x01")
     before = bus.requests[:sync]
     assert sum(r.da == 5 for r in before) == 4
@@ -126,8 +122,7 @@ def test_in_stop_and_without_a_token_it_is_refused_at_once() -> None:
     with pytest.raises(BusError, match="holds no token"):
         bus.send(SendControl(1, (1,), sync=True))
     bus.run(20 * MS)
-    bus.send(SetMode(Mode.STOP))
-    bus.run(20 * MS)
+    bus.send(SetMode(Mode.STOP), 20 * MS)
     with pytest.raises(UsageError, match="in Stop"):
         bus.send(SendControl(1, (1,), sync=True))
 
@@ -144,8 +139,7 @@ def test_in_stop_and_without_a_token_it_is_refused_at_once() -> None:
 def test_an_order_that_can_no_longer_be_sent_ends_with_the_reason(end: object, words: str) -> None:
     bus = operating(setup(3), setup(4, groups=()))
     bus.send(SendControl(1, (1,), sync=True))
-    bus.send(end)
-    bus.run(20 * MS)
+    bus.send(end, 20 * MS)
     (failed,) = outcomes(bus)
     assert isinstance(failed, ControlFailed)
     assert words in failed.reason
@@ -155,8 +149,7 @@ def test_an_order_that_can_no_longer_be_sent_ends_with_the_reason(end: object, w
 def test_a_member_that_is_lost_is_named() -> None:
     bus = operating(setup(3), setup(4))
     del bus.slaves[4]
-    bus.send(SendControl(1, (1,), sync=True, settle=True))
-    bus.run(20 * MS)
+    bus.send(SendControl(1, (1,), sync=True, settle=True), 20 * MS)
     (failed,) = outcomes(bus)
     assert isinstance(failed, ControlFailed)
     assert failed.address == 4
@@ -166,8 +159,7 @@ def test_a_member_that_is_lost_is_named() -> None:
 def test_a_slave_that_comes_back_is_put_back_into_its_groups_mode_before_its_outputs() -> None:
     """Alone, by a telegram of its own: a SYNC to the group would pass on what the others hold."""
     bus = operating(setup(3), setup(4))
-    bus.send(SendControl(1, (1,), sync=True))
-    bus.run(1_500 * MS)
+    bus.send(SendControl(1, (1,), sync=True), 1_500 * MS)
     bus.slaves[4].configured = False
     bus.requests.clear()
     bus.run(20 * MS)
@@ -182,11 +174,9 @@ def test_a_slave_that_comes_back_is_put_back_into_its_groups_mode_before_its_out
 @pytest.mark.parametrize("end", [SetMode(Mode.CLEAR), SetMode(Mode.STOP), Shutdown()])
 def test_safe_values_reach_outputs_that_are_held(end: object, safe: bytes) -> None:
     bus = operating(setup(3, safe=safe, initial=b"\x04\x7f\x40\x00"))
-    bus.send(SendControl(1, (1,), sync=True))
-    bus.run(10 * MS)
+    bus.send(SendControl(1, (1,), sync=True), 10 * MS)
     bus.requests.clear()
-    bus.send(end)
-    bus.run(100 * MS)
+    bus.send(end, 100 * MS)
     made = [(r.dsap, r.data.hex(" ")) for r in bus.requests]
     first = next(n for n, (dsap, octets) in enumerate(made) if dsap == 58)
     assert made[first] == (58, "14 00" if safe else "16 00")
@@ -195,11 +185,9 @@ def test_safe_values_reach_outputs_that_are_held(end: object, safe: bytes) -> No
 
 def test_a_slave_given_up_in_sync_gets_its_safe_values_too() -> None:
     bus = operating(setup(3), setup(4, safe=b"\x04\x7e\x00\x00", initial=b"\x04\x7f\x40\x00"))
-    bus.send(SendControl(1, (1,), sync=True))
-    bus.run(10 * MS)
+    bus.send(SendControl(1, (1,), sync=True), 10 * MS)
     bus.requests.clear()
-    bus.send(RemoveSlave(4))
-    bus.run(100 * MS)
+    bus.send(RemoveSlave(4), 100 * MS)
     made = [(r.dsap, r.data.hex(" ")) for r in bus.requests if r.da == 4]
     assert made[:3] == [(None, "04 7e 00 00"), (58, "14 00"), (None, "04 7e 00 00")]
     assert made[-1][0] == 61
@@ -209,13 +197,10 @@ def test_a_slave_given_up_in_sync_gets_its_safe_values_too() -> None:
 def test_the_release_of_a_slave_given_up_says_the_mode_too(mode: Mode, octets: str) -> None:
     """Global_Control with UNSYNC and UNFREEZE; Clear_Data stays set where the master is in Clear."""
     bus = operating(setup(3), setup(4))
-    bus.send(SetMode(mode))
-    bus.run(200 * MS)
-    bus.send(SendControl(1, (1,), freeze=True))
-    bus.run(10 * MS)
+    bus.send(SetMode(mode), 200 * MS)
+    bus.send(SendControl(1, (1,), freeze=True), 10 * MS)
     bus.requests.clear()
-    bus.send(RemoveSlave(4))
-    bus.run(100 * MS)
+    bus.send(RemoveSlave(4), 100 * MS)
     assert [r.data.hex(" ") for r in bus.requests if (r.da, r.dsap) == (4, 58)] == [octets]
 
 
