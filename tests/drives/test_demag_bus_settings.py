@@ -145,8 +145,7 @@ def test_d10_the_master_copies_the_bit_and_never_inverts_it() -> None:
 def test_d10_the_plugin_warns_when_881_is_too_short(limit: str, told: bool) -> None:
     """50 ms are less than two scans of 32 ms."""
     bench = plugin(ZERO + "03 40 00 00", "PPO1")
-    bench.run(6)
-    assert bench.out() == "13 71 00 00 00 00 00 00 01 00 00 00"
+    assert bench.out(7) == "13 71 00 00 00 00 00 00 01 00 00 00"
     bench.see(f"13 71 00 00 00 00 {limit} 03 40 00 00", 3)
     notices = [text for text in bench.notices() if "881" in text]
     assert len(notices) == told
@@ -173,11 +172,9 @@ def test_d19_a_write_of_391_resets_the_drive() -> None:
 
 def test_d19_the_plugin_reads_and_writes_391() -> None:
     bench = plugin(ZERO + "02 40 00 00", "PPO1")
-    token = bench.order("write", number="node_id", value=7)
-    bench.run(2)
+    token = bench.order_and_run(2, "write", number="node_id", value=7)
     assert bench.out() == "21 87 00 00 00 00 00 07 00 00 00 00"
-    bench.see("11 87 00 00 00 00 00 07 02 40 00 00", 2)
-    assert bench.value(token) == 7
+    assert bench.value(token, "11 87 00 00 00 00 00 07 02 40 00 00", 2) == 7
     assert "0..126" in bench.misuse("write", number=391, value=127)
 
 
@@ -251,8 +248,7 @@ def test_d17_the_plugin_waits_for_two_scans_before_it_believes() -> None:
     """16 ms with PPO3, 32 ms with the others: an old 0627 is no answer to a stop."""
     for telegram, lead, early in (("PPO3", "", 60), ("PPO1", ZERO, 100)):
         bench = plugin(lead + "02 40 00 00", telegram)
-        token = bench.order("coast")
-        bench.run(early // 2)
+        token = bench.order_and_run(early // 2, "coast")
         assert bench.result(token) is None
         bench.run(10)
         assert bench.done(token)["ok"]

@@ -44,12 +44,10 @@ def test_d7_start_and_stop_by_contacts() -> None:
     bench.order("speed", value=0.5)
     start = bench.order("start")
     assert run(bench) == "00 03 20 00"
-    bench.see("02 27 00 00", 60)
-    assert bench.value(start) == "running"
+    assert bench.value(start, "02 27 00 00", 60) == "running"
     bench.see("06 27 20 00", 60)
     assert (bench.core.status().reached, bench.core.status().speed) == (True, 0.5)
-    bench.order("speed", value=-0.25)
-    assert bench.out() == "00 05 10 00"
+    assert bench.out_after("speed", value=-0.25) == "00 05 10 00"
     assert bench.see("06 27 F0 00") == "00 05 10 00"
     assert bench.core.status().speed == -0.25
     stop = bench.order("stop")

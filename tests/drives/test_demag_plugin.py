@@ -40,10 +40,8 @@ def test_d7_the_way_to_operation_enabled_word_by_word() -> None:
 def test_d11_set_point_of_the_example() -> None:
     """60 Hz reference, 30 Hz wanted: 0x2000."""
     bench = PluginBench(DRIVE.core("hoist", "PPO3", {"reference_hz": 60}), "02 40 00 00")
-    bench.order("frequency", value=30.0)
-    assert bench.out() == "00 00 20 00"
-    bench.order("speed", value=-2.0)
-    assert bench.out() == "00 00 80 00"
+    assert bench.out_after("frequency", value=30.0) == "00 00 20 00"
+    assert bench.out_after("speed", value=-2.0) == "00 00 80 00"
     token = bench.order("speed", value=2.0)
     assert bench.out() == "00 00 80 00"
     assert "-2..1.9999" in bench.text(token, "usage")
@@ -52,10 +50,8 @@ def test_d11_set_point_of_the_example() -> None:
 def test_d11_field_weakening_of_the_example() -> None:
     """375 = 50 Hz and 390 = 100 Hz: up to +-200 Hz."""
     bench = PluginBench(DRIVE.core("hoist", "PPO3", {"reference_hz": 100}), "02 40 00 00")
-    bench.order("frequency", value=-200)
-    assert bench.out() == "00 00 80 00"
-    bench.order("frequency", value=199.994)
-    assert bench.out() == "00 00 7F FF"
+    assert bench.out_after("frequency", value=-200) == "00 00 80 00"
+    assert bench.out_after("frequency", value=199.994) == "00 00 7F FF"
     bench.see("02 27 7F FF")
     assert bench.core.status().frequency_hz == pytest.approx(199.99, abs=0.01)
 
@@ -87,8 +83,7 @@ def test_d8_ways_to_stop(bench: PluginBench, op: str, control: str, answers: lis
     for answer in answers[:-1]:
         bench.see(answer, 60)
         assert bench.result(token) is None
-    bench.see(answers[-1], 60)
-    assert bench.value(token) == state
+    assert bench.value(token, answers[-1], 60) == state
 
 
 def test_own_command_tells_stopping_from_running(bench: PluginBench) -> None:
@@ -96,21 +91,18 @@ def test_own_command_tells_stopping_from_running(bench: PluginBench) -> None:
     bench.see("02 27 10 00")
     assert bench.core.status().state is State.STOPPING
     assert not bench.core.status().running
-    bench.order("start")
-    bench.run()
+    bench.order_and_run(1, "start")
     assert bench.core.status().state is State.RUNNING
 
 
 def test_reached_needs_the_bit_and_fresh_inputs(bench: PluginBench) -> None:
     bench.see("06 27 00 00")
     bench.order("speed", value=0.5)
-    token = bench.order("reached")
-    bench.run(3)
+    token = bench.order_and_run(3, "reached")
     assert bench.result(token) is None  # the bit belongs to the old set point
     bench.see("02 27 10 00", 40)
     assert bench.result(token) is None
-    bench.see("06 27 20 00")
-    assert bench.value(token) == 0.5
+    assert bench.value(token, "06 27 20 00") == 0.5
 
 
 def test_reached_with_a_tolerance_is_judged_by_the_speed(bench: PluginBench) -> None:
@@ -151,15 +143,13 @@ def test_d9_acknowledge_is_repeated_edges_of_bit_7() -> None:
         if not words or words[-1] != word:
             words.append(word)
     assert words[:4] == ["00 80", "00 00", "00 80", "00 00"]
-    bench.see("02 40 00 00", 200)
-    assert bench.value(token) == "switch_on_inhibited"
+    assert bench.value(token, "02 40 00 00", 200) == "switch_on_inhibited"
     assert bench.out() == "00 00 00 00"
 
 
 def test_d9_a_fault_that_stays_is_an_error_that_says_why() -> None:
     bench = ppo3("62 08 20 62")
-    token = bench.order("acknowledge", timeout_s=1)
-    bench.run(800)
+    token = bench.order_and_run(800, "acknowledge", timeout_s=1)
     text = bench.text(token)
     assert "F2062 Profibus OFF, the DP master failed" in text
     assert "15 s" in text
@@ -178,8 +168,7 @@ def test_d13_d21_a_warning_is_fetched_and_the_frequency_kept(bench: PluginBench)
 
 def test_d18_ppo3_start_without_remote_says_412() -> None:
     bench = ppo3("00 23 00 00")
-    token = bench.order("start")
-    bench.run(200)
+    token = bench.order_and_run(200, "start")
     text = bench.text(token, "fault")
     for part in ("PPO3 has no parameter channel", "412", "44", "S1 and one of S2 and S3"):
         assert part in text
@@ -188,13 +177,10 @@ def test_d18_ppo3_start_without_remote_says_412() -> None:
 
 def test_d18_ppo1_start_reads_412_and_tells() -> None:
     bench = ppo1(ZERO + "00 23 00 00")
-    token = bench.order("start")
-    bench.run(60)
+    token = bench.order_and_run(60, "start")
     assert bench.out() == "10 F9 00 00 00 00 00 00 00 00 00 00"  # 249, the active data set
-    bench.see("10 F9 00 00 00 00 00 02 00 23 00 00")
-    assert bench.out() == "00 00 00 00 00 00 00 00 00 00 00 00"
-    bench.see(ZERO + "00 23 00 00")
-    assert bench.out() == "61 9C 02 00 00 00 00 00 00 00 00 00"  # 412 in data set 2
+    assert bench.see("10 F9 00 00 00 00 00 02 00 23 00 00", 2) == "00 00 00 00 00 00 00 00 00 00 00 00"
+    assert bench.see(ZERO + "00 23 00 00", 2) == "61 9C 02 00 00 00 00 00 00 00 00 00"  # 412 in data set 2
     bench.see("41 9C 02 00 00 00 00 2C 00 23 00 00", 2)
     assert bench.text(token, "fault").startswith(
         "412 is 44: control not by the bus; write 412 = 1 in the active data set (2)"
@@ -203,8 +189,7 @@ def test_d18_ppo1_start_reads_412_and_tells() -> None:
 
 def test_set_412_writes_ram_and_goes_on() -> None:
     bench = ppo1(ZERO + "00 23 00 00", set_412=True)
-    token = bench.order("start")
-    bench.run(60)
+    token = bench.order_and_run(60, "start")
     bench.see("10 F9 00 00 00 00 00 01 00 23 00 00", 2)
     bench.see(ZERO + "00 23 00 00", 2)
     bench.see("41 9C 01 00 00 00 00 2C 00 23 00 00", 2)
@@ -219,8 +204,7 @@ def test_set_412_writes_ram_and_goes_on() -> None:
 
 def test_412_is_1_but_no_release() -> None:
     bench = ppo1(ZERO + "00 40 00 00")
-    token = bench.order("start")
-    bench.run(60)
+    token = bench.order_and_run(60, "start")
     bench.see("10 F9 00 00 00 00 00 01 00 40 00 00", 2)
     bench.see(ZERO + "00 40 00 00", 2)
     bench.see("41 9C 01 00 00 00 00 01 00 40 00 00", 2)

@@ -40,8 +40,7 @@ def test_d14_the_words_of_the_plugin(kind: str, value: float, word: str) -> None
 def test_d12_the_additional_reference_of_the_plugin() -> None:
     bench = plugin("02 40" + " 00" * 10, "PPO4", reference_hz=60, map_outputs="reference")
     bench.order("output", number="PZD3", value=-15)
-    bench.order("speed", value=0.5)
-    assert bench.out() == "00 00 20 00 F0 00 00 00 00 00 00 00"
+    assert bench.out_after("speed", value=0.5) == "00 00 20 00 F0 00 00 00 00 00 00 00"
 
 
 @pytest.mark.parametrize(
@@ -108,13 +107,11 @@ def test_d16_the_lines_of_the_manual_from_live_data() -> None:
     wide = " 06 A7 20 00 11 47 0C CC 08 00 00 00"
     bench = plugin(ZERO.strip() + wide, "PPO2")
     bench.order("speed", value=0.5)
-    bench.order("start")
-    bench.run(2)
+    bench.order_and_run(2, "start")
     for reply in ("10 F9 00 00 00 00 00 01", "41 9C 01 00 00 00 00 01"):  # 249, and 412 in data set 1
         bench.see(reply + wide, 2)
         bench.see(ZERO.strip() + wide, 3)
-    bench.order("read", number=480, data_set=3)
-    bench.run(2)
+    bench.order_and_run(2, "read", number=480, data_set=3)
     bench.see("51 E0 03 00 FF FF EA 84" + wide, 3)
     bench.see(ZERO.strip() + wide, 3)
     lines = as_mapping(bench.ok("trace"))
@@ -125,8 +122,7 @@ def test_d16_the_lines_of_the_manual_from_live_data() -> None:
 
 def test_d16_a_write_shows_its_value_and_narrow_telegrams_their_part() -> None:
     bench = plugin(ZERO + "02 40 00 00", "PPO1")
-    bench.order("write", number=480, data_set=3, value=-55)
-    bench.run(2)
+    bench.order_and_run(2, "write", number=480, data_set=3, value=-55)
     bench.see("51 E0 03 00 FF FF EA 84 02 40 00 00", 3)
     lines = as_mapping(bench.ok("trace"))
     assert lines["out"] == "PKE: 8 480 IND: 03 00 PWE: -005500 CTR: 0000 STP: 0000"

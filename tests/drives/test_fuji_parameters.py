@@ -49,25 +49,20 @@ def test_f7_927_forbids_every_other_write() -> None:
 
 def test_f6_the_plugin_to_the_byte() -> None:
     bench = plugin("PPO1", IDLE)
-    token = bench.order("write", number="F26", value=15)
-    bench.run()
+    token = bench.order_and_run(1, "write", number="F26", value=15)
     assert bench.out() == "21 04 1A 00 00 00 00 0F 04 7E 00 00"
-    bench.see("11 04 1A 00 00 00 00 0F 02 31 00 00")
-    assert bench.value(token) == 15
+    assert bench.value(token, "11 04 1A 00 00 00 00 0F 02 31 00 00") == 15
     token = bench.order("read", number="y98")
     assert bench.see(ZERO + "02 31 00 00", 2).startswith("11 0F 62 00 00 00 00 00")
-    bench.see("11 0F 62 00 00 00 00 03 02 31 00 00", 2)
-    assert bench.value(token) == 3
+    assert bench.value(token, "11 0F 62 00 00 00 00 03 02 31 00 00", 2) == 3
     token = bench.order("read", number="y100")
     assert bench.see(ZERO + "02 31 00 00", 2).startswith("11 0F 64 00 00 00 00 00")
-    bench.see("71 0F 64 00 00 00 00 00 02 31 00 00", 2)
-    result = bench.done(token)
+    result = bench.done(token, "71 0F 64 00 00 00 00 00 02 31 00 00", 2)
     assert (result["error"], result["number"]) == ("parameter", 0)
     assert "nonexistent" in str(result["text"])
     token = bench.order("read", number=947, index=1)
     assert bench.see(ZERO + "02 31 00 00", 2).startswith("63 B3 01 00 00 00 00 00")
-    bench.see("43 B3 01 00 00 00 75 11 02 31 00 00", 2)
-    assert bench.value(token) == 0x7511
+    assert bench.value(token, "43 B3 01 00 00 00 75 11 02 31 00 00", 2) == 0x7511
 
 
 @pytest.mark.parametrize(
@@ -99,8 +94,7 @@ def test_f5_words_of_the_plugin() -> None:
     bench = plugin("PPO2", IDLE + inputs, map_inputs="F26 M16 - W01", map_outputs="S06 F07=6 041A=2")
     bench.order("output", number="f07", value=2.5)
     bench.order("output", number="F26", value=15)
-    bench.order("output", number="S06", value=0x0300)
-    assert bench.out() == ZERO + "04 7E 00 00 03 00 00 19 00 0F 00 00"
+    assert bench.out_after("output", number="S06", value=0x0300) == ZERO + "04 7E 00 00 03 00 00 19 00 0F 00 00"
     assert bench.ok("inputs") == {"F26": 15, "M16": 35, "W01": 0x1234}
     for number, value, says in (
         ("F26", 16, "outside 0..15"),
@@ -207,11 +201,9 @@ READS = [
 @pytest.mark.parametrize(("args", "order", "reply", "value"), READS)
 def test_f7_f8_f11_f13_reads_of_the_plugin(args: dict[str, object], order: str, reply: str, value: float) -> None:
     bench = plugin("PPO1", IDLE)
-    token = bench.order("read", **args)
-    bench.run()
+    token = bench.order_and_run(1, "read", **args)
     assert bench.out().startswith(order)
-    bench.see(reply + " 02 40 00 00", 2)
-    assert bench.value(token) == value
+    assert bench.value(token, reply + " 02 40 00 00", 2) == value
 
 
 @pytest.mark.parametrize(
@@ -235,8 +227,7 @@ def test_f7_f8_f11_writes_of_the_plugin(args: dict[str, object], order: str | No
         assert "use write_map" in bench.misuse("write", **args)
     else:
         bench.order("write", **args)
-    bench.run()
-    assert bench.out().startswith(order or ZERO)
+    assert bench.out(2).startswith(order or ZERO)
 
 
 @pytest.mark.parametrize(
@@ -254,10 +245,8 @@ def test_f7_f8_f11_writes_of_the_plugin(args: dict[str, object], order: str | No
 )
 def test_f14_errors_by_their_text(number: str, text: str) -> None:
     bench = plugin("PPO1", IDLE)
-    token = bench.order("write", number="F26", value=1)
-    bench.run(2)
-    bench.see(f"71 04 1A 00 00 00 {number} 02 40 00 00", 2)
-    result = bench.done(token)
+    token = bench.order_and_run(2, "write", number="F26", value=1)
+    result = bench.done(token, f"71 04 1A 00 00 00 {number} 02 40 00 00", 2)
     assert result["number"] == int(number.replace(" ", ""), 16)
     assert text in str(result["text"])
 

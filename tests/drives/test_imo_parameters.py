@@ -34,8 +34,7 @@ def test_i3_the_read_of_the_manual(bench: PluginBench) -> None:
     assert pkw(bench, "00 01 00 0A 00 00 13 88") == "00 00 00 00 00 00 00 00"
     result = bench.done(token)
     assert (result["value"], result["raw"], result["unit"]) == (50.0, 0x1388, "Hz")
-    by_number = bench.order("read", number=10)
-    bench.run(60)
+    by_number = bench.order_and_run(60, "read", number=10)
     pkw(bench, "00 00 00 00 00 00 00 00")
     pkw(bench, "00 01 00 0A 00 00 00 64")
     assert bench.value(by_number) == 1.0
@@ -59,8 +58,7 @@ def test_i3_a_negative_value_comes_back_as_it_was_written(bench: PluginBench) ->
     """P01.47 (address 303, 012Fh) is not in the manual of the card: its type is not known."""
     token = bench.order("write", number=303, value=-5)
     assert bench.see("00 00 00 00 00 00 00 00 " + READY + NOTHING, 2).startswith("00 04 01 2F 00 00 FF FB")
-    bench.see("00 01 01 2F 00 00 FF FB " + READY + NOTHING, 2)
-    result = bench.done(token)
+    result = bench.done(token, "00 01 01 2F 00 00 FF FB " + READY + NOTHING, 2)
     assert (result["value"], result["raw"]) == (-5, -5)
 
 

@@ -87,8 +87,7 @@ def test_k3_the_handshake_is_inverted_for_every_new_request(bench: PluginBench) 
     ],
 )
 def test_k5_errors_as_texts(bench: PluginBench, answer: str, number: int, text: str) -> None:
-    token = bench.order("read", number="oP.3")
-    bench.run()
+    token = bench.order_and_run(1, "read", number="oP.3")
     channel(bench, answer)
     result = bench.done(token)
     assert (result["ok"], result["error"], result["number"]) == (False, "parameter", number)
@@ -120,18 +119,15 @@ def test_k5_busy_up_to_the_time_out_is_told(bench: PluginBench) -> None:
     ],
 )
 def test_a_drive_that_is_silent_or_answers_for_another_parameter(bench: PluginBench, answer: str, says: str) -> None:
-    token = bench.order("read", number="oP.3", timeout_s=0.1)
-    bench.run()
+    token = bench.order_and_run(1, "read", number="oP.3", timeout_s=0.1)
     channel(bench, answer, 60)
     assert says in bench.text(token, "timeout")
 
 
 def test_a_request_given_up_keeps_the_channel_until_the_drive_confirms_it(bench: PluginBench) -> None:
     """With the bit inverted under it, a late confirmation would be taken for the next request's."""
-    bench.order("read", number="oP.3", timeout_s=0.05)
-    bench.run(40)
-    late = bench.order("read", number="sy.51", timeout_s=0.05)
-    bench.run(40)
+    bench.order_and_run(40, "read", number="oP.3", timeout_s=0.05)
+    late = bench.order_and_run(40, "read", number="sy.51", timeout_s=0.05)
     assert bench.out()[:23] == "71 01 23 03 00 00 00 00"
     assert "has not yet confirmed the request before it (oP.03" in str(bench.result(late))
     token = bench.order("read", number="sy.51")
@@ -174,8 +170,7 @@ def test_after_a_new_start_the_drives_own_handshake_bit_is_taken() -> None:
     ],
 )
 def test_k6_sets_by_the_bit_of_the_subindex(bench: PluginBench, args: dict[str, object], request_octets: str) -> None:
-    bench.order("read", **args)
-    assert bench.out()[:23] == request_octets
+    assert bench.out_after("read", **args)[:23] == request_octets
 
 
 @pytest.mark.parametrize(
@@ -211,8 +206,7 @@ def test_values_are_checked_before_anything_is_sent(bench: PluginBench, args: di
 
 
 def test_negative_values_are_32_bits(bench: PluginBench) -> None:
-    bench.order("write", number="oP.3", value=-20)
-    assert bench.out()[:23] == "72 01 23 03 FF FF F9 C0"
+    assert bench.out_after("write", number="oP.3", value=-20)[:23] == "72 01 23 03 FF FF F9 C0"
 
 
 def test_without_a_channel_there_are_no_parameters() -> None:

@@ -494,8 +494,7 @@ def test_k7_no_process_data_before_the_drive_has_told_its_map(words: dict[str, i
                 assert {"2018", "2010", "6002", "5FF8"} <= set(asked)
     assert seen == (["00 00 00 00", "00 00 01 F4"] if sent else ["00 00 00 00"])
     if not sent:
-        bench.order("start")
-        bench.run(200)
+        bench.order_and_run(200, "start")
         assert bench.out()[24:] == "00 00 00 00"
 
 
@@ -559,8 +558,7 @@ def test_k7_the_map_that_is_in_force_is_not_written_again(bench: PairBench) -> N
 
 
 def test_k7_a_write_map_that_fails_halfway_leaves_the_drive_without_outputs(bench: PairBench) -> None:
-    token = bench.order("write_map", **MAP, timeout_s=0.25)
-    bench.run(400)
+    token = bench.order_and_run(400, "write_map", **MAP, timeout_s=0.25)
     assert bench.done(token)["error"] == "timeout"
     assert outputs_of(bench, 500) == {"00 00 00 00"}
     assert "(5FF8h) is 00h" in bench.refused("start")[1]

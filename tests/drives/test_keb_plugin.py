@@ -53,28 +53,23 @@ def test_k8_the_words_by_the_users_bits() -> None:
     assert status.frequency_hz == pytest.approx(12.5)
     assert status.words == (0x0860, 0x05DC)
     assert status.remote is None, "no bit of the F5 tells it"
-    bench.order("stop")
-    assert bench.out() == "00 02 05 DC"
+    assert bench.out_after("stop") == "00 02 05 DC"
     assert bench.core.status().state is State.STOPPING
     bench.see("00 00 00 00", 60)
     assert bench.core.status().state is State.READY
     bench.order("start")
     bench.see("00 20 00 00", 60)
-    bench.order("quick_stop")
-    assert bench.out() == "10 02 05 DC"
-    bench.order("coast")
-    assert bench.out() == "00 00 05 DC"
+    assert bench.out_after("quick_stop") == "10 02 05 DC"
+    assert bench.out_after("coast") == "00 00 05 DC"
 
 
 def test_k8_reverse_by_its_bit_or_by_the_sign() -> None:
     bench = plugin("00 20 00 00")
     bench.order("speed", value=-0.25)
-    bench.order("start")
-    assert bench.out() == "02 12 05 DC"
+    assert bench.out_after("start") == "02 12 05 DC"
     bench = plugin("00 20 00 00", direction="sign")
     bench.order("speed", value=-0.25)
-    bench.order("start")
-    assert bench.out() == "00 12 FA 24"
+    assert bench.out_after("start") == "00 12 FA 24"
 
 
 def test_k8_a_fault_and_its_edge() -> None:
@@ -94,8 +89,7 @@ def test_k8_a_fault_whose_number_was_lost_is_asked_again() -> None:
     bench = plugin("00 " * 8 + "00 08 00 00", "PCH+4/4")
     assert bench.out()[:23] == "71 01 22 00 00 00 00 00"
     bench.core.lost(bench.now)
-    bench.see("00 " * 8 + "00 08 00 01", 2)
-    assert bench.out()[:23] == "71 01 22 00 00 00 00 00"
+    assert bench.see("00 " * 8 + "00 08 00 01", 3)[:23] == "71 01 22 00 00 00 00 00"
     bench.see("41 01 22 00 00 00 00 1F 00 08 00 01", 2)
     assert bench.core.status().faults == ("inverter state ru.00 = 31",)
 
@@ -144,11 +138,9 @@ def test_a_real_drive_gets_no_bits_that_are_made_up() -> None:
     bench = PluginBench(DRIVE.core("hoist", options=ALONE), "00 " * 12)
     assert "not in the manual" in bench.misuse("start")
     bench = PluginBench(DRIVE.core("hoist", options=ALONE, simulated=True), "00 " * 12)
-    bench.order("start")
-    assert bench.out()[24:] == "00 05 00 00"
+    assert bench.out_after("start")[24:] == "00 05 00 00"
     bench = PluginBench(DRIVE.core("hoist", options={**ALONE, "control_bits": "run=9"}, simulated=True), "00 " * 12)
-    bench.order("start")
-    assert bench.out()[24:] == "02 00 00 00"
+    assert bench.out_after("start")[24:] == "02 00 00 00"
 
 
 def test_k8_the_words_as_they_stand_where_nothing_is_named() -> None:
@@ -157,8 +149,7 @@ def test_k8_the_words_as_they_stand_where_nothing_is_named() -> None:
     assert bench.core.status().words == (0x1234, 0x5678)
     assert bench.core.status().state is State.UNKNOWN
     bench.order("output", number="sy.50", value=0xABCD)
-    bench.order("output", number="sy.52", value=-2)
-    assert bench.out() == "AB CD FF FE"
+    assert bench.out_after("output", number="sy.52", value=-2) == "AB CD FF FE"
     bench.core.lost(bench.now)
     assert bench.out() == "00 00 00 00"
     named = plugin()
@@ -167,8 +158,7 @@ def test_k8_the_words_as_they_stand_where_nothing_is_named() -> None:
 
 def test_a_start_that_does_not_come_true_shows_the_recipe() -> None:
     bench = plugin()
-    token = bench.order("start", timeout_s=0.2)
-    bench.run(150)
+    token = bench.order_and_run(150, "start", timeout_s=0.2)
     assert "the drive reports ready, not running; does it obey the control word? ud.01 = 440" in bench.text(token)
     assert bench.out() == "00 00 00 00"
 
@@ -176,8 +166,7 @@ def test_a_start_that_does_not_come_true_shows_the_recipe() -> None:
 def test_reached_by_the_speed_where_no_bit_is_named() -> None:
     bench = plugin("00 20 00 00", status_bits="run=5 fault=3")
     bench.order("speed", value=0.25)
-    bench.order("start")
-    bench.run(60)
+    bench.order_and_run(60, "start")
     token = bench.order("reached")
     bench.see("00 20 05 78", 60)
     assert bench.result(token) is None
@@ -194,16 +183,14 @@ def test_k2_odd_lengths(telegram: str, out: str) -> None:
     """The default map is cut to what the telegram takes."""
     bench = plugin("00 00 00 00", telegram)
     bench.order("speed", value=0.25)
-    bench.order("start")
-    assert bench.out() == out
+    assert bench.out_after("start") == out
 
 
 @pytest.mark.parametrize(("cycle", "early", "late"), [(25, 90, 100), (100, 310, 330)])
 def test_k9_the_plugin_reckons_with_pd_in_cycle(cycle: int, early: int, late: int) -> None:
     """Inputs are read every PD_In_Cycle: a standstill shown before three of them may be an old one."""
     bench = plugin("00 00 00 00", pd_in_cycle_ms=cycle)
-    token = bench.order("coast")
-    bench.run(early // 2)
+    token = bench.order_and_run(early // 2, "coast")
     assert bench.result(token) is None
     bench.run((late - early) // 2)
     assert bench.done(token)["ok"]
@@ -219,8 +206,7 @@ def test_k9_the_plugin_reckons_with_pd_in_cycle(cycle: int, early: int, late: in
 )
 def test_k10_the_plugin_sets_the_watchdog(number: int, value: int, request_octets: str) -> None:
     bench = plugin("00 " * 12, "PCH+4/4")
-    bench.order("write", number=number, value=value)
-    assert bench.out()[:23] == request_octets
+    assert bench.out_after("write", number=number, value=value)[:23] == request_octets
 
 
 def test_unknown_orders_name_those_of_this_drive() -> None:

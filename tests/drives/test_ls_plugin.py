@@ -15,39 +15,33 @@ from tests.drives.ls_kit import S2, ZERO, plugin
 
 def test_l3_a_run() -> None:
     bench = plugin("00 40 00 00")
-    bench.order("speed", value=1.0)
-    assert bench.out() == "04 7E 40 00"
+    assert bench.out_after("speed", value=1.0) == "04 7E 40 00"
     start = bench.order("start")
     assert bench.see("02 74 00 00") == "04 7E 40 00"  # S1, with 047E copied
     assert bench.see("02 35 00 00") == "04 7F 40 00"
-    bench.see("02 37 00 10", 3)
-    assert bench.value(start) == "running"
+    assert bench.value(start, "02 37 00 10", 3) == "running"
     reached = bench.order("reached")
     bench.see("02 37 20 00", 60)
     assert bench.result(reached) is None
-    bench.see("03 37 40 00")
-    assert bench.value(reached) == 1.0
+    assert bench.value(reached, "03 37 40 00") == 1.0
     stop = bench.order("stop")
     assert bench.out() == "04 7E 40 00"
     bench.see("02 35 20 00", 60)  # like S2, but it turns
     assert bench.core.status().state is State.STOPPING
     assert bench.result(stop) is None
-    bench.see("02 35 00 00", 60)
-    assert bench.value(stop) == "ready_to_switch_on"
+    assert bench.value(stop, "02 35 00 00", 60) == "ready_to_switch_on"
 
 
 def test_l3_taken_back_during_the_ramp() -> None:
     bench = plugin("02 35 20 00")
-    bench.order("start")
-    assert bench.out() == "04 7F 00 00"
+    assert bench.out_after("start") == "04 7F 00 00"
     assert bench.see("02 37 20 00") == "04 7F 00 00"
 
 
 @pytest.mark.parametrize(("op", "word"), [("quick_stop", "04 7A"), ("coast", "04 7C"), ("acknowledge", "04 80")])
 def test_l3_words(op: str, word: str) -> None:
     bench = plugin("02 48 00 00" if op == "acknowledge" else "03 37 40 00")
-    bench.order(op)
-    assert bench.out()[:5] == word
+    assert bench.out_after(op)[:5] == word
 
 
 def test_l3_s4_is_taken_only_with_3_and_6_clear() -> None:
@@ -63,8 +57,7 @@ def test_l3_s4_is_taken_only_with_3_and_6_clear() -> None:
 def test_l5_per_cent_of_dr_20(speed: float, word: str) -> None:
     """F000 is 15 Hz reverse at 60 Hz; C000 is -60 Hz (the manual once prints 60 Hz)."""
     bench = plugin()
-    bench.order("speed", value=speed)
-    assert bench.out()[6:] == word
+    assert bench.out_after("speed", value=speed)[6:] == word
     bench.see(f"02 37 {word}")
     assert bench.core.status().frequency_hz == 60 * speed
 
@@ -77,8 +70,7 @@ def test_l5_the_range_is_c000_to_4000() -> None:
 
 def test_l5_rpm() -> None:
     bench = plugin(speed_unit="rpm", reference_rpm=1500.0, reference_hz=50.0)
-    bench.order("speed", value=0.8)
-    assert bench.out()[6:] == "04 B0"  # 1200 rpm
+    assert bench.out_after("speed", value=0.8)[6:] == "04 B0"  # 1200 rpm
     bench.see("02 37 FB 50")
     assert bench.core.status().frequency_hz == pytest.approx(-40)
 
@@ -100,11 +92,9 @@ def test_l4_a_run() -> None:
     bench.order("speed", value=1.0)
     start = bench.order("start")
     assert bench.out() == "60 02 17 70"  # forward, 60.00 Hz
-    bench.see("68 12 01 F4", 3)
-    assert bench.value(start) == "running"
+    assert bench.value(start, "68 12 01 F4", 3) == "running"
     assert bench.core.status().frequency_hz == pytest.approx(5)
-    bench.order("speed", value=-0.5)
-    assert bench.out() == "60 04 0B B8"
+    assert bench.out_after("speed", value=-0.5) == "60 04 0B B8"
     bench.see("70 44 0B B8")
     assert bench.core.status().speed == pytest.approx(-0.5)
     assert bench.core.status().reached
@@ -112,13 +102,10 @@ def test_l4_a_run() -> None:
     assert bench.out() == "60 01 0B B8"
     bench.see("61 24 05 DC", 60)
     assert bench.core.status().state is State.STOPPING
-    bench.see("60 01 00 00", 60)
-    assert bench.value(stop) == "ready"
-    bench.order("coast")
-    assert bench.out() == "60 10 0B B8"
+    assert bench.value(stop, "60 01 00 00", 60) == "ready"
+    assert bench.out_after("coast") == "60 10 0B B8"
     bench.see("60 09 00 00", 3)
-    bench.order("acknowledge")
-    assert bench.out() == "60 08 0B B8"
+    assert bench.out_after("acknowledge") == "60 08 0B B8"
 
 
 def test_l4_what_the_profile_cannot_do_is_refused_by_name() -> None:
@@ -130,12 +117,10 @@ def test_l4_what_the_profile_cannot_do_is_refused_by_name() -> None:
 
 def test_l4_the_keypad_in_control_is_told() -> None:
     bench = plugin("80 01 00 00", profile="ls")
-    token = bench.order("start")
-    bench.run(200)
+    token = bench.order_and_run(200, "start")
     assert "bit 15: the keypad controls the drive: set dr-06" in bench.text(token)
     bench = plugin("00 01 00 00", profile="ls")
-    token = bench.order("start", timeout_s=1)
-    bench.run(600)
+    token = bench.order_and_run(600, "start", timeout_s=1)
     assert "bit 13: the run authority is not granted: set dr-06" in bench.text(token)
 
 
@@ -144,17 +129,14 @@ def test_l4_the_keypad_in_control_is_told() -> None:
 
 def test_l9_faults_and_warnings_by_name() -> None:
     bench = plugin(ZERO + S2, "PPO1")
-    bench.see(ZERO + "02 7C 00 00", 2)
-    assert bench.out().startswith("63 B3 00 00")
+    assert bench.see(ZERO + "02 7C 00 00", 3).startswith("63 B3 00 00")
     bench.see("43 B3 00 00 00 00 00 0B 02 7C 00 00", 2)
-    bench.see(ZERO + "02 7C 00 00", 2)
-    assert bench.out().startswith("63 B3 01 00")
+    assert bench.see(ZERO + "02 7C 00 00", 3).startswith("63 B3 01 00")
     bench.see("43 B3 01 00 00 00 00 22 02 7C 00 00", 2)
     bench.see(ZERO + "02 7C 00 00", 2)
     bench.see("43 B3 02 00 00 00 00 00 02 7C 00 00", 2)
     assert bench.core.status().faults == ("11 overcurrent", "34 LV")
-    bench.see(ZERO + "02 B5 00 00", 2)
-    assert bench.out().startswith("13 B9 00 00")
+    assert bench.see(ZERO + "02 B5 00 00", 3).startswith("13 B9 00 00")
     bench.see("13 B9 00 00 00 00 00 12 02 B5 00 00", 2)
     assert bench.core.status().warnings == ("warning word 0012",)
     assert "PPO3 has no parameter channel" in str(plugin("02 7C 00 00").core.status().fault)
@@ -182,16 +164,14 @@ def test_l9_what_was_asked_is_asked_again_after_the_drive_was_away() -> None:
     bench = plugin(ZERO + "02 7C 00 00", "PPO1")
     assert bench.out().startswith("63 B3 00 00")
     bench.core.lost(bench.now)
-    bench.see(ZERO + "02 7C 00 00", 2)
-    assert bench.out().startswith("63 B3 00 00")
+    assert bench.see(ZERO + "02 7C 00 00", 3).startswith("63 B3 00 00")
     bench.see("73 B3 00 00 00 00 00 00 02 7C 00 00", 2)
     assert bench.core.status().faults == ("without a name: PNU 947 holds none",)
 
 
 def test_l2_a_start_with_another_profile_says_com_11() -> None:
     bench = plugin(ZERO + S2, "PPO1", check_settings=True)
-    token = bench.order("start")
-    bench.run()
+    token = bench.order_and_run(1, "start")
     assert bench.out().startswith("13 A2 00 00")
     bench.see("13 A2 00 00 00 00 80 02 60 01 00 00", 2)
     assert bench.text(token) == (
@@ -201,8 +181,7 @@ def test_l2_a_start_with_another_profile_says_com_11() -> None:
 
 def test_a_drive_that_stays_in_s1_is_told_with_what_to_look_at() -> None:
     bench = plugin("02 74 00 00")
-    token = bench.order("start", timeout_s=1)
-    bench.run(600)
+    token = bench.order_and_run(600, "start", timeout_s=1)
     assert "stays in S1" in bench.text(token)
     assert "set dr-06 (command source) to 4" in bench.text(token)
     device = DRIVE.simulated("PPO1", {}, {"dr-06": 1})

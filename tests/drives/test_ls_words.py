@@ -17,8 +17,7 @@ def test_l11_swapped_words() -> None:
     assert bench.core.status().speed == -0.25
     assert bench.core.status().reached
     bench.order("speed", value=0.5)
-    bench.order("read", number=965)
-    bench.run()
+    bench.order_and_run(1, "read", number=965)
     assert bench.out() == "13 C5 00 00 00 00 00 00 7E 04 00 20"
 
 
@@ -26,15 +25,13 @@ def test_l1_l7_vendor_words() -> None:
     bench = plugin("00 00 00 01 00 00", "VENDOR 2/3")
     assert not bench.notices()  # no drive profile, so 0005 and 000A are what to use
     bench.order("speed", value=-0.5)
-    bench.order("start")
-    assert bench.out() == "0B B8 00 04"
+    assert bench.out_after("start") == "0B B8 00 04"
     bench.see("0B B8 10 44 00 00", 3)
     assert bench.core.status().speed == pytest.approx(-0.5)
     assert bench.core.status().reached
     bench.see("00 00 00 09 00 0C", 3)
     assert "000F is 000C" in str(bench.core.status().fault)
-    bench.order("acknowledge")
-    assert bench.out() == "0B B8 00 08"
+    assert bench.out_after("acknowledge") == "0B B8 00 08"
     assert "written by start" in bench.misuse("output", number="0x0006", value=2)
 
 
@@ -51,8 +48,7 @@ def test_l7_mapped_values() -> None:
         "02 35 00 00 00 14 01 00 00 07 00 00", "PPO4", para_status="dr-03 In-90 0x0700", para_control="dr-04=2"
     )
     assert bench.ok("inputs") == {"dr-03": 2.0, "In-90": 0x0100, "0700": 7}
-    bench.order("output", number="dr-04", value=2.5)
-    assert bench.out() == "04 7E 00 00 00 19 00 00 00 00 00 00"
+    assert bench.out_after("output", number="dr-04", value=2.5) == "04 7E 00 00 00 19 00 00 00 00 00 00"
     assert "outside 0..600" in bench.misuse("output", number="dr-04", value=601)
     assert "not in para_control (1104)" in bench.misuse("output", number="dr-03", value=1)
 
@@ -138,24 +134,20 @@ def test_l7_write_map_on_the_wire() -> None:
 )
 def test_l6_reads(args: dict[str, object], order: str, reply: str, value: float) -> None:
     bench = plugin(ZERO + S2, "PPO1")
-    token = bench.order("read", **args)
-    bench.run()
+    token = bench.order_and_run(1, "read", **args)
     assert bench.out() == f"{order} 04 7E 00 00"
-    bench.see(f"{reply} {S2}", 2)
-    assert bench.value(token) == value
+    assert bench.value(token, f"{reply} {S2}", 2) == value
 
 
 def test_l6_writes_and_errors() -> None:
     bench = plugin(ZERO + S2, "PPO1")
-    token = bench.order("write", number="dr-03", value=5.0)
-    bench.run()
+    token = bench.order_and_run(1, "write", number="dr-03", value=5.0)
     assert bench.out().startswith("20 11 03 00 00 00 00 32")
     bench.see(f"70 11 03 00 00 00 00 11 {S2}", 2)
     assert "not in this operating mode" in bench.text(token)
     assert bench.done(token)["number"] == 0x11
     bench.see(ZERO + S2, 2)
-    token = bench.order("write", number="dr-03", value=5.0)
-    bench.run(2)
+    token = bench.order_and_run(2, "write", number="dr-03", value=5.0)
     bench.see(f"80 11 03 00 00 00 00 00 {S2}", 2)
     assert "no control over the parameters" in bench.text(token)
 

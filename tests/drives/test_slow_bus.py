@@ -29,14 +29,12 @@ def test_reached_may_still_be_said_of_the_last_set_point() -> None:
     assert bench.result(reached) is None
     bench.see("02 37 28 00", 3)
     assert bench.result(reached) is None
-    bench.see("03 37 40 00")
-    assert bench.value(reached) == 1.0
+    assert bench.value(reached, "03 37 40 00") == 1.0
 
 
 def test_settled_waits_for_the_outputs_to_go_round() -> None:
     bench = running()
-    token = bench.order("settled")
-    bench.run(3)
+    token = bench.order_and_run(3, "settled")
     assert bench.result(token) is None
     bench.run()
     assert bench.value(token) == "running"
@@ -45,8 +43,7 @@ def test_settled_waits_for_the_outputs_to_go_round() -> None:
 def test_settled_waits_for_the_name_of_a_fault() -> None:
     zero = "00 00 00 00 00 00 00 00 "
     bench = PluginBench(DRIVE.core("fan", "PPO1", ALONE), zero + "02 78 00 00")
-    token = bench.order("settled")
-    bench.run(40)
+    token = bench.order_and_run(40, "settled")
     assert bench.result(token) is None
     bench.see("43 B3 01 00 00 00 75 11 02 78 00 00", 2)  # Er5, by PNU 947
     assert bench.done(token)["ok"]

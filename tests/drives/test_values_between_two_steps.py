@@ -43,8 +43,7 @@ def test_a_write_between_two_steps_is_refused_with_both_of_them(
 
 def test_rounding_errors_of_decimal_fractions_are_no_step() -> None:
     bench = ppo1()
-    bench.order("write", number=375, value=0.1 + 0.2 + 49.7)
-    bench.run()
+    bench.order_and_run(1, "write", number=375, value=0.1 + 0.2 + 49.7)
     assert bench.out() == "81 77 00 00 00 00 13 88 00 00 00 00"
     assert count_of("x", 4294967.295, 1000) == 0xFFFF_FFFF
 
@@ -133,16 +132,13 @@ def test_record_47_reads_a_value_as_wide_as_the_drive_sends_it(name: str, respon
 )
 def test_a_reply_is_read_as_the_type_that_it_says(number: int, data_set: int | None, reply: str, value: float) -> None:
     bench = ppo1()
-    token = bench.order("read", number=number, data_set=data_set)
-    bench.run(2)
-    bench.see(reply + " 02 40 00 00")
-    assert bench.value(token) == value
+    token = bench.order_and_run(2, "read", number=number, data_set=data_set)
+    assert bench.value(token, reply + " 02 40 00 00") == value
 
 
 def test_the_reply_of_an_array_to_a_plain_order_is_an_error() -> None:
     bench = ppo1()
-    token = bench.order("read", number=400)
-    bench.run(2)
+    token = bench.order_and_run(2, "read", number=400)
     bench.see("41 90 00 00 00 00 00 02 02 40 00 00")
     assert "reply 4 does not answer order 1" in bench.text(token)
 
@@ -152,8 +148,7 @@ def test_imo_a_long_response_is_read_whole() -> None:
     token = bench.order("read", number="P00.10")
     state = "01 03 " + "00 00 " * 11
     bench.see("00 00 00 00 00 00 00 00 " + state, 2)
-    bench.see("00 02 00 0A 00 01 00 64 " + state, 2)
-    assert bench.value(token) == 656.36
+    assert bench.value(token, "00 02 00 0A 00 01 00 64 " + state, 2) == 656.36
 
 
 # -- Fuji: set point, busy -------------------------------------------------------------------------------------------
@@ -169,8 +164,7 @@ def test_fuji_refuses_a_speed_beyond_4000h(speed: float, reverse: str) -> None:
     assert bench.out()[6:] == "00 00"
     token = bench.order("frequency", value=90)
     assert "outside -1..1" in bench.text(token)
-    bench.order("speed", value=1.0)
-    assert bench.out()[6:] == "40 00"
+    assert bench.out_after("speed", value=1.0)[6:] == "40 00"
 
 
 BUSY = "71 04 1A 00 00 00 00 68 02 40 00 00"  # 8.3 table 8.10: error 104
@@ -185,8 +179,7 @@ def test_fuji_asks_again_while_the_drive_is_busy() -> None:
         assert bench.see(BUSY, 2).startswith(ZERO)
         assert bench.result(token) is None
     bench.see(IDLE, 30)
-    bench.see("11 04 1A 00 00 00 00 0F 02 40 00 00", 2)
-    assert bench.value(token) == 15
+    assert bench.value(token, "11 04 1A 00 00 00 00 0F 02 40 00 00", 2) == 15
 
 
 def test_fuji_that_stays_busy_tells_it_when_the_time_is_over() -> None:

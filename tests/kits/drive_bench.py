@@ -62,9 +62,20 @@ class PluginBench:
         self.events += self.core.take_events()
         return self._token
 
-    def out(self) -> str:
-        """The outputs of one more rotation, in hex."""
-        return self.run().hex(" ").upper()
+    def order_and_run(self, rotations: int, op: str, **args: object) -> int:
+        """Give an order and run some rotations; its token."""
+        token = self.order(op, **args)
+        self.run(rotations)
+        return token
+
+    def out(self, rotations: int = 1) -> str:
+        """The outputs of the last of some more rotations, in hex."""
+        return self.run(rotations).hex(" ").upper()
+
+    def out_after(self, op: str, **args: object) -> str:
+        """Give an order; the outputs of the rotation after it, in hex."""
+        self.order(op, **args)
+        return self.out()
 
     def result(self, token: int) -> dict[str, object] | None:
         """The result of an order, None while it is under way."""
@@ -73,14 +84,17 @@ class PluginBench:
                 return event
         return None
 
-    def done(self, token: int) -> dict[str, object]:
-        """The result of an order that has ended."""
+    def done(self, token: int, inputs: str | None = None, rotations: int = 1) -> dict[str, object]:
+        """The result of an order that has ended; with ``inputs``, after the drive has answered them."""
+        if inputs is not None:
+            self.see(inputs, rotations)
         result = self.result(token)
         assert result is not None
         return result
 
-    def value(self, token: int) -> object:
-        return self.done(token)["value"]
+    def value(self, token: int, inputs: str | None = None, rotations: int = 1) -> object:
+        """Of the result that :meth:`done` gives."""
+        return self.done(token, inputs, rotations)["value"]
 
     def text(self, token: int, error: str | None = None) -> str:
         """The text of a result; ``error``: the kind that it must be of."""

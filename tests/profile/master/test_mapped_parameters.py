@@ -80,8 +80,7 @@ def test_a_map_without_its_values_is_refused_before_anything_is_sent(
 def test_the_last_value_of_an_output_stays() -> None:
     bench = PluginBench(LS.core("pump", "PPO4", {"para_control": "dr-04=2.5 0005"}), "02 35 00 00 " + "00 " * 8)
     bench.order("output", number="dr-04", value=10)
-    bench.order("output", number="0005", value=30)
-    assert bench.out() == "04 7E 00 00 00 64 0B B8 00 00 00 00"
+    assert bench.out_after("output", number="0005", value=30) == "04 7E 00 00 00 64 0B B8 00 00 00 00"
     assert bench.core.safe(bench.core.safe_outputs).hex(" ").upper() == "04 7E 00 00 00 64 00 00 00 00 00 00"
     bench.core.lost(bench.now)
     assert bench.out() == "04 7E 00 00 00 64 00 00 00 00 00 00"
@@ -92,8 +91,7 @@ def test_values_of_the_option_come_back_where_commands_do_not() -> None:
     bench = PluginBench(core, "02 40" + " 00" * 10)
     assert bench.out() == "00 00 00 00 0B B8 00 00 00 00 00 00"
     bench.order("output", number="pzd3", value=-55.36)
-    bench.order("output", number="pzd4", value=1)
-    assert bench.out() == "00 00 00 00 EA 60 FF FF 00 00 00 00"
+    assert bench.out_after("output", number="pzd4", value=1) == "00 00 00 00 EA 60 FF FF 00 00 00 00"
     assert core.safe(core.safe_outputs) == bytes(12), "sources of the drive, not parameters"
     core.lost(bench.now)
     assert bench.out() == "00 00 00 00 0B B8 00 00 00 00 00 00"

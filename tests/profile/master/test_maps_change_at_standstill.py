@@ -90,8 +90,7 @@ def test_no_map_changes_while_the_motor_turns(case: Case) -> None:
     assert bench.device.store.eeprom_writes == wrote
     assert bench.core.status().settings is SettingsState.CHECKED
     assert bench.device.motor.frequency == pytest.approx(0.5)
-    bench.order("stop")
-    bench.run(30)
+    bench.order_and_run(30, "stop")
     assert "write_map: the drive is stopping" in bench.misuse("write_map", **case.maps)
     bench.pass_time(3000)
     assert not bench.device.motor.on

@@ -319,13 +319,11 @@ def test_without_a_channel_a_drive_starts_with_its_settings_not_checked(
 
 def test_without_an_answer_a_drive_starts_in_time_with_its_settings_not_checked() -> None:
     bench = PluginBench(FUJI.core("fan", "PPO1"), ZERO + "02 31 00 00")
-    token = bench.order("start", timeout_s=5)
-    bench.run(3 * S // bench.rotation)
+    token = bench.order_and_run(3 * S // bench.rotation, "start", timeout_s=5)
     assert bench.out().endswith("04 7E 00 00")
     bench.run(2 * S // bench.rotation - bench.rotation // MS * 100)
     assert bench.out().endswith("04 7F 00 00")
-    bench.see(ZERO + "02 37 00 00", 20)
-    assert bench.value(token) == "running"
+    assert bench.value(token, ZERO + "02 37 00 00", 20) == "running"
     assert "settings not checked: the drive has not yet answered; the plugin relies on F03 = 60 Hz, y98 = 3" in (
         bench.notices()
     )
@@ -426,10 +424,8 @@ def test_the_option_switches_the_comparison_off() -> None:
 
 def test_a_start_order_that_is_cancelled_while_it_waits_sends_nothing() -> None:
     bench = PluginBench(FUJI.core("fan", "PPO1"), ZERO + "02 31 00 00")
-    token = bench.order("start")
-    bench.run(100)
-    bench.order("cancel", order=token)
-    bench.run(2000)
+    token = bench.order_and_run(100, "start")
+    bench.order_and_run(2000, "cancel", order=token)
     assert bench.out().endswith("04 7E 00 00")
 
 
@@ -443,8 +439,7 @@ def test_reached_needs_more_than_the_bit() -> None:
     bench.order("start")
     for word in ("02 21", "02 23", "06 27"):
         bench.see(f"{word} 18 00", 2)
-    token = bench.order("reached", timeout_s=1)
-    bench.run(600)
+    token = bench.order_and_run(600, "reached", timeout_s=1)
     assert bench.text(token, "timeout").startswith(
         "50.0% not reached, at 37.5% (the drive itself reports its set point as reached; more than 2% of the reference "
     )

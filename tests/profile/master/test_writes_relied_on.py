@@ -90,8 +90,7 @@ def test_while_the_motor_turns_it_is_refused_with_what_to_do(case: Case) -> None
     assert bench.device.motor.frequency == pytest.approx(0.5)
     assert bench.device.store.changes == wrote
     assert bench.core.status().settings is SettingsState.CHECKED
-    bench.order("stop")
-    bench.run(30)
+    bench.order_and_run(30, "stop")
     assert "is not written: the drive is stopping" in bench.misuse("write", **case.write)
 
 
