@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from octet_slave import DL, sd2
 from property_kit import examples
+from support import present
 
 import dpstack.decode.words as module
 from dpstack.decode.wire_log import render
@@ -172,8 +173,7 @@ def _telegram(sap: int, master: int, unit: str, *, request: bool) -> bytes:
 )
 def test_texts_of_telegrams(sap: int, master: int, way: str, unit: str, text: str) -> None:
     octets = _telegram(sap, master, unit, request=way == "->")
-    telegram = decode(octets)
-    assert telegram is not None
+    telegram = present(decode(octets))
     words = contents(telegram)
     assert words.startswith(text)
     assert bool(words) is bool(text)
@@ -193,6 +193,5 @@ def test_there_is_a_text_for_everything(function: int, rest: bytes, request: boo
 @examples(200)
 @given(st.binary(max_size=60), st.sampled_from((0, 48, 49, 50, 51, 60)), st.booleans())
 def test_any_telegram_has_a_text(unit: bytes, sap: int, request: bool) -> None:
-    telegram = decode(_telegram(sap, 50, unit.hex(), request=request))
-    assert telegram is not None
+    telegram = present(decode(_telegram(sap, 50, unit.hex(), request=request)))
     assert describe(telegram)

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from drive_bench import MS, DeviceBench, S
+from support import instance
 
 from dpstack.errors import ConfigError
 from dpstack_drives.imo import DRIVE
@@ -20,8 +21,7 @@ class Bench(DeviceBench[ImoDevice]):
     """Process data without the PKW zone, short: the rest is zeros."""
 
     def __init__(self, **presets: Any) -> None:
-        device = DRIVE.simulated(None, {}, presets)
-        assert isinstance(device, ImoDevice)
+        device = instance(DRIVE.simulated(None, {}, presets), ImoDevice)
         super().__init__(device, "F3 7B")
 
     def pzd(self, process: str, ms: float = 70) -> str:
@@ -155,8 +155,7 @@ def test_i3_a_request_that_stands_is_written_once_to_the_eeprom() -> None:
     assert bench.device.store.eeprom_writes == 1
     bench.pkw("00 04 00 0A 00 00 04 E2")
     assert bench.device.store.eeprom_writes == 2
-    after = DRIVE.simulated(None, {}, {})
-    assert isinstance(after, ImoDevice)
+    after = instance(DRIVE.simulated(None, {}, {}), ImoDevice)
     after.inherit(bench.device)
     assert after.store.value("P00.10") == 12.5
     assert after.store.eeprom_writes == 2

@@ -6,6 +6,7 @@ from __future__ import annotations
 from octet_class2 import ABORT, INITIATE, RS, SC, Class2
 from octet_wire import MS, Wire
 from slave_kit import make_slave
+from support import instance
 
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.params import BusParams
@@ -26,11 +27,9 @@ class Drive:
     """The drive at address 8 of a wire, two masters of class 2 with a connection each."""
 
     def __init__(self) -> None:
-        device = DRIVE.device("PPO3", {"COM-07": 8})
-        assert isinstance(device, LsDevice)
+        device = instance(DRIVE.device("PPO3", {"COM-07": 8}), LsDevice)
         station = make_slave(8, device, BusParams.preset(500_000))
-        app = station.responder
-        assert isinstance(app, SlaveApp)
+        app = instance(station.responder, SlaveApp)
         self.app = app
         self.wire = Wire(station)
         self.one, self.two = Class2(self.wire, 1), Class2(self.wire, 3)

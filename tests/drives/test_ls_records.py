@@ -6,6 +6,7 @@ from __future__ import annotations
 import pytest
 from acyclic_kit import octets, outcome
 from drive_bench import ALONE, PluginBench
+from support import present
 
 from dpstack.dpv1.master.plugin_queue import ServiceFailure
 from dpstack.dpv1.pdu.read_write import parse_request
@@ -27,8 +28,7 @@ def drive() -> LsBench:
 def service(bench: LsBench, request: str) -> str:
     """A DU of DP-V1 in octets, and the drive's at the time of its last scan."""
     function, slot, index, length, *_ = du = octets(request)
-    server = bench.device.record47
-    assert server is not None
+    server = present(bench.device.record47)
     now = bench.device.seen_until or 0
     if function == 0x5F:
         assert length == len(du) - 4
@@ -283,8 +283,7 @@ def test_l8_trips_have_names_in_a_telegram_without_a_channel(master: Master) -> 
 def du(device: LsDevice, service: str) -> str:
     """One service of DP-V1 as the slave application hands it on, in octets both ways."""
     request = RecordRequest(parse_request(octets(service)))
-    assert device.records is not None
-    device.records.ask(request)
+    present(device.records).ask(request)
     assert request.response is not None
     return request.response.build().hex(" ").upper()
 

@@ -12,6 +12,7 @@ from demag_kit import sim as demag
 from drive_bench import ALONE, MS, DeviceBench, PairBench
 from slave_alarm_kit import OctetMaster
 from slave_kit import SLAVE, Bench
+from support import instance, present
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import AddressChanged
@@ -363,8 +364,7 @@ def test_ls_com_09_shows_the_leds() -> None:
     assert leds(bench) == "07"
     assert bench.send("10 17 09 00 00 00 00 00 04 FE 00 00", 20)[21:23] == "05"
     bench.away()
-    module = bench.device.channel
-    assert module is not None
+    module = present(bench.device.channel)
     # the command is lost until outputs come again: nobody has sent any yet
     assert module.step(bytes.fromhex("10 17 09 00 00 00 00 00")).hex(" ")[21:23] == "07"
     assert leds(bench) == "05"
@@ -411,16 +411,14 @@ def test_ls_trip_is_a_diagnosis_alarm_of_ms1() -> None:
 
 def test_ls_trip_without_alarms_is_no_diagnosis() -> None:
     for bench in (ls_master("80 01 01 0B 0A 6C 00 80 00 00"), ls_master(version="2.01")):
-        assert isinstance(bench.device, DriveDevice)
-        bench.device.trip("overcurrent")
+        instance(bench.device, DriveDevice).trip("overcurrent")
         assert not scans(bench, "04 7E 00 00")
         assert len(bench.diag()) == 6
 
 
 def test_ls_error_from_outside_over_record_47() -> None:
     bench = ls("PPO3")
-    server = bench.device.record47
-    assert server is not None
+    server = present(bench.device.record47)
     bench.send("04 7E 00 00")
     bench.device.refuse("17", 2)  # 11 hex, of a write only
 

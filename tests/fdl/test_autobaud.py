@@ -8,6 +8,7 @@ import pytest
 from baud_rig import TRAFFIC, Line, exchange, found, lone_token, upside_down
 from hypothesis import given
 from hypothesis import strategies as st
+from support import instance
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound, Confidence, Evidence, Missing
@@ -226,8 +227,7 @@ def test_nothing_on_the_line_makes_it_raise_or_stand_still(steps: list[tuple[byt
 def give_up(search: AutoBaud) -> BaudNotFound:
     while search.result is None:
         search.wake(search.wake_at())
-    assert isinstance(search.result, BaudNotFound)
-    return search.result
+    return instance(search.result, BaudNotFound)
 
 
 def test_a_silent_bus() -> None:
@@ -317,8 +317,7 @@ def test_no_lone_token_of_any_master_is_read_at_a_wrong_rate(rate: int, wrong: i
 def test_noise_on_the_line_delays_it_only(rate: int) -> None:
     for seed in range(5):
         search, _ = found(rate, exchange, seed, flip_rate=1e-3)
-        assert isinstance(search.result, BaudFound)
-        assert search.result.baud == rate
+        assert instance(search.result, BaudFound).baud == rate
 
 
 @pytest.mark.parametrize("rate", [93_750, 500_000, 12_000_000])
@@ -330,6 +329,5 @@ def test_a_bus_that_begins_later_is_found_in_a_later_sweep(rate: int) -> None:
     while search.wake_at() < line.begun_ns:
         search.wake(search.wake_at())
     line.listen(search)
-    assert isinstance(search.result, BaudFound)
-    assert search.result.baud == rate
+    assert instance(search.result, BaudFound).baud == rate
     assert search.tried > len(rates)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from support import present
 
 from dpstack.fdl.codec import (
     SC_OCTETS,
@@ -103,8 +104,7 @@ def test_fcs_of_every_length(octet: int, size: int) -> None:
 @pytest.mark.parametrize("count", [0x00, 0x10, 0x20, 0x30])
 def test_every_request_function(function: Req, fc: int, count: int) -> None:
     octets = bytes((0x10, 3, 2, fc | count, (5 + (fc | count)) & 0xFF, 0x16))
-    telegram = decode(octets)
-    assert telegram is not None
+    telegram = present(decode(octets))
     assert telegram.is_request
     assert telegram.function == function & 0x0F
     assert encode_sd1(3, 2, fc | count) == octets
@@ -114,8 +114,7 @@ def test_every_request_function(function: Req, fc: int, count: int) -> None:
 @pytest.mark.parametrize("station", StationType)
 def test_every_response_status(status: Resp, station: StationType) -> None:
     fc = station << 4 | status
-    telegram = decode(bytes((0x10, 2, 3, fc, 5 + fc, 0x16)))
-    assert telegram is not None
+    telegram = present(decode(bytes((0x10, 2, 3, fc, 5 + fc, 0x16))))
     assert not telegram.is_request
     assert telegram.function == status
     assert telegram.station_type is station

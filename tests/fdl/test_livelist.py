@@ -6,6 +6,7 @@ from itertools import count
 
 import pytest
 from ring_bus import ListUser, RingBus, fixed
+from support import present
 
 from dpstack.dp.master.scanner import SurveyOrder
 from dpstack.fdl.active.station import ActiveStation
@@ -26,9 +27,7 @@ TO_126, SLAVE_126 = "10 7E 02 49 C9 16", "10 02 7E 00 80 16"
 def list_of(bus: RingBus, live: LiveList, ms: int = 2000) -> ActiveStation:
     """Master 2 with ``live`` after ``ms``; station 4 is a slave."""
     bus.slaves[4] = fixed(TO_4, SLAVE_4)
-    station = bus.master(2, live, gap=0)
-    bus.run_ms(ms)
-    return station
+    return bus.master(2, live, gap=0, run_ms=ms)
 
 
 def polls(bus: RingBus, sender: int = 2) -> list[int]:
@@ -50,16 +49,14 @@ def test_all_addresses_but_the_own_one(bus: RingBus) -> None:
 
 def test_one_poll_a_hold_after_all_other_traffic(bus: RingBus) -> None:
     user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, b"\x01"), Request(9, Req.SDN_HIGH, b"\x02")])
-    bus.master(2, user, LiveList(2), gap=0)
-    bus.run_ms(20)
+    bus.master(2, user, LiveList(2), gap=0, run_ms=20)
     kinds = "".join({0xDC: "t", 0x10: "p", 0x68: "r"}[s.octets[0]] for s in bus.log[2:])
     assert kinds.startswith("rrptrrptrrpt")
 
 
 def test_nothing_when_the_time_is_over(bus: RingBus) -> None:
     user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, bytes(60))])
-    station = bus.master(2, user, LiveList(2), gap=0, t_tr=256)
-    bus.run_ms(100)
+    station = bus.master(2, user, LiveList(2), gap=0, t_tr=256, run_ms=100)
     assert station.stats.tokens > 10
     assert len(polls(bus)) <= 1
 
@@ -67,8 +64,7 @@ def test_nothing_when_the_time_is_over(bus: RingBus) -> None:
 def test_the_types_of_masters(bus: RingBus) -> None:
     live = LiveList(2)
     bus.master(2, live, hsa=10)
-    bus.master(7, hsa=10)
-    bus.run_ms(1000)
+    bus.master(7, hsa=10, run_ms=1000)
     assert live.done
     assert live.stations == {7: StationType.MASTER_IN_RING}
 
@@ -113,8 +109,7 @@ def test_the_next_list_begins_without_the_longer_time_outs_of_the_last_pass() ->
     given = []
     for now in (0, 100, 1_000):
         live.token_received(now)
-        request = live.next_request(now, False)
-        assert request is not None
+        request = present(live.next_request(now, False))
         given.append(request.extra_ns)
         live.started(request, now)
         live.result(request, Failure.NO_ANSWER, now + 20)
@@ -125,8 +120,7 @@ def test_silent_polls_on_a_host_port_keep_to_their_share_and_leave_the_gap_its_o
     bus = RingBus(mode="chunk")
     params = BusParams.preset(500_000, address=2)
     live = LiveList(2, period_ns=1, allowance=live_allowance(params, HOST, 0))
-    station = bus.master(2, live, patience=HOST)
-    bus.run_ms(20_000)
+    station = bus.master(2, live, patience=HOST, run_ms=20_000)
     cost = 2 * NS_PER_MS + bus.ns(200 + 11)
     mine = len(polls(bus)) - station.stats.gap_polls
     assert mine * cost < 20_000 * NS_PER_MS // 200 + 17 * cost
@@ -135,14 +129,11 @@ def test_silent_polls_on_a_host_port_keep_to_their_share_and_leave_the_gap_its_o
 
 
 def test_a_user_that_comes_and_goes(bus: RingBus) -> None:
-    station = bus.master(2, gap=0)
-    bus.run_ms(10)
-    bus.command(station, SurveyOrder(1, tuple(range(127)), (), configs=False, quick=True))
-    bus.run_ms(10)
+    station = bus.master(2, gap=0, run_ms=10)
+    bus.command(station, SurveyOrder(1, tuple(range(127)), (), configs=False, quick=True), run_ms=10)
     asked = len(polls(bus))
     assert asked
-    bus.command(station, DetachUser(1))
-    bus.run_ms(10)
+    bus.command(station, DetachUser(1), run_ms=10)
     assert len(polls(bus)) == asked
     assert station.in_ring
 
@@ -164,8 +155,7 @@ def asked(live: LiveList, took_ns: int, answers: dict[int, Telegram], first_ns: 
     while not live.done:
         now += NS_PER_MS
         live.token_received(now)
-        request = live.next_request(now, False)
-        assert request is not None
+        request = present(live.next_request(now, False))
         requests.append(request)
         live.started(request, now)
         now += (took_ns if requests[1:] else max(took_ns, first_ns)) + request.extra_ns
@@ -220,8 +210,7 @@ def test_extra_time_for_an_answer() -> None:
         bus = RingBus(mode="chunk")
         bus.slaves[4] = fixed(TO_4, SLAVE_4, 9_000)
         user = ListUser(low=[Request(4, Req.FDL_STATUS, retry=False, extra_ns=extra_ns)])
-        bus.master(2, user, gap=0, patience=HOST)
-        bus.run_ms(500)
+        bus.master(2, user, gap=0, patience=HOST, run_ms=500)
         ((_, outcome, _),) = user.results
         outcomes.append(outcome)
     assert outcomes[0] is Failure.NO_ANSWER

@@ -187,6 +187,11 @@ class AlarmBus(Ms1Bus):
         """Run until ``count`` alarms have ended."""
         self.until(lambda: len(self.ends) == count)
 
+    def raise_and_end(self, *blocks: bytes, count: int | None = None) -> None:
+        """The slave raises ``blocks``; run until as many alarms, or ``count``, have ended since the start."""
+        self.alarm_slave.raises(*blocks)
+        self.until_ended(len(blocks) if count is None else count)
+
     def until_taken(self, count: int = 1, ms: int = 20_000) -> None:
         """Run until the slave has taken ``count`` acknowledgements."""
         self.until(lambda: len(self.alarm_slave.taken) == count, ms)

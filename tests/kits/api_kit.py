@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import functools
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from typing import Any, ParamSpec, TypeVar, Unpack
 
+import pytest
 from slave_kit import make_slave
 
 import dpstack
@@ -43,6 +45,20 @@ def in_virtual_time(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P,
         virtual(test(*args, **kwargs))
 
     return run
+
+
+async def begun(program: Coroutine[Any, Any, T], seconds: float) -> asyncio.Task[T]:
+    """Its task, which has had this time."""
+    task = asyncio.ensure_future(program)
+    await asyncio.sleep(seconds)
+    return task
+
+
+async def cancelled(task: asyncio.Task[Any]) -> None:
+    """Cancel ``task``, and wait until it has ended by that."""
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
 
 
 def bus_of(*slaves: SlaveTable, baud: int = 500_000, **more: Any) -> dpstack.Bus:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 from slave_kit import make_slave
 from support import MS, KeepsEvents, S
@@ -152,11 +152,12 @@ class SimBus(KeepsEvents):
         known = self.slaves.keys() & self.master.handlers.keys()
         return all(self.state(address) is SlaveState.DATA_EXCHANGE for address in known)
 
-    def until_exchanging(self, within_ns: int = 5 * S) -> None:
-        """Run until all slaves that are there are in data exchange."""
+    def until_exchanging(self, within_ns: int = 5 * S) -> Self:
+        """Run until all slaves that are there are in data exchange; the bus itself."""
         end = self.world.now + within_ns
         while not self.exchanging:
             assert self.world.now < end, "not all slaves in data exchange: " + ", ".join(
                 f"{address} {handler.state.value}" for address, handler in self.master.handlers.items()
             )
             self.run(MS)
+        return self

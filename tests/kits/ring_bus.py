@@ -122,21 +122,31 @@ class RingBus(KeepsEvents):
 
     # --- stations ------------------------------------------------------------------------------------------------
     def master(
-        self, address: int, *users: LinkUser, patience: Patience = EXACT, online: bool = True, **changes: int
+        self,
+        address: int,
+        *users: LinkUser,
+        patience: Patience = EXACT,
+        online: bool = True,
+        run_ms: int = 0,
+        **changes: int,
     ) -> ActiveStation:
+        """A further station, after it has run for ``run_ms``."""
         params = BusParams.preset(self.baud, address=address).replace(**changes)
         station = ActiveStation(params, users, patience=patience, now=self.now)
         self.stations.append(station)
         if online:
-            self.command(station, GoOnline())
+            self.command(station, GoOnline(), run_ms)
         return station
 
     def kill(self, station: ActiveStation) -> None:
         self.stations.remove(station)
 
-    def command(self, station: ActiveStation, command: object) -> None:
+    def command(self, station: ActiveStation, command: object, run_ms: int = 0) -> None:
+        """Give the station an order now, and run on."""
         station.command(command, self.now)
         self.pump(station)
+        if run_ms:
+            self.run_ms(run_ms)
 
     def pump(self, station: ActiveStation, chunk: bytes = b"") -> None:
         if station not in self.stations:

@@ -206,6 +206,16 @@ class ScriptedLink(KeepsEvents):
         self.run(ns)
         self.period = before
 
+    def run_anew(self, ns: int) -> None:
+        """Forget the requests so far, and run."""
+        self.requests.clear()
+        self.run(ns)
+
+    def stall(self, ns: int, run_ns: int) -> None:
+        """Nobody asks the master for ``ns``; then it runs for ``run_ns``."""
+        self.now += ns
+        self.run(run_ns)
+
     def send(self, order: object, run_ns: int = 0) -> None:
         """Give the master an order now, and run for ``run_ns``."""
         self.master.command(order, self.now)

@@ -1,4 +1,4 @@
-"""Kit of every layer: worlds with a referee, the decoded wire log, and dummy stations.
+"""Kit of every layer: worlds with a referee, the decoded wire log, dummy stations, values narrowed to their types.
 
 In a test ask for the fixture ``world``: ``w = world(seed=3)`` makes a World whose referee is checked at the end.
 """
@@ -23,6 +23,19 @@ S = 1_000_000_000
 
 
 E = TypeVar("E", bound=Event)
+T = TypeVar("T")
+
+
+def present(value: T | None) -> T:
+    """The value, which must not be None."""
+    assert value is not None
+    return value
+
+
+def instance(value: object, kind: type[T]) -> T:
+    """The value, which must be of this kind."""
+    assert isinstance(value, kind)
+    return value
 
 
 class KeepsEvents:

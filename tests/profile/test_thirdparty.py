@@ -11,6 +11,7 @@ import pytest
 from acyclic_kit import outcome
 from api_kit import RAW, bench_of
 from drive_bench import ALONE, DeviceBench, PluginBench
+from support import instance, present
 
 import dpstack
 from dpstack import profile
@@ -43,9 +44,7 @@ def acme(installed: Path) -> DriveProfile:
 
 
 def simulated(bus: dpstack.Bus) -> DriveDevice:
-    device = bench_of(bus).device(7)
-    assert isinstance(device, DriveDevice)
-    return device
+    return instance(bench_of(bus).device(7), DriveDevice)
 
 
 def powered(device: DriveDevice) -> bool:
@@ -148,8 +147,7 @@ async def defect(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert powered(device)
         device.set_load(1.0)  # the current changes: new inputs
         await bus.until(lambda: belt.slave.fault is not None, 1)
-        fault = belt.slave.fault
-        assert fault is not None
+        fault = present(belt.slave.fault)
         assert fault.kind is FaultKind.PLUGIN
         assert "ZeroDivisionError: of the plugin's" in fault.text
         await bus.rotated(running + 20, 1)
@@ -207,8 +205,7 @@ def test_its_parameters_go_over_record_47_where_it_has_it(
     token = bench.order("read", number=1)
     for answer in ("", "01 01 01 01 06 01 00 01"):
         bench.run()
-        pending = queue.take()
-        assert pending is not None
+        pending = present(queue.take())
         asked = pending.request
         octets = asked.data if isinstance(asked, profile.record47.WriteReq) else b""
         assert octets.hex(" ").upper() in ("01 01 01 01 10 00 00 01 00 00", "")

@@ -8,7 +8,7 @@ import pytest
 from bus_kit import IDENT, PPO1, SimBus, mirror
 from fire_kit import make_ring
 from slave_kit import make_slave
-from support import MS, S, WorldFactory
+from support import MS, S, WorldFactory, present
 
 from dpstack.dp.master.events import SlaveState
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
@@ -21,15 +21,12 @@ P500 = BusParams.preset(500_000, address=2, hsa=20)
 
 
 def bring_up(make: WorldFactory, slaves: int = 3, seed: int = 0, expect: Iterable[Rule] = ()) -> SimBus:
-    bus = SimBus(make(seed=seed, expect=expect), P500, range(5, 5 + slaves))
-    bus.until_exchanging()
-    return bus
+    return SimBus(make(seed=seed, expect=expect), P500, range(5, 5 + slaves)).until_exchanging()
 
 
 @pytest.mark.parametrize("baud", BAUD_RATES)
 def test_data_exchange_at_every_rate(world: WorldFactory, baud: int) -> None:
-    bus = SimBus(world(), BusParams.preset(baud, address=2, hsa=8), [5, 6])
-    bus.until_exchanging(within_ns=60 * S)
+    bus = SimBus(world(), BusParams.preset(baud, address=2, hsa=8), [5, 6]).until_exchanging(within_ns=60 * S)
     for address in (5, 6):
         bus.master.images[address].outputs = bytes([address] * 12)
     bus.world.run_for(bits_to_ns(20_000, baud))
@@ -106,8 +103,7 @@ def test_two_slaves_with_one_address_are_seen_by_the_referee(world: WorldFactory
 
 def test_a_slave_slower_than_t_sl_is_seen_by_the_referee(world: WorldFactory) -> None:
     w = world(expect=[Rule.COLLISION])
-    assert w.referee is not None
-    w.referee.allow(*Rule)
+    present(w.referee).allow(*Rule)
     slow = mirror(5, P500, t_sdr=P500.t_sl + 15)
     bus = SimBus(w, P500, [])
     w.add(slow)

@@ -10,6 +10,7 @@ from api_kit import bus_of, virtual
 from octet_class2 import ABORT_REQUEST, INITIATE, RS, Class2
 from octet_wire import Wire
 from slave_kit import make_slave
+from support import instance
 
 import dpstack
 from dpstack import Im0, IoStation
@@ -37,8 +38,7 @@ class Field:
     def __init__(self) -> None:
         self.io = IoStation.of(["8 DI", "8 DO", "2 AI"], name="io")
         station = make_slave(8, self.io, BusParams.preset(500_000))
-        assert isinstance(station.responder, SlaveApp)
-        self.app = station.responder
+        self.app = instance(station.responder, SlaveApp)
         self.wire = Wire(station)
 
 
@@ -114,8 +114,7 @@ async def everything(connection: dpstack.Connection, timeout: float = 10.0) -> N
     await connection.write(1, 1, b"\x03", timeout=timeout)
     assert await connection.read(1, 1, timeout=timeout) == b"\x03"
     assert await connection.transport(0, 0, b"abc", timeout=timeout) == b"abc"
-    im0 = await connection.im(slot=3, timeout=timeout)
-    assert isinstance(im0, Im0)
+    im0 = instance(await connection.im(slot=3, timeout=timeout), Im0)
     assert im0.order_id == "2 AI"
     with pytest.raises(dpstack.AcyclicError, match="invalid slot"):
         await connection.read(4, 2, timeout=timeout)

@@ -33,8 +33,7 @@ def test_the_fullest_cycle_is_the_one_of_the_plan(baud: int, given_: list[tuple[
     planned = make_plan(params, slaves).rotations[Case.SHORTEST]
     cycle_ns = 2 * params.ns(planned.bits + 3000)
     params = params.replace(t_tr=max(params.t_tr, 4 * planned.bits))
-    bus = SimBus(w, params, slaves, watchdog_ms=650_000, cycle_ns=cycle_ns)
-    bus.until_exchanging(60 * S)
+    bus = SimBus(w, params, slaves, watchdog_ms=650_000, cycle_ns=cycle_ns).until_exchanging(60 * S)
     master = bus.master
     w.run_for(13 * cycle_ns)  # those that came late have found their turns
     entries: list[WireEntry] = []

@@ -6,7 +6,7 @@ Times at 500 kbit/s: a bit is 2 us. Preset there: T_SL 200, T_ID1 37, T_ID2 100,
 from __future__ import annotations
 
 import pytest
-from support import Dummy, WorldFactory
+from support import Dummy, WorldFactory, present
 
 from dpstack.fdl.codec import encode_sd1, encode_sd2, encode_token
 from dpstack.params import BusParams
@@ -38,8 +38,7 @@ class Script:
 
     def __init__(self, world: WorldFactory, *, seed: int = 0, know: bool = True) -> None:
         self.world: World = world(seed=seed)
-        assert self.world.referee is not None
-        self.referee = self.world.referee
+        self.referee = present(self.world.referee)
         self.stations: dict[object, Dummy] = {}
         self.at = 0
         if know:
@@ -211,8 +210,7 @@ def test_the_ring_wraps() -> None:
     assert watch.token(100, 3, None) is None
     assert watch.token(3, 100, None) is None
     assert watch.ring == {3, 100}
-    finding = watch.token(100, 7, None)
-    assert finding is not None
+    finding = present(watch.token(100, 7, None))
     assert finding.text == "station 100 passes the token to 7, over 3"
 
 

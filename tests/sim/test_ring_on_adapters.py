@@ -6,7 +6,7 @@ import pytest
 from bus_kit import SimBus
 from msgspec import structs
 from msgspec.structs import replace
-from support import MS, S, WorldFactory
+from support import MS, S, WorldFactory, present
 
 from dpstack.api.bus.ring_entry import OtherMasterNotices, join_limit_s, pass_ns
 from dpstack.dp.master.commands import Mode
@@ -180,8 +180,7 @@ def test_without_it_two_adapters_talk_into_each_other() -> None:
     world = World(seed=1)
     ring = Ring(world, (FTDI, FTDI), 200, ADAPTER)
     world.run_for(2 * S)
-    assert world.referee is not None
-    assert {Rule.LATE, Rule.COLLISION} <= {violation.rule for violation in world.referee.violations}
+    assert {Rule.LATE, Rule.COLLISION} <= {violation.rule for violation in present(world.referee).violations}
     assert Neighbours(ring.stations[0].params, ADAPTER, 2).advice()
 
 

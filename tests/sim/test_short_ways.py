@@ -12,7 +12,7 @@ import pytest
 from bus_kit import SimBus, mirror
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from support import MS, Dummy
+from support import MS, Dummy, present
 
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.fdl.active import exchange
@@ -78,8 +78,7 @@ class Story:
             self.change(name, number, lasts_us * 1_000)
             self.run(world, world.now + passes_us * 1_000)
         self.run(world, world.now + 20 * MS)
-        assert world.referee is not None
-        return [self.log, self.bus.events, world.referee.violations, world.now]
+        return [self.log, self.bus.events, present(world.referee).violations, world.now]
 
     def change(self, name: str, number: int, lasts: int) -> None:
         world, bus = self.world, self.bus

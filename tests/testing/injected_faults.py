@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from api_kit import bench_of
+from support import present
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -136,8 +137,7 @@ async def virtual_place() -> AsyncIterator[Place]:
 
     async with dpstack.open_bus(port="virtual", baud=BAUD, slaves=PLANT, on_event=tell) as bus:
         bench = bench_of(bus)
-        report = bench.on_events
-        assert report is not None
+        report = present(bench.on_events)
 
         def report_all(events: list[Event]) -> None:
             report(events)
@@ -145,8 +145,7 @@ async def virtual_place() -> AsyncIterator[Place]:
                 tell(event)
 
         bench.on_events = report_all
-        world = core_of(bus).world
-        assert world is not None
+        world = present(core_of(bus).world)
         yield Place(bus, bench, order_of(control_run(bus, "virtual")), 20.0, Faults(bench, world, MASTER), told=told)
 
 

@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bench_of, bus_of, operating, stack_of
+from api_kit import HOIST, RAW, begun, bench_of, bus_of, operating, stack_of
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -85,8 +85,7 @@ async def test_a_drive_that_ran_stays_off_until_it_is_started_again() -> None:
         hoist = bus.drive("hoist")
         await hoist.start()
         hoist.speed = 0.5
-        waiting = asyncio.ensure_future(hoist.reached())
-        await asyncio.sleep(0.1)
+        waiting = await begun(hoist.reached(), 0.1)
         suspend(bus, 2_000)
         with pytest.raises(DriveError, match=r"hoist: ended: the bus went to Clear by itself \(stall: slave 3"):
             await waiting

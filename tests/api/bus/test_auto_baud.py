@@ -7,7 +7,7 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from api_kit import FAN, HOIST, RAW, in_virtual_time, operating
+from api_kit import FAN, HOIST, RAW, begun, in_virtual_time, operating
 from far_ends import until
 
 import dpstack
@@ -111,8 +111,7 @@ async def test_a_silent_bus_needs_a_master_that_gives_the_rate(plant: World) -> 
 async def test_closed_while_it_searches() -> None:
     world = make_world()
     bus = dpstack.open_bus(world=world, baud="auto")
-    opening = asyncio.create_task(bus.open())
-    await asyncio.sleep(1)
+    opening = await begun(bus.open(), 1)
     await bus.close()
     with pytest.raises(BusError, match="not found"):  # what it waited for came to its end
         await opening

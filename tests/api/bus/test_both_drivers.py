@@ -10,6 +10,7 @@ import pytest
 from api_kit import FAN, RAW
 from far_ends import until
 from process_kit import DRIVERS, LAMPS, LAMPS_SPEC, SPEC, VALVES, Driver, begun, bus_on, octet_slaves, operating_octets
+from support import present
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -58,8 +59,7 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
             assert stats.rotation_us["p50"] > 0
             assert stats.stations[4].answers > 5
             assert stats.host_us is not None
-            assert valves.diagnosis is not None
-            assert valves.diagnosis.ident == 0x1234
+            assert present(valves.diagnosis).ident == 0x1234
             assert valves.watchdog_ms == 3000
             assert there.slaves[4].watchdog_factors in (bytes((2, 150)), bytes((150, 2)))
             assert bus.snapshot.in_ring
@@ -155,8 +155,7 @@ async def test_cycles(driver: Driver) -> None:
             bus.slave("lamps").outputs = b"\x05"
         assert numbers == sorted(set(numbers))
         await until(lambda: begun(bus) >= len(numbers) + skipped, "the books of a bus process follow the cycles")
-        book = bus.stats.cycles
-        assert book is not None
+        book = present(bus.stats.cycles)
         assert book.cycle_ns == 150_000_000
         assert book.late.count == book.begun
         with pytest.raises(ConfigError, match="cycle"):

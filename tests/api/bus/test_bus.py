@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, operating, slave_in, stack_of
+from api_kit import FAN, HOIST, RAW, begun, bus_of, operating, slave_in, stack_of
 from slave_kit import make_slave
 
 import dpstack
@@ -213,8 +213,7 @@ async def test_a_drive_that_vanishes_fails_what_is_pending(w: World) -> None:
         drive = bus.drive("fan")
         drive.speed = 1.0
         await drive.start()
-        waiting = asyncio.ensure_future(drive.reached())
-        await asyncio.sleep(0.05)
+        waiting = await begun(drive.reached(), 0.05)
         w.remove(station)
         with pytest.raises(dpstack.DriveError, match="left data exchange"):
             await waiting

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, RAW, bus_of, operating, slave_in, stack_of, virtual
+from api_kit import FAN, RAW, begun, bus_of, operating, slave_in, stack_of, virtual
 from foreign_master import ForeignMaster
 from support import WorldFactory
 
@@ -76,8 +76,7 @@ async def test_pending_orders_and_readers_end_with_the_bus() -> None:
         await fan.start()
         waiting = asyncio.ensure_future(fan.reached(tolerance=0.0))
         fan.speed = 0.3333
-        reading = asyncio.ensure_future(_count(fan))
-        await asyncio.sleep(0.01)
+        reading = await begun(_count(fan), 0.01)
     with pytest.raises(dpstack.DpError):
         await waiting
     assert await reading >= 1
@@ -264,8 +263,7 @@ async def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytes
         closed.append(True)
 
     monkeypatch.setattr(core_of(bus).runtime, "close", watched)
-    ending = asyncio.ensure_future(bus.close())
-    await asyncio.sleep(0.0001)
+    ending = await begun(bus.close(), 0.0001)
     for task in asyncio.all_tasks() - {asyncio.current_task()}:
         task.cancel()
     with pytest.raises(asyncio.CancelledError):

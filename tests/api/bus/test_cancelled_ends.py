@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import RAW, bus_of, slave_in, virtual
+from api_kit import RAW, begun, bus_of, cancelled, slave_in, virtual
 from ends.telegrams import told
-from support import WorldFactory
+from support import WorldFactory, present
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -66,8 +66,7 @@ def plant(world: WorldFactory) -> Plant:
 
 @pytest.mark.parametrize("times", [1, 2, 50])
 async def test_any_number_of_cancellations(plant: Plant, times: int) -> None:
-    task = asyncio.ensure_future(plant.run())
-    await asyncio.sleep(0.5)
+    task = await begun(plant.run(), 0.5)
     for _ in range(times):
         task.cancel()
         await asyncio.sleep(0.001)
@@ -79,8 +78,7 @@ async def test_any_number_of_cancellations(plant: Plant, times: int) -> None:
 
 
 async def test_a_timeout_around_the_bus_is_a_timeout(plant: Plant) -> None:
-    task = asyncio.current_task()
-    assert task is not None
+    task = present(asyncio.current_task())
     with pytest.raises(TimeoutError):
         async with asyncio.timeout(0.5):
             await plant.run()
@@ -102,11 +100,8 @@ async def test_a_timeout_and_a_cancellation_is_a_cancellation(plant: Plant) -> N
         async with asyncio.timeout(0.5):
             await plant.run()
 
-    task = asyncio.ensure_future(limited())
-    await asyncio.sleep(0.51)
-    task.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await task
+    task = await begun(limited(), 0.51)
+    await cancelled(task)
     plant.ended_in_order()
 
 
@@ -134,13 +129,10 @@ async def test_cancelled_while_it_opens(plant: Plant) -> None:
     """In Listen_Token, in the ring, and in the end that follows: nobody is left in the ring."""
     for after in (0.0, 0.0005, 0.002, 0.004):
         bus = bus_of(PLANT, world=plant.world)
-        task = asyncio.ensure_future(bus.open())
-        await asyncio.sleep(after)
+        task = await begun(bus.open(), after)
         task.cancel()
         await asyncio.sleep(0)
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
+        await cancelled(task)
         assert not bus.is_open
         count = len(plant.world.log)
         await asyncio.sleep(0.1)
@@ -149,8 +141,7 @@ async def test_cancelled_while_it_opens(plant: Plant) -> None:
 
 async def test_all_tasks_are_cancelled_as_by_asyncio_run(plant: Plant) -> None:
     """The task that carries the end out is one of them."""
-    task = asyncio.ensure_future(plant.run())
-    await asyncio.sleep(0.5)
+    task = await begun(plant.run(), 0.5)
     for _ in range(3):
         for each in asyncio.all_tasks() - {asyncio.current_task()}:
             each.cancel()

@@ -6,8 +6,9 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import FAN, RAW, bench_of, bus_of, operating
+from api_kit import FAN, RAW, begun, bench_of, bus_of, operating
 from gsd_kit import FILES
+from support import present
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -25,8 +26,7 @@ async def test_sync_returns_when_its_last_bit_has_left() -> None:
     async with operating(NORTH, SOUTH) as bus:
         sent = await bus.sync(1)
         assert core_of(bus).runtime.now() >= sent.t_ns
-        assert bus.world is not None
-        wire = [tx for tx in bus.world.log if tx.octets[9:11] == b"\x20\x01"]
+        wire = [tx for tx in present(bus.world).log if tx.octets[9:11] == b"\x20\x01"]
         assert [tx.end_ns for tx in wire] == [sent.t_ns]
         assert bus.slave("north").synced
         bus.slave("north").outputs = b"\x11"
@@ -81,8 +81,7 @@ async def test_a_global_control_that_cannot_be_sent_says_why_and_does_not_hang()
         bench_of(bus).power(6, False)
         with pytest.raises(dpstack.SlaveFault, match=r"slave 6 \(south\) is not in data exchange"):
             await bus.group(1).read()
-        waiting = asyncio.create_task(bus.sync(1))
-        await asyncio.sleep(0)
+        waiting = await begun(bus.sync(1), 0)
         core_of(bus).command(SetMode(dpstack.Mode.STOP))
         with pytest.raises(dpstack.BusError, match="the master goes to Stop"):
             await waiting
@@ -98,8 +97,7 @@ async def test_out_of_service_and_back() -> None:
         raw, fan = bus.slave("raw"), bus.drive("fan")
         await fan.start()
         fan.speed = 0.9
-        pending = asyncio.create_task(fan.reached(5))
-        await asyncio.sleep(0.05)
+        pending = await begun(fan.reached(5), 0.05)
         await raw.deactivate()
         await fan.slave.deactivate()
         with pytest.raises(dpstack.DriveError):
@@ -107,8 +105,7 @@ async def test_out_of_service_and_back() -> None:
         await asyncio.sleep(0.5)
         assert raw.deactivated
         assert raw.state is dpstack.SlaveState.DEACTIVATED
-        assert raw.diagnosis is not None
-        assert "deactivated" in raw.diagnosis.flags
+        assert "deactivated" in present(raw.diagnosis).flags
         assert "is taken out of service by its master" in raw.diagnosis_texts
         await bus.ready(1)  # nobody waits for them
         with pytest.raises(dpstack.UsageError, match=r"slave 9 \(raw\) is out of service: activate\(\) it first"):

@@ -9,6 +9,7 @@ import pytest
 from api_kit import RAW, bus_of, in_virtual_time, operating, stack_of
 from msgspec import structs
 from process_kit import VALVES, ready_bus
+from support import present
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -29,8 +30,7 @@ async def test_inputs_carry_their_age() -> None:
         await bus.ready()
         await bus.rotated(5)
         await asyncio.sleep(0.007)
-        age = age_of(raw)
-        assert age is not None
+        age = present(age_of(raw))
         assert 0.006 < age < 0.01
         assert is_valid(raw)
         assert raw.inputs_limit == 0.2
@@ -124,8 +124,7 @@ async def test_inputs_of_a_bus_that_its_application_holds_up_are_not_valid() -> 
             pass  # the program computes
         assert valves.state is dpstack.SlaveState.DATA_EXCHANGE  # nothing was told of yet
         assert not valves.inputs_valid
-        assert valves.inputs_age is not None
-        assert valves.inputs_age > limit
+        assert present(valves.inputs_age) > limit
 
 
 async def test_a_defect_that_stops_the_bus_leaves_no_slave_alive(monkeypatch: pytest.MonkeyPatch) -> None:

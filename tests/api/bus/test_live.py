@@ -10,7 +10,7 @@ from types import FrameType
 from typing import Any
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bench_of, bus_of, in_virtual_time, operating
+from api_kit import FAN, HOIST, RAW, begun, bench_of, bus_of, in_virtual_time, operating
 
 import dpstack
 from dpstack.api.bus import live
@@ -39,8 +39,7 @@ async def follow(stream: live.LiveStream, state: LiveState, seconds: float) -> l
             state.apply(json.loads(json.dumps(item)))
             items.append(item)
 
-    task = asyncio.ensure_future(read())
-    await asyncio.sleep(seconds)
+    task = await begun(read(), seconds)
     task.cancel()
     await asyncio.wait([task])
     return items
@@ -113,8 +112,7 @@ async def test_a_slave_that_is_lost_is_shown_right_behind_its_event() -> None:
             lives.extend((loop.time(), one) for one in changes if isinstance(one, (Born, Died)))
 
     async with operating(RAW, VALVES) as bus:
-        task = asyncio.ensure_future(read(bus.live(1.0)))
-        await asyncio.sleep(3.5)
+        task = await begun(read(bus.live(1.0)), 3.5)
         bench_of(bus).power(8, False)
         await asyncio.sleep(0.3)
         bench_of(bus).power(8, True)

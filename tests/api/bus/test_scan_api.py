@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from api_kit import FAN, HOIST, RAW, bus_of, operating, slave_in
+from support import present
 
 import dpstack
 from dpstack.api.bus.bus import Bus
@@ -47,8 +48,7 @@ async def test_a_silent_bus_is_asked_from_0() -> None:
     assert brief(result.stations) == [(a, "slave", 0x1234, "wait_prm", None) for a in (3, 125, 126)]
     assert {f.config for f in result.stations} == {b"\x21"}
     assert result.notes == ()
-    assert world.referee is not None
-    world.referee.check()
+    present(world.referee).check()
 
 
 async def test_a_slave_at_the_scanners_own_address_is_found_too() -> None:
@@ -61,8 +61,7 @@ async def test_a_slave_at_the_scanners_own_address_is_found_too() -> None:
 
 async def test_beside_masters_one_of_them_at_0() -> None:
     async with operating(HOIST, RAW, address=0, gap=1) as bus:
-        assert bus.world is not None
-        result = await scan(bus.world)
+        result = await scan(present(bus.world))
         assert result.address == 1
         assert brief(result.stations) == [
             (0, "master_in_ring", None, None, None),
@@ -97,8 +96,7 @@ async def test_an_address_that_no_station_can_have_is_refused_and_the_bus_goes_o
 
 async def test_the_live_list_of_a_running_bus() -> None:
     async with operating(HOIST, RAW) as bus:
-        assert bus.world is not None
-        _, app = slave_in(bus.world, MirrorDevice(0x4321, b"\x21"), 20)
+        _, app = slave_in(present(bus.world), MirrorDevice(0x4321, b"\x21"), 20)
         found = await bus.scan(configs=True)
         assert brief(found) == [
             (3, "slave", 0x0696, "data_exchange", 2),
@@ -120,8 +118,7 @@ async def test_the_live_list_of_a_running_bus() -> None:
 
 async def test_a_read_only_bus_shows_and_changes_nothing() -> None:
     async with operating(RAW, gap=1) as owner:
-        world = owner.world
-        assert world is not None
+        world = present(owner.world)
         tables = [RAW, {**HOIST, "address": 30}, {**FAN, "ident": 0x1111}]
         slave_in(world, MirrorDevice(0x2222, b"\x21"), 4)
         told: list[dpstack.Event] = []
@@ -131,17 +128,13 @@ async def test_a_read_only_bus_shows_and_changes_nothing() -> None:
             raw, hoist, fan = bus.slave("raw"), bus.slave("hoist"), bus.slave("fan")
             assert raw.state is dpstack.SlaveState.DATA_EXCHANGE
             assert raw.ready_now
-            assert raw.found is not None
-            assert raw.found.master == 2
-            assert raw.diagnosis is not None
-            assert raw.diagnosis.wd_on
+            assert present(raw.found).master == 2
+            assert present(raw.diagnosis).wd_on
             assert hoist.state is dpstack.SlaveState.OFFLINE
             assert fan.state is dpstack.SlaveState.FAULT  # another device: 0x2222
             assert raw.fault is None
-            assert hoist.fault is not None
-            assert hoist.fault.text.startswith("no answer from address 30")
-            assert fan.fault is not None
-            assert "0x2222" in fan.fault.text
+            assert present(hoist.fault).text.startswith("no answer from address 30")
+            assert "0x2222" in present(fan.fault).text
             assert bus.mode is dpstack.Mode.STOP
             for refused in (bus.operate, bus.clear, bus.drive("hoist").start):
                 with pytest.raises(dpstack.UsageError, match="read-only"):

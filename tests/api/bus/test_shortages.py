@@ -15,6 +15,7 @@ from ends.programs import Ways
 from ends.telegrams import after_live, heard, is_in_order
 from far_ends import many_files_open, until
 from process_kit import DRIVERS, LAMPS_SPEC, SPEC, Driver, eventually, octet_slaves
+from support import instance
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -42,9 +43,7 @@ class Live(Ways):
         self.told.append(event.text)
 
     def runtime(self, bus: dpstack.Bus) -> AsyncioRuntime:
-        runtime = core_of(bus).runtime
-        assert isinstance(runtime, AsyncioRuntime)
-        return runtime
+        return instance(core_of(bus).runtime, AsyncioRuntime)
 
 
 def failing(error: Exception) -> Callable[[bytes, int], None]:
@@ -219,8 +218,7 @@ def test_a_token_that_was_lost_on_the_way_out_costs_no_clear(monkeypatch: pytest
         live = Live(path)
         loop = asyncio.new_event_loop()
         bus = loop.run_until_complete(live.opened())
-        stack = core_of(bus).view
-        assert isinstance(stack, Stack)
+        stack = instance(core_of(bus).view, Stack)
         stack.master.handlers[4].image.plugin = failing_plugins.EXITS.core()
         waiting = loop.create_task(bus.rotated(None))
         with pytest.raises(SystemExit):
@@ -241,8 +239,7 @@ def test_a_plugin_that_fails_ends_neither_bus_nor_program(name: str) -> None:
         live = Live(path)
 
         async def then(bus: dpstack.Bus) -> None:
-            stack = core_of(bus).view
-            assert isinstance(stack, Stack)
+            stack = instance(core_of(bus).view, Stack)
             stack.master.handlers[4].image.plugin = getattr(failing_plugins, name).core()
             await until(lambda: bus.slave("valves").fault is not None, "the fault")
             await bus.rotated(bus.stats.rotations + 20, 60)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from api_kit import RAW, operating
+from support import present
 
 import dpstack
 from dpstack.sim.world import World
@@ -17,8 +18,7 @@ pytestmark = pytest.mark.virtual_time
 async def test_a_clean_bus_counts_every_telegram_and_nothing_wrong() -> None:
     async with operating(RAW, gap=0) as bus:
         await asyncio.sleep(0.5)
-        world = bus.world
-        assert world is not None
+        world = present(bus.world)
         stats = bus.stats
         assert abs(stats.telegrams - world.transmissions) <= 1  # one may be on its way
         raw = stats.slaves[9].link
@@ -48,8 +48,7 @@ def damage(world: World, seconds: float) -> None:
 
 async def test_damage_is_counted_by_cause_and_for_the_station_asked() -> None:
     async with operating(RAW, gap=0) as bus:
-        assert bus.world is not None
-        damage(bus.world, 1.0)
+        damage(present(bus.world), 1.0)
         await asyncio.sleep(1.2)
         stats = bus.stats
         raw = stats.slaves[9]

@@ -10,6 +10,7 @@ from typing import Final
 from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples, soaking
+from support import present
 
 from dpstack.api.bus.compose import Case, Plan, plan_bus
 from dpstack.api.bus.virtual import run_virtual
@@ -53,8 +54,7 @@ def simulate(config: Config, plan: Plan) -> SimulatedPlan:
         await simulation.run(seconds, lambda _done: None)
         return simulation.result()
 
-    found = run_virtual(run())
-    assert found is not None
+    found = present(run_virtual(run()))
     assert found.missing == ()
     assert found.rotation.count
     return found
@@ -125,7 +125,6 @@ def test_the_simulated_cycles_stay_within_the_plan(
     if plan.refusals:
         return
     found = simulate(config, plan)
-    assert found.cycles is not None
-    late = found.cycles.late.max_ns + plan.params.ns(1)
+    late = present(found.cycles).late.max_ns + plan.params.ns(1)
     assert found.rotation.min_ns >= plan.figures.between_ns(Case.SHORTEST) - late
     assert found.rotation.max_ns <= plan.figures.between_ns(Case.LONGEST) + late

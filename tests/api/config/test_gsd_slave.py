@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from api_kit import bus_of
 from gsd_kit import FILES
+from support import present
 
 from dpstack.api.config.config import Config, parse_config, rate_findings
 from dpstack.cli.main import main
@@ -29,8 +30,7 @@ def test_the_parameters_by_the_file() -> None:
     assert (slave.params.input_len, slave.params.output_len) == (1, 1)
     assert (slave.params.min_slave_interval_ns, slave.params.fail_safe) == (600_000, True)
     assert (slave.params.max_tsdr[12_000_000], slave.params.max_tsdr.get(19_200)) == (800, None)
-    assert slave.params.texts is not None
-    assert [found.text for found in slave.params.texts.unit_diag_texts(b"\x01")] == ["fuse blown"]
+    assert [found.text for found in present(slave.params.texts).unit_diag_texts(b"\x01")] == ["fuse blown"]
     assert rate_findings(found, 500_000) == []
     known = "it knows 9.6 kbit/s, 45.45 kbit/s, 500 kbit/s, 12 Mbit/s"
     assert rate_findings(found, 19_200) == [f"slave 8 (io): by its GSD file it does not know 19.2 kbit/s; {known}"]
@@ -125,8 +125,7 @@ def test_refused(keys: str, message: str) -> None:
 def test_dpv1_status_follows_from_the_file() -> None:
     keys = 'gsd = "whole.gsd"\nmodules = ["8 DO"]\n'
     setup = config(keys + "watchdog_ms = 25\n").slaves[0].params
-    watchdog = setup.watchdog(100)
-    assert watchdog is not None
+    watchdog = present(setup.watchdog(100))
     assert (watchdog.factors, watchdog.base_ms) == ((1, 25), 1)
     assert setup.user_octets(watchdog).hex(" ") == "c4 40 00 08 00"  # DPV1_Enable, Fail_Safe, WD_Base_1ms
     coarse = config(keys + "watchdog_ms = 20\nfail_safe = false\nwd_base_1ms = false\n").slaves[0].params
@@ -254,8 +253,7 @@ SILENT = (
 def test_dpv1_is_on_where_the_file_has_room_for_its_octets(tmp_path: Path) -> None:
     found = compact(tmp_path, SILENT).slaves[0]
     assert (found.params.user_octets(None).hex(" "), found.notes) == ("80 00 00", ())
-    assert found.description is not None
-    assert found.description.user_prm_len == (3, 3)
+    assert present(found.description).user_prm_len == (3, 3)
 
 
 def test_where_it_has_none_the_advice_names_all_keys_and_is_accepted(tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ from collections.abc import Coroutine
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, operating, slave_in
+from api_kit import HOIST, RAW, begun, cancelled, operating, slave_in
+from support import present
 
 import dpstack
 from dpstack.api.config.config import make_config
@@ -39,8 +40,7 @@ async def test_a_scan_beside_data_exchange() -> None:
         items.append(repr(item))
 
     async with operating(RAW, {**HOIST, "watchdog_ms": 50}) as bus:
-        world = bus.world
-        assert world is not None
+        world = present(bus.world)
         slave_in(world, MirrorDevice(0x2222, bytes.fromhex("20 11")), 77)
         bus.slave("raw").outputs = b"\x5a"
         await asyncio.sleep(0.1)
@@ -94,20 +94,16 @@ async def test_one_scan_at_a_time() -> None:
     async with operating(RAW) as bus:
         server = control_run(bus, "pty")
         command: Any = server._handlers["scan"]
-        first = asyncio.ensure_future(command([])(ignored))
-        await asyncio.sleep(0)
+        first = await begun(command([])(ignored), 0)
         with pytest.raises(UsageError, match="under way"):
             await command([])(ignored)
-        first.cancel()  # its client has gone
-        with pytest.raises(asyncio.CancelledError):
-            await first
+        await cancelled(first)  # its client has gone
         assert len((await command([])(ignored))["stations"]) == 1
 
 
 async def test_a_scan_of_a_read_only_run_changes_no_slave() -> None:
     async with operating(RAW) as owner:
-        world = owner.world
-        assert world is not None
+        world = present(owner.world)
         slave_in(world, MirrorDevice(0x2222, b"\x21"), 4)
         config = make_config("virtual", 500_000, 5, [RAW], bus={"read_only": True})
         async with dpstack.open_bus(config, world=world) as bus:

@@ -12,6 +12,7 @@ import pytest
 from api_kit import RAW, bench_of, bus_of, virtual
 from hypothesis import given
 from hypothesis import strategies as st
+from support import instance
 
 import dpstack
 from dpstack.api.files import AtomicFile
@@ -324,8 +325,7 @@ async def test_a_drive_that_does_not_answer_some() -> None:
     async with bus_with("fuji-frenic") as bus:
         await bus.operate()
         it = bus.drive("it")
-        device = bench_of(bus).device(5)
-        assert isinstance(device, DriveDevice)
+        device = instance(bench_of(bus).device(5), DriveDevice)
         device.channel = Mute()
         found: list[SavedParam] = []
         with pytest.raises(dpstack.DriveTimeout, match="did not answer"):
@@ -350,6 +350,5 @@ def test_a_file_with_a_value_between_two_steps_is_refused_with_both() -> None:
     says = "480, data set 3|fixed_frequency_1, data set 3: 5.005 Hz lies between two values, the step is 0.01 Hz"
     with pytest.raises(ConfigError, match=says):
         virtual(_compared(line))
-    held = virtual(_compared(line.replace("5.005", "5.0")))
-    assert isinstance(held, ListComparison)
+    held = instance(virtual(_compared(line.replace("5.005", "5.0"))), ListComparison)
     assert held.same == 1

@@ -9,9 +9,9 @@ from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 import pytest
-from api_kit import RAW, mirror, serving
+from api_kit import RAW, begun, cancelled, mirror, serving
 from msgspec import structs
-from support import WorldFactory
+from support import WorldFactory, present
 
 import dpstack
 from dpstack import AlarmType, SlaveAlarm, Specifier, StatusType
@@ -64,8 +64,7 @@ async def test_alarms_in_order_acknowledged_when_read(world: WorldFactory, descr
         assert [(alarm.type, alarm.slot, alarm.data) for alarm in found] == [(2, n, bytes((n,))) for n in range(20)]
         await asyncio.gather(*raising)
         await asyncio.sleep(0.1)
-        counts = bus.slave("rig").alarm_counts
-        assert counts is not None
+        counts = present(bus.slave("rig").alarm_counts)
         assert (counts.raised, counts.acknowledged, counts.too_many, counts.repeated) == (20, 20, 0, 0)
         assert bus.stats.slaves[9].as_dict()["alarms"] == structs.asdict(counts)
 
@@ -93,8 +92,7 @@ async def test_the_attributes_of_an_alarm(world: WorldFactory) -> None:
 
     raised = [event for event in events if isinstance(event, AlarmRaised)]
     assert [event.severity for event in raised[:2]] == [Severity.WARNING, Severity.INFO]
-    line = event_json(raised[0], 1.0)
-    assert line is not None
+    line = present(event_json(raised[0], 1.0))
     assert line | {"text": ""} == {
         "event": "alarm", "t": 1.0, "address": 9, "name": "rig", "type": 1, "title": "diagnosis alarm", "slot": 3,
         "specifier": "appears", "data": "11", "number": 1, "held": True, "sequence": 0, "user_ack": True, "texts": [],
@@ -133,11 +131,8 @@ async def test_a_listener_that_leaves_delays_no_alarm(world: WorldFactory, how: 
                 async for _ in bus.slave(9).alarms():
                     await asyncio.sleep(60)
 
-            task = asyncio.create_task(reads())
-            await asyncio.sleep(0.1)
-            task.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await task
+            task = await begun(reads(), 0.1)
+            await cancelled(task)
             del task
         gc.collect()
         await asyncio.gather(*raising)
@@ -268,8 +263,7 @@ async def test_dpv1_off_and_on_again(world: WorldFactory, listens: bool) -> None
             assert (await anext(alarms)).slot == 2
         await task
         await asyncio.sleep(0.1)
-        assert found.alarm_counts is not None
-        assert found.alarm_counts.raised == 2
+        assert present(found.alarm_counts).raised == 2
 
 
 async def test_status_messages(world: WorldFactory) -> None:
@@ -288,8 +282,7 @@ async def test_status_messages(world: WorldFactory) -> None:
         assert statuses.dropped == 6
         assert bus.slave(9).diagnosis_texts[-1].startswith("vendor status 40, slot 1")
 
-    line = event_json(next(event for event in events if isinstance(event, StatusTold)), 0)
-    assert line is not None
+    line = present(event_json(next(event for event in events if isinstance(event, StatusTold)), 0))
     assert (line["event"], line["title"], line["data"]) == ("status_message", "status message", "01")
 
 

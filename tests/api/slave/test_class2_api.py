@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from api_kit import HOIST, RAW, bus_of, operating, slave_in
+from support import instance, present
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -49,8 +50,7 @@ async def test_the_slaves_of_another_master(read_only: bool) -> None:
     async with operating(NAMED, gap=1) as owner:
         owner.slave(9)["level"] = 0x1234
         await asyncio.sleep(0.05)
-        world = owner.world
-        assert world is not None
+        world = present(owner.world)
         _, spare = slave_in(world, MirrorDevice(0x4321, b"\x21"), 126)
         config = make_config("virtual", 500_000, 5, bus={"read_only": read_only})
         async with dpstack.open_bus(config, world=world) as bus:
@@ -64,8 +64,7 @@ async def test_the_slaves_of_another_master(read_only: bool) -> None:
                 assert isinstance(caught.value, dpstack.UsageError)
                 assert str(caught.value).startswith("this bus is read-only: no slave gets another address;")
             else:
-                assert isinstance(caught.value, dpstack.SlaveFault)
-                assert "slave 9 is owned by master 2" in str(caught.value)
+                assert "slave 9 is owned by master 2" in str(instance(caught.value, dpstack.SlaveFault))
             assert core_of(bus).view.link.refused == 0
         slave = owner.slave(9)
         assert (slave.ready_now, slave.retries, slave.timeouts) == (True, 0, 0)
@@ -122,8 +121,7 @@ async def test_a_slave_as_delivered_gets_its_address_and_is_taken_up() -> None:
             await bus.class2.set_address(10, 11)
         assert (caught.value.service, caught.value.status, caught.value.address) == ("Set_Slave_Add", "ignored", 10)
         assert app.control.address == 10
-    assert world.referee is not None
-    world.referee.check()
+    present(world.referee).check()
 
 
 Call = Callable[[Class2], Coroutine[Any, Any, object]]
@@ -151,8 +149,7 @@ Call = Callable[[Class2], Coroutine[Any, Any, object]]
 async def test_every_error_is_typed(call: Call, kind: type[dpstack.DpError], text: str) -> None:
     async with bus_of(NAMED) as bus:
         await bus.ready()
-        assert bus.world is not None
-        slave_in(bus.world, MirrorDevice(0x4321, b"\x21"), 20)
+        slave_in(present(bus.world), MirrorDevice(0x4321, b"\x21"), 20)
         with pytest.raises(kind, match=text) as caught:
             await call(bus.class2)
         assert type(caught.value) is kind

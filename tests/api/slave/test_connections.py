@@ -10,9 +10,10 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from api_kit import RAW, bus_of
+from api_kit import RAW, begun, bus_of
 from ms2_kit import Ms2Server, ms2_in, served
 from msgspec import structs
+from support import instance, present
 
 import dpstack
 from dpstack import AcyclicError, Connection, ConnectionEnded, Im0, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
@@ -46,8 +47,7 @@ async def owner(**more: Any) -> AsyncIterator[tuple[dpstack.Bus, Ms2Server]]:
 async def beside(events: list[dpstack.Event] | None = None) -> AsyncIterator[tuple[dpstack.Bus, Ms2Server]]:
     """The bus of station 5, which is nobody's class 1 master, while master 2 exchanges data with slave 9."""
     async with owner(gap=1) as (own, server):
-        world = own.world
-        assert world is not None
+        world = present(own.world)
         await own.operate()
         own.slave(9).outputs = b"\x55"
         config = make_config("virtual", 500_000, 5)
@@ -58,8 +58,7 @@ async def beside(events: list[dpstack.Event] | None = None) -> AsyncIterator[tup
         assert (slave.ready_now, slave.retries, slave.timeouts, slave.inputs) == (True, 0, 0, b"\x55")
         assert not server.sessions
         assert sorted(server.free) == [47, 48]
-    assert world.referee is not None
-    world.referee.check()
+    present(world.referee).check()
 
 
 async def test_a_connection_without_a_reference_is_closed() -> None:
@@ -154,8 +153,7 @@ async def test_im() -> None:
     async with beside() as (bus, server):
         server.serve = serve
         async with bus.class2.connect(9) as connection:
-            found = await connection.im()
-            assert isinstance(found, Im0)
+            found = instance(await connection.im(), Im0)
             assert (found.manufacturer_id, found.order_id, found.serial_number) == (42, "V-8", "1234")
         assert calls == [b"\x08\x00\xfd\xe8"]
 
@@ -281,8 +279,7 @@ async def test_the_bus_ends_meanwhile() -> None:
         connection = await bus.class2.connect(9)
         server.serve = lambda pdu: None
         waiting = [asyncio.create_task(connection.read(1, n)) for n in range(3)]
-        opening = asyncio.create_task(_connected(bus, 77))
-        await asyncio.sleep(0.01)
+        opening = await begun(_connected(bus, 77), 0.01)
     for end in await asyncio.gather(*waiting, opening, return_exceptions=True):
         assert isinstance(end, (ConnectionEnded, SlaveTimeout)), end
     assert not server.sessions

@@ -7,6 +7,7 @@ import json
 
 import pytest
 from api_kit import bench_of, running
+from support import instance, present
 
 import dpstack
 from dpstack.api.config.config import parse_config
@@ -90,10 +91,8 @@ async def test_a_drive_that_comes_back_with_other_settings_is_refused() -> None:
     async with running(fan, 1_500_000) as (bus, drive):
         await drive.start()
         await drive.stop()
-        device = bench_of(bus).device(4)
-        assert isinstance(device, DriveDevice)
-        assert device.store is not None
-        device.store.install("F03", 100)
+        device = instance(bench_of(bus).device(4), DriveDevice)
+        present(device.store).install("F03", 100)
         bench_of(bus).silence(4, 500_000_000)
         await bus.until(lambda: not bus.slave("fan").ready_now, 5)
         await bus.ready()

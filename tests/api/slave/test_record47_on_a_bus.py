@@ -7,8 +7,8 @@ import contextlib
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import bench_of, running
-from support import WorldFactory
+from api_kit import begun, bench_of, running
+from support import WorldFactory, instance
 
 import dpstack
 from bench.parameters import MIXER, mixer, read_out
@@ -84,8 +84,7 @@ async def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
         assert await pump.read(964, index=6) == 0x0A6C
         with pytest.raises(dpstack.ParameterError, match="drive pump: dr-99: error 0, illegal parameter number"):
             await pump.read("dr-99")
-        im0 = await bus.slave("pump").im()
-        assert isinstance(im0, dpstack.Im0)
+        im0 = instance(await bus.slave("pump").im(), dpstack.Im0)
         assert (im0.manufacturer_id, im0.order_id, im0.supported) == (0x0351, "CPDP-S100", 1)
         several = await bus.slave("pump").parameters().read([Address(n) for n in (918, 922, 930, 1, 963)])
         assert several == [Values(6, (6,)), Values(6, (1,)), Values(6, (1,)), ErrorValue(0), Values(6, (4,))]
@@ -114,8 +113,7 @@ async def test_without_dp_v1_it_goes_by_pkw_or_says_what_to_do() -> None:
 
 async def test_the_drive_goes_and_comes_in_between() -> None:
     async with running(PUMP) as (bus, pump):
-        reading = asyncio.ensure_future(pump.read(965))
-        await asyncio.sleep(0.002)
+        reading = await begun(pump.read(965), 0.002)
         bench_of(bus).power(6, False)
         with pytest.raises(dpstack.DriveError):
             await reading

@@ -7,8 +7,8 @@ from contextlib import AbstractAsyncContextManager
 from typing import Any, cast
 
 import pytest
-from api_kit import RAW, bus_of, mirror, serving
-from support import WorldFactory
+from api_kit import RAW, begun, bus_of, cancelled, mirror, serving
+from support import WorldFactory, instance
 
 import dpstack
 from dpstack import AcyclicError, Im0, Im1, Im3, RecordRefused
@@ -67,13 +67,11 @@ async def test_read_write_and_im(world: WorldFactory) -> None:
         assert await slave.read(1, 2, 2) == b"\x11\x22"
         await slave.write(3, 4, bytes(range(240)))
         assert await slave.read(3, 4) == bytes(range(240))
-        im0 = await slave.im()
-        assert isinstance(im0, Im0)
+        im0 = instance(await slave.im(), Im0)
         assert (im0.order_id, im0.supported) == ("RIG", 0b10)
         await slave.write_im(Im1("pump", "cellar"), slot=2)
         assert await slave.im(1) == Im1("pump", "cellar")
-        assert isinstance(served.device, DpSlave)
-        assert served.device.im == (im0, Im1("pump", "cellar"))
+        assert instance(served.device, DpSlave).im == (im0, Im1("pump", "cellar"))
         # many at once: each gets its own
         found = await asyncio.gather(*(slave.read(1, 2, n) for n in range(4)), slave.read(3, 4, 1))
         assert found == [b"", b"\x11", b"\x11\x22", b"\x11\x22\x33", b"\0"]
@@ -186,16 +184,11 @@ async def test_a_slave_may_take_longer_than_10_s_where_that_is_known() -> None:
 
 async def test_the_slave_goes_while_it_is_read(world: WorldFactory) -> None:
     async with rig(world()) as (bus, served):
-        reading = asyncio.create_task(bus.slave(9).read(1, 11))
-        await asyncio.sleep(0.1)
+        reading = await begun(bus.slave(9).read(1, 11), 0.1)
         served.restart()
         with pytest.raises(dpstack.SlaveFault, match=r"left data exchange|not in data exchange"):
             await reading
-        cancelled = asyncio.create_task(bus.slave(9).read(1, 2))
-        await asyncio.sleep(0)
-        cancelled.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await cancelled
+        await cancelled(await begun(bus.slave(9).read(1, 2), 0))
 
 
 async def test_a_slave_without_dpv1(world: WorldFactory) -> None:

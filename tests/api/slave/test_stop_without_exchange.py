@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, RAW
+from api_kit import FAN, RAW, begun
 
 import dpstack
 from dpstack.testing import BusFactory, SimulatedBus
@@ -91,8 +91,7 @@ def test_without_a_watchdog_the_message_says_that_the_motor_may_turn(dpstack_bus
 def test_a_stop_that_was_pending_ends_with_the_loss_and_stays(bus: SimulatedBus) -> None:
     async def program() -> None:
         fan = await running(bus)
-        stopping = asyncio.ensure_future(fan.quick_stop())
-        await asyncio.sleep(0.01)
+        stopping = await begun(fan.quick_stop(), 0.01)
         assert fan.status.state == "stopping"
         bus.faults.silence("fan")
         with pytest.raises(dpstack.DriveError, match=r"left data exchange|not in data exchange"):

@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Callable
 
 import pytest
 from api_kit import RAW, bench_of, operating
+from support import instance, present
 
 import dpstack
 from dpstack import Im0
@@ -50,8 +51,7 @@ async def settled(bus: dpstack.Bus) -> dpstack.Slave:
 
 
 def ext(slave: dpstack.Slave) -> str:
-    assert slave.diagnosis is not None
-    return slave.diagnosis.ext.hex(" ").upper()
+    return present(slave.diagnosis).ext.hex(" ").upper()
 
 
 async def test_faults_of_the_station_reach_the_master() -> None:
@@ -77,8 +77,7 @@ async def test_faults_of_the_station_reach_the_master() -> None:
         order("parameter io 1 02")
         slave = await settled(bus)
         assert await slave.read(1, 1) == b"\x02"
-        im = await slave.im(slot=2)
-        assert isinstance(im, Im0)
+        im = instance(await slave.im(slot=2), Im0)
         assert im.order_id == "8 DO"
         await slave.write(3, 1, b"\x00")
         assert await slave.read(3, 1) == b"\x00"
@@ -115,12 +114,10 @@ async def test_its_alarms_reach_the_program_in_order_and_are_acknowledged(mode: 
         assert slots[2] == "module status: slot 2 wrong module, slot 3 data invalid"
         assert slots[5] == "module status: all modules ok"
         await settled(bus)
-        counts = bus.slave("io").alarm_counts
-        assert counts is not None
+        counts = present(bus.slave("io").alarm_counts)
         assert (counts.raised, counts.acknowledged, counts.repeated, counts.too_many) == (9, 9, 0, 0)
         device = bench_of(bus).device(8)
-        assert device.alarm_server is not None
-        assert device.alarm_server.pending == ()
+        assert present(device.alarm_server).pending == ()
 
 
 async def test_status_shows_its_slots(capsys: pytest.CaptureFixture[str]) -> None:

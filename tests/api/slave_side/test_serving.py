@@ -11,7 +11,7 @@ import pytest
 from api_kit import bus_of, in_virtual_time, serving
 from far_ends import open_slave, until
 from octet_wire import framed
-from support import WorldFactory
+from support import WorldFactory, present
 
 import dpstack
 from dpstack.api.slave_side.slave_server import ServedSlave
@@ -57,8 +57,7 @@ async def test_beside_a_master_in_one_world(world: WorldFactory) -> None:
         assert (served.master, served.address, served.name) == (2, 9, "rig")
         slave.diag = dpstack.slave.UserDiag.of(dpstack.slave.device_block(b"\x05"))
         await bus.rotated(bus.stats.rotations + 5)
-        read = bus.slave(9).diagnosis
-        assert read is not None
+        read = present(bus.slave(9).diagnosis)
         assert read.ext == served.diagnosis().ext == b"\x02\x05"
     assert "rig): data_exchange" in " ".join(event.text for event in seen if isinstance(event, SlaveAppStateChanged))
     assert left
@@ -106,8 +105,7 @@ async def test_a_function_that_raises_stops_its_slave_only(w: World) -> None:
         assert bad.failure == "ZeroDivisionError: 13"
         with pytest.raises(SlaveTimeout, match=r"slave 9 \(rig\) is still in .* its function failed"):
             await bad.reached(DATA_EXCH, timeout=0.5)
-        read = bus.slave(9).diagnosis
-        assert read is not None
+        read = present(bus.slave(9).diagnosis)
         assert read.stat_diag
         bus.slave(8).outputs = b"\x44"
         await bus.rotated(bus.stats.rotations + 3)

@@ -10,6 +10,7 @@ from functools import wraps
 import pytest
 from api_kit import bench_of, operating
 from octet_wire import Wire, framed
+from support import present
 
 import dpstack
 from dpstack.api.config.config import make_config
@@ -49,15 +50,15 @@ class Port:
         command, *args = text.split()
         self._handlers[command](args)
 
-    def answering(self) -> list[int]:
-        """The addresses that answer."""
+    def answering(self, order: str = "") -> list[int]:
+        """The addresses that answer, after an ``order`` if there is one."""
+        if order:
+            self.order(order)
         return [address for address, octets in STATUS.items() if self.wire.ask(octets) == ANSWER[address]]
 
     def set_parameter(self, name: str, value: int) -> DriveDevice:
-        device = self.simulation.units[4].drive
-        assert device is not None
-        spec = device.store.table.named(name)
-        assert spec is not None
+        device = present(self.simulation.units[4].drive)
+        spec = present(device.store.table.named(name))
         device.store.write(spec, value)
         return device
 
@@ -94,13 +95,10 @@ def test_a_drive_behind_a_port_that_restarts_is_found_at_its_new_address(drive: 
     port.wire.pass_time(200_000_000)
     assert port.answering() == [8, 9]
     assert port.states() == {"9": ("it", "wait_prm"), "8": ("raw", "wait_prm")}
-    port.order("silence 9")
-    assert port.answering() == [8]
+    assert port.answering("silence 9") == [8]
     port.order("resume it")
-    port.order("power-off 4")  # the address of its configuration means it, too, as nobody else has it
-    assert port.answering() == [8]
-    port.order("power-on 9")
-    assert port.answering() == [8, 9]
+    assert port.answering("power-off 4") == [8]  # the address of its configuration means it, too, as nobody else has it
+    assert port.answering("power-on 9") == [8, 9]
 
 
 @pytest.mark.parametrize("drive", list(DRIVES))
@@ -109,15 +107,12 @@ def test_a_drive_behind_a_port_is_found_at_its_new_address_after_power_on(drive:
     port = Port(drive_table(drive), RAW)
     port.set_parameter(PARAMETERS[drive], 9)
     assert port.answering() == [4, 8]
-    port.order("power-off 4")
-    assert port.answering() == [8]
+    assert port.answering("power-off 4") == [8]
     assert port.states()["4"] == ("it", "off")
-    port.order("power-on 4")
-    assert port.answering() == [8, 9]
+    assert port.answering("power-on 4") == [8, 9]
     assert port.states() == {"9": ("it", "wait_prm"), "8": ("raw", "wait_prm")}
     port.order("power-off it")
-    port.order("power-on it")
-    assert port.answering() == [8, 9]
+    assert port.answering("power-on it") == [8, 9]
 
 
 @in_a_loop
@@ -125,17 +120,12 @@ def test_two_slaves_that_come_to_have_one_address_are_both_reached_by_name() -> 
     port = Port(drive_table("keb"), RAW)
     port.set_parameter("sy.06", 8)
     port.order("power-off it")
-    port.order("power-on it")
-    assert port.answering() == [8]
+    assert port.answering("power-on it") == [8]
     assert port.states() == {"8": ("it", "wait_prm"), "8 (raw)": ("raw", "wait_prm")}
-    port.order("power-off raw")
-    assert port.answering() == [8]
-    port.order("silence it")
-    assert port.answering() == []
-    port.order("power-on raw")
-    assert port.answering() == []  # the one that is cut off was there first
-    port.order("power-off it")
-    assert port.answering() == [8]
+    assert port.answering("power-off raw") == [8]
+    assert port.answering("silence it") == []
+    assert port.answering("power-on raw") == []  # the one that is cut off was there first
+    assert port.answering("power-off it") == [8]
 
 
 @in_a_loop
@@ -143,21 +133,17 @@ def test_a_slave_at_the_former_address_of_another_one() -> None:
     second = {**drive_table("keb"), "name": "second", "address": 8}
     port = Port(drive_table("keb"), second)
     port.set_parameter("sy.06", 9)
-    other = port.simulation.units[8].drive
-    assert other is not None
+    other = present(port.simulation.units[8].drive)
     other.store.install("sy.06", 4)
     for name in ("it", "second"):
         port.order(f"power-off {name}")
         port.order(f"power-on {name}")
     assert port.answering() == [4, 9]
-    port.order("power-off it")
-    assert port.answering() == [4]
+    assert port.answering("power-off it") == [4]
     port.order("power-on it")
-    port.order("silence 4")
-    assert port.answering() == [9]
+    assert port.answering("silence 4") == [9]
     assert port.states() == {"9": ("it", "wait_prm"), "4": ("second", "wait_prm")}
-    port.order("resume second")
-    assert port.answering() == [4, 9]
+    assert port.answering("resume second") == [4, 9]
 
 
 @pytest.mark.parametrize(
@@ -170,14 +156,10 @@ def test_set_slave_add_behind_a_port(table: dict[str, object], ident: str, kept:
         port = Port(table)
         assert port.wire.ask(framed(0x84, 0x82, 0x5D, f"37 3E 09 {ident} 00")) == SC
         assert port.answering() == [9]
-        port.order(f"silence {which}")
-        assert port.answering() == []
-        port.order(f"resume {which}")
-        assert port.answering() == [9]
-        port.order(f"power-off {which}")
-        assert port.answering() == []
-        port.order(f"power-on {table['name']}")
-        assert port.answering() == [kept]
+        assert port.answering(f"silence {which}") == []
+        assert port.answering(f"resume {which}") == [9]
+        assert port.answering(f"power-off {which}") == []
+        assert port.answering(f"power-on {table['name']}") == [kept]
 
 
 #: a write of a program to a drive, and the remedy in its error when the drive no longer answers
@@ -219,8 +201,7 @@ async def test_the_plugin_that_moved_a_drive_says_where_it_is(
             await asyncio.sleep(0.05)
             bench.power("it", True)
         await bus.slave("it").wait_state(dpstack.SlaveState.OFFLINE, timeout=2)
-        fault = bus.slave("it").fault
-        assert fault is not None
+        fault = present(bus.slave("it").fault)
         assert says in fault.remedy
         await bus.remove("it")
         moved = await bus.add_slave({**drive_table(drive), "address": 9, "name": "moved"})
@@ -253,8 +234,7 @@ def test_a_master_finds_it_behind_a_pty(drive: str, writes: list[tuple[str | int
                 await bus.slave("it").wait_state(dpstack.SlaveState.OFFLINE, timeout=20)
                 handlers["power-on"](["it"])
             await bus.slave("it").wait_state(dpstack.SlaveState.OFFLINE, timeout=20)
-            fault = bus.slave("it").fault
-            assert fault is not None
+            fault = present(bus.slave("it").fault)
             assert says in fault.remedy
             found = await bus.scan()
             assert {station.address for station in found if station.ident is not None} == {9}
@@ -267,6 +247,5 @@ async def test_a_drive_that_kept_its_address_is_looked_for_as_before() -> None:
         await bus.drive("it").write(391, 4)
         bench_of(bus).power("it", False)
         await bus.slave("it").wait_state(dpstack.SlaveState.OFFLINE, timeout=2)
-        fault = bus.slave("it").fault
-        assert fault is not None
+        fault = present(bus.slave("it").fault)
         assert fault.remedy.startswith("check its power and the cable; it is taken up")

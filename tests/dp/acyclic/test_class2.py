@@ -273,8 +273,7 @@ def ends(told: list[Event]) -> dict[int, ServiceDone]:
 
 def test_beside_another_class_1_master_that_notices_nothing(w: World) -> None:
     params = BusParams.preset(500_000, address=2)
-    bus = SimBus(w, params, (3, 4, 5))
-    bus.until_exchanging()
+    bus = SimBus(w, params, (3, 4, 5)).until_exchanging()
     told: list[Event] = []
     station, class2 = class2_in(bus, 0, told)
     while not station.in_ring:
@@ -310,8 +309,7 @@ def test_beside_another_class_1_master_that_notices_nothing(w: World) -> None:
 def test_beside_the_class_1_master_of_its_own_station(w: World) -> None:
     """Every rotation has its data exchange; with a service it is longer by that one service at most."""
     params = BusParams.preset(500_000, address=2, gap=0)
-    bus = SimBus(w, params, (3, 4, 5))
-    bus.until_exchanging()
+    bus = SimBus(w, params, (3, 4, 5)).until_exchanging()
     w.run_for(500 * MS)
     quiet = bus.master.rotation.max_ns
     rounds = bus.master.rounds
@@ -333,8 +331,7 @@ def test_beside_the_class_1_master_of_its_own_station(w: World) -> None:
 def test_without_time_to_spare_it_ends_and_says_so(w: World) -> None:
     """T_TR so short that data exchange alone uses it up: the cycle goes on, the service does not get in."""
     params = BusParams.preset(500_000, address=2, gap=0).replace(t_tr=256)
-    bus = SimBus(w, params, (3, 4))
-    bus.until_exchanging()
+    bus = SimBus(w, params, (3, 4)).until_exchanging()
     bus.send(ReadService(1, 3, Service.CONFIG, timeout_ns=300 * MS))
     w.run_for(301 * MS)
     outcome = ends(bus.events)[1].outcome

@@ -247,8 +247,7 @@ def test_cut_short_it_says_what_may_have_happened(kit: Class2Bus) -> None:
 
 
 def test_a_slave_of_its_own_station_is_refused_at_once(w: World) -> None:
-    bus = SimBus(w, BusParams.preset(500_000, address=2), (3,))
-    bus.until_exchanging()
+    bus = SimBus(w, BusParams.preset(500_000, address=2), (3,)).until_exchanging()
     with pytest.raises(UsageError, match="slave 3 is parameterised by this master"):
         bus.send(ChangeAddress(1, 3, 9))
 

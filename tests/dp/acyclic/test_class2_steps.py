@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import pytest
+from support import present
 
 from dpstack.dp.acyclic.class2 import (
     AddressChange,
@@ -302,13 +303,11 @@ def test_addresses_that_no_slave_has(address: int) -> None:
 def test_orders_that_are_taken() -> None:
     provider = Class2(2, None)
     for address in (0, 1, 3, 126):
-        made = provider.job_of(ReadService(5, address, Service.CONFIG, timeout_ns=77))
-        assert made is not None
+        made = present(provider.job_of(ReadService(5, address, Service.CONFIG, timeout_ns=77)))
         token, job, timeout = made
         assert (token, job.address, job.title, timeout) == (5, address, "Get_Cfg", 77)
     for new in (0, 1, 125):
-        made = provider.job_of(ChangeAddress(6, 126, new, timeout_ns=78))
-        assert made is not None
+        made = present(provider.job_of(ChangeAddress(6, 126, new, timeout_ns=78)))
         assert (made[0], made[1].address, made[1].title, made[1].aftermath, made[2]) == (
             6, 126, "Set_Slave_Add", "", 78,
         )  # fmt: skip

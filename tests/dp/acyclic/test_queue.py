@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 
 import pytest
+from support import present
 
 from dpstack.dp.acyclic.job import ACKS, UNORDERED, Job, Outcome, RequestEnd, ServiceFailure, Step, Steps
 from dpstack.dp.acyclic.queue import CAPACITY, Acyclic, CancelService, Provider
@@ -235,8 +236,7 @@ def test_the_times_of_a_request(bus: Holds) -> None:
     bus.order(job)
     bus.holds(2)
     bus.queue.token_received(bus.now)
-    request = bus.queue.next_request(bus.now, high_only=False)
-    assert request is not None
+    request = present(bus.queue.next_request(bus.now, high_only=False))
     bus.queue.result(request, Failure.REFUSED, 110 * MS)  # never sent
     assert [(end.begun // MS, end.now // MS) for end in job.ends_of] == [(101, 105), (106, 110), (110, 110)]
 
@@ -309,8 +309,7 @@ def test_with_its_request_under_way_a_service_may_still_be_completed() -> None:
     ):
         bus = Holds()
         bus.order(Pieces(3, sequel="look at it"))
-        request = bus.begin()
-        assert request is not None
+        request = present(bus.begin())
         bus.queue.command(CancelService(1), bus.now)
         assert bus.ends == []
         bus.queue.result(request, answer, 7 * MS)
@@ -332,8 +331,7 @@ def test_cancelled_before_it_was_sent_and_between_two_requests(bus: Holds) -> No
 def test_a_lost_port_ends_every_service(bus: Holds) -> None:
     for address in (3, 4):
         bus.order(Pieces(address, 2))
-    request = bus.begin()
-    assert request is not None
+    request = present(bus.begin())
     assert not bus.queue.command(LineDown("unplugged"), 3 * MS)
     text = "was not over when the port vanished (unplugged); it can be repeated when the port is back"
     assert bus.ends == [(2, ServiceFailure.LINE, f"Service to slave 4 {text}")]
@@ -388,8 +386,7 @@ def test_why_a_service_is_late(story: str, failure: ServiceFailure, why: str) ->
 
 def test_a_late_service_with_its_request_under_way_ends_with_that_request(bus: Holds) -> None:
     bus.order(Pieces(3, 2), 10 * MS)
-    request = bus.begin()
-    assert request is not None
+    request = present(bus.begin())
     bus.queue.tick(10 * MS)
     assert bus.queue.wake_at() == NEVER
     assert bus.ends == []

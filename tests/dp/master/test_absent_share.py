@@ -15,6 +15,5 @@ def test_short_polls_take_their_share_and_no_more(divisor: int, polls: int) -> N
     for address in range(20, 50):
         bus.send(AddSlave(setup(address)))
     bus.step, bus.period = 1 * MS, 600_000
-    bus.requests.clear()
-    bus.run(100 * MS)
+    bus.run_anew(100 * MS)
     assert len([r for r in bus.requests if r.da >= 20]) == polls

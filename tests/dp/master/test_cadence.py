@@ -26,6 +26,12 @@ def cadence_of(cycle_ns: int, idle_ns: int = 0) -> tuple[Cadence, MasterContext]
     return cadence, context
 
 
+def begin(cadence: Cadence, now: int, first_bit: int | None = None) -> None:
+    """A round of the fixed cycle begins; its first bit is on the wire at once, or later."""
+    cadence.begin(now, fixed=True, interval=0)
+    cadence.started(now if first_bit is None else first_bit)
+
+
 @dataclass
 class Model:
     """The grid as a list of times: a round that is late by up to half a cycle begins, a later one is left out.
@@ -105,8 +111,7 @@ def test_rounds_begin_on_the_grid_of_the_model(cycle: int, steps: list[tuple[int
 @pytest.mark.parametrize(("late", "left_out", "due"), [(50, 0, True), (51, 1, False), (150, 1, True), (151, 2, False)])
 def test_half_a_cycle_late_begins_and_more_is_left_out(late: int, left_out: int, due: bool) -> None:
     cadence, _ = cadence_of(100)
-    cadence.begin(1_000, fixed=True, interval=0)
-    cadence.started(1_000)
+    begin(cadence, 1_000)
     assert cadence.due(1_100 + late) is due
     assert (cadence.book.left_out, cadence.number) == (left_out, 1 + left_out)
     assert cadence.window.next_at == 1_100 + 100 * left_out
@@ -130,8 +135,7 @@ def test_a_late_round_that_makes_the_next_one_late_too_is_left_out(
 ) -> None:
     cadence, _ = cadence_of(100)
     for began, takes in ((1_000, before), (1_100, last)):
-        cadence.begin(began, fixed=True, interval=0)
-        cadence.started(began)
+        begin(cadence, began)
         cadence.over(began + takes)
     assert cadence.due(1_200 + late) is due
     assert (cadence.book.left_out, cadence.number) == (not due, 2 + (not due))
@@ -143,8 +147,7 @@ def test_the_idle_time_before_a_late_round_and_after_it_counts(late: int, due: b
     """Decided 13 late, first bit 16 late, over after 91 and 3 of idle time: the next one is late by 10, no miss."""
     cadence, _ = cadence_of(100, idle_ns=3)
     for began in (1_000, 1_100):
-        cadence.begin(began, fixed=True, interval=0)
-        cadence.started(began)
+        begin(cadence, began)
         cadence.over(began + 91)
     assert cadence.due(1_200 + late) is due
 
@@ -153,11 +156,9 @@ def test_the_idle_time_before_a_late_round_and_after_it_counts(late: int, due: b
 def test_a_tenth_of_a_cycle_late_is_no_miss(late: int, missed: int) -> None:
     assert tolerance_ns(109) == 10
     cadence, context = cadence_of(100)
-    cadence.begin(1_000, fixed=True, interval=0)
-    cadence.started(1_003)
+    begin(cadence, 1_000, 1_003)
     assert (cadence.started_at, cadence.due_at) == (1_003, 1_003)
-    cadence.begin(1_103, fixed=True, interval=0)
-    cadence.started(1_103 + late)
+    begin(cadence, 1_103, 1_103 + late)
     assert (cadence.started_at, cadence.due_at) == (1_103 + late, 1_103)
     assert cadence.book.begun_late == missed
     assert len(context.events) == missed
@@ -177,13 +178,11 @@ def test_the_reason_of_a_miss(
     over_at: int, forced: str, unanswered: str, alone: bool, reason: MissReason, why: str | None
 ) -> None:
     cadence, context = cadence_of(100)
-    cadence.begin(1_000, fixed=True, interval=0)
-    cadence.started(1_000)
+    begin(cadence, 1_000)
     cadence.over(over_at)
     cadence.window.forced_service, cadence.window.unanswered, cadence.window.alone = forced, unanswered, alone
     assert cadence.due(1_140)
-    cadence.begin(1_140, fixed=True, interval=0)
-    cadence.started(1_140)
+    begin(cadence, 1_140)
     assert cadence.book.reasons == {reason: 1}
     (told,) = context.events
     assert isinstance(told, CyclesMissed)
@@ -198,13 +197,11 @@ def test_the_reason_of_a_miss(
 
 def test_misses_of_a_second_are_reported_in_one_line_with_the_worst() -> None:
     cadence, context = cadence_of(100)
-    cadence.begin(S, fixed=True, interval=0)
-    cadence.started(S)
+    begin(cadence, S)
     due = S
     for late in (20, 30, 40, 30):
         due += 100
-        cadence.begin(due + late, fixed=True, interval=0)
-        cadence.started(due + late)
+        begin(cadence, due + late)
     cadence.due(due + 351)  # 251 late: three more, left out
     told = [(e.count, e.missed, e.number, e.late_ns) for e in context.events if isinstance(e, CyclesMissed)]
     assert told == [(1, 1, 2, 20)]
@@ -218,14 +215,11 @@ def test_misses_of_a_second_are_reported_in_one_line_with_the_worst() -> None:
 @pytest.mark.parametrize(("after", "told"), [(S - 1, 1), (S, 2)])
 def test_a_good_cycle_a_second_later_tells_what_is_left(after: int, told: int) -> None:
     cadence, context = cadence_of(100)
-    cadence.begin(0, fixed=True, interval=0)
-    cadence.started(0)
+    begin(cadence, 0)
     for due in (100, 200):
-        cadence.begin(due + 20, fixed=True, interval=0)
-        cadence.started(due + 20)
+        begin(cadence, due + 20)
     cadence._next = 120 + after
-    cadence.begin(120 + after, fixed=True, interval=0)
-    cadence.started(120 + after)
+    begin(cadence, 120 + after)
     assert len(context.events) == told
 
 
@@ -245,8 +239,7 @@ def test_free_running_rounds_keep_the_longer_interval() -> None:
 
 def test_a_round_off_the_grid_ends_it() -> None:
     cadence, _ = cadence_of(100)
-    cadence.begin(1_000, fixed=True, interval=0)
-    cadence.started(1_000)
+    begin(cadence, 1_000)
     cadence.pause(1_050)
     assert cadence.window.next_at == 1_050
     cadence.resume()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from support import MS, US, S, WorldFactory
+from support import MS, US, S, WorldFactory, present
 
 from dpstack.dp.master.commands import AddSlave, Mode, SetMode
 from dpstack.dp.master.fixed_cycle import CycleData, MissReason
@@ -71,8 +71,7 @@ def test_the_picture_of_a_cycle(world: WorldFactory) -> None:
     seen: list[CycleData] = []
 
     def on_round(now: int) -> None:
-        assert bus.master.cycle is not None
-        seen.append(bus.master.cycle)
+        seen.append(present(bus.master.cycle))
 
     bus.master.on_round = on_round
     bus.master.images[5].outputs = bytes(range(12))
@@ -84,8 +83,7 @@ def test_the_picture_of_a_cycle(world: WorldFactory) -> None:
     assert (last.fresh, last.late_ns, last.missed) == (frozenset((5, 6)), 0, 0)
     bus.world.remove(bus.slaves[6])
     bus.run(4 * MS)
-    assert bus.master.cycle is not None
-    assert bus.master.cycle.fresh == {5}
+    assert present(bus.master.cycle).fresh == {5}
 
 
 # --- outputs of one moment --------------------------------------------------------------------------------------------

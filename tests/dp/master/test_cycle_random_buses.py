@@ -8,7 +8,7 @@ from math import gcd
 from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
-from support import MS, S, wire_log
+from support import MS, S, present, wire_log
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.master.events import SlaveState
@@ -83,8 +83,7 @@ def each_has_its_turns(plant: Plant) -> None:
     assert sum(isinstance(e, ServiceDone) for e in bus.events) == len(here[:4])
     assert all(bus.state(a) is SlaveState.DATA_EXCHANGE for a in here)
     assert bus.station.stats.gap_polls
-    assert world.referee is not None
-    world.referee.check()
+    present(world.referee).check()
 
 
 @examples(8)

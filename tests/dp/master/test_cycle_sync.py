@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from support import MS, WorldFactory
+from support import MS, WorldFactory, instance
 
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SendControl, SetMode, Shutdown
 from dpstack.dp.master.events import SlaveRemark, SlaveState
@@ -29,8 +29,7 @@ def running(world: WorldFactory, *, cycle_ns: int = 10 * MS) -> CycleBus:
 
 def real_outputs(bus: CycleBus, address: int) -> bytes:
     """What stands at the outputs of the slave."""
-    app = bus.slaves[address].responder
-    assert isinstance(app, SlaveApp)
+    app = instance(bus.slaves[address].responder, SlaveApp)
     return app.outputs
 
 

@@ -32,14 +32,12 @@ def test_bring_up_to_the_octet() -> None:
 def test_global_control_is_really_sent_and_repeated() -> None:
     bus = exchanging(setup())
     bus.send(SetMode(Mode.OPERATE))
-    bus.requests.clear()
-    bus.run(1000 * MS)
+    bus.run_anew(1000 * MS)
     controls = [r for r in bus.requests if r.dsap == 58]
     assert {(r.da, r.function, r.ssap, r.data) for r in controls} == {(127, Req.SDN_HIGH, 62, b"\x00\x00")}
     assert 5 <= len(controls) <= 8  # two at once, then every 200 ms
     bus.send(SetMode(Mode.CLEAR))
-    bus.requests.clear()
-    bus.run(10 * MS)
+    bus.run_anew(10 * MS)
     assert [r.data for r in bus.requests if r.dsap == 58] == [b"\x02\x00"] * 2
 
 

@@ -24,6 +24,7 @@ from scripted_link import (
     squeezed,
     wire,
 )
+from support import present
 
 from dpstack.dp.master.commands import DeactivateSlave
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveState
@@ -105,8 +106,7 @@ def test_each_bit_in_data_exchange(flag: Any) -> None:
         Reaction.REFUSES: (SlaveState.FAULT, False),
     }[flag.exchange]
     assert (state, valid) == wanted
-    diagnosis = bus.master.handlers[3].diagnosis
-    assert diagnosis is not None
+    diagnosis = present(bus.master.handlers[3].diagnosis)
     assert flag.name in diagnosis.flags
 
 
@@ -114,15 +114,13 @@ def test_stat_diag_is_polled_until_it_is_gone_and_outputs_go_on() -> None:
     bus = operating(setup(initial=RUN))
     bus.slave.ready = DIAG_STATIC
     bus.high_answer()
-    bus.requests.clear()
-    bus.run(1_000 * MS)
+    bus.run_anew(1_000 * MS)
     assert 9 <= sum(dsap == 60 for dsap, _ in wire(bus)) <= 12
     assert not inputs_valid(bus)
     assert {octets for dsap, octets in wire(bus) if dsap is None} == {RUN.hex(" ").upper()}
     bus.slave.ready = DIAG_READY
     bus.run(200 * MS)
-    bus.requests.clear()
-    bus.run(500 * MS)
+    bus.run_anew(500 * MS)
     assert inputs_valid(bus)
     assert not any(dsap == 60 for dsap, _ in wire(bus))
 
@@ -201,8 +199,7 @@ def test_lengths_that_lie_are_a_finding_and_nothing_more() -> None:
     assert handler.state is SlaveState.DATA_EXCHANGE
     assert any("octet 8 announces a block of 8 octets, 2 are left" in text for text in bus.remarks(3))
     bus.slave.ready = bytes.fromhex("08 0C 00 02 06 96 C7 40 05")
-    assert handler.diagnosis is not None
-    assert handler.diagnosis.ext == b"\xc7\x48\x05"
+    assert present(handler.diagnosis).ext == b"\xc7\x48\x05"
 
 
 # --- the master's own bits ------------------------------------------------------------------------------------------

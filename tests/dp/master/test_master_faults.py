@@ -28,6 +28,7 @@ from scripted_link import (
     setup,
     silent,
 )
+from support import instance, present
 
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import SlaveFaulted, SlaveState
@@ -77,8 +78,7 @@ def test_a_slave_that_answers_and_is_lost_in_its_bring_up_is_asked_again_as_soon
 def test_absent_polls_keep_their_share_of_the_bus() -> None:
     bus = link(*(setup(a) for a in range(3, 20)), slaves={3: ScriptedSlave()}, absent_divisor=100)
     bus.run(20 * MS)
-    bus.requests.clear()
-    bus.run(2000 * MS)
+    bus.run_anew(2000 * MS)
     silent = sum(r.da != 3 and r.da != 127 for r in bus.requests)
     assert silent * bus.step <= 2000 * MS / 100 + 2 * bus.step
 
@@ -220,8 +220,7 @@ def test_a_difference_is_named_by_the_modules_of_the_gsd_file_in_either_process(
     bare = fault(there).compared(b"\x20\x20")
     assert "change the telegram set in the device" in bare.remedy
     assert fault_texts.with_modules(bare, known) == told
-    foreign = worded(SlaveFaulted(t_ns=1, address=3, name="io", fault=bare), known)
-    assert isinstance(foreign, SlaveFaulted)
+    foreign = instance(worded(SlaveFaulted(t_ns=1, address=3, name="io", fault=bare), known), SlaveFaulted)
     assert foreign.fault == told
     assert fault_texts.with_modules(fault(known).compared(None), known).actual == b""
 
@@ -311,8 +310,7 @@ def test_wrong_length_asks_for_the_configuration_after_safe_outputs_and_unlock(
 ) -> None:
     bus = exchanging(setup(), slaves={3: ScriptedSlave(answers=_get_cfg(actual))})
     bus.slave.inputs = b"\x01\x02"
-    bus.requests.clear()
-    bus.run(200 * MS)
+    bus.run_anew(200 * MS)
     told = bus.only_fault()
     assert told.kind.value == "wrong_length"
     assert told.message == f"answers Data_Exchange with 2 octets instead of 4: {words}"
@@ -382,8 +380,7 @@ def test_slave_dies_and_comes_back_with_a_fresh_start() -> None:
     assert bus.faults(3) == ["lost"]
     assert bus.state(4) is SlaveState.DATA_EXCHANGE
     assert not bus.image.valid
-    bus.requests.clear()
-    bus.run(1500 * MS)
+    bus.run_anew(1500 * MS)
     first = next(r for r in bus.requests if r.da == 3)
     assert (first.dsap, first.restart) == (60, False) or first.restart
     assert bus.state(3) is SlaveState.DATA_EXCHANGE
@@ -393,8 +390,7 @@ def test_slave_that_was_reset_is_taken_up_afresh() -> None:
     bus = exchanging(setup())
     bus.run(1500 * MS)
     bus.slave.configured = False
-    bus.requests.clear()
-    bus.run(20 * MS)
+    bus.run_anew(20 * MS)
     assert bus.faults(3) == ["left"]
     made = [r for r in bus.requests if r.da == 3]
     assert [r.dsap for r in made[:5]] == [None, 60, 61, 62, 60]
@@ -423,8 +419,7 @@ def test_high_priority_answer_fetches_the_diagnosis_in_the_same_round() -> None:
     bus.slave.answers.clear()
     made = [r.dsap for r in bus.hold() if r.da == 3]
     assert made == [None, 60]
-    assert bus.master.handlers[3].diagnosis is not None
-    assert bus.master.handlers[3].diagnosis.ext == b"\x07\x0a"
+    assert present(bus.master.handlers[3].diagnosis).ext == b"\x07\x0a"
     assert [r.dsap for r in bus.hold() if r.da == 3] == [None]
 
 

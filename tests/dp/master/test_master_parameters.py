@@ -6,6 +6,7 @@ import itertools
 
 import pytest
 from scripted_link import MS, RUN, SAFE, data, link, operating, setup, squeezed, wire
+from support import present
 
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
@@ -63,8 +64,7 @@ def test_a_wrong_length_is_given_up_with_safe_values_at_once(wrong: bytes) -> No
     bus.run(200 * MS)
     handler = bus.master.handlers[3]
     assert handler.state is SlaveState.FAULT
-    assert handler.fault is not None
-    assert f"{len(wrong)} octet{'' if len(wrong) == 1 else 's'} instead of 4" in handler.fault.message
+    assert f"{len(wrong)} octet{'' if len(wrong) == 1 else 's'} instead of 4" in present(handler.fault).message
     assert squeezed(wire(bus)) == [
         (None, "04 7F 40 00"),
         (None, "04 7E 00 00"),
@@ -103,8 +103,7 @@ def test_the_watchdog_is_rounded_up_and_takes_the_1_ms_base_where_it_helps(
     ms: int, fine: bool, factors: tuple[int, int], base: int, effective: int
 ) -> None:
     slave = setup(watchdog_ms=ms, wd_base_1ms=fine, user_prm=b"\x80\x00\x00")
-    watchdog = slave.watchdog(0)
-    assert watchdog is not None
+    watchdog = present(slave.watchdog(0))
     assert watchdog.base_ms == base
     assert ms <= watchdog.ms <= max(effective, ms + 10)
     if ms < 1000:
@@ -141,6 +140,5 @@ def test_min_slave_interval_is_kept_free_running() -> None:
     assert min(gaps) >= 3 * MS
     bus.slaves.pop(3)
     bus.run(50 * MS)
-    bus.requests.clear()
-    bus.run(10 * MS)
+    bus.run_anew(10 * MS)
     assert sum(r.da == 4 for r in bus.requests) > 10  # one that is away holds nobody up

@@ -218,8 +218,7 @@ def test_a_failed_plugin_stays_the_fault_of_its_slave_after_a_re_entry() -> None
     plugin.error = ZeroDivisionError("by the test")
     bus.run(1_500 * MS)
     bus.slave.configured = False
-    bus.requests.clear()
-    bus.run(50 * MS)
+    bus.run_anew(50 * MS)
     assert bus.state(3) is SlaveState.DATA_EXCHANGE
     assert bus.fault(3).kind.value == "plugin"
     assert outputs(bus) == [SAFE]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pytest
 from bus_kit import IDENT, PPO1, SimBus, mirror
 from ring_bus import ListUser, RingBus
-from support import MS, KeepsEvents, S, WorldFactory
+from support import MS, KeepsEvents, S, WorldFactory, instance, present
 
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveStateChanged
@@ -95,8 +95,7 @@ def test_beside_another_master_that_notices_nothing(world: WorldFactory) -> None
     for scanned in (False, True):
         w = world()
         params = BusParams.preset(500_000, address=2)
-        bus = SimBus(w, params, (3, 4, 5))
-        bus.until_exchanging()
+        bus = SimBus(w, params, (3, 4, 5)).until_exchanging()
         w.run_for(500 * MS)
         before = sum(isinstance(e, SlaveStateChanged) for e in bus.events)
         if scanned:
@@ -131,8 +130,7 @@ def test_beside_another_master_that_notices_nothing(world: WorldFactory) -> None
 def test_the_owners_watchdog_still_runs_while_others_ask(w: World) -> None:
     """A Slave_Diag of another master is no sign of life of the owner."""
     params = BusParams.preset(500_000, address=2)
-    bus = SimBus(w, params, (3,))
-    bus.until_exchanging()
+    bus = SimBus(w, params, (3,)).until_exchanging()
     scan = Scan(w, addresses=[3], period_ns=MS)
     w.command(scan.station, GoOnline())
     w.run_for(500 * MS)
@@ -220,16 +218,14 @@ def test_a_station_that_is_gone_hides_none_that_was_found_with_it() -> None:
 
     scanner = Scanner(2, Told(2), configs=True)
     scanner.token_received(0)
-    request = scanner.next_request(0, False)
-    assert request is not None
+    request = present(scanner.next_request(0, False))
     scanner.result(request, Failure.NO_ANSWER, 1)
     assert brief(scanner.found) == [(4, "SLAVE", None, "unknown", None), (5, "MASTER_READY", None, None, None)]
     assert [event.text for event in scanner.take_events()] == ["station 5: master ready"]
     asked = []
     for _ in range(2):
         scanner.token_received(2)
-        request = scanner.next_request(2, False)
-        assert request is not None
+        request = present(scanner.next_request(2, False))
         asked.append((request.da, request.dsap))
         scanner.result(request, Failure.REFUSED, 3)  # asked again
     assert asked == [(4, 60), (4, 60)]
@@ -362,8 +358,7 @@ def test_a_master_behind_the_guard_takes_no_slave(w: World) -> None:
     w.command(station, GoOnline())
     w.command(station, SetMode(Mode.OPERATE))
     w.run_for(2 * S)
-    app = slave.responder
-    assert isinstance(app, SlaveApp)
+    app = instance(slave.responder, SlaveApp)
     assert app.state is SlaveAppState.WAIT_PRM
     assert isinstance(app.device, MirrorDevice)
     assert [e for e in events if isinstance(e, Notice) and "Set_Prm to station 3 was not sent" in e.text]

@@ -10,7 +10,7 @@ import pytest
 from bus_kit import IDENT, SimBus
 from scripted_link import MS, ScriptedLink, data, operating
 from scripted_link import setup as slave
-from support import US, WorldFactory
+from support import US, WorldFactory, instance
 
 from dpstack.dp.master.commands import Mode, RemoveSlave, SendControl, SetMode, Shutdown
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
@@ -96,8 +96,7 @@ def test_a_picture_is_of_exchanges_after_the_freeze() -> None:
         bus.hold()
     bus.slave.inputs, bus.slaves[4].inputs = b"\x0a\x0b\x0c\x0d", b"\x01\x02\x03\x04"
     bus.run(5 * MS)
-    picture = outcomes(bus)[-1]
-    assert isinstance(picture, PictureTaken)
+    picture = instance(outcomes(bus)[-1], PictureTaken)
     assert picture.inputs == {3: b"\x0a\x0b\x0c\x0d", 4: b"\x01\x02\x03\x04"}
 
 
@@ -161,8 +160,7 @@ def test_a_slave_that_comes_back_is_put_back_into_its_groups_mode_before_its_out
     bus = operating(setup(3), setup(4))
     bus.send(SendControl(1, (1,), sync=True), 1_500 * MS)
     bus.slaves[4].configured = False
-    bus.requests.clear()
-    bus.run(20 * MS)
+    bus.run_anew(20 * MS)
     assert controls(bus) == [(4, "20 00")]
     made = [(r.dsap, r.data.hex(" ")) for r in bus.requests if r.da == 4]
     back = made.index((58, "20 00"))

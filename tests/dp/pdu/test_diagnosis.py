@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from support import present
 
 from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, SetBy
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock, split_blocks
@@ -42,9 +43,7 @@ BY_MASTER = {"station_non_existent", "invalid_slave_response", "master_lock", "n
 
 
 def parse(octets: str) -> Diagnosis:
-    diagnosis = Diagnosis.parse(bytes.fromhex(octets))
-    assert diagnosis is not None
-    return diagnosis
+    return present(Diagnosis.parse(bytes.fromhex(octets)))
 
 
 def test_a_slave_that_waits_for_parameters() -> None:
@@ -91,8 +90,7 @@ def test_every_bit_by_itself(name: str) -> None:
     flag = FLAG[name]
     octets = bytearray(6)
     octets[flag.octet - 1] = flag.mask
-    diagnosis = Diagnosis.parse(bytes(octets))
-    assert diagnosis is not None
+    diagnosis = present(Diagnosis.parse(bytes(octets)))
     assert diagnosis.flags == (name,)
     assert [flag.name for flag in diagnosis.findings] == [name]
     assert [of for of, attribute in ATTRIBUTES.items() if getattr(diagnosis, attribute)] == [
@@ -179,8 +177,7 @@ def test_wrong_lengths_in_the_extended_diagnosis(ext: str, blocks: list[Block], 
 
 @given(st.binary(min_size=6, max_size=244))
 def test_any_octets(octets: bytes) -> None:
-    diagnosis = Diagnosis.parse(octets)
-    assert diagnosis is not None
+    diagnosis = present(Diagnosis.parse(octets))
     assert diagnosis.build() == octets
     joined = b"".join(block.octets for block in diagnosis.blocks)
     assert octets[6:].startswith(joined)

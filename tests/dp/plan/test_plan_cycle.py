@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from bus_kit import IDENT
 from planned_bus import identifiers
+from support import present
 
 from dpstack.dp.plan.cycle_check import CycleVerdict, slowest_rates, token_wait_ns
 from dpstack.dp.plan.plan import Plan, make_plan
@@ -44,8 +45,7 @@ def plan(cycle_ms: float, slaves: list[SlaveParams] = FIVE, baud: int = 1_500_00
 
 
 def verdict(bits: float) -> CycleVerdict:
-    found = plan(bits * BIT_NS / NS_PER_MS).cycle
-    assert found is not None
+    found = present(plan(bits * BIT_NS / NS_PER_MS).cycle)
     return found.verdict
 
 
@@ -225,8 +225,7 @@ def test_a_long_slot_time_makes_gap_polls_long() -> None:
 @pytest.mark.parametrize("number", [0, 1])
 def test_buses_with_hardly_anything_on_them(number: int) -> None:
     few = plan(1000, FIVE[:number])
-    assert few.cycle is not None
-    assert few.cycle.verdict is CycleVerdict.ALWAYS
+    assert present(few.cycle).verdict is CycleVerdict.ALWAYS
     assert few.findings == ()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from baud_rig import ANSWER, STATUS, TOKEN, OctetLine
-from support import MS, S
+from support import MS, S, present
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
@@ -150,10 +150,8 @@ def test_rates_that_the_port_cannot_do() -> None:
 
 def test_why_nothing_is_found(rig: Rig) -> None:
     rig.hear(b"", S)
-    why = rig.port.in_vain(rig.now)
-    assert why is not None
+    why = present(rig.port.in_vain(rig.now))
     assert why.why is Missing.SILENCE
     rig.hear(b"\x00\x01")
-    why = rig.port.in_vain(rig.now)
-    assert why is not None
+    why = present(rig.port.in_vain(rig.now))
     assert why.why is Missing.NOISE

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pytest
 from baud_rig import OctetLine
 from bus_kit import IDENT, PPO1, setup
-from support import MS, S
+from support import MS, S, instance
 
 from dpstack.api.config.config import slave_config
 from dpstack.api.slave_side.virtual_bench import SimulatedSlave
@@ -128,8 +128,7 @@ def test_a_port_that_returns_begins_the_search_anew() -> None:
 
 def test_a_simulated_drive_finds_those_rates_that_its_device_knows() -> None:
     config = slave_config({"name": "hoist", "address": 3, "drive": "demag-dedrive"})
-    station = SimulatedSlave(config, BusParams.preset(500_000), searching=True).on_bus
-    assert isinstance(station, SearchingSlave)
+    station = instance(SimulatedSlave(config, BusParams.preset(500_000), searching=True).on_bus, SearchingSlave)
     heard_at: set[int] = set()
     wire = OctetLine(station)
     for _ in range(5000):

@@ -73,8 +73,7 @@ def test_at_sap_51_where_sap_50_is_closed_after_all() -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=ALL, extra_alarm_sap=True))
     slave = kit.alarm_slave
     slave.says[50] = lambda octets: status(4, RS)
-    slave.raises(PROCESS, block(2, 4), block(2, 5))
-    kit.until_ended(3)
+    kit.raise_and_end(PROCESS, block(2, 4), block(2, 5))
     assert slave.taken == [PROCESS, block(2, 4), block(2, 5)]
     assert (kit.counts.raised, kit.counts.acknowledged, kit.counts.refused) == (3, 3, 0)
     assert len([remark for remark in kit.remarks if "SAP 50 is closed" in remark]) == 1
@@ -85,8 +84,7 @@ def test_sap_50_that_is_closed_by_a_second_acknowledgement_has_taken_the_first()
     kit = AlarmBus(dpv1=Dpv1(alarms=ALL, extra_alarm_sap=True, c1_response_timeout_ns=20 * MS))
     slave = kit.alarm_slave
     slave.sap, slave.polls = 50, 1
-    slave.raises(PROCESS)
-    kit.until_ended()
+    kit.raise_and_end(PROCESS)
     slave.raises(block(2, 4))
     slave.lose(["", *"aaaaaaaa"])
     kit.until_taken(2)
@@ -117,8 +115,7 @@ def test_at_sap_51_before_reads_that_wait(kit: AlarmBus, slave: AlarmSlave) -> N
 @pytest.mark.parametrize("polls", [-1, 0, 7])
 def test_answered_at_once_or_later(kit: AlarmBus, polls: int) -> None:
     kit.alarm_slave.polls = polls
-    kit.alarm_slave.raises(PROCESS, PROCESS)
-    kit.until_ended(2)
+    kit.raise_and_end(PROCESS, PROCESS)
     assert kit.alarm_slave.acks == [b"\x5c\x03\x02\x01"] * 2
     assert kit.counts.repeated == 0
 
@@ -177,8 +174,7 @@ def test_a_second_acknowledgement_that_the_slave_does_not_know(answers: str) -> 
 @pytest.mark.parametrize("code", ["B5", "C2"])
 def test_busy_is_asked_again(kit: AlarmBus, slave: AlarmSlave, code: str) -> None:
     slave.refuses = [code, code]
-    slave.raises(PROCESS)
-    kit.until_ended()
+    kit.raise_and_end(PROCESS)
     assert kit.ends[0].outcome.failure is None
     assert kit.counts.repeated == 2
     assert kit.blocks == [PROCESS]
@@ -186,8 +182,7 @@ def test_busy_is_asked_again(kit: AlarmBus, slave: AlarmSlave, code: str) -> Non
 
 def test_busy_and_then_refused_is_refused(kit: AlarmBus) -> None:
     kit.alarm_slave.refuses = ["C2", "B2"]
-    kit.alarm_slave.raises(PROCESS)
-    kit.until_ended()
+    kit.raise_and_end(PROCESS)
     assert kit.ends[0].outcome.failure is ServiceFailure.NEGATIVE
     assert (kit.counts.refused, kit.counts.acknowledged) == (1, 0)
 
@@ -209,8 +204,7 @@ def test_a_refused_acknowledgement_ends_the_alarm_and_is_reported_once(kit: Alar
 
 def test_closed_sap(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.says[51] = lambda octets: status(4, RS)
-    slave.raises(PROCESS)
-    kit.until_ended()
+    kit.raise_and_end(PROCESS)
     assert kit.ends[0].outcome.failure is ServiceFailure.REFUSED
     assert "SAP 51 is closed; see Extra_Alarm_SAP_supp" in kit.remarks[0]
 
@@ -218,8 +212,7 @@ def test_closed_sap(kit: AlarmBus, slave: AlarmSlave) -> None:
 @pytest.mark.parametrize("octets", ["5C 03 02", "5C 03 02 01 00", "DC 80 B5"])
 def test_a_response_that_cannot_be_read(kit: AlarmBus, slave: AlarmSlave, octets: str) -> None:
     slave.says[51] = lambda asked: answer(4, octets)
-    slave.raises(PROCESS)
-    kit.until_ended()
+    kit.raise_and_end(PROCESS)
     assert kit.ends[0].outcome.failure is ServiceFailure.LENGTH
     assert kit.blocks == [PROCESS]
 
@@ -229,8 +222,7 @@ def test_answers_to_others_and_not_now_come_before_it(kit: AlarmBus, slave: Alar
         [status(4, RR), status(4, NR), answer(4, "5E 01 02 00"), answer(4, "5C 04 02 01"), answer(4, "DE 80 B5 00")]
     )
     slave.says[51] = lambda octets: next(told, None) or answer(4, "5C 03 02 01")
-    slave.raises(PROCESS)
-    kit.until_ended()
+    kit.raise_and_end(PROCESS)
     assert kit.ends[0].outcome.failure is None
     assert not kit.remarks
 
@@ -254,8 +246,7 @@ def test_equal_alarms_after_a_lost_telegram_behind_the_diagnosis(offers_again: b
     slave.loses = loses
     slave.raises(first)
     kit.until_taken()
-    slave.raises(alike, alike, other)  # while the response to the first is fetched
-    kit.until_ended(4)
+    kit.raise_and_end(alike, alike, other, count=4)  # while the response to the first is fetched
     assert lost == ["a", "a"]
     assert kit.blocks == [first, alike, alike, other]
     assert slave.taken == [first, alike, alike, other]

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from alarm_kit import ALL, block
 from bus_kit import setup
+from support import present
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.events import SlaveEvent
@@ -24,9 +25,7 @@ TAKEN = Outcome()
 
 
 def diagnosis(*blocks: bytes) -> Diagnosis:
-    found = Diagnosis.parse(bytes.fromhex("08 0C 00 02 12 34") + b"".join(blocks))
-    assert found is not None
-    return found
+    return present(Diagnosis.parse(bytes.fromhex("08 0C 00 02 12 34") + b"".join(blocks)))
 
 
 class Steps:
@@ -73,8 +72,7 @@ class Steps:
 
     def ack(self, outcome: Outcome | None, now: int) -> list[str]:
         """The next acknowledgement and its end; None: it goes on."""
-        known = self.alarms.next_ack(now)
-        assert known is not None
+        known = present(self.alarms.next_ack(now))
         self.alarms.begin_ack(known)
         assert self.alarms.next_ack(now) is None  # one at a time
         if outcome is not None:
@@ -172,8 +170,7 @@ def test_the_end_of_data_exchange(hold: bool) -> None:
 def test_the_alarms_that_the_slave_may_still_have_at_its_end(steps: Steps) -> None:
     """After data exchange the end of an acknowledgement means nothing any more."""
     steps.read(A, now=1)
-    known = steps.alarms.next_ack(2)
-    assert known is not None
+    known = present(steps.alarms.next_ack(2))
     steps.alarms.begin_ack(known)
     steps.alarms.closed(3)
     assert steps.take() == ["3 done 1 closed"]
@@ -295,8 +292,7 @@ def test_requests_without_an_answer() -> None:
         steps.alarms.missed()
         assert steps.alarms._unsure is unsure
         steps.exchanges = 6
-        known = steps.alarms.next_ack(2)
-        assert known is not None
+        known = present(steps.alarms.next_ack(2))
         steps.alarms.begin_ack(known)
         steps.take()
         steps.alarms.read(diagnosis(A), 6, 7, 3)  # again the same: offered once more, or a new one

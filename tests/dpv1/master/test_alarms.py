@@ -30,8 +30,7 @@ def slave(kit: AlarmBus) -> AlarmSlave:
 def test_literal_telegrams(kit: AlarmBus, slave: AlarmSlave) -> None:
     assert slave.prm[7:10].hex(" ") == "80 fc 00"
     seen = len(kit.bus.log)
-    slave.raises(bytes.fromhex("06 02 03 2D 12 34"))  # sequence number 5, acknowledged by the user too, appears
-    kit.until_ended()
+    kit.raise_and_end(bytes.fromhex("06 02 03 2D 12 34"))  # sequence number 5, acknowledged by the user too, appears
     wire = [sent.octets.hex(" ") for sent in kit.bus.log[seen:]]
     assert any(octets.startswith("68 11 11 68 82 84 08 3e 3c 08 0c 00 02 12 34 06 02 03 2d 12 34") for octets in wire)
     request, response = (octets for octets in wire if "5c 03 02 2d" in octets)
@@ -53,8 +52,7 @@ def test_literal_telegrams(kit: AlarmBus, slave: AlarmSlave) -> None:
 @pytest.mark.parametrize("kind", [1, 2, 3, 4, 5, 6, 32, 126])
 @pytest.mark.parametrize("specifier", [0, 1, 2, 3])
 def test_every_type(kit: AlarmBus, kind: int, specifier: int) -> None:
-    kit.alarm_slave.raises(block(kind, 254, specifier))
-    kit.until_ended()
+    kit.raise_and_end(block(kind, 254, specifier))
     assert kit.blocks == kit.alarm_slave.taken == [block(kind, 254, specifier)]
     assert not kit.remarks
 
@@ -138,8 +136,7 @@ def test_channels_of_the_same_diagnosis_come_along(kit: AlarmBus, slave: AlarmSl
 
 def test_an_acknowledged_alarm_that_stays_in_the_diagnosis_for_a_while(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.keeps = True
-    slave.raises(PROCESS)
-    kit.until_ended()
+    kit.raise_and_end(PROCESS)
     slave.changes(bytes.fromhex("42 01"))  # something else asks to be read
     kit.run(40)
     slave.shown = b""

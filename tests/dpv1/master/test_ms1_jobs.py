@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from alarm_kit import ALL, AlarmBus, block
 from ms1_kit import MS, SC, Ms1Bus, answer
+from support import present
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.pdu.alarm_blocks import Alarm
@@ -24,8 +25,7 @@ def ms1_of(kit: Ms1Bus) -> Ms1:
 
 
 def job_of(kit: Ms1Bus, **order: Any) -> tuple[int, RecordJob, int]:
-    found = ms1_of(kit).job_of(RecordOrder(**{"token": 7, "slot": 1, "index": 2, "address": 4, **order}))
-    assert found is not None
+    found = present(ms1_of(kit).job_of(RecordOrder(**{"token": 7, "slot": 1, "index": 2, "address": 4, **order})))
     token, job, timeout = found
     assert isinstance(job, RecordJob)
     return token, job, timeout
@@ -65,8 +65,7 @@ def test_an_acknowledgement_has_the_lane_of_its_sap() -> None:
     assert job.outcome_of(bytes.fromhex("5C 03 02 29")) == Outcome()
     assert job.outcome_of(bytes.fromhex("5E 03 02 29")) is None
     assert job.outcome_of(bytes.fromhex("DE 80 B5 00")) is None
-    refused = job.outcome_of(bytes.fromhex("DC 80 B5 07"))
-    assert refused is not None
+    refused = present(job.outcome_of(bytes.fromhex("DC 80 B5 07")))
     assert (refused.failure, refused.codes) == (ServiceFailure.NEGATIVE, (0x80, 0xB5, 7))
 
 

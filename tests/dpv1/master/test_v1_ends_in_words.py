@@ -55,8 +55,7 @@ def test_services_that_this_station_may_not_use() -> None:
 
 def test_an_alarm_whose_acknowledgement_this_station_may_not_send() -> None:
     kit = AlarmBus(guard=no_services)
-    kit.alarm_slave.raises(block(2, 3))
-    kit.until_ended()
+    kit.raise_and_end(block(2, 3))
     title = "Alarm_Ack of process alarm, slot 3, sequence number 0"
     assert kit.ends[0].outcome == Outcome(
         ServiceFailure.GUARDED, f"slave 4 was not sent {title}; this bus is read-only"

@@ -39,8 +39,7 @@ def test_ms1() -> None:
     kit.read(1, 2, 9)
     kit.read(1, 2, 0)
     kit.write(1, 2, b"\1")
-    kit.alarm_slave.raises(block(2, 3))
-    kit.until_ended()
+    kit.raise_and_end(block(2, 3))
     assert requests.seen == [
         (51, 51, "5e010209", 13),
         (51, 51, "5e010200", 4),

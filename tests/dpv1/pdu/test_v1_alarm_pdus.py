@@ -8,6 +8,7 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support import instance
 
 from dpstack.dp.pdu.alarm_blocks import (
     Alarm,
@@ -96,8 +97,7 @@ def test_a_module_status_counts_slots_from_one() -> None:
 
 
 def test_the_acknowledgement_repeats_slot_type_and_specifier() -> None:
-    alarm = parse_block(bytes.fromhex("07 01 03 2D 83 46 A6"))
-    assert isinstance(alarm, Alarm)
+    alarm = instance(parse_block(bytes.fromhex("07 01 03 2D 83 46 A6")), Alarm)
     assert AlarmAck.of(alarm).build() == bytes.fromhex("5C 03 01 2D")
     assert AlarmAck.parse(bytes.fromhex("5C 03 01 2D")) == AlarmAck(3, 1, Specifier.APPEARS, 5, add_ack=True)
     for octets, what in (
@@ -166,8 +166,7 @@ PRIMARY = "primary, data exchange, baud rate found"
     ],
 )
 def test_status_of_a_redundant_slave(octets: str, found: Redundancy | None, told: str) -> None:
-    status = parse_block(bytes.fromhex(octets))
-    assert isinstance(status, Status)
+    status = instance(parse_block(bytes.fromhex(octets)), Status)
     assert status.redundancy == found
     assert status.full_text == told
     assert status.build() == bytes.fromhex(octets)

@@ -41,10 +41,15 @@ class Slave:
 
 
 def bus_with(
-    slave: Slave, *requests: Request, mode: str = "whole", patience: Patience = EXACT, baud: int = 500_000
+    slave: Slave,
+    *requests: Request,
+    mode: str = "whole",
+    patience: Patience = EXACT,
+    baud: int = 500_000,
+    run_ms: int = 0,
 ) -> tuple[RingBus, ListUser, ActiveStation]:
     bus = RingBus(baud, mode)
     bus.slaves[3] = slave
     user = ListUser(high=list(requests))
-    station = bus.master(2, user, patience=patience, gap=0)
+    station = bus.master(2, user, patience=patience, gap=0, run_ms=run_ms)
     return bus, user, station

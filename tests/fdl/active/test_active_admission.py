@@ -160,8 +160,7 @@ def test_data_that_are_too_old_are_not_repeated() -> None:
         asked.append(now)
         return False
 
-    bus, user, station = bus_with(slave, DX, replace(DX, still=still), DX)
-    bus.run_ms(20)
+    _, user, station = bus_with(slave, DX, replace(DX, still=still), DX, run_ms=20)
     assert user.outcomes[1] is Failure.ABANDONED
     assert len(slave.heard) == 3
     assert asked == [user.results[1][2]]
@@ -171,8 +170,7 @@ def test_data_that_are_too_old_are_not_repeated() -> None:
 
 def test_data_that_are_good_are_repeated() -> None:
     slave = Slave(DX_ANSWER, None, answer=DX_ANSWER)
-    bus, user, _ = bus_with(slave, DX, replace(DX, still=lambda now: True))
-    bus.run_ms(20)
+    _, user, _ = bus_with(slave, DX, replace(DX, still=lambda now: True), run_ms=20)
     assert [isinstance(outcome, Telegram) for outcome in user.outcomes] == [True, True]
     assert slave.fcs == ["6D", "5D", "5D"]
 
@@ -225,8 +223,7 @@ def wrong_from(sa: int, data: bytes = b"\x01") -> bytes:
     ],
 )
 def test_the_counters_of_odd_answers(answer: bytes, delay: int, counted: dict[str, int]) -> None:
-    bus, _, station = bus_with(Slave((delay, answer)), DIAG)
-    bus.run_ms(20)
+    _, _, station = bus_with(Slave((delay, answer)), DIAG, run_ms=20)
     stats = station.stats.stations[3]
     assert {name: getattr(stats, name) for name in ("wrong", "late", "early") if getattr(stats, name)} == counted
     elsewhere = answer == wrong_from(9)
@@ -238,16 +235,14 @@ def test_the_counters_of_odd_answers(answer: bytes, delay: int, counted: dict[st
 def test_a_wrong_answer_after_an_attempt_without_answer_is_a_late_one() -> None:
     """The second attempt at 3 meets an answer to an earlier request with other SAPs: it was due."""
     slave = Slave(DX_ANSWER, None, (11, DIAG_ANSWER))
-    bus, user, station = bus_with(slave, DX, replace(DX, retry=False), replace(DIAG, dsap=61))
-    bus.run_ms(20)
+    _, user, station = bus_with(slave, DX, replace(DX, retry=False), replace(DIAG, dsap=61), run_ms=20)
     assert station.stats.stations[3].wrong == 1
     assert user.outcomes == [user.outcomes[0], Failure.NO_ANSWER, Failure.WRONG]
 
 
 def test_answers_are_counted_per_station() -> None:
     slave = Slave(DX_ANSWER, None, DX_ANSWER, None, None)
-    bus, user, station = bus_with(slave, *[DX] * 4, Request(9, Req.SRD_HIGH), Request(9, Req.FDL_STATUS))
-    bus.run_ms(40)
+    _, user, station = bus_with(slave, *[DX] * 4, Request(9, Req.SRD_HIGH), Request(9, Req.FDL_STATUS), run_ms=40)
     three = station.stats.stations[3]
     assert (three.requests, three.answers, three.retries, three.timeouts) == (4, 3, 2, 1)
     assert three.telegrams == 4 + 3 + 2
@@ -257,8 +252,7 @@ def test_answers_are_counted_per_station() -> None:
 
 
 def test_an_unknown_address_that_is_silent_leaves_no_counters() -> None:
-    bus, user, station = bus_with(Slave(), POLL, DX, replace(POLL, da=3))
-    bus.run_ms(20)
+    _, user, station = bus_with(Slave(), POLL, DX, replace(POLL, da=3), run_ms=20)
     assert [isinstance(outcome, Telegram) for outcome in user.outcomes] == [False, True, False]
     assert station.stats.stations.keys() == {3}
 
@@ -272,8 +266,7 @@ def test_an_answer_to_a_station_without_request_is_late() -> None:
 
 
 def test_a_station_that_answers_wrongly_ten_times_is_reported_with_the_time() -> None:
-    bus, _, _ = bus_with(Slave(answer=wrong_from(3) + DIAG_ANSWER), *[DIAG] * 12, mode="octets")
-    bus.run_ms(40)
+    bus, _, _ = bus_with(Slave(answer=wrong_from(3) + DIAG_ANSWER), *[DIAG] * 12, mode="octets", run_ms=40)
     (told,) = [event for event in bus.events_of(Notice) if "more answers than it gets requests" in event.message]
     assert 0 < told.t_ns < bus.now
 

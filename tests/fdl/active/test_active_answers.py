@@ -55,8 +55,7 @@ def test_a_telegram_answers_the_request_to_its_sender_and_saps(
 
 def test_a_wrong_answer_ends_as_wrong() -> None:
     slave = Slave(answer=DIAG_ANSWER)
-    bus, user, station = bus_with(slave, DX)
-    bus.run_ms(20)
+    _, user, station = bus_with(slave, DX, run_ms=20)
     assert user.outcomes == [Failure.WRONG]
     assert station.stats.stations[3].wrong == 1
 
@@ -66,8 +65,7 @@ def test_a_wrong_answer_ends_as_wrong() -> None:
     "other", [DIAG, Request(3, Req.FDL_STATUS, patient=True), replace(DX, dsap=0), replace(DX, ssap=62)]
 )
 def test_the_octets_of_a_good_answer_answer_no_other_service(other: Request, mode: str) -> None:
-    bus, user, station = bus_with(Slave(), DX, DX, other, DX, mode=mode)
-    bus.run_ms(20)
+    _, user, station = bus_with(Slave(), DX, DX, other, DX, mode=mode, run_ms=20)
     data = Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa\xbb")
     assert user.outcomes == [data, data, Failure.WRONG, data]
     assert station.stats.stations[3].wrong >= 1
@@ -95,8 +93,7 @@ def test_a_slave_that_loses_its_power_in_the_middle_of_its_answer_gives_none() -
 
 @pytest.mark.parametrize("octet", [b"\xe5", b"\x00", b"\xdc"])
 def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
-    bus, user, station = bus_with(Slave((5, octet)), DX, mode="octets")
-    bus.run_ms(20)
+    _, user, station = bus_with(Slave((5, octet)), DX, mode="octets", run_ms=20)
     assert len(user.outcomes) == 1
     assert isinstance(user.outcomes[0], Failure)
     assert station.stats.stray == (1 if octet == b"\xe5" else 0)
@@ -104,8 +101,7 @@ def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
 
 @pytest.mark.parametrize("mode", ["whole", "octets", "chunk"])
 def test_a_late_answer_is_not_taken_for_that_of_another_station(mode: str) -> None:
-    bus, user, station = bus_with(Slave((330, DX_ANSWER)), DX, replace(DX, da=4), mode=mode)
-    bus.run_ms(20)
+    _, user, station = bus_with(Slave((330, DX_ANSWER)), DX, replace(DX, da=4), mode=mode, run_ms=20)
     assert user.outcomes == [Failure.NO_ANSWER, Failure.NO_ANSWER]
     assert station.stats.late == 1
     assert station.stats.stations[3].late == 1
@@ -130,8 +126,7 @@ def test_a_late_answer_is_never_taken_for_the_next_one_of_the_same_station(
     for n in range(10):
         body = bytes((0x02, 0x03, 0x08, n))
         plan.append((delays.get(n, 11), b"\x68\x04\x04\x68" + body + bytes((sum(body) & 0xFF, 0x16))))
-    bus, user, station = bus_with(Slave(*plan), *requests, mode="chunk", patience=patience)
-    bus.run_ms(60)
+    _, user, station = bus_with(Slave(*plan), *requests, mode="chunk", patience=patience, run_ms=60)
     assert [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes] == got
     assert station.stats.late == 1
 
@@ -170,8 +165,7 @@ def test_a_station_that_answered_late_gets_more_slack() -> None:
 
 
 def test_a_kept_back_answer_counts_when_nothing_follows() -> None:
-    bus, user, station = bus_with(Slave(DX_ANSWER, None, None), *[DX] * 5, mode="chunk", patience=HOST)
-    bus.run_ms(400)
+    _, user, station = bus_with(Slave(DX_ANSWER, None, None), *[DX] * 5, mode="chunk", patience=HOST, run_ms=400)
     assert [isinstance(o, Telegram) for o in user.outcomes] == [True, False, True, True, True]
     first, second = (user.results[i][2] - user.starts[i][1] for i in (2, 3))
     assert first > 10 * NS_PER_MS  # kept back once
@@ -191,8 +185,7 @@ def test_a_late_gap_answer_is_not_taken_for_an_empty_data_exchange() -> None:
 
     bus.slaves[3] = say
     user = ListUser(per_hold=[DX])
-    station = bus.master(2, user, patience=patience, hsa=3, t_tr=5000)
-    bus.run_ms(100)
+    station = bus.master(2, user, patience=patience, hsa=3, t_tr=5000, run_ms=100)
     assert 3 in station.stations
     late[0] = True
     bus.run_ms(100)
@@ -201,8 +194,7 @@ def test_a_late_gap_answer_is_not_taken_for_an_empty_data_exchange() -> None:
 
 
 def test_patience_can_be_changed_while_running() -> None:
-    bus, user, station = bus_with(Slave(delay=300), mode="chunk")
-    bus.run_ms(20)
+    bus, user, station = bus_with(Slave(delay=300), mode="chunk", run_ms=20)
     station.set_patience(HOST, bus.now)
     user.high = [DX]
     bus.run_ms(20)
@@ -223,8 +215,7 @@ def test_octets_before_the_request_are_no_garbled_answer_to_it() -> None:
 
 def test_answers_with_le_3_count_as_empty_and_are_reported_once() -> None:
     slave = Slave(answer=bytes.fromhex("68 03 03 68 02 03 08 0D 16"))
-    bus, user, _ = bus_with(slave, DX, DX, DX)
-    bus.run_ms(20)
+    bus, user, _ = bus_with(slave, DX, DX, DX, run_ms=20)
     assert [o.data for o in user.outcomes if isinstance(o, Telegram)] == [b"", b"", b""]
     (told,) = [e for e in bus.events_of(Notice) if "LE = 3" in e.text]
     assert "station 3 " in told.text

@@ -25,8 +25,7 @@ def test_literal_octets_of_a_bring_up() -> None:
     slave = Slave(DIAG_ANSWER, b"\xe5", DX_ANSWER, DX_ANSWER)
     set_prm = Request(3, Req.SRD_HIGH, bytes.fromhex("88 01 14 0B 06 96 00"), 61, 62)
     clear = Request(127, Req.SDN_HIGH, b"\x02\x00", 58, 62)
-    bus, user, _ = bus_with(slave, DIAG, set_prm, clear, DX, DX)
-    bus.run_ms(20)
+    bus, user, _ = bus_with(slave, DIAG, set_prm, clear, DX, DX, run_ms=20)
     sent = [s.octets.hex(" ") for s in bus.log if s.sender == 2 and s.octets[0] == 0x68]
     assert sent == [
         "68 05 05 68 83 82 6d 3c 3e ec 16",
@@ -58,8 +57,7 @@ def test_gates_are_exact_at_every_rate(baud: int) -> None:
 def test_an_answer_may_begin_until_t_sl_is_over(mode: str) -> None:
     limit = 200 if mode == "whole" else 200 - 11 - (88 + 22 if mode == "chunk" else 0)
     for delay, fine in ((limit - 1, True), (limit + 12, False)):
-        bus, user, _ = bus_with(Slave(delay=delay), DX, mode=mode)
-        bus.run_ms(20)
+        _, user, _ = bus_with(Slave(delay=delay), DX, mode=mode, run_ms=20)
         assert isinstance(user.outcomes[0], Telegram) is fine
 
 
@@ -88,8 +86,7 @@ def test_repetitions_and_fcb(
     plan: list[bytes | None], requests: list[Request], fcs: str, answered: list[bool], retries: int
 ) -> None:
     slave = Slave(*plan)
-    bus, user, station = bus_with(slave, *requests)
-    bus.run_ms(20)
+    _, user, station = bus_with(slave, *requests, run_ms=20)
     assert slave.fcs == fcs.split()
     assert [isinstance(outcome, Telegram) for outcome in user.outcomes] == answered
     assert {outcome for outcome in user.outcomes if isinstance(outcome, Failure)} <= {Failure.NO_ANSWER}
@@ -105,8 +102,7 @@ def test_three_silent_rounds_then_the_probe_and_one_notice() -> None:
             return answer if octets[6] & 0x10 else None
 
     slave = OnlyFcv()
-    bus, _, _ = bus_with(slave, *[DX] * 6)
-    bus.run_ms(20)
+    bus, _, _ = bus_with(slave, *[DX] * 6, run_ms=20)
     assert slave.fcs == ["6D", "6D", "6D", "5D", "7D", "5D"]
     notices = [e.text for e in bus.events if isinstance(e, Notice)]
     assert len(notices) == 1
@@ -116,8 +112,7 @@ def test_three_silent_rounds_then_the_probe_and_one_notice() -> None:
 
 def test_fdl_status_of_a_user() -> None:
     slave = Slave(answer=bytes.fromhex("10 02 03 00 05 16"))
-    bus, user, _ = bus_with(slave, Request(3, Req.FDL_STATUS), Request(3, Req.FDL_STATUS))
-    bus.run_ms(20)
+    _, user, _ = bus_with(slave, Request(3, Req.FDL_STATUS), Request(3, Req.FDL_STATUS), run_ms=20)
     assert [o.hex(" ") for o in slave.heard] == ["10 03 02 49 4e 16"] * 2
     assert all(isinstance(o, Telegram) for o in user.outcomes)
 
@@ -141,8 +136,7 @@ def test_the_request_after_one_that_was_sent_and_abandoned_begins_with_fcv_0() -
     """The slave may have carried it out or not, so neither FCB would be that of a new request: with the wrong one the
     slave gives its last answer again, and the outputs are lost."""
     slave = Slave(DX_ANSWER, (60, bytes.fromhex("dc 09 07")), DX_ANSWER, DX_ANSWER)
-    bus, user, station = bus_with(slave, DX, DX, DX, DX)
-    bus.run_ms(30)
+    _, user, station = bus_with(slave, DX, DX, DX, DX, run_ms=30)
     assert station.stats.withdrawn == 1
     assert [o is Failure.ABANDONED for o in user.outcomes] == [False, True, False, False]
     assert slave.fcs == ["6D", "5D", "6D", "5D"]

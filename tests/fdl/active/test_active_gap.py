@@ -35,8 +35,7 @@ def test_gap_finds_a_slave_and_loses_it(bus: RingBus) -> None:
 
 def test_one_gap_poll_a_hold_after_the_traffic(bus: RingBus) -> None:
     user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, b"\x01"), Request(9, Req.SDN_HIGH, b"\x02")])
-    bus.master(2, user, hsa=20)
-    bus.run_ms(20)
+    bus.master(2, user, hsa=20, run_ms=20)
     kinds = "".join({0xDC: "t", 0x10: "g", 0x68: "r"}[s.octets[0]] for s in bus.log[2:])
     assert kinds.startswith("rrgtrrgtrrgt")
 
@@ -70,8 +69,7 @@ def test_a_pass_over_the_gap_takes_3_s_and_1_to_10_percent(
 ) -> None:
     """The account starts with 16 polls; between two passes are G x T_TR."""
     bus = RingBus(baud, mode="chunk")
-    station = bus.master(2, patience=patience, hsa=hsa)
-    bus.run_ms(12_000)
+    station = bus.master(2, patience=patience, hsa=hsa, run_ms=12_000)
     t_sl = 200 if baud == 500_000 else 100
     silent = unknown_ms * NS_PER_MS + bus.ns(t_sl + 11)
     spent = station.stats.gap_polls * silent / 120_000_000  # percent of 12 s
@@ -122,8 +120,7 @@ def test_absent_slaves_do_not_starve_the_gap() -> None:
 
 def test_a_lone_idle_master_on_a_real_port_keeps_one_slot_time_between_tokens() -> None:
     bus = RingBus(mode="chunk")
-    bus.master(2, patience=HOST, gap=0)
-    bus.run_ms(200)
+    bus.master(2, patience=HOST, gap=0, run_ms=200)
     gaps = {b.start - a.end for a, b in pairwise(bus.log[2:])}
     assert gaps == {bus.ns(200)}
 
@@ -137,6 +134,5 @@ def test_two_masters_on_slow_ports() -> None:
 
 def test_low_priority_does_not_starve_the_gap(bus: RingBus) -> None:
     endless = [Request(9, Req.SDN_LOW, bytes(20)) for _ in range(10_000)]
-    station = bus.master(2, ListUser(low=endless), hsa=6, t_tr=2000)
-    bus.run_ms(200)
+    station = bus.master(2, ListUser(low=endless), hsa=6, t_tr=2000, run_ms=200)
     assert station.stats.gap_polls >= 6

@@ -44,8 +44,7 @@ def test_a_late_answer_of_the_first_and_the_last_address_is_recognised(address: 
     bus.slaves[address] = say
     request = Request(address, Req.SRD_HIGH, b"\x01", retry=False)
     user = ListUser(high=[request] * 3)
-    station = bus.master(2, user, gap=0, patience=Patience(known_ns=MS // 10, unknown_ns=MS // 10))
-    bus.run_ms(20)
+    station = bus.master(2, user, gap=0, patience=Patience(known_ns=MS // 10, unknown_ns=MS // 10), run_ms=20)
     got = [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes]
     assert got == [None, 2, 3]
     assert station.stats.stations[address].late == 1
@@ -120,8 +119,7 @@ def test_the_guard_refuses_and_tells_each_reason_once(bus: RingBus) -> None:
 
     station = ActiveStation(params, [user], guard=guard)
     bus.stations.append(station)
-    bus.command(station, GoOnline())
-    bus.run_ms(10)
+    bus.command(station, GoOnline(), run_ms=10)
     assert user.outcomes == [Failure.REFUSED, SHORT_ACK, Failure.REFUSED, Failure.REFUSED]
     assert station.stats.refused == 3
     assert [(n.message, n.severity, n.source) for n in bus.events_of(Notice)] == [
@@ -312,8 +310,7 @@ def test_noise_behind_the_pass_is_activity_and_its_silence_ends_the_hold() -> No
 def test_a_lone_master_without_requests_waits_a_slot_time_on_a_real_port(high: list[Request], bits: int) -> None:
     bus = RingBus(mode="chunk")
     user = ListUser(per_hold=list(high))
-    bus.master(2, user, patience=HOST, gap=0)
-    bus.run_ms(400)
+    bus.master(2, user, patience=HOST, gap=0, run_ms=400)
     tokens = [(a, b) for a, b in pairwise(bus.log[-30:]) if b.octets[0] == 0xDC]
     assert {b.start - a.end for a, b in tokens} == {bits * BIT}
 
@@ -336,8 +333,7 @@ def test_an_order_to_leave_stops_repetitions_and_passes_the_token() -> None:
     bus, user, station = bus_with(slave, DX, DX, DX)
     while len(slave.heard) < 2:
         bus.run_bits(1)
-    bus.command(station, GoOffline())
-    bus.run_ms(5)
+    bus.command(station, GoOffline(), run_ms=5)
     assert station.state is State.OFFLINE
     assert len(slave.heard) == 2
     assert user.outcomes[1] is Failure.NO_ANSWER
@@ -352,8 +348,7 @@ def test_a_station_that_stays_after_all_repeats_its_request() -> None:
     while len(slave.heard) < 2:
         bus.run_bits(1)
     bus.command(station, GoOffline())
-    bus.command(station, GoOnline())
-    bus.run_ms(5)
+    bus.command(station, GoOnline(), run_ms=5)
     assert len(slave.heard) == 3
     assert slave.heard[2] == slave.heard[1]
     assert user.outcomes[1] is not Failure.NO_ANSWER
@@ -362,12 +357,10 @@ def test_a_station_that_stays_after_all_repeats_its_request() -> None:
 
 @pytest.mark.parametrize("online", [True, False])
 def test_a_line_that_comes_back_starts_the_station_only_if_it_was_online(online: bool) -> None:
-    bus, _, station = bus_with(Slave(), DX)
-    bus.run_ms(10)
+    bus, _, station = bus_with(Slave(), DX, run_ms=10)
     assert station._peers.fcb.operational[3]
     if not online:
-        bus.command(station, GoOffline())
-        bus.run_ms(5)
+        bus.command(station, GoOffline(), run_ms=5)
     bus.command(station, LineDown("x"))
     assert station.state is State.OFFLINE
     if online:
@@ -383,8 +376,7 @@ def test_a_line_that_comes_back_starts_the_station_only_if_it_was_online(online:
 # --- collision and back-off ------------------------------------------------------------------------------------------
 def test_a_collision_keeps_the_station_out_for_ten_t_to(bus: RingBus) -> None:
     user = ListUser()
-    station = bus.master(2, user, gap=0)
-    bus.run_ms(20)
+    station = bus.master(2, user, gap=0, run_ms=20)
     t_to = 10 * 200 * BIT
     own = Telegram(Kind.SD1, 9, 2, 0x49)
     bus.until(station, State.PASS_TOKEN)
@@ -401,8 +393,7 @@ def test_a_collision_keeps_the_station_out_for_ten_t_to(bus: RingBus) -> None:
 
 
 def test_no_answer_to_a_status_request_during_the_back_off(bus: RingBus) -> None:
-    station = bus.master(2, gap=0)
-    bus.run_ms(20)
+    station = bus.master(2, gap=0, run_ms=20)
     bus.until(station, State.PASS_TOKEN)
     station.telegram(Telegram(Kind.SD1, 9, 2, 0x49), bus.now)
     bus.pump(station)
@@ -484,8 +475,7 @@ def test_users_are_attached_and_detached_by_their_token() -> None:
     assert made == [(station.params, station.patience, bus.now)]
     bus.until(station, State.AWAIT_DATA_RESPONSE)
     bus.command(station, DetachUser(token=8))
-    bus.command(station, DetachUser(token=7))
-    bus.run_ms(5)
+    bus.command(station, DetachUser(token=7), run_ms=5)
     assert late.results == []
     assert station.stats.stations[3].answers == 1
     bus.command(station, DetachUser(token=7))
@@ -599,8 +589,7 @@ def test_a_request_older_than_a_millisecond_is_asked_whether_it_is_still_good(la
 
 
 def test_an_acknowledgement_before_the_first_request_counts_for_nobody(bus: RingBus) -> None:
-    station = bus.master(2, gap=0)
-    bus.run_ms(50)
+    station = bus.master(2, gap=0, run_ms=50)
     assert station.in_ring
     for _ in range(20):
         bus.run(100 * BIT)

@@ -48,8 +48,7 @@ def test_a_master_listens_for_t_to_first(bus: RingBus) -> None:
     assert station.state is State.OFFLINE
     assert bus.log == []
     start = bus.now
-    bus.command(station, GoOnline())
-    bus.run_ms(50)
+    bus.command(station, GoOnline(), run_ms=50)
     assert bus.log[0].start == start + bus.ns((6 + 2 * 9) * 200)
 
 
@@ -81,10 +80,8 @@ def test_the_token_goes_up_and_wraps() -> None:
 
 
 def test_a_newcomer_says_not_ready_until_it_knows_the_ring(bus: RingBus) -> None:
-    bus.master(2, hsa=6)
-    bus.run_ms(3)
-    bus.master(3, hsa=6)
-    bus.run_ms(300)
+    bus.master(2, hsa=6, run_ms=3)
+    bus.master(3, hsa=6, run_ms=300)
     answers = [s.octets.hex(" ") for s in bus.log if s.octets[0] == 0x10 and s.sender == 3]
     ready = answers.index("10 02 03 20 25 16")
     assert all(a == "10 02 03 10 15 16" for a in answers[:ready])
@@ -92,12 +89,10 @@ def test_a_newcomer_says_not_ready_until_it_knows_the_ring(bus: RingBus) -> None
 
 
 def test_a_newcomer_does_not_say_that_a_master_joined_which_was_there_before(bus: RingBus) -> None:
-    first = bus.master(2, hsa=6)
-    bus.run_ms(100)
+    first = bus.master(2, hsa=6, run_ms=100)
     assert first.in_ring
     bus.events.clear()
-    second = bus.master(5, hsa=6)
-    bus.run_ms(300)
+    second = bus.master(5, hsa=6, run_ms=300)
     assert second.in_ring
     assert sorted(e.text for e in bus.events_of(MasterSeen)) == [
         "master 2 is in the token ring",  # told by station 5
@@ -114,15 +109,13 @@ def test_leaving_hands_the_token_on() -> None:
     bus = ring_of(2, 5, hsa=6)
     a, b = bus.stations
     bus.until(a, State.USE_TOKEN, State.PASS_TOKEN)
-    bus.command(a, GoOffline())
-    bus.run_ms(20)
+    bus.command(a, GoOffline(), run_ms=20)
     assert a.state is State.OFFLINE
     assert b.stats.tokens_lost == 0
     assert b.las == {5}
     assert [e.text for e in bus.events_of(RingLeft)] == ["station 2 left the token ring: ordered"]
     assert MasterSeen(t_ns=0, address=2, present=False).text in [e.text for e in bus.events_of(MasterSeen)]
-    bus.command(a, GoOnline())
-    bus.run_ms(500)
+    bus.command(a, GoOnline(), run_ms=500)
     assert bus.healed
 
 
@@ -212,22 +205,18 @@ def test_a_token_with_an_impossible_address_is_noise() -> None:
 
 def test_line_down_and_up(bus: RingBus) -> None:
     user = ListUser(per_hold=[Request(9, Req.SRD_HIGH)])
-    station = bus.master(2, user, gap=0)
-    bus.run_ms(10)
+    station = bus.master(2, user, gap=0, run_ms=10)
     bus.until(station, State.AWAIT_DATA_RESPONSE)
     bus.command(station, LineDown("unplugged"))
     assert station.state is State.OFFLINE
     assert user.outcomes[-1] is Failure.ABANDONED
     count = len(bus.log)
     bus.run_ms(100)
-    bus.command(station, GoOnline())
-    bus.run_ms(100)
+    bus.command(station, GoOnline(), run_ms=100)
     assert len(bus.log) == count
-    bus.command(station, LineUp())
-    bus.run_ms(10)
+    bus.command(station, LineUp(), run_ms=10)
     assert station.in_ring
-    bus.command(station, GoOffline())
-    bus.run_ms(10)
+    bus.command(station, GoOffline(), run_ms=10)
     bus.command(station, LineDown("again"))
     bus.command(station, LineUp())
     assert station.state is State.OFFLINE
@@ -239,8 +228,7 @@ def test_going_offline_waits_for_the_answer_under_way(bus: RingBus) -> None:
     bus.slaves[9] = lambda octets, now: (60, b"\xe5")
     bus.until(station, State.AWAIT_DATA_RESPONSE)
     user.high.append(Request(9, Req.SRD_HIGH))
-    bus.command(station, GoOffline())
-    bus.run_ms(10)
+    bus.command(station, GoOffline(), run_ms=10)
     assert station.state is State.OFFLINE
     assert len(user.outcomes) == 1
     assert not isinstance(user.outcomes[0], Failure)
@@ -264,8 +252,7 @@ def test_the_wire_tap_gets_every_telegram(bus: RingBus) -> None:
     heard: list[WireEntry] = []
     a = bus.master(2, hsa=6)
     a.wire = heard.append
-    bus.master(5, hsa=6)
-    bus.run_ms(100)
+    bus.master(5, hsa=6, run_ms=100)
     assert [(e.start_ns, e.end_ns, e.octets, e.sender) for e in heard] == [
         (s.start, s.end, s.octets, str(s.sender)) for s in bus.log if s.end <= heard[-1].end_ns
     ]

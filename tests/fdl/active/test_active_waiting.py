@@ -35,8 +35,7 @@ def test_the_silence_of_a_station_that_the_gap_knows_is_waited_for(bus: RingBus,
     if known:
         bus.slaves[4] = fixed(TO_4, SLAVE_4)
     user = ListUser()
-    station = bus.master(2, user, gap=1, hsa=5, t_tr=300)
-    bus.run_ms(100)
+    station = bus.master(2, user, gap=1, hsa=5, t_tr=300, run_ms=100)
     assert (4 in station.stations) is known
     user.low = [Request(4, Req.FDL_STATUS, retry=False)]
     bus.run_ms(5)
@@ -86,8 +85,7 @@ def test_t_to_begins_anew_behind_an_edge_that_outlasts_it(station: ActiveStation
 
 
 def test_a_token_that_goes_past_says_who_passed_it_to_whom(bus: RingBus) -> None:
-    station = bus.master(2, gap=0)
-    bus.run_ms(50)
+    station = bus.master(2, gap=0, run_ms=50)
     assert station.in_ring
     station.telegram(token(5, 1), bus.now)
     (left,) = [event for event in station.take_events() if isinstance(event, RingLeft)]

@@ -35,8 +35,7 @@ def test_a_leaving_master_costs_the_stall_of_a_host_once(leaving: int) -> None:
     """
     bus = ring(HOST, 2, 5, leaving, mode="chunk")
     begun = len(bus.log)
-    bus.command(bus.stations[2], GoOffline())
-    bus.run_ms(3_000)
+    bus.command(bus.stations[2], GoOffline(), run_ms=3_000)
     assert silences(bus.log[begun - 1 :]) == pytest.approx([50 + SLOT_MS, 12.5 + SLOT_MS, 12.5 + SLOT_MS], abs=0.1)
     assert [set(station.las) for station in bus.stations[:2]] == [{2, 5}, {2, 5}]
     assert all(station.stats.tokens_lost == 0 for station in bus.stations)

@@ -23,6 +23,12 @@ def channel(dialect: PkwDialect = STRICT) -> PkwChannel:
     return PkwChannel(dialect, Times())
 
 
+def stepped(client: PkwChannel, reply: bytes, now: int) -> bytes:
+    """The octets that it sends after this reply."""
+    client.step(reply, now)
+    return client.octets
+
+
 def busy(client: PkwChannel) -> bool:
     return client.busy
 
@@ -59,8 +65,7 @@ def test_d4_the_master_holds_its_order_until_the_reply_then_sends_zero_and_waits
         assert client.octets == ZERO  # withdrawn; the reply is not yet 0
         client.step(REPLY_400, 0)
     assert not answered(second)
-    client.step(ZERO, 0)
-    assert client.octets == octets("61 E0 03 00 00 00 00 00")
+    assert stepped(client, ZERO, 0) == octets("61 E0 03 00 00 00 00 00")
     client.step(octets("51 E0 03 00 00 00 01 F4"), 0)
     assert second.reply == (5, 480, 3, 500)
     client.step(ZERO, 0)
@@ -104,11 +109,9 @@ def test_without_the_rule_of_zero_a_stale_reply_is_not_the_answer() -> None:
     client.step(octets("11 04 00 00 00 00 00 05"), 0)
     assert second.reply == (1, 0x104, 0, 5)
     # an equal order: 0 in between
-    client.step(octets("11 04 00 00 00 00 00 05"), 0)
-    assert client.octets == ZERO
+    assert stepped(client, octets("11 04 00 00 00 00 00 05"), 0) == ZERO
     assert third.reply is None
-    client.step(ZERO, 0)
-    assert client.octets == octets("11 04 00 00 00 00 00 00")
+    assert stepped(client, ZERO, 0) == octets("11 04 00 00 00 00 00 00")
 
 
 def test_without_the_rule_of_zero_a_write_is_not_answered_by_the_read_before_it() -> None:
@@ -120,8 +123,7 @@ def test_without_the_rule_of_zero_a_write_is_not_answered_by_the_read_before_it(
         client.step(octets("11 04 1A 00 00 00 00 02"), 0)
     assert read.reply == (1, 0x104, 0x1A, 2)
     assert (client.octets, write.reply) == (ZERO, None)
-    client.step(ZERO, 0)
-    assert client.octets == octets("21 04 1A 00 00 00 00 0F")
+    assert stepped(client, ZERO, 0) == octets("21 04 1A 00 00 00 00 0F")
     client.step(octets("11 04 1A 00 00 00 00 0F"), 0)
     assert write.reply == (1, 0x104, 0x1A, 15)
 
@@ -136,19 +138,15 @@ def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwD
     times.now = 10
     client.cancel(late)
     for now in (12, 50, 109):
-        client.step(ZERO, now)
-        assert client.octets == ZERO
+        assert stepped(client, ZERO, now) == ZERO
     client.step(octets("11 90 00 00 00 00 00 01"), 60)
     assert (client.octets, again.reply) == (ZERO, None)
-    client.step(ZERO, 70)  # the drive has seen both orders
-    assert client.octets == octets("21 90 00 00 00 00 00 02")
+    assert stepped(client, ZERO, 70) == octets("21 90 00 00 00 00 00 02")  # the drive has seen both orders
     silent = client.submit(Pkw(1, 400))
     times.now = 200
     client.cancel(again)
-    client.step(ZERO, 299)
-    assert client.octets == ZERO
-    client.step(ZERO, 300)
-    assert client.octets == READ_400
+    assert stepped(client, ZERO, 299) == ZERO
+    assert stepped(client, ZERO, 300) == READ_400
     assert silent.reply is None
 
 
@@ -160,8 +158,7 @@ def test_the_first_order_waits_until_the_reply_is_zero(client: PkwChannel) -> No
     client.step(REPLY_400, 0)
     assert (client.octets, exchange.reply) == (ZERO, None)
     assert exchange.stray == (1, 400, 0, 2)
-    client.step(ZERO, 0)
-    assert client.octets == READ_400
+    assert stepped(client, ZERO, 0) == READ_400
 
 
 def test_reset_starts_at_zero(client: PkwChannel) -> None:

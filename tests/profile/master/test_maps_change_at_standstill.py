@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import pytest
 from drive_bench import MS, NONE, PZD, PairBench, PluginBench
+from support import present
 
 from dpstack.profile import DriveDevice, DriveProfile, ParamSpec, ParamStore, SettingsState
 from dpstack_drives.fuji import DRIVE as FUJI
@@ -230,8 +231,7 @@ def test_ls_com_94_does_not_make_a_map_act_that_a_keypad_wrote() -> None:
     bench = pair(LS, "PPO2", look=lambda device: device.store.value("dr-04"))
     bench.pass_time(500)
     store = bench.device.store
-    code = store.table.named("COM-51")
-    assert code is not None
+    code = present(store.table.named("COM-51"))
     store.write(code, 0x1104)
     text = bench.misuse("write", number="COM-94", value=1)
     assert text == (
@@ -355,8 +355,7 @@ def test_imo_a_map_that_a_keypad_changed_is_seen_before_the_next_start() -> None
     bench.ok("start")
     bench.ok("stop")
     for name, raw in (("P15.02", 4), ("P15.03", 1)):
-        spec = bench.device.store.table.named(name)
-        assert spec is not None
+        spec = present(bench.device.store.table.named(name))
         bench.device.store.write(spec, raw)
     bench.device._load_maps()  # type: ignore[attr-defined]
     kind, text = bench.refused("start")

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import pytest
 from demag_kit import ZERO, pkw, sim
 from drive_bench import BUS, MS, NONE, PZD, DeviceBench, PairBench, PluginBench, S, pair
+from support import present
 
 from dpstack.profile import CommandError, DriveProfile, ParameterChannel, ParamKey, SettingsState, Steps
 from dpstack_drives.demag import DRIVE as DEMAG
@@ -18,10 +19,8 @@ from dpstack_drives.ls import DRIVE as LS
 
 def set_by_hand(bench: PairBench, name: str, raw: int) -> None:
     """At the drive itself, beside the bus."""
-    store = bench.device.store
-    assert store is not None
-    spec = store.table.named(name)
-    assert spec is not None
+    store = present(bench.device.store)
+    spec = present(store.table.named(name))
     store.write(spec, raw)
 
 

@@ -12,6 +12,7 @@ import drive_bench
 import pytest
 from demag_kit import ZERO
 from drive_bench import ALONE, BUS, MS, NONE, PZD, PairBench, PluginBench
+from support import present
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile import (
@@ -127,11 +128,9 @@ def test_a_data_set_that_a_contact_selects_while_it_runs_takes_speed_and_frequen
     """390 is another one in data set 2: 25.0 Hz of the old scale were 50 Hz of the motor."""
     bench = running(RELIED[0])
     for number, value in ((390, 100), (412, 1), (434, 3)):
-        spec = bench.device.store.table.get(number)
-        assert spec is not None
+        spec = present(bench.device.store.table.get(number))
         bench.device.store.write(spec, spec.to_raw(value), 2)
-    selection = bench.device.store.table.get(414)
-    assert selection is not None
+    selection = present(bench.device.store.table.get(414))
     assert bench.core.status().frequency_hz == pytest.approx(25)
     bench.device.store.write(selection, 2)
     bench.pass_time(4000)
@@ -161,8 +160,7 @@ def test_a_keypad_passes_no_plugin_so_each_start_reads_again(
     bench.ok("start")
     bench.ok("stop")
     store = bench.device.store
-    spec = store.table.named(name)
-    assert spec is not None
+    spec = present(store.table.named(name))
     store.write(spec, raw)
     assert says in bench.refused("start")[1]
     assert not bench.device.motor.on
