@@ -1,4 +1,4 @@
-"""An IMO HD2 on a bus: process data map, fault, Clear and Stop, and the one baud rate that its card accepts
+"""An IMO HD2 on a bus: process data map, fault, and the one baud rate that its card accepts
 (docs/reference/drives/imo-hd2.md#address-and-baud-rate)."""
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from dpstack.api.slave_side.virtual_bench import SimulatedSlave
 from dpstack.params import BusParams
 
 PUMP: Mapping[str, object] = {"name": "pump", "address": 5, "drive": "imo-hd2"}
-SET = {"options": {"baud_index": 5, "set_map": True}}
 
 
 @in_virtual_time
@@ -54,25 +53,6 @@ async def test_a_users_program() -> None:
         await off_and_on(bus, 5)
         assert await pump.read("P00.10") == 12.5  # its EEPROM
         await pump.start()  # and its map
-
-
-@pytest.mark.parametrize("way", ["clear", "stop"])
-@in_virtual_time
-async def test_a_running_hd2_comes_to_rest(way: str) -> None:
-    """Zeros are no command (docs/reference/drives/imo-hd2.md#control-and-status-word): only 0005 before them ramps it
-    down."""
-    async with running({**PUMP, **SET}) as (bus, pump):
-        pump.speed = 0.5
-        await pump.start()
-        await pump.reached()
-        await (bus.clear() if way == "clear" else bus.stop())
-        await asyncio.sleep(0.15)
-        await bus.clear()
-        await asyncio.sleep(2)
-        assert bus.slave("pump").inputs[8:12] == bytes.fromhex("41 03 00 00")
-        await bus.operate()
-        await asyncio.sleep(0.5)
-        assert bus.slave("pump").inputs[8:12] == bytes.fromhex("41 03 00 00")
 
 
 @pytest.mark.parametrize(("options", "hears"), [({}, False), ({"baud_index": 6}, False), ({"baud_index": 5}, True)])

@@ -1,13 +1,12 @@
-"""An LS S100 on a bus: profiles by configuration, Clear and Stop, power-off, faults."""
+"""An LS S100 on a bus: profiles by configuration, power-off, faults."""
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from api_kit import device_of, off_and_on, running, trip
+from api_kit import off_and_on, running, trip
 
 import dpstack
 
@@ -38,27 +37,6 @@ async def test_a_users_program() -> None:
             pump.speed = 1.5
         await off_and_on(bus, 6)
         assert await pump.read("dr-03") == 2.5  # its EEPROM
-
-
-@pytest.mark.parametrize("way", ["clear", "stop"])
-@pytest.mark.parametrize(("telegram", "options"), [("PPO3", {}), ("PPO3", LS), ("VENDOR 2/3", {})])
-async def test_a_running_drive_comes_to_rest(telegram: str, options: Mapping[str, object], way: str) -> None:
-    """The safe outputs stop it before Clear, whose zeros PROFIdrive ignores."""
-    table = {**PUMP, "telegram": telegram, "options": options}
-    async with running(table) as (bus, pump):
-        device = device_of(bus, 6)
-        await pump.start()
-        pump.speed = 0.5
-        await pump.reached()
-        await (bus.clear() if way == "clear" else bus.stop())
-        await asyncio.sleep(0.15)
-        await bus.clear()
-        await asyncio.sleep(2)
-        assert device.motor.frequency == 0
-        await bus.operate()
-        await asyncio.sleep(0.5)
-        assert device.motor.frequency == 0
-        assert pump.speed == 0.5  # the set point stays, the run command does not
 
 
 async def test_the_message_about_a_wrong_profile_names_the_parameter() -> None:
