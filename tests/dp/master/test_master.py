@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import pytest
-from scripted_link import MS, ScriptedSlave, exchanging, link, setup
+from scripted_link import MS, ScriptedPlugin, ScriptedSlave, exchanging, link, operating, setup
 
-from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
-from dpstack.dp.master.events import MasterStopped, SlaveState
+from dpstack.dp.master import fault_texts
+from dpstack.dp.master.commands import AddSlave, DriveCommand, Mode, RemoveSlave, ReparameteriseSlave, SetMode, Shutdown
+from dpstack.dp.master.events import DriveEvent, MasterStopped, SlaveState
+from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.telegram import SHORT_ACK, Req
-from dpstack.machine import LineDown
+from dpstack.machine import InDoubt, LineDown
 
 
 def test_bring_up_to_the_octet() -> None:
@@ -161,3 +163,129 @@ def test_two_slaves_at_one_address_and_the_masters_own_are_refused() -> None:
         link(setup(3), setup(3, name="other"))
     with pytest.raises(ConfigError, match="own address 2"):
         link(setup(2))
+
+
+# --- The rule for valid inputs: in data exchange, and no older than the watchdog, 1 s without one, or two polls -----
+
+
+@pytest.mark.parametrize(
+    ("watchdog_ms", "poll_ms", "limit_ms"),
+    [
+        (200, 4, 200),  # its watchdog
+        (0, 4, 1000),  # off: 1 s
+        (60_000, 4, 60_000),
+        (200, 150, 300),  # every n-th cycle, many slaves, a slow rate: two polls
+        (200, 100, 200),
+        (0, 700, 1400),
+        (0, 500, 1000),
+    ],
+)
+def test_the_greatest_age_of_valid_inputs(watchdog_ms: int, poll_ms: int, limit_ms: int) -> None:
+    assert inputs_limit_ns(watchdog_ms * MS, poll_ms * MS) == limit_ms * MS
+
+
+@pytest.mark.parametrize(
+    ("exchanging", "age_ms", "valid"),
+    [(True, 0, True), (True, 200, True), (True, 201, False), (False, 0, False), (True, None, False)],
+)
+def test_inputs_are_valid_up_to_that_age(exchanging: bool, age_ms: int | None, valid: bool) -> None:
+    age_ns = None if age_ms is None else age_ms * MS
+    assert inputs_are_valid(exchanging=exchanging, age_ns=age_ns, limit_ns=200 * MS) is valid
+
+
+def test_inputs_in_doubt_are_not_valid_until_the_next_exchange() -> None:
+    """The adapter's driver counted damaged octets after the answer was delivered."""
+    bus = exchanging(setup())
+    image = bus.image
+    bus.send(InDoubt(0))  # nothing arrived after now
+    valid = [image.valid]
+    bus.send(InDoubt(bus.now - image.input_time + 1))
+    assert [*valid, image.valid] == [True, False]
+    exchanges = bus.master.handlers[3].exchanges
+    bus.hold()
+    assert (bus.master.handlers[3].exchanges, image.valid) == (exchanges + 1, True)
+    bus.send(InDoubt(bus.now))
+    bus.hold()
+    assert bus.remarks(3) == [fault_texts.IN_DOUBT]  # once
+
+
+# --- The share of the bus time that polls of absent slaves may take -------------------------------------------------
+
+
+@pytest.mark.parametrize(("divisor", "polls"), [(8, 12), (0, 30)])
+def test_short_polls_take_their_share_and_no_more(divisor: int, polls: int) -> None:
+    """A poll takes 1 ms. With a share of an eighth of the time the next one comes 8 ms later: five rounds of 1.6 ms."""
+    bus = exchanging(setup(3), absent_divisor=divisor)
+    for address in range(20, 50):
+        bus.send(AddSlave(setup(address)))
+    bus.step, bus.period = 1 * MS, 600_000
+    bus.run_anew(100 * MS)
+    assert len([r for r in bus.requests if r.da >= 20]) == polls
+
+
+# --- Drive plugins at the master: called in Operate, their defects their own, told of losses and new parameters -----
+
+
+def test_unit_runs_in_operate_only_and_its_defect_stays_its_own() -> None:
+    bus = exchanging(setup(3, safe=b"\x00\x00\x00\x01"), setup(4))
+    unit = ScriptedPlugin()
+    bus.image.plugin = unit
+    assert bus.hold()[0].data == bytes(4)
+    bus.send(SetMode(Mode.OPERATE))
+    assert bus.hold()[0].data == unit.outputs
+    bus.send(DriveCommand(3, "start", {}, 7))
+    bus.hold()
+    results = [e.payload for e in bus.events_of(DriveEvent)]
+    assert results == [{"type": "result", "token": 7, "ok": True, "value": "start"}]
+    unit.error = ZeroDivisionError("by the test")
+    made = bus.hold()
+    assert made[0].data == b"\x00\x00\x00\x01"
+    assert made[1].da == 4
+    assert bus.faults(3) == ["plugin"]
+    assert bus.state(3) is SlaveState.DATA_EXCHANGE
+    bus.send(DriveCommand(3, "start", {}, 8))
+    last = [e for e in bus.master.take_events() if isinstance(e, DriveEvent)][-1]
+    assert last.payload["ok"] is False
+
+
+@pytest.mark.parametrize(
+    ("outputs", "events"),
+    [
+        pytest.param(b"\x01", [], id="outputs of the wrong length"),
+        pytest.param(bytes(4), [{"type": "status", "speed": object()}], id="an event that is no plain data"),
+    ],
+)
+def test_a_defect_of_the_plugin(outputs: bytes, events: list[dict[str, object]]) -> None:
+    bus = exchanging(setup(3))
+    unit = ScriptedPlugin()
+    unit.outputs, unit.events = outputs, events
+    bus.image.plugin = unit
+    bus.send(SetMode(Mode.OPERATE))
+    assert bus.hold()[0].data == bytes(4)
+    assert bus.faults(3) == ["plugin"]
+
+
+def test_unit_is_told_when_the_slave_is_lost() -> None:
+    bus = exchanging(setup(3))
+    unit = ScriptedPlugin()
+    bus.image.plugin = unit
+    bus.slaves.clear()
+    bus.hold()
+    assert unit.losses == 1
+
+
+def test_a_plugin_is_told_and_nothing_is_half_applied() -> None:
+    bus = operating(setup(3))
+    unit = bus.image.plugin = ScriptedPlugin()
+    before = bus.master.handlers[3]
+    with pytest.raises(UsageError, match="its drive plugin is made for 4 octets of inputs"):
+        bus.send(ReparameteriseSlave(setup(3, config=b"\x10")))
+    with pytest.raises(UsageError, match="no slave with address 9"):
+        bus.send(ReparameteriseSlave(setup(9)))
+    bus.run(10 * MS)
+    assert bus.master.handlers[3] is before
+    assert before.state is SlaveState.DATA_EXCHANGE
+    assert unit.losses == 0
+    bus.send(ReparameteriseSlave(setup(3, groups=(1,))))
+    assert unit.losses == 1
+    assert bus.image.plugin is unit
