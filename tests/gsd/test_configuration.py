@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from gsd_kit import device, made
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
 
-from dpstack.errors import GsdError
+from dpstack.dp.slave_params import WatchdogTime, watchdog_factors
+from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, default_modules, find_module, modules_of_config
+from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
+from dpstack.gsd.model import Device
+from dpstack.gsd.module_readings import ModuleReading, read_modules
 
 
 def test_identifier_octets_lengths_and_parameters() -> None:
@@ -121,3 +130,175 @@ def test_octets_of_one_module_may_begin_with_those_of_another() -> None:
         assert found is not None
         assert [one.name for one in found if one is not None] == names
     assert modules_of_config(file.device, b"\x10" * 244) is not None
+
+
+# --- Identifier octets against the examples of manuals (docs/reference/protocol.md#identifiers), and the watchdog ---
+
+
+@pytest.mark.parametrize(
+    ("octets", "inputs", "outputs"),
+    [
+        ("11", 2, 0),  # 2 octets in
+        ("22", 0, 3),  # 3 octets out
+        ("F3", 8, 8),  # 4 words in and out, consistent
+        ("71", 4, 4),  # 2 words in and out
+        ("21", 0, 2),  # pyprofibus#19
+        ("F3 F1", 12, 12),  # PPO1
+        ("F1", 4, 4),  # PPO3
+        ("00", 0, 0),  # empty slot
+        ("C3 C1 C1 FD 00 01", 4, 4),  # ABB FPBA-01 ST1: two words each way and three octets of the maker
+        ("40 07", 8, 0),  # special, input only
+        ("80 47", 0, 16),  # special, output only, words
+        ("C0 83 C1", 4, 4),  # special: output 4 octets, input 2 words, both consistent
+        ("CF 00 00", 1, 1),  # 15: no octets of the maker follow
+        ("10 00 20", 1, 1),  # an empty slot between modules
+    ],
+)
+def test_lengths(octets: str, inputs: int, outputs: int) -> None:
+    assert io_lengths(bytes.fromhex(octets)) == (inputs, outputs)
+
+
+@pytest.mark.parametrize(
+    ("octets", "inputs", "outputs", "manufacturer"),
+    [
+        ("C3 C1 C1 FD 00 01", (4, True), (4, True), "FD 00 01"),  # the special format in full
+        ("C0 81 02", (3, False), (2, True), ""),  # the length of outputs comes before that of inputs
+        ("B0", (1, True), (1, True), ""),  # general format, consistent over the whole
+        ("10", (1, False), (0, False), ""),
+    ],
+)
+def test_lengths_consistency_and_manufacturer_octets(
+    octets: str, inputs: tuple[int, bool], outputs: tuple[int, bool], manufacturer: str
+) -> None:
+    (identifier,) = parse_identifiers(bytes.fromhex(octets))
+    whole = Identifier(bytes.fromhex(octets), inputs[0], outputs[0], inputs[1], outputs[1], bytes.fromhex(manufacturer))
+    assert identifier == whole
+    assert not identifier.empty
+
+
+def test_several_identifiers_keep_their_octets() -> None:
+    config = bytes.fromhex("F3 C3 C1 C1 FD 00 01 00 22")
+    identifiers = parse_identifiers(config)
+    assert [i.octets.hex() for i in identifiers] == ["f3", "c3c1c1fd0001", "00", "22"]
+    assert identifiers[2].empty
+
+
+@pytest.mark.parametrize(
+    ("octets", "finding"),
+    [
+        ("C3", "identifier octet 0 .*missing"),
+        ("C3 C1", "identifier octet 0 .*missing"),
+        ("C3 C1 C1", "announces 3 manufacturer octets, 0 are left"),
+        ("C3 C1 C1 FD 00", "announces 3 manufacturer octets, 2 are left"),
+        ("11 40", "identifier octet 1 "),
+        ("04 01 02", "announces 4 manufacturer octets, 2 are left"),
+    ],
+)
+def test_truncated_ones_name_the_octet(octets: str, finding: str) -> None:
+    with pytest.raises(ConfigError, match=finding):
+        parse_identifiers(bytes.fromhex(octets))
+
+
+@given(st.binary(max_size=244))
+def test_any_octets_are_split_or_refused(config: bytes) -> None:
+    try:
+        identifiers = parse_identifiers(config)
+    except ConfigError:
+        return
+    assert b"".join(i.octets for i in identifiers) == config
+    assert io_lengths(config) == (sum(i.inputs for i in identifiers), sum(i.outputs for i in identifiers))
+    assert all(0 <= i.inputs <= 128 and 0 <= i.outputs <= 128 for i in identifiers)
+
+
+@pytest.mark.parametrize(
+    ("ms", "effective_ms"),
+    [(1, 10), (10, 10), (11, 20), (200, 200), (2550, 2550), (2560, 2560), (2570, 2580), (650_250, 650_250)],
+)
+def test_watchdog_factors(ms: int, effective_ms: int) -> None:
+    """2570 ms: 257 is a prime above 255, so the next product of two factors is taken, 258 = 2 x 129."""
+    factors = watchdog_factors(ms)
+    assert all(1 <= factor <= 255 for factor in factors)
+    assert WatchdogTime(factors).ns == effective_ms * 1_000_000
+
+
+_PRODUCTS = sorted({a * b for a in range(1, 256) for b in range(1, 256)})
+
+
+@given(st.integers(1, 650_250))
+def test_the_watchdog_is_the_shortest_possible_one(ms: int) -> None:
+    first, second = watchdog_factors(ms)
+    ticks = -(-ms // 10)
+    assert first * second == next(product for product in _PRODUCTS if product >= ticks)
+
+
+# --- Readings of identifier octets: rows of modules whose octets, counted by hand, are those that a slave has -------
+
+
+PAIRS = (
+    'Module = "a" 0x10\n1\nEndModule\nModule = "a too" 0x10\n2\nEndModule\n'
+    'Module = "aa" 0x10,0x10\n3\nEndModule\nModule = "b" 0x20\n4\nEndModule\n'
+)
+
+
+def brief(reading: ModuleReading) -> list[tuple[int, str, list[str]]]:
+    return [(place.slot, place.octets.hex(), [module.name for module in place.modules]) for place in reading.places]
+
+
+def one(device: Device, octets: str) -> ModuleReading:
+    found, more = read_modules(device, bytes.fromhex(octets))
+    assert (len(found), more) == (1, False)
+    return found[0]
+
+
+def test_slots_decide_among_modules_and_count_from_the_first_one() -> None:
+    # slot 1 takes PWR only, slot 2 "3 in", "2 in" or "4 out", slot 3 "3 in" ... and no "4 out"
+    assert brief(one(device("slots"), "00 11 21")) == [(1, "00", ["PWR"]), (2, "11", ["2 in"]), (3, "21", ["2 out"])]
+    assert brief(one(device("rack"), "00 11 21")) == [
+        (2, "00", ["HEAD 7"]),
+        (3, "11", ["6ES7 321-1BH00-0AA0 16DI"]),
+        (4, "21", ["6ES7 322-1BH00-0AA0 16DO"]),
+    ]
+
+
+def test_octets_of_no_module_stay_unknown_one_identifier_at_a_time() -> None:
+    # C3 01 02 .. is one special identifier with lengths and three octets of its maker
+    reading = one(device("whole"), "20 C3 81 83 01 02 03 10 00")
+    assert brief(reading) == [
+        (1, "20", ["8 DO"]),
+        (2, "c38183010203", []),
+        (3, "10", ["8 DI"]),
+        (4, "00", []),
+    ]
+    assert [place.unknown for place in reading.places] == [False, True, False, False]  # 00 is an empty slot
+    assert reading.unknown == 6
+
+
+def test_all_readings_of_ambiguous_octets() -> None:
+    found, more = read_modules(made(PAIRS).device, bytes.fromhex("10 10 20"))
+    assert not more
+    assert [brief(reading) for reading in found] == [
+        [(1, "1010", ["aa"]), (2, "20", ["b"])],
+        [(1, "10", ["a", "a too"]), (2, "10", ["a", "a too"]), (3, "20", ["b"])],
+    ]
+    found, more = read_modules(made(PAIRS).device, b"\x10" * 244, most=5)
+    assert (len(found), more) == (5, True)
+    assert read_modules(made(PAIRS).device, b"") == ((ModuleReading(()),), False)
+
+
+@pytest.mark.parametrize("octets", ["43", "C3", "20 C3 81"])
+def test_octets_that_break_off_are_unknown(octets: str) -> None:
+    assert one(device("whole"), octets).unknown == len(bytes.fromhex(octets).removeprefix(b"\x20"))
+
+
+@given(st.lists(st.sampled_from((b"\x10", b"\x20", b"\x10\x10", b"\x30")), max_size=4))
+@examples(20)
+def test_the_best_reading_has_as_few_unknown_octets_as_any_row(parts: list[bytes]) -> None:
+    """Held against every row of modules, one by one; 30 is of no module."""
+    octets = b"".join(parts)
+    found, more = read_modules(made(PAIRS).device, octets, most=4096)
+    assert not more
+    kinds = (b"\x10", b"\x10\x10", b"\x20", b"\x30")
+    rows = (row for n in range(len(octets) + 1) for row in itertools.product(kinds, repeat=n))
+    possible = {row for row in rows if b"".join(row) == octets}
+    assert {tuple(place.octets for place in reading.places) for reading in found} == possible
+    assert {reading.unknown for reading in found} == {octets.count(b"\x30")}

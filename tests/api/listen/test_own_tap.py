@@ -9,14 +9,18 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from fake_adapter import FakeDriver
+from far_ends import PtyFarEnd, until
 
 from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.listen import own_tap
+from dpstack.api.listen.listening import Listening
 from dpstack.api.listen.own_tap import OwnTap
-from dpstack.api.listen.tap_cutter import OctetsLost
-from dpstack.capture.transmission import Transmission
+from dpstack.api.listen.tap_cutter import OctetsLost, TapCutter
+from dpstack.capture.transmission import Damage, Transmission
 from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.drivers.tap import CAPACITY, Tap
+from dpstack.ports import termios2, tty
 from dpstack.trace import Event
 from dpstack.units import chars_to_ns
 
@@ -123,3 +127,70 @@ async def test_a_step_ends_when_its_time_is_over(line: Line, monkeypatch: pytest
     line.own.end()
     line.own.rest()
     assert len(line.heard) == 100
+
+
+# --- Listening on a port of its own: marked octets reach the transmissions with their place -------------------------
+
+
+@pytest.fixture
+def adapter(monkeypatch: pytest.MonkeyPatch) -> PtyFarEnd:
+    """The other end of a pty that looks like an adapter; it writes the marks of damaged octets itself, FF 00 x."""
+    really = termios2.set_raw
+
+    def marking(fd: int, baud: int | None, *, marks: bool) -> termios2.Applied:
+        return really(fd, baud)._replace(parity=True, marks=marks)
+
+    far = PtyFarEnd()
+    FakeDriver(monkeypatch)
+    monkeypatch.setattr(termios2, "set_raw", marking)
+    monkeypatch.setattr(tty, "is_pty_path", lambda _name: False)
+    return far
+
+
+async def test_a_damaged_octet_is_where_it_was(adapter: PtyFarEnd) -> None:
+    heard: list[Transmission] = []
+    async with Listening(adapter.path, 500_000, heard.append) as listening:
+        adapter.send(TOKEN + bytes.fromhex("10 05 02 FF 00 48 50 16") + TOKEN)
+        await until(lambda: len(heard) == 3, "three transmissions")
+        assert listening.line.source == "adapter"
+        assert listening.line.damaged == "octets with a parity or framing error are marked at their place"
+        assert listening.damage() == {"marked": 1}
+    adapter.hang_up()
+    first, damaged, last = heard
+    assert (first.octets, last.octets) == (TOKEN, TOKEN)
+    assert damaged.octets.hex() == "100502485016"
+    assert damaged.damage == Damage.FCS | Damage.PARITY_OR_FRAMING
+    assert damaged.note == "damaged by mark of the port: octet 4"
+
+
+# --- Entries of a tap become transmissions: times since 1970, telegrams in slow pieces, those of the program itself
+
+
+POLL = bytes.fromhex("10 05 02 49 50 16")
+LONG = b"\x68\xf9\xf9\x68" + bytes(249) + b"\0\x16"
+EPOCH = 1_790_000_000_000_000_000
+
+
+def test_a_long_telegram_at_a_slow_rate_comes_in_pieces_that_last_longer_than_a_silence() -> None:
+    """An adapter on USB delivers 62 octets at a time: 71 ms at 9600 bit/s."""
+    heard: list[Transmission] = []
+    tap = TapCutter("a port", heard.append, lambda event: None)
+    tap.begin(EPOCH, "run")
+    now = 0
+    for at in range(0, len(LONG), 62):
+        piece = LONG[at : at + 62]
+        now += chars_to_ns(len(piece), 9_600)
+        tap.add(now, 9_600, piece, False)
+    assert [(one.octets, one.t_ns) for one in heard] == [(LONG, EPOCH + now - chars_to_ns(len(LONG), 9_600))]
+
+
+def test_octets_of_the_program_begin_a_telegram_and_another_epoch_counts_from_then_on() -> None:
+    heard: list[Transmission] = []
+    tap = TapCutter("a port", heard.append, lambda event: None)
+    tap.begin(EPOCH, "run")
+    tap.add(1_000_000, 500_000, POLL[:3], False)
+    tap.add(1_200_000, 500_000, POLL, True)
+    tap.begin(EPOCH + 7, "run")
+    tap.add(2_000_000, 500_000, POLL, False)
+    assert [(one.octets, bool(one.damage)) for one in heard] == [(POLL[:3], True), (POLL, False), (POLL, False)]
+    assert heard[2].t_ns == EPOCH + 7 + 2_000_000 - chars_to_ns(len(POLL), 500_000)

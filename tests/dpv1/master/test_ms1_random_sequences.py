@@ -5,9 +5,11 @@ Against a slave of octets that answers anything; and with a slave of ours in a w
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 
-from bus_kit import SimBus, setup
+from alarm_kit import ALL, AlarmBus, block, refusing
+from bus_kit import IDENT, PPO1, SimBus, setup
 from hypothesis import example, given, note
 from hypothesis import strategies as st
 from ms1_kit import MS, Ms1Bus, answer, status
@@ -18,9 +20,13 @@ from support import present, wire_log
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.orders import RecordDone, RecordOrder
+from dpstack.dp.pdu.alarm_blocks import Alarm, Status
+from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
+from dpstack.dpv1.master.orders import AlarmRaised, RecordDone, RecordOrder, StatusTold
 from dpstack.dpv1.pdu.read_write import Function
+from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.errors import AlarmError
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
@@ -167,3 +173,153 @@ def test_reads_and_writes_with_lost_telegrams(steps: list[tuple[str, int, int, i
         assert given_out == sorted(set(given_out))
     # four telegrams may still be lost: who was asked in vain is asked again after 0.1, 0.2, 0.4 and 0.8 s
     bus.until_exchanging(2 * S)
+
+
+# --- Alarms between both ends, telegrams lost and damaged: what is acknowledged was delivered once, in order --------
+
+
+MS = 1_000_000
+VENDOR = 32
+
+
+class Alarming(MirrorDevice):
+    """Raises what it is told to; the data of an alarm are its number."""
+
+    def __init__(self, sap: bool) -> None:
+        super().__init__(IDENT, PPO1)
+        self.alarm_server = self.server = AlarmServer(AlarmSupport(frozenset(ALARMS), 32, sap), 238)
+        self.raised: list[Raised] = []
+
+    def raise_(self, kind: int) -> None:
+        try:
+            self.raised.append(self.server.alarm(Alarm(kind, 1, 1, data=bytes((len(self.raised),)))))
+        except AlarmError:
+            return  # not in data exchange, or too many
+
+
+_alarms = st.tuples(st.just("alarm"), st.sampled_from((1, 1, 2, 3, 32, 33)))
+_others = st.tuples(
+    st.sampled_from(
+        ("run", "run", "status", "lose ms1", "lose diag", "damage", "lose all", "noise", "quiet", "line", "off")
+    ),
+    st.integers(1, 5),
+)
+
+
+def _ms1_or_alarms(sent: Transmission) -> bool:
+    return sent.octets[0] == 0x68 and not {50, 51}.isdisjoint(sent.octets[7:9])
+
+
+def _diag(sent: Transmission) -> bool:
+    return sent.octets[0] == 0x68 and 60 in sent.octets[7:9]
+
+
+@examples(16)
+@given(
+    st.lists(st.one_of(_alarms, _alarms, _others), min_size=10, max_size=30),
+    st.sampled_from((0, 1, 4, 7)),
+    st.booleans(),
+    st.integers(0, 10_000),
+)
+def test_delivered_once_and_acknowledged(steps: list[tuple[str, int]], mode: int, sap: bool, seed: int) -> None:
+    world = World(seed=seed)
+    params = BusParams.preset(187_500, address=2, gap=0)
+    device = Alarming(sap)
+    dpv1 = Dpv1(alarms=tuple(ALARMS), alarm_mode=mode, c1_response_timeout_ns=60 * MS, extra_alarm_sap=sap)
+    bus = SimBus(world, params, [setup(4, dpv1)], devices={4: device})
+    events = bus.events
+    world.run_for(200 * MS)
+    for what, number in steps:
+        match what:
+            case "alarm":
+                device.raise_(number)
+            case "status":
+                with contextlib.suppress(AlarmError):  # not in data exchange
+                    if len(device.server.pending) < 20:
+                        device.server.status(Status(1, number))
+            case "run":
+                world.run_for(number * number * MS)
+            case "lose ms1":
+                world.faults.drop(_ms1_or_alarms, times=number)
+            case "lose diag":
+                world.faults.drop(_diag, times=number)
+            case _:
+                fault_step(world, bus.station, what, number, lambda sent: _ms1_or_alarms(sent) or _diag(sent))
+    world.faults.clear()
+    end = world.now + 4_000 * MS
+    while device.server.pending and world.now < end:
+        world.run_for(10 * MS)
+    world.run_for(50 * MS)
+    note(wire_log(world, 80))
+    assert device.server.pending == ()
+    delivered = [event.alarm for event in events if isinstance(event, AlarmRaised)]
+    numbers = [alarm.data[0] for alarm in delivered]
+    assert len(numbers) == len(set(numbers))
+    acknowledged = {n for n, one in enumerate(device.raised) if one.end is AlarmEnd.ACKNOWLEDGED}
+    assert acknowledged <= set(numbers)
+    assert all(device.raised[n].end is not None for n in range(len(device.raised)))
+    for kind in (1, 2, 3, VENDOR):  # in sequence mode all of them are one row
+        row = [alarm.data[0] for alarm in delivered if mode or min(alarm.type, VENDOR) == kind]
+        assert row == sorted(row)
+    # without faults again, everything is heard of at once
+    bus.until_exchanging(8_000 * MS)  # a slave that stays away is asked once a second
+    world.run_for(50 * MS)
+    assert bus.exchanging
+    before = len(events)
+    device.raise_(6)
+    device.server.status(Status(1, 9))
+    device.server.status(Status(1, 9))
+    world.run_for(100 * MS)
+    assert device.raised[-1].end is AlarmEnd.ACKNOWLEDGED
+    assert [event.alarm.type for event in events[before:] if isinstance(event, AlarmRaised)] == [6]
+    assert [event.status.slot for event in events[before:] if isinstance(event, StatusTold)] == [9, 9]
+
+
+# --- Random telegrams are lost on the wire: every alarm is delivered once, in order, and acknowledged ---------------
+
+
+_KINDS = st.sampled_from([1, 2, 3, 4, 5, 6, 32, 126])
+#: few slots and data, so that equal ones follow each other often
+_ALARMS = st.lists(
+    st.tuples(_KINDS, st.integers(0, 1), st.integers(0, 3), st.sampled_from(["", "00"])), min_size=3, max_size=8
+)
+_LOSSES = st.lists(st.sampled_from(["", "", "", "r", "a"]), min_size=20, max_size=60)
+_MODES = st.sampled_from([(0, 0), (1, 2), (3, 8), (7, 32)])
+
+
+@examples(25)
+@given(
+    _MODES, _ALARMS, _LOSSES, st.integers(-1, 5), st.booleans(), st.booleans(), st.lists(st.integers(0, 9), max_size=8)
+)
+def test_alarms_with_lost_telegrams(
+    mode: tuple[int, int],
+    alarms: list[tuple[int, int, int, str]],
+    losses: list[str],
+    polls: int,
+    refuses: bool,
+    offers_again: bool,
+    pauses: list[int],
+) -> None:
+    number, limit = mode
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, alarm_mode=number, c1_response_timeout_ns=20_000_000))
+    slave = kit.alarm_slave
+    slave.at_a_time, slave.polls = limit, polls
+    slave.offers_again = offers_again
+    if refuses:
+        slave.on_stray = refusing("B0")
+    slave.lose(losses)
+    blocks = [
+        block(kind, slot, specifier, at % 32 if limit else 0, data)
+        for at, (kind, slot, specifier, data) in enumerate(alarms)
+    ]
+    waits = list(pauses)
+    for entry in blocks:
+        slave.raises(entry)
+        kit.run(waits.pop(0) if waits else 0)
+    note(f"{[entry.hex(' ') for entry in blocks]}")
+    kit.until(lambda: len(kit.ends) == len(blocks))
+    kit.run(150)  # longer than anything could come of what stands in the diagnosis
+    assert kit.blocks == blocks
+    assert sorted(slave.taken) == sorted(blocks)
+    assert not slave.open
+    assert sorted(end.number for end in kit.ends if end.outcome.failure is None) == [*range(1, len(blocks) + 1)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from octet_class2 import (
     ABORT,
+    ABORT_ADDRESS,
     ABORT_REQUEST,
     ABORT_SEQUENCE,
     IDLE,
@@ -19,11 +20,12 @@ from slave_kit import CFG, PRM, Recorder
 
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dpv1.pdu.im import Im0, Im1
+from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.dpv1.timeouts import least_send_timeout
-from dpstack.errors import ConfigError, RecordRefused
+from dpstack.errors import ConfigError, RecordRefused, UsageError
 from tests.dpv1.ms2_slave_kit import READ, READ_RES, TIMEOUT, Later, Slave, cyclic
 
 # --- the sequence ---------------------------------------------------------------------------------------------------
@@ -286,3 +288,225 @@ def test_impossible_settings_are_refused_at_once() -> None:
     for count, max_len in ((50, 240), (-1, 240), (1, 0), (1, 241)):
         with pytest.raises(ConfigError, match="ms2"):
             Slave(count=count, max_len=max_len)
+
+
+# --- Initiate at a slave: what the resource manager gives out, what it refuses, and to whom -------------------------
+
+
+@pytest.mark.parametrize(
+    ("request_", "abort", "reason"),
+    [
+        ("5E 00 01 F0", ABORT_REQUEST, "MS"),
+        ("57", ABORT_REQUEST, "Initiate"),
+        (INITIATE[:-3], ABORT_REQUEST, "3 came"),
+        (INITIATE + " 00", ABORT_REQUEST, "5 came"),
+        ("57 00 00 00 00 64 01 00 00 00 00 00 00 03 00 02 00 00 00 00 00", ABORT_REQUEST, "type 0 has 2"),
+        ("57 00 00 00 00 64 01 00 00 00 00 00 00 02 05 02 00 00 00 00", ABORT_REQUEST, "D_Addr of type 5"),
+        ("48 01", ABORT_REQUEST, ""),
+        ("00", ABORT_REQUEST, ""),
+        (
+            "57 00 00 00 00 64 01 00 00 00 00 00 00 02 01 08 00 00 01 02 00 00 00 00 00 00",
+            ABORT_ADDRESS,
+            "another network",
+        ),
+    ],
+)
+def test_an_initiate_that_cannot_be_is_aborted_at_its_server_sap(request_: str, abort: str, reason: str) -> None:
+    slave = Slave(count=1)
+    sap = slave.master.initiate(request_)
+    assert ms2_of(slave.app).connections == ()
+    assert slave.master.ask(sap) == abort
+    assert slave.master.ask(sap) == RS
+    (told,) = slave.texts()
+    assert told.startswith("Initiate of master 1 refused: ")
+    assert reason in told or reason == "MS"
+    assert slave.all_free()
+    slave.master.connect()
+
+
+def test_no_connection_free() -> None:
+    slave = Slave(count=1)
+    slave.master.connect()
+    other = Class2(slave.wire, 3)
+    assert other.ask(49, INITIATE) == RS
+    assert slave.master.ask(49, INITIATE) == RS
+    slave.master.ask(48, ABORT)
+    assert other.connect() == 48
+
+
+def test_a_slave_without_ms2() -> None:
+    slave = Slave(count=0)
+    for sap in (49, 48, 0):
+        assert slave.master.ask(sap) == RS
+        assert slave.master.ask(sap, INITIATE) == RS
+
+
+def test_all_server_saps() -> None:
+    slave = Slave(count=49)
+    assert [slave.master.connect() for _ in range(49)] == list(range(48, -1, -1))
+    assert slave.master.ask(49, INITIATE) == RS
+    assert slave.master.service(0, READ) == READ_RES
+    for sap in range(49):
+        assert slave.master.ask(sap, ABORT) == SC
+    assert slave.all_free()
+
+
+def test_initiates_before_an_answer_was_fetched_are_named_one_after_the_other() -> None:
+    slave = Slave(count=3)
+    for _ in range(3):
+        assert slave.master.ask(49, INITIATE) == SC
+    assert [slave.master.manager() for _ in range(5)] == [48, 47, 46, 46, 46]
+    assert [slave.master.ask(sap) for sap in (46, 47, 48)] == [OPENED] * 3
+    assert slave.master.ask(49) == SC
+    assert len(ms2_of(slave.app).connections) == 3
+
+
+def test_without_a_free_connection_initiate_takes_the_place_of_an_unfetched_one() -> None:
+    slave = Slave(count=1)
+    assert slave.master.ask(49, INITIATE) == SC
+    assert slave.master.connect() == 48
+    assert slave.texts()[1].endswith("0 services: another Initiate of its master came before the answer was fetched")
+    assert len(ms2_of(slave.app).connections) == 1
+
+
+def test_the_fault_of_an_earlier_initiate_is_no_answer_to_the_next() -> None:
+    slave = Slave(count=3)
+    assert slave.master.ask(49, "57") == SC
+    assert slave.master.connect() == 47
+    assert ms2_of(slave.app).free == 2
+
+
+def test_a_fetched_connection_is_not_taken_away() -> None:
+    slave = Slave(count=1)
+    assert slave.master.initiate() == 48
+    assert slave.master.ask(49, INITIATE) == RS
+    assert slave.master.ask(49) == "56 30 00 C8"
+    assert slave.master.ask(48) == OPENED
+
+
+def test_initiate_again_after_it_was_fetched_opens_a_second_one() -> None:
+    slave = Slave(count=3)
+    first, second = slave.master.initiate(), slave.master.initiate()
+    assert (first, second) == (48, 47)
+    assert slave.master.ask(second) == OPENED
+    assert slave.master.ask(first) == OPENED
+    assert slave.master.ask(49) == SC
+
+
+# --- Connections of class 2 that a slave refuses: by its device, by the length; Aborts of its application -----------
+
+
+class Picky(Recorder):
+    """A device that opens connections for the profile 0x1234 only, and fails over 0x9999; its records never answer."""
+
+    def __init__(self, longest: int = 244) -> None:
+        super().__init__()
+        self.ms2_max_initiate = longest
+        self.dropped = 0
+
+    def initiate(self, master: int, wanted: InitiateReq) -> None:
+        if wanted.profile_ident == 0x9999:
+            raise ZeroDivisionError("no such profile")
+        if wanted.profile_ident != 0x1234:
+            raise RecordRefused(0xB6, master)
+
+    def ask(self, request: RecordRequest) -> None:
+        request.abandoned = self.drop
+
+    def drop(self) -> None:
+        self.dropped += 1
+
+
+class PickySlave(Slave):
+    """Slave 8 with a picky device, and a master of class 2."""
+
+    def __init__(self, longest: int = 244) -> None:
+        self.picky = Picky(longest)
+        super().__init__(self.picky, count=1, device=self.picky)
+
+    def connect(self) -> int:
+        """The server SAP of a connection for the profile 0x1234."""
+        sap = self.master.initiate(initiate(0x1234))
+        assert self.master.ask(sap) == OPENED
+        return sap
+
+
+def initiate(profile: int, extra: str = "") -> str:
+    """For ``profile``; ``extra``: network address and MAC of the source."""
+    kind = f"01 {2 + len(bytes.fromhex(extra)):02X}" if extra else "00 02"
+    return f"57 00 00 00 00 64 01 00 00 00 {profile:04X} {kind} 00 02 00 00 {extra} 00 00"
+
+
+@pytest.mark.parametrize(
+    ("profile", "answer", "told"),
+    [
+        (0, "D7 80 B6 01", "Initiate of master 1 refused: its function: "),
+        (
+            0x9999,
+            "D7 80 C3 00",
+            "Initiate of master 1 refused: its function failed (ZeroDivisionError: no such profile)",
+        ),
+    ],
+)
+def test_a_device_refuses_initiate_by_a_negative_response(profile: int, answer: str, told: str) -> None:
+    slave = PickySlave()
+    sap = slave.master.initiate(initiate(profile))
+    assert ms2_of(slave.app).connections == ()
+    assert slave.master.ask(sap) == answer
+    assert slave.master.ask(sap) == RS
+    (text,) = slave.texts()
+    assert text.startswith(told)
+    assert slave.app.stats.connections == 0
+    slave.connect()
+    assert slave.picky.calls == []
+
+
+def test_an_initiate_that_is_too_long() -> None:
+    slave = PickySlave(longest=27)
+    longer = initiate(0x1234, "00 01 02 03 04 05 06 07")
+    assert len(bytes.fromhex(longer)) == 28
+    sap = slave.master.initiate(longer)
+    assert slave.master.ask(sap) == ABORT_REQUEST
+    (text,) = slave.texts()
+    assert "Initiate of 28 octets, 27 are possible (Max_Initiate_PDU_Length)" in text
+    slave.picky.ms2_max_initiate = 28
+    sap = slave.master.initiate(longer)
+    assert slave.master.ask(sap)[:2] == "57"
+
+
+@pytest.mark.parametrize("longest", [19, 245])
+def test_impossible_lengths_of_initiate(longest: int) -> None:
+    with pytest.raises(ConfigError, match="ms2_max_initiate"):
+        PickySlave(longest)
+
+
+@pytest.mark.parametrize("step", ["opened", "working"])
+@pytest.mark.parametrize("reason", [0, 15])
+def test_the_application_aborts(step: str, reason: int) -> None:
+    """Its master fetches the Abort; who works at a service is told; then there is room again."""
+    slave = PickySlave()
+    sap = slave.connect()
+    if step == "working":
+        assert slave.master.ask(sap, READ) == SC
+    ms2_of(slave.app).abort(sap, reason, slave.wire.now)
+    assert ms2_of(slave.app).connections == ()
+    assert slave.picky.dropped == (step == "working")
+    assert slave.master.ask(sap) == f"58 00 2{reason:X}"
+    assert slave.master.ask(sap) == RS
+    assert slave.texts()[-1].endswith(f"services: it was aborted here (reason {reason})")
+    assert ms2_of(slave.app).free == 1
+    with pytest.raises(UsageError, match=f"no open class 2 connection at server SAP {sap}; see connections"):
+        ms2_of(slave.app).abort(sap, 0, slave.wire.now)
+
+
+def test_an_abort_that_is_not_fetched_frees_the_connection() -> None:
+    slave = PickySlave()
+    sap = slave.connect()
+    with pytest.raises(UsageError, match=r"an Abort has no reason 16: 0\.\.15"):
+        ms2_of(slave.app).abort(sap, 16, slave.wire.now)
+    ms2_of(slave.app).abort(sap, 0, slave.wire.now)
+    with pytest.raises(UsageError, match="no open class 2 connection"):
+        ms2_of(slave.app).abort(sap, 0, slave.wire.now)
+    slave.wire.pass_time(2_001 * MS)
+    assert slave.master.ask(sap) == RS
+    assert slave.master.initiate(INITIATE) == sap
