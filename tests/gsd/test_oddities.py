@@ -44,100 +44,94 @@ def test_fifty_megabytes_of_noise() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "wanted"),
+    ("text", "place", "says"),
     [
-        ('Text(0) = "a"\n', "5:1: warning: Text does not belong here (outside of all blocks); kept as it stands"),
-        ("EndModule\n", "5:1: warning: EndModule ends nothing here; it is skipped"),
-        ("24V_Pins = some\n", "5:12: warning: 24V_Pins = some is no number; left out"),
+        ('Text(0) = "a"', "5:1", "Text does not belong here (outside of all blocks); kept as it stands"),
+        ("EndModule", "5:1", "EndModule ends nothing here; it is skipped"),
+        ("24V_Pins = some", "5:12", "24V_Pins = some is no number; left out"),
+        ("Slave_Family = x@y", "5:16", "Slave_Family = x@y begins with no number; left out"),
+        ('OrderNumber = "open', "5:15", "OrderNumber: the text has no closing quote"),
+        ("Max_Module = many", "5:14", "Max_Module = many is no number; left out"),
+        ("Max_Input_Len = 245", "5:17", "Max_Input_Len = 245 is outside 0..244"),
+        ('Vendor_Name = "open', "5:15", "Vendor_Name: the text has no closing quote"),
+        ("Ext_User_Prm_Data_Ref(a) = 1", "5:28", "Ext_User_Prm_Data_Ref(a) = 1 cannot be read; it is left out"),
+        ("Ext_User_Prm_Data_Const(0) = 256", "5:30", "Ext_User_Prm_Data_Const(0) = 256 cannot be read; it is left out"),
         (
-            "Slave_Family = x@y\n",
-            "5:16: warning: Slave_Family = x@y begins with no number; left out",
-        ),
-        ('OrderNumber = "open\n', "5:15: warning: OrderNumber: the text has no closing quote"),
-        ("Max_Module = many\n", "5:14: warning: Max_Module = many is no number; left out"),
-        ("Max_Input_Len = 245\n", "5:17: warning: Max_Input_Len = 245 is outside 0..244"),
-        ('Vendor_Name = "open\n', "5:15: warning: Vendor_Name: the text has no closing quote"),
-        (
-            "Ext_User_Prm_Data_Ref(a) = 1\n",
-            "5:28: warning: Ext_User_Prm_Data_Ref(a) = 1 cannot be read; it is left out",
-        ),
-        (
-            "Ext_User_Prm_Data_Const(0) = 256\n",
-            "5:30: warning: Ext_User_Prm_Data_Const(0) = 256 cannot be read; it is left out",
+            "Ext_User_Prm_Data_Ref(0) = 5",
+            "5:1",
+            "ExtUserPrmData 5 is referred to but nowhere defined; the reference is skipped",
         ),
         (
-            "Ext_User_Prm_Data_Ref(0) = 5\n",
-            "5:1: warning: ExtUserPrmData 5 is referred to but nowhere defined; the reference is skipped",
+            'PrmText = 1\nText(x) = "a"\nEndPrmText',
+            "6:11",
+            "Text: x in parentheses is no number; this value is left out",
         ),
         (
-            'PrmText = 1\nText(x) = "a"\nEndPrmText\n',
-            "6:11: warning: Text: x in parentheses is no number; this value is left out",
+            'PrmText = one\nText(0) = "a"\nEndPrmText',
+            "5:11",
+            "PrmText = one is not a number; the block is kept as it stands",
         ),
         (
-            'PrmText = one\nText(0) = "a"\nEndPrmText\n',
-            "5:11: warning: PrmText = one is not a number; the block is kept as it stands",
+            "PrmText = 1\nMax_Module = 3\nEndPrmText",
+            "6:1",
+            "Max_Module does not belong here (in PrmText 1); kept as it stands",
         ),
         (
-            "PrmText = 1\nMax_Module = 3\nEndPrmText\n",
-            "6:1: warning: Max_Module does not belong here (in PrmText 1); kept as it stands",
+            'Unit_Diag_Area = 0-1\nValue(4) = "never"\nUnit_Diag_Area_End',
+            "6:12",
+            "Value(4) does not fit bits 0..1; it can never be shown",
         ),
         (
-            'PrmText = 1\nExtUserPrmData = 1 "a"\nBit(0) 0 0-1\nEndExtUserPrmData\n',
-            "5:1: error: PrmText 1 never ends: EndPrmText is missing before ExtUserPrmData on line 6",
+            "Unit_Diag_Area = wide\nUnit_Diag_Area_End",
+            "5:18",
+            "Unit_Diag_Area = wide is not bits like 0-7; the block is kept as it stands",
         ),
         (
-            'Unit_Diag_Area = 0-1\nValue(4) = "never"\nUnit_Diag_Area_End\n',
-            "6:12: warning: Value(4) does not fit bits 0..1; it can never be shown",
+            "User_Prm_Data_Len = 3\nUser_Prm_Data = 1,2",
+            "6:1",
+            "User_Prm_Data has 2 octets, User_Prm_Data_Len is 3; all 2 are used",
         ),
         (
-            "Unit_Diag_Area = wide\nUnit_Diag_Area_End\n",
-            "5:18: warning: Unit_Diag_Area = wide is not bits like 0-7; the block is kept as it stands",
+            'SlotDefinition\nSlot(1) = "a" 9 1-3\nEndSlotDefinition',
+            "6:11",
+            "Slot(1): the default module 9 is not among those allowed (1..3)",
         ),
+        ("Station_Type = 1", "5:1", "Station_Type is not 0: the file is of a master"),
+        ('Module = "m" 0x10\n1\n2\nEndModule', "7:1", "module 'm' has two references, 1 and 2; the last one counts"),
         (
-            "User_Prm_Data_Len = 3\nUser_Prm_Data = 1,2\n",
-            "6:1: warning: User_Prm_Data has 2 octets, User_Prm_Data_Len is 3; all 2 are used",
-        ),
-        (
-            'SlotDefinition\nSlot(1) = "a" 9 1-3\nEndSlotDefinition\n',
-            "6:11: warning: Slot(1): the default module 9 is not among those allowed (1..3)",
-        ),
-        ("Station_Type = 1\n", "5:1: warning: Station_Type is not 0: the file is of a master"),
-        (
-            'Module = "m" 0x10\n1\n2\nEndModule\n',
-            "7:1: warning: module 'm' has two references, 1 and 2; the last one counts",
-        ),
-        (
-            'Module = "m 0x10\nEndModule\n',
-            '5:10: warning: Module = "m 0x10 is not a name in quotes; the block is kept as it stands',
+            'Module = "m 0x10\nEndModule',
+            "5:10",
+            'Module = "m 0x10 is not a name in quotes; the block is kept as it stands',
         ),
     ],
 )
-def test_finding(text: str, wanted: str) -> None:
-    assert wanted in texts(made(text))
+def test_finding(text: str, place: str, says: str) -> None:
+    assert f"{place}: warning: {says}" in texts(made(f"{text}\n"))
+
+
+def test_a_block_that_never_ends() -> None:
+    text = 'PrmText = 1\nExtUserPrmData = 1 "a"\nBit(0) 0 0-1\nEndExtUserPrmData\n'
+    says = "PrmText 1 never ends: EndPrmText is missing before ExtUserPrmData on line 6"
+    assert f"5:1: error: {says}" in texts(made(text))
 
 
 @pytest.mark.parametrize(
-    ("line", "wanted"),
+    ("line", "place", "says"),
     [
-        ("Bit(99) 0 0-1", "6:9: warning: ExtUserPrmData 1: Bit(99) names no bits of 0..31; the parameter is left out"),
-        (
-            "Unsigned8 300 0-255",
-            "6:11: warning: ExtUserPrmData 1: default 300 does not fit Unsigned8; its low bits are used",
-        ),
-        ("Unsigned8 9 0-5", "6:11: warning: ExtUserPrmData 1: default 9 is not among the allowed values 0..5"),
+        ("Bit(99) 0 0-1", "6:9", "ExtUserPrmData 1: Bit(99) names no bits of 0..31; the parameter is left out"),
+        ("Unsigned8 300 0-255", "6:11", "ExtUserPrmData 1: default 300 does not fit Unsigned8; its low bits are used"),
+        ("Unsigned8 9 0-5", "6:11", "ExtUserPrmData 1: default 9 is not among the allowed values 0..5"),
         (
             "Unsigned8 1 low",
-            "6:11: warning: ExtUserPrmData 1: allowed values 'low' cannot be read; every value of Unsigned8 is allowed",
+            "6:11",
+            "ExtUserPrmData 1: allowed values 'low' cannot be read; every value of Unsigned8 is allowed",
         ),
-        ("Unsigned8", "6:10: warning: ExtUserPrmData 1: no default value in Unsigned8 ; the parameter is left out"),
-        (
-            "Prm_Text_Ref = 4\nUnsigned8 0",
-            "5:1: warning: ExtUserPrmData 1 refers to PrmText 4, which is nowhere defined",
-        ),
+        ("Unsigned8", "6:10", "ExtUserPrmData 1: no default value in Unsigned8 ; the parameter is left out"),
+        ("Prm_Text_Ref = 4\nUnsigned8 0", "5:1", "ExtUserPrmData 1 refers to PrmText 4, which is nowhere defined"),
     ],
 )
-def test_finding_in_a_parameter(line: str, wanted: str) -> None:
-    assert wanted in texts(made(f'ExtUserPrmData = 1 "a"\n{line}\nEndExtUserPrmData\n'))
+def test_finding_in_a_parameter(line: str, place: str, says: str) -> None:
+    assert f"{place}: warning: {says}" in texts(made(f'ExtUserPrmData = 1 "a"\n{line}\nEndExtUserPrmData\n'))
 
 
 def test_a_file_without_ident_number() -> None:

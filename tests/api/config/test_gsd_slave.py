@@ -81,49 +81,45 @@ def test_an_absolute_path(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "message"),
+    ("gsd", "keys", "says"),
     [
-        ('gsd = "none.gsd"\n', "7: [[slave]] io: {files}/none.gsd: No such file or directory; give the path of a"),
-        ('gsd = "../test_constructs.py"\n', "7: [[slave]] io: {files}/../test_constructs.py:1: no GSD file: no line"),
-        ('gsd = "whole.gsd"\nmodules = ["8 DY"]\n', "8: [[slave]] io: there is no module '8 DY'; nearest are '8 DO'"),
-        ('gsd = "whole.gsd"\nmodules = "8 DI"\n', "8: [[slave]] io: modules = '8 DI' is no list of names and numbers"),
-        ('gsd = "equal_names.gsd"\n', "7: [[slave]] io: the device has 4 modules to choose from; name those "),
+        ("none.gsd", "", "{files}/none.gsd: No such file or directory; give the path of a"),
+        ("../test_constructs.py", "", "{files}/../test_constructs.py:1: no GSD file: no line"),
+        ("whole.gsd", 'modules = ["8 DY"]', "there is no module '8 DY'; nearest are '8 DO'"),
+        ("whole.gsd", 'modules = "8 DI"', "modules = '8 DI' is no list of names and numbers"),
+        ("equal_names.gsd", "", "the device has 4 modules to choose from; name those "),
         (
-            'gsd = "prm.gsd"\nmodules = [1]\nparameters = { "Ofset" = 3 }\n',
-            "9: [[slave]] io: there is no parameter 'Ofset'; nearest are 'Offset'",
+            "prm.gsd",
+            'modules = [1]\nparameters = { "Ofset" = 3 }',
+            "there is no parameter 'Ofset'; nearest are 'Offset'",
         ),
         (
-            'gsd = "prm.gsd"\nmodules = [1]\nparameters = { Offset = 1000 }\n',
-            "9: [[slave]] io: 'Offset' = 1000 is not allowed; allowed are -100..100",
+            "prm.gsd",
+            "modules = [1]\nparameters = { Offset = 1000 }",
+            "'Offset' = 1000 is not allowed; allowed are -100..100",
         ),
         (
-            'gsd = "prm.gsd"\nmodules = [1]\nparameters = { Offset = 1.5 }\n',
-            "9: [[slave]] io: parameter 'Offset' = 1.5; give a number or a text of its list",
+            "prm.gsd",
+            "modules = [1]\nparameters = { Offset = 1.5 }",
+            "parameter 'Offset' = 1.5; give a number or a text of its list",
         ),
+        ("prm.gsd", 'modules = [1]\ndefaults = "both"', 'unknown defaults \'both\'; it must be "refs" or "const"'),
+        ("whole.gsd", 'config = "10"', "config beside gsd; leave config out, or gsd"),
+        ("whole.gsd", "options = { a = 1 }", "options without drive; add drive, or leave "),
+        ("slots.gsd", "sync = true", "sync = true, but its GSD file says Sync_Mode_supp = 0; leave sync out"),
+        ("slots.gsd", "freeze = true", "freeze = true, but its GSD file says Freeze_Mode_supp = 0; leave freeze out"),
         (
-            'gsd = "prm.gsd"\nmodules = [1]\ndefaults = "both"\n',
-            '9: [[slave]] io: unknown defaults \'both\'; it must be "refs" or "const"',
-        ),
-        ('gsd = "whole.gsd"\nconfig = "10"\n', "8: [[slave]] io: config beside gsd; leave config out, or gsd"),
-        ('gsd = "whole.gsd"\noptions = { a = 1 }\n', "8: [[slave]] io: options without drive; add drive, or leave "),
-        (
-            'gsd = "slots.gsd"\nsync = true\n',
-            "8: [[slave]] io: sync = true, but its GSD file says Sync_Mode_supp = 0; leave sync out",
-        ),
-        (
-            'gsd = "slots.gsd"\nfreeze = true\n',
-            "8: [[slave]] io: freeze = true, but its GSD file says Freeze_Mode_supp = 0; leave freeze out",
-        ),
-        (
-            'gsd = "slots.gsd"\nwd_base_1ms = true\n',
-            "8: [[slave]] io: wd_base_1ms = true, but its GSD file says WD_Base_1ms_supp = 0; leave wd_base_1ms out",
+            "slots.gsd",
+            "wd_base_1ms = true",
+            "wd_base_1ms = true, but its GSD file says WD_Base_1ms_supp = 0; leave wd_base_1ms out",
         ),
     ],
 )
-def test_refused(keys: str, message: str) -> None:
+def test_refused(gsd: str, keys: str, says: str) -> None:
+    line = 7 + len(keys.splitlines())  # the last one
     with pytest.raises(ConfigError) as caught:
-        config(keys)
-    assert str(caught.value).startswith(f"{FILES}/plant.toml:" + message.format(files=FILES))
+        config(f'gsd = "{gsd}"\n{keys}\n')
+    assert str(caught.value).startswith(f"{FILES}/plant.toml:{line}: [[slave]] io: {says.format(files=FILES)}")
 
 
 def test_dpv1_status_follows_from_the_file() -> None:
