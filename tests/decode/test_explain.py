@@ -20,6 +20,8 @@ from dpstack.errors import UsageError
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 
+pytestmark = pytest.mark.virtual_time
+
 POLL = bytes.fromhex("68 04 04 68 03 02 5D 07 69 16")  # Data_Exchange 2 -> 3, FCV=1 FCB=0
 TURNED = bytes.fromhex("68 04 04 68 03 02 7D 07 89 16")  # FCB=1
 ANSWER = bytes.fromhex("68 04 04 68 02 03 08 AA B7 16")
@@ -147,20 +149,17 @@ def test_nothing_fails_on_any_octets(octets: list[bytes]) -> None:
         assert one.text
 
 
-def test_a_simulated_bus_is_in_order_and_its_times_are_those_of_the_wire() -> None:
+async def test_a_simulated_bus_is_in_order_and_its_times_are_those_of_the_wire() -> None:
     world = dpstack.World(keep=100_000)
     valves = dpstack.slave.SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="valves", dpv1=True)
     slave = dpstack.slave.DpSlave(valves, lambda outputs, elapsed: bytes(2), im=[dpstack.Im0(order_id="V-8")])
 
-    async def main() -> None:
-        async with (
-            dpstack.slave.serve_slave(slave, world=world, address=9),
-            dpstack.open_bus(world=world, baud=BAUD, slaves=[valves.table(9)]) as bus,
-        ):
-            await bus.ready()
-            await bus.slave("valves").im(0)
-
-    dpstack.run_virtual(main())
+    async with (
+        dpstack.slave.serve_slave(slave, world=world, address=9),
+        dpstack.open_bus(world=world, baud=BAUD, slaves=[valves.table(9)]) as bus,
+    ):
+        await bus.ready()
+        await bus.slave("valves").im(0)
     wire = list(world.log)
     log = list(explain(Transmission(entry.octets, entry.start_ns, BAUD) for entry in wire))
     assert [one.text for one in log if one.error is not None or one.step.remarks] == []

@@ -89,8 +89,7 @@ class Attacker:
         raise AssertionError("it takes no parameters")
 
     def bring_up(self, prm: bytes) -> bool:
-        self.bench.prm(prm)
-        self.bench.cfg(self.config)
+        self.bench.prm_and_cfg(prm, self.config)
         self.bench.diag()
         return self.app.state is SlaveAppState.DATA_EXCH
 

@@ -227,8 +227,7 @@ def test_d22_each_further_sync_passes_the_outputs_on() -> None:
     device = demag_kit.device("PPO3")
     app = SlaveApp(device, address=SLAVE)
     bench = Bench(device, app)
-    bench.prm(bytes.fromhex("B0 01 01 0B 06 96 01") + bytes(16))  # lock, sync, freeze
-    bench.cfg(bytes.fromhex("71"))
+    bench.prm_and_cfg(bytes.fromhex("B0 01 01 0B 06 96 01") + bytes(16), bytes.fromhex("71"))  # lock, sync, freeze
 
     def after(outputs: str) -> str:
         bench.dx(bytes.fromhex(outputs))

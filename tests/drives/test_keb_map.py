@@ -511,8 +511,7 @@ def test_k11_an_enable_that_somebody_took_away_refuses_the_start() -> None:
     drive = device()
     drive.operator.access(0x6002, 0, 0)
     bench = pair("PCH+4/4", drive=drive)
-    kind, text = bench.refused("start")
-    assert kind == "fault"
+    text = bench.refused_as("fault", "start")
     assert text.startswith("the enable of the outputs, block 1 (6002h) is 00h, 0Fh or FFh is needed: ")
 
 
@@ -546,8 +545,7 @@ def test_k7_a_map_that_acts_at_power_on_leaves_the_outputs_at_0_and_refuses_the_
     bench.run(200)
     assert bench.do("write_map", **MAP)["acts"] == "after power-on"
     assert outputs_of(bench, 500) == {"00 00 00 00"}
-    kind, text = bench.refused("start")
-    assert kind == "fault"
+    text = bench.refused_as("fault", "start")
     assert text.startswith("other maps were written to the drive, which act from its next power-on: ")
 
 

@@ -30,8 +30,7 @@ def test_k1_every_service() -> None:
     bench = Bench(app.device, app)
     assert bench.diag() == bytes.fromhex("02 05 00 FF 05 EB")
     assert bench.ask(59) == Reply(Resp.DL, bytes.fromhex("A3 93"))  # Get_Cfg
-    bench.prm(bytes.fromhex("B8 01 0A 0B 05 EB 02"))  # lock, sync, freeze, watchdog
-    bench.cfg(bytes.fromhex("A3 93"))
+    bench.prm_and_cfg(bytes.fromhex("B8 01 0A 0B 05 EB 02"), bytes.fromhex("A3 93"))  # lock, sync, freeze, watchdog
     assert app.state is SlaveAppState.DATA_EXCH
     assert len(bench.diag()) == 6
     assert bench.dx(bytes.fromhex("00 05 05 DC")).data == bytes.fromhex("00 01 00 00")

@@ -40,8 +40,7 @@ def test_as_delivered_the_bus_does_not_run_it_and_ready_is_the_one_switch(
     telegram = drive.default_telegram
     options = {"set_map": True} if drive is IMO else {}
     bench = PairBench(drive.core("it", telegram, options, simulated=True), delivered)
-    kind, text = bench.refused("start")
-    assert kind == "fault"
+    text = bench.refused_as("fault", "start")
     assert says in text
     bench = PairBench(drive.core("it", telegram, options, simulated=True), drive.device(telegram, {"ready": True}))
     assert bench.ok("start") == "running"

@@ -147,8 +147,7 @@ def on_the_bus(device: DriveDevice, prm: str, config: str) -> Bench:
     """In data exchange with a master that knows octets only."""
     bench = Bench(device, SlaveApp(device, address=SLAVE))
     device.installed(SLAVE, 500_000)
-    bench.prm(bytes.fromhex(prm))
-    bench.cfg(bytes.fromhex(config))
+    bench.prm_and_cfg(bytes.fromhex(prm), bytes.fromhex(config))
     assert bench.app.state is SlaveAppState.DATA_EXCH
     return bench
 
@@ -188,12 +187,10 @@ def test_demag_wrong_configuration_is_f2065() -> None:
     """13.2; the fault stands when the right configuration comes."""
     device = demag_device("PPO3")
     bench = Bench(device, SlaveApp(device, address=SLAVE))
-    bench.prm(bytes.fromhex(DEMAG_PRM))
-    bench.cfg(bytes.fromhex("72"))
+    bench.prm_and_cfg(bytes.fromhex(DEMAG_PRM), bytes.fromhex("72"))
     assert bench.diag()[0] & 0x04  # Cfg_Fault
     bench.now += 100 * MS
-    bench.prm(bytes.fromhex(DEMAG_PRM))
-    bench.cfg(bytes.fromhex("71"))
+    bench.prm_and_cfg(bytes.fromhex(DEMAG_PRM), bytes.fromhex("71"))
     assert exchange(bench, "60 00 00 00", 70) == "62 08 20 65"
     assert exchange(bench, "60 80 00 00", 70) == "62 08 20 65"  # no acknowledgement within 15 s
     exchange(bench, "60 00 00 00", 15_000)

@@ -8,6 +8,8 @@ from drive_bench import ALONE, MS, PluginBench
 import dpstack
 from dpstack_drives.fuji import DRIVE
 
+pytestmark = pytest.mark.virtual_time
+
 RUNNING_AT_HALF = "03 37 20 00"  # bit 8: the set point is reached
 
 
@@ -51,18 +53,15 @@ def test_settled_waits_for_the_name_of_a_fault() -> None:
 
 
 @pytest.mark.parametrize("drive", ["fuji-frenic", "ls-s100"])
-def test_a_program_at_9600(drive: str) -> None:
-    async def program() -> None:
-        slave = {"name": "fan", "address": 6, "drive": drive, "telegram": "PPO2"}
-        async with dpstack.open_bus(port="virtual", baud=9_600, slaves=[slave]) as bus:
-            fan = bus.drive("fan")
-            await bus.ready(30)
-            await bus.operate()
-            await fan.settled()
-            for speed in (0.5, 1.0, 0.25):
-                fan.speed = speed
-                await fan.start(timeout=20)
-                await fan.reached()
-                assert fan.status.speed == pytest.approx(speed, abs=0.01)
-
-    dpstack.run_virtual(program())
+async def test_a_program_at_9600(drive: str) -> None:
+    slave = {"name": "fan", "address": 6, "drive": drive, "telegram": "PPO2"}
+    async with dpstack.open_bus(port="virtual", baud=9_600, slaves=[slave]) as bus:
+        fan = bus.drive("fan")
+        await bus.ready(30)
+        await bus.operate()
+        await fan.settled()
+        for speed in (0.5, 1.0, 0.25):
+            fan.speed = speed
+            await fan.start(timeout=20)
+            await fan.reached()
+            assert fan.status.speed == pytest.approx(speed, abs=0.01)

@@ -187,6 +187,16 @@ class AlarmBus(Ms1Bus):
         """Run until ``count`` alarms have ended."""
         self.until(lambda: len(self.ends) == count)
 
+    def raise_and_run(self, ms: int, *blocks: bytes) -> None:
+        """The slave raises ``blocks``; run for ``ms``."""
+        self.alarm_slave.raises(*blocks)
+        self.run(ms)
+
+    def change_and_run(self, ms: int, rest: bytes) -> None:
+        """Put ``rest`` beside the alarm into the slave's diagnosis; run for ``ms``."""
+        self.alarm_slave.changes(rest)
+        self.run(ms)
+
     def raise_and_end(self, *blocks: bytes, count: int | None = None) -> None:
         """The slave raises ``blocks``; run until as many alarms, or ``count``, have ended since the start."""
         self.alarm_slave.raises(*blocks)

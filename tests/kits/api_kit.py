@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import functools
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from contextlib import AbstractAsyncContextManager
 from typing import Any, ParamSpec, TypeVar, Unpack
 
 import pytest
@@ -66,12 +67,17 @@ def bus_of(*slaves: SlaveTable, baud: int = 500_000, **more: Any) -> dpstack.Bus
 
 
 @contextlib.asynccontextmanager
-async def operating(*slaves: SlaveTable, **more: Any) -> AsyncIterator[dpstack.Bus]:
-    """A bus in Operate, with all slaves in data exchange."""
-    async with bus_of(*slaves, **more) as bus:
+async def in_operate(bus: dpstack.Bus) -> AsyncIterator[dpstack.Bus]:
+    """The bus in Operate, with all slaves in data exchange."""
+    async with bus:
         await bus.operate()
         await bus.ready()
         yield bus
+
+
+def operating(*slaves: SlaveTable, **more: Any) -> AbstractAsyncContextManager[dpstack.Bus]:
+    """A bus of these slaves, as :func:`in_operate` has it."""
+    return in_operate(bus_of(*slaves, **more))
 
 
 def bench_of(bus: dpstack.Bus) -> VirtualBench:

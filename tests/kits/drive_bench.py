@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 from dpstack.profile import DriveCore, DriveDevice, DriveProfile, Leave
 
 D = TypeVar("D", bound=DriveDevice)
+#: settings of a simulated drive, options of a plugin, arguments of an order: values by their names
+Named: TypeAlias = Mapping[str, object]
 
 MS = 1_000_000
 S = 1_000 * MS
 START = 5 * S
 #: options of a plugin that does not read its drive's settings by itself: the parameter channel is the test's
-ALONE: Mapping[str, object] = {"check_settings": False}
+ALONE: Named = {"check_settings": False}
 #: settings of a simulated drive as delivered; of a Demag drive and an IMO drive that the bus commands
-NONE: Mapping[str, object] = {}
+NONE: Named = {}
 BUS = {"412": 1}
 PZD = {"P15.02": 1, "P15.13": 1}
 
@@ -118,11 +120,15 @@ class PluginBench:
         assert not result["ok"], result
         return str(result["error"]), str(result["text"])
 
-    def misuse(self, op: str, **args: object) -> str:
-        """Like :meth:`refused`, for an order that no drive gets to see; its text."""
+    def refused_as(self, wanted: str, op: str, **args: object) -> str:
+        """Like :meth:`refused`, for an order that must fail in this way; its text."""
         kind, text = self.refused(op, **args)
-        assert kind == "usage"
+        assert kind == wanted
         return text
+
+    def misuse(self, op: str, **args: object) -> str:
+        """The text that refuses an order which no drive gets to see."""
+        return self.refused_as("usage", op, **args)
 
     def notices(self) -> list[str]:
         return [str(event["text"]) for event in self.events if event["type"] == "notice"]
@@ -213,7 +219,7 @@ class PairBench(PluginBench):
         return result
 
 
-def as_mapping(value: object) -> Mapping[str, object]:
+def as_mapping(value: object) -> Named:
     """A JSON object out of an event."""
     assert isinstance(value, dict)
     return value
@@ -222,8 +228,8 @@ def as_mapping(value: object) -> Mapping[str, object]:
 def pair(
     drive: DriveProfile,
     telegram: str | None,
-    simulated: Mapping[str, object] = NONE,
-    options: Mapping[str, object] = NONE,
+    simulated: Named = NONE,
+    options: Named = NONE,
     rotation: int = 2 * MS,
 ) -> PairBench:
     """A drive with the settings ``simulated``, and its plugin with ``options``."""

@@ -118,10 +118,12 @@ class Ms1Bus(OrderBus[OctetMs1Slave]):
         """The end of one Read."""
         return self.end(self.order_read(slot, index, length, address=address))
 
-    def order_read(self, slot: int = 1, index: int = 2, length: int = 240, *, address: int = 4) -> int:
-        """Order a Read; its token."""
+    def order_read(self, slot: int = 1, index: int = 2, length: int = 240, *, address: int = 4, run_ms: int = 0) -> int:
+        """Order a Read, and run for ``run_ms``; its token."""
         token = self.next_token()
         self.send(RecordOrder(token, Function.READ, slot, index, length, address=address))
+        if run_ms:
+            self.run(run_ms)
         return token
 
     def write(self, slot: int, index: int, data: bytes, *, address: int = 4) -> RecordDone:

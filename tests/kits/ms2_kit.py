@@ -213,10 +213,14 @@ class Ms2Bus(OrderBus[OctetMs2Slave]):
         """The end of one Initiate."""
         return self.end_of(self.order_open(address, **more), InitiateDone)
 
-    def order_read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> int:
-        """Only give the order; its token."""
+    def order_read(
+        self, connection: int, slot: int = 1, index: int = 2, length: int = 240, *, run_ms: int = 0, **more: Any
+    ) -> int:
+        """Only give the order, and run for ``run_ms``; its token."""
         token = self.next_token()
         self.send(RecordOrder(token, Function.READ, slot, index, length, connection=connection, **more))
+        if run_ms:
+            self.run(run_ms)
         return token
 
     def read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> RecordDone:

@@ -221,6 +221,11 @@ class ScriptedLink(KeepsEvents):
         self.master.command(order, self.now)
         self.run(run_ns)
 
+    def send_anew(self, order: object, run_ns: int = 0) -> None:
+        """As :meth:`send`; the requests so far are forgotten."""
+        self.requests.clear()
+        self.send(order, run_ns)
+
     def state(self, address: int) -> SlaveState:
         """The state of one slave."""
         return self.master.handlers[address].state

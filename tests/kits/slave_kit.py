@@ -135,6 +135,10 @@ class Bench:
     def cfg(self, data: bytes = CFG, sa: int = MASTER) -> Reply:
         return self.ask(62, data, sa)
 
+    def prm_and_cfg(self, prm: bytes = PRM, cfg: bytes = CFG, sa: int = MASTER) -> None:
+        self.prm(prm, sa)
+        self.cfg(cfg, sa)
+
     def dx(self, data: bytes = b"\x55", sa: int = MASTER) -> Reply:
         return self.ask(None, data, sa)
 
@@ -157,8 +161,7 @@ class Bench:
 
     def up(self, prm: bytes = PRM, cfg: bytes = CFG) -> Bench:
         """Into data exchange; what was told until then is forgotten."""
-        self.prm(prm)
-        self.cfg(cfg)
+        self.prm_and_cfg(prm, cfg)
         self.app.take_events()
         if isinstance(self.device, Recorder):
             self.device.take()

@@ -128,7 +128,6 @@ def test_events_nobody_wants_are_taken_away(world: WorldFactory) -> None:
 
 
 def test_commands_act_at_once(w: World) -> None:
-
     class Obeys(Dummy):
         def command(self, command: object, now: int) -> None:
             assert isinstance(command, bytes)
@@ -207,18 +206,19 @@ def from_2(tx: Transmission) -> bool:
     return tx.sender == "2"
 
 
-def sending(w: World, count: int = 3) -> Dummy:
-    """Station 2 sends DATA to 5 every ms; returns the receiver."""
+def sending(w: World, count: int = 3, until: int = 0) -> Dummy:
+    """Station 2 sends DATA to 5 every ms; returns the receiver, at ``until``."""
     receiver = Dummy(5)
     w.add(receiver)
     w.add(Dummy(2, hears_all=True, plan=[(number * MS, DATA) for number in range(count)]))
+    if until:
+        w.run_until(until)
     return receiver
 
 
 def test_no_station_hears_a_dropped_transmission(w: World) -> None:
     w.faults.drop(from_2, times=2)
-    receiver = sending(w)
-    w.run_until(3 * MS)
+    receiver = sending(w, until=3 * MS)
     assert [at for at, _ in receiver.heard] == [ends(2 * MS, DATA)]
     assert receiver.edges == [0, 2 * MS][1:]
     assert [entry.note for entry in w.log] == ["dropped", "dropped", ""]
@@ -228,8 +228,7 @@ def test_no_station_hears_a_dropped_transmission(w: World) -> None:
 def test_a_chosen_octet_is_damaged(w: World) -> None:
     w.faults.damage(lambda tx: tx.octets == DATA, octet=-2)
     w.faults.damage(lambda tx: tx.octets == DATA, octet=7, flips=0b110)
-    receiver = sending(w)
-    w.run_until(MS - 1)
+    receiver = sending(w, until=MS - 1)
     assert receiver.text == bytes.fromhex("68 05 05 68 05 02 7D A8 CD 16")
     assert receiver.octets[-1][0] == ends(0, DATA)
     w.run_until(3 * MS)
@@ -241,8 +240,7 @@ def test_damage_anywhere_is_decided_by_the_seed(world: WorldFactory) -> None:
     for seed in (1, 1, 2, 3):
         w = world(seed=seed, token_rules=False)
         w.faults.damage(from_2, times=None)
-        receiver = sending(w, 10)
-        w.run_until(10 * MS)
+        receiver = sending(w, 10, until=10 * MS)
         assert not receiver.heard
         heard.append(receiver.octets)
     assert heard[0] == heard[1]
@@ -251,16 +249,14 @@ def test_damage_anywhere_is_decided_by_the_seed(world: WorldFactory) -> None:
 
 def test_a_delayed_transmission_begins_later(w: World) -> None:
     w.faults.delay(from_2, 300 * BIT)
-    receiver = sending(w)
-    w.run_until(3 * MS)
+    receiver = sending(w, until=3 * MS)
     assert [at for at, _ in receiver.heard] == [ends(300 * BIT, DATA), ends(MS, DATA), ends(2 * MS, DATA)]
     assert next(iter(w.log)).note == "delayed"
 
 
 def test_a_truncated_transmission_has_its_first_octets_only(w: World) -> None:
     w.faults.truncate(from_2, octets=4)
-    receiver = sending(w, 4)
-    w.run_until(MS - 1)
+    receiver = sending(w, 4, until=MS - 1)
     assert receiver.text == DATA[:4]
     assert receiver.octets[-1][0] == ends(0, DATA[:4])
     w.faults.truncate(from_2, times=None)
@@ -273,8 +269,7 @@ def test_a_truncated_transmission_has_its_first_octets_only(w: World) -> None:
 
 def test_a_repeated_transmission_is_on_the_wire_twice(w: World) -> None:
     w.faults.repeat(from_2, 40 * BIT)
-    receiver = sending(w, 2)
-    w.run_until(3 * MS)
+    receiver = sending(w, 2, until=3 * MS)
     first = ends(0, DATA)
     assert [at for at, _ in receiver.heard] == [first, ends(first + 40 * BIT, DATA), ends(MS, DATA)]
     assert [entry.note for entry in w.log] == ["", "repeated", ""]
@@ -283,8 +278,7 @@ def test_a_repeated_transmission_is_on_the_wire_twice(w: World) -> None:
 def test_lost_octets_leave_the_others_in_their_places(world: WorldFactory) -> None:
     w = world(seed=3, token_rules=False)
     w.faults.lose_octets(0.2)
-    receiver = sending(w, 500)
-    w.run_until(500 * MS)
+    receiver = sending(w, 500, until=500 * MS)
     got = sum(len(chunk) for _, chunk in receiver.octets)
     # eleven octets each; those of a telegram that lost none arrive as a whole: 0.8 ** 11 = 0.086
     assert 0.05 < len(receiver.heard) / 500 < 0.13
@@ -339,8 +333,7 @@ def test_a_silenced_station_believes_to_send(world: WorldFactory) -> None:
 
 
 def test_a_deaf_station_does_not_hear_either(w: World) -> None:
-    receiver = sending(w)
-    w.run_until(MS // 2)
+    receiver = sending(w, until=MS // 2)
     w.silence(receiver, MS, deaf=True)
     w.run_until(3 * MS)
     assert [at for at, _ in receiver.heard] == [ends(0, DATA), ends(2 * MS, DATA)]
@@ -379,8 +372,7 @@ def test_noise_with_a_seed_is_the_same_noise(world: WorldFactory) -> None:
     for seed in (7, 7, 8):
         w = world(seed=seed, token_rules=False)
         w.faults.noise(2e-3)
-        receiver = sending(w, 200)
-        w.run_until(200 * MS)
+        receiver = sending(w, 200, until=200 * MS)
         logs.append((list(w.log), receiver.octets, receiver.heard))
     assert logs[0] == logs[1]
     assert logs[1] != logs[2]
@@ -413,8 +405,7 @@ def test_faults_can_be_ended(w: World) -> None:
     w.faults.noise(0.5)
     w.faults.drop(from_2, times=None)
     w.faults.clear()
-    receiver = sending(w)
-    w.run_until(3 * MS)
+    receiver = sending(w, until=3 * MS)
     assert len(receiver.heard) == 3
 
 

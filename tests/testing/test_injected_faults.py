@@ -6,13 +6,14 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from api_kit import virtual
 
 from dpstack import SlaveState
 from dpstack.api.control.commands import SEGMENT, SLAVES
 from dpstack.api.slave_side.fault_steps import KINDS
 from dpstack.testing import BusFactory, Fault, Faults
 from tests.testing.injected_faults import ELSEWHERE, FAN, ROWS, Place, Row, call, carry_out, port_place, virtual_place
+
+pytestmark = pytest.mark.virtual_time
 
 #: members of the kit that are no fault
 _NO_FAULT = {"active", "begin", "clear"}
@@ -46,25 +47,19 @@ def test_every_fault_has_a_row() -> None:
     assert {name for name in vars(Fault) if not name.startswith("_")} == {"acts", "end"}
 
 
-def test_by_commands_on_a_simulated_bus() -> None:
-    async def program() -> None:
-        async with virtual_place() as place:
-            await by_commands(place)
-
-    virtual(program())
+async def test_by_commands_on_a_simulated_bus() -> None:
+    async with virtual_place() as place:
+        await by_commands(place)
 
 
-def test_by_calls_of_the_kit() -> None:
-    async def program() -> None:
-        async with virtual_place() as place:
-            await place.bus.operate()
-            faults = place.faults
-            assert faults is not None
-            for row in ROWS:
-                if row.kit is not None:
-                    await call(place, row, faults)
-
-    virtual(program())
+async def test_by_calls_of_the_kit() -> None:
+    async with virtual_place() as place:
+        await place.bus.operate()
+        faults = place.faults
+        assert faults is not None
+        for row in ROWS:
+            if row.kit is not None:
+                await call(place, row, faults)
 
 
 @pytest.mark.strangers

@@ -10,6 +10,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from api_kit import in_operate
 
 import dpstack
 from dpstack.testing import BusFactory, VirtualTime
@@ -202,9 +203,7 @@ def test_an_application_that_opens_its_own_bus(dpstack_bus: BusFactory, monkeypa
     monkeypatch.setattr(dpstack, "open_bus", bus.open_bus)
 
     async def application() -> None:
-        async with dpstack.open_bus() as own:
-            await own.operate()
-            await own.ready()
+        async with in_operate(dpstack.open_bus()) as own:
             fan = own.drive("fan")
             await fan.start()
             fan.speed = 0.5

@@ -7,7 +7,7 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from api_kit import FAN, HOIST, RAW, begun, in_virtual_time, operating
+from api_kit import FAN, HOIST, RAW, begun, in_operate, in_virtual_time, operating
 from far_ends import until
 
 import dpstack
@@ -76,9 +76,7 @@ async def test_slaves_at_a_given_rate_do_not_search() -> None:
 async def test_a_second_master_finds_the_rate_of_a_simulated_bus() -> None:
     world = make_world()
     dpstack.simulate(world, [RAW, FAN], baud=93_750)
-    async with dpstack.open_bus(world=world, baud=93_750, slaves=[RAW]) as first:
-        await first.operate()
-        await first.ready()
+    async with in_operate(dpstack.open_bus(world=world, baud=93_750, slaves=[RAW])) as first:
         second = dpstack.open_bus(world=world, baud="auto", address=5, slaves=[FAN], t_tr=first.params.t_tr)
         assert searching(second)
         assert (second.slaves, second.drives) == ((), ())

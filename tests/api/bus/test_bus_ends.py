@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
-from api_kit import FAN, RAW, begun, bus_of, cancelled, operating, slave_in, stack_of, virtual
+from api_kit import FAN, RAW, begun, bus_of, cancelled, in_operate, operating, slave_in, stack_of, virtual
 from ends.telegrams import told
 from foreign_master import ForeignMaster
 from support import WorldFactory, present
@@ -40,9 +40,7 @@ async def test_the_end_is_orderly(w: World, how: str) -> None:
     bus = bus_of(RAW | {"safe": "11"}, world=w)
 
     async def use() -> None:
-        async with bus:
-            await bus.operate()
-            await bus.ready()
+        async with in_operate(bus):
             bus.slave(9).outputs = b"\x77"
             await bus.rotated(bus.stats.rotations + 5)
             if how == "exception":

@@ -7,7 +7,7 @@ import itertools
 from typing import Any
 
 import pytest
-from api_kit import FAN, HOIST, RAW, begun, bench_of, bus_of, operating, slave_in, stack_of
+from api_kit import FAN, HOIST, RAW, begun, bench_of, bus_of, in_operate, operating, slave_in, stack_of
 from support import instance, present
 
 import dpstack
@@ -195,9 +195,7 @@ def test_groups_of_a_cycle_are_checked_with_the_configuration() -> None:
 async def test_drives_a_scan_and_class_2_beside_a_cycle() -> None:
     """A motor is started and its parameter read, everybody is asked who he is; no cycle begins late."""
     bus = bus_of(HOIST, FAN, A, baud=1_500_000, cycle_ms=5)
-    async with bus:
-        await bus.operate()
-        await bus.ready()
+    async with in_operate(bus):
         fan = bus.drive("fan")
         await fan.start(timeout=5)
         fan.speed = 0.5

@@ -21,6 +21,8 @@ from dpstack.logs import JsonFormatter
 from dpstack.slave import DpSlave, SlaveDescription, serve_slave
 from dpstack.trace import Event, Notice, Severity
 
+pytestmark = pytest.mark.virtual_time
+
 ESC = "\x1b[2J"
 RAW = {"address": 9, "ident": 0x1234, "config": "20 10"}
 
@@ -52,16 +54,13 @@ def lines() -> Iterator[list[dict[str, Any]]]:
     logger.setLevel(level)
 
 
-def test_the_events_of_a_bus_are_records(lines: list[dict[str, Any]]) -> None:
+async def test_the_events_of_a_bus_are_records(lines: list[dict[str, Any]]) -> None:
     events: list[Event] = []
 
-    async def program() -> None:
-        slave = {"name": "tank.no.1", **RAW}
-        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[slave], on_event=events.append) as bus:
-            await bus.operate()
-            await bus.ready()
-
-    dpstack.run_virtual(program())
+    slave = {"name": "tank.no.1", **RAW}
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[slave], on_event=events.append) as bus:
+        await bus.operate()
+        await bus.ready()
     assert {line["logger"] for line in lines} == {"dpstack.bus", "dpstack.slave.tank_no_1"}
     texts = [event.text for event in events]
     assert [line["text"] for line in lines] == [text for text in texts if text in {line["text"] for line in lines}]
@@ -82,20 +81,17 @@ def test_the_events_of_a_bus_are_records(lines: list[dict[str, Any]]) -> None:
     assert 0 < exchange["t"] < 2
 
 
-def test_the_events_of_a_served_slave_are_records(lines: list[dict[str, Any]]) -> None:
+async def test_the_events_of_a_served_slave_are_records(lines: list[dict[str, Any]]) -> None:
     """In a branch of their own: the master in the same program has a slave of this name, too."""
     description = SlaveDescription.simple(0x4711, inputs=1, outputs=1, name="tank.no.1")
     tank = DpSlave(description, lambda outputs, _: outputs)
     world = dpstack.World()
     events: list[Event] = []
 
-    async def program() -> None:
-        async with serve_slave(tank, world=world, address=9, on_event=events.append):
-            async with dpstack.open_bus(world=world, baud=500_000, slaves=[description.table(9)]) as bus:
-                await bus.ready()
-            await asyncio.sleep(2)
-
-    dpstack.run_virtual(program())
+    async with serve_slave(tank, world=world, address=9, on_event=events.append):
+        async with dpstack.open_bus(world=world, baud=500_000, slaves=[description.table(9)]) as bus:
+            await bus.ready()
+        await asyncio.sleep(2)
     served = [line for line in lines if line["logger"].startswith("dpstack.served")]
     assert [line["text"] for line in served] == [event.text for event in events]
     assert {line["logger"] for line in served} == {"dpstack.served.tank_no_1"}

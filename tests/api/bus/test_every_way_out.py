@@ -71,19 +71,11 @@ def test_no_row_says_that_a_program_hangs_or_an_end_is_missing() -> None:
             assert killed or bus_process or exits or row.group == "port", key
 
 
-def compare(key: str) -> None:
-    assert measure(ROWS[key]) == kept()[key], f"when it is meant: python tests/kits/ends {key!r}"
-
-
-@pytest.mark.parametrize("key", [key for key, row in ROWS.items() if row.quick])
-def test_quick_rows(key: str) -> None:
-    compare(key)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("key", [key for key, row in ROWS.items() if not row.quick])
+@pytest.mark.parametrize(
+    "key", [pytest.param(key, marks=() if row.quick else pytest.mark.soak) for key, row in ROWS.items()]
+)
 def test_every_row(key: str) -> None:
-    compare(key)
+    assert measure(ROWS[key]) == kept()[key], f"when it is meant: python tests/kits/ends {key!r}"
 
 
 #: what can be seen from within the process of the test

@@ -6,7 +6,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, stack_of
+from api_kit import HOIST, RAW, bus_of, in_operate, stack_of
 
 import dpstack
 from dpstack.api.bus.compose import plan_bus
@@ -162,9 +162,7 @@ def test_rates_that_a_slave_does_not_know_do_not_count() -> None:
 
 
 async def test_the_manuals_rotation_in_virtual_time() -> None:
-    async with dpstack.open_bus(EXAMPLES / "two_milliseconds.toml") as bus:
-        await bus.operate()
-        await bus.ready()
+    async with in_operate(dpstack.open_bus(EXAMPLES / "two_milliseconds.toml")) as bus:
         master = stack_of(bus).master
         master.rotation = Histogram()
         await asyncio.sleep(0.5)

@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import RAW, bus_of, in_virtual_time, operating
+from api_kit import RAW, bus_of, operating
 from support import present
 
 import dpstack
@@ -72,7 +72,6 @@ LAMP: dict[str, object] = {
 KEYS = ("outputs", "held", "fields", "held_fields")
 
 
-@in_virtual_time
 async def test_outputs_are_what_the_slave_gets_and_held_what_waits() -> None:
     async with bus_of(LAMP) as bus:
         await bus.ready(5)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from api_kit import RAW, bench_of, bus_of, virtual
+from api_kit import RAW, bench_of, bus_of, in_operate, virtual
 from hypothesis import given
 from hypothesis import strategies as st
 from support import instance
@@ -213,9 +213,7 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
 async def test_each_drive_is_dumped_and_compared(kind: str, tmp_path: Path) -> None:
     count, name, value, data_set = DRIVES[kind]
     path = tmp_path / "it.toml"
-    async with bus_with(kind, RAW) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with in_operate(bus_with(kind, RAW)) as bus:
         it = bus.drive("it")
         seen: list[int] = []
         cycles = bus.stats.slaves[9].exchanges

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import CodeType, FrameType
 
 import pytest
-from api_kit import HOIST, RAW, bench_of, bus_of, operating, virtual
+from api_kit import HOIST, RAW, bench_of, bus_of, operating
 
 import dpstack
 from dpstack.api.bus import recording as bus_recording
@@ -200,31 +200,28 @@ def _calls_of(work: Callable[[], object]) -> list[CodeType]:
 
 
 @pytest.mark.parametrize(("outputs", "most"), [(False, 12), (True, 12 + 5 * 10)])
-def test_the_cost_of_a_round(outputs: bool, most: int, tmp_path: Path) -> None:
+async def test_the_cost_of_a_round(outputs: bool, most: int, tmp_path: Path) -> None:
     """Ten slaves: calls of Python functions at the end of a round, none without a recording."""
 
-    async def measure() -> None:
-        tables = [{**VALVES, "name": f"v{n}", "address": n + 10} for n in range(10)]
-        slaves = tables if outputs else [{**table, "outputs": {}} for table in tables]
-        async with operating(*slaves) as bus:
-            ends: list[list[CodeType]] = []
-            view = core_of(bus).view
-            watch = view.watch_rounds
+    tables = [{**VALVES, "name": f"v{n}", "address": n + 10} for n in range(10)]
+    slaves = tables if outputs else [{**table, "outputs": {}} for table in tables]
+    async with operating(*slaves) as bus:
+        ends: list[list[CodeType]] = []
+        view = core_of(bus).view
+        watch = view.watch_rounds
 
-            def counted(on_round: Callable[[], None] | None) -> None:
-                watch(None if on_round is None else lambda: ends.append(_calls_of(on_round)))
+        def counted(on_round: Callable[[], None] | None) -> None:
+            watch(None if on_round is None else lambda: ends.append(_calls_of(on_round)))
 
-            view.watch_rounds = counted  # type: ignore[method-assign]
+        view.watch_rounds = counted  # type: ignore[method-assign]
+        await asyncio.sleep(0.05)
+        assert ends == []
+        async with bus.record(tmp_path / "plant.csv") as recording:
             await asyncio.sleep(0.05)
-            assert ends == []
-            async with bus.record(tmp_path / "plant.csv") as recording:
-                await asyncio.sleep(0.05)
-            assert len(ends) > 5
-            assert 5 < max(map(len, ends)) <= most
-            assert {"_on_round", "_take", "put"} <= {code.co_name for code in ends[-1]}
-            count = len(ends)
-            await asyncio.sleep(0.05)
-            assert len(ends) == count
-        assert recording.rows >= count
-
-    virtual(measure())
+        assert len(ends) > 5
+        assert 5 < max(map(len, ends)) <= most
+        assert {"_on_round", "_take", "put"} <= {code.co_name for code in ends[-1]}
+        count = len(ends)
+        await asyncio.sleep(0.05)
+        assert len(ends) == count
+    assert recording.rows >= count

@@ -6,7 +6,7 @@ import asyncio
 import json
 
 import pytest
-from api_kit import bench_of, running
+from api_kit import bench_of, in_operate, running
 from support import instance, present
 
 import dpstack
@@ -68,9 +68,7 @@ SAYS = {
 
 
 async def test_each_drive_is_refused_and_the_status_of_the_run_says_why() -> None:
-    async with dpstack.open_bus(parse_config(PLANT, "plant.toml")) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with in_operate(dpstack.open_bus(parse_config(PLANT, "plant.toml"))) as bus:
         for name, says in SAYS.items():
             with pytest.raises(DriveFault, match=f"drive {name}: .*{says}"):
                 await bus.drive(name).start()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from api_kit import bench_of, bus_of
+from api_kit import bench_of, bus_of, in_operate
 
 import dpstack
 from dpstack.api.bus.bus import core_of
@@ -47,9 +47,7 @@ async def inputs_at(
     """The inputs that the master reads at ``times``, in s after the start, and the remarks about their source."""
     events: list[dpstack.Event] = []
     config = parse_config(f"{table}simulate = {{ {simulate} }}\n", str(folder / "plant.toml"))
-    async with dpstack.open_bus(config, on_event=events.append) as bus:
-        await bus.operate()
-        await bus.ready()
+    async with in_operate(dpstack.open_bus(config, on_event=events.append)) as bus:
         bus.slave("tank").outputs = outputs
         await asyncio.sleep(0.02)
         bench = bench_of(bus)

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from typing import Any, cast
 
 import pytest
-from api_kit import in_virtual_time, operating
+from api_kit import operating
 from gsd_kit import FILES, device
 from octet_class2 import ABORT, INITIATE, RS, SC, Class2
 from octet_wire import PARAMS, Wire
@@ -146,7 +146,6 @@ async def test_a_slave_of_its_description_or_of_its_own_number() -> None:
         SlaveDescription.simple(1, inputs=1, outputs=1, ms2=50)
 
 
-@in_virtual_time
 async def test_a_slave_refuses_services_that_it_does_not_have(world: WorldFactory) -> None:
     """The master reads why, as one who opens the connection and as one who has it."""
     refused: list[int] = []
@@ -180,7 +179,6 @@ def test_from_a_gsd_file() -> None:
     assert slave.ms2 == 2
 
 
-@in_virtual_time
 async def test_three_masters_at_once_beside_its_own(world: WorldFactory) -> None:
     """Both ends of ours: connections of two stations and of its class 1 master, MS1 beside them; the cycle goes on."""
     plant = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=3)

@@ -50,8 +50,7 @@ def rig(store: ParamStore, busy_ms: int = 0) -> DpSlave:
 
 def test_literally() -> None:
     bench = Bench(rig(ParamStore(TABLE, {}), busy_ms=5))
-    bench.prm(bytes.fromhex("88 01 0A 0B 12 34 00 80 00 00"))
-    bench.cfg(bytes.fromhex("10 20"))
+    bench.prm_and_cfg(bytes.fromhex("88 01 0A 0B 12 34 00 80 00 00"), bytes.fromhex("10 20"))
     for now, request, response in (
         (0, "5E 01 2F F0", "DE 80 B5 00"),  # nothing was asked
         (0, "5F 02 2F 0A 01 01 01 01 10 00 03 C5 00 00", "DF 80 B2 00"),

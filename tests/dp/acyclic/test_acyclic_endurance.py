@@ -241,7 +241,10 @@ def test_100_000_services_pile_up_nowhere(world: WorldFactory) -> None:
     assert max(octets for _, octets in later) < first[1] + 100_000, (first, later)
 
 
-def idle(world: WorldFactory, seconds: int, seed: int) -> None:
+@pytest.mark.parametrize(
+    ("seconds", "seed"), [(120, 1), *(pytest.param(3600, seed, marks=pytest.mark.soak) for seed in range(2))]
+)
+def test_idle_keeps_connections(world: WorldFactory, seconds: int, seed: int) -> None:
     """Two connections to each slave, over which nothing goes but Idle; one telegram in fifty lost."""
     plant = Plant(world(seed=seed), 9_600, seed, cyclic=False)
     for address in ADDRESSES * CONNECTIONS:
@@ -259,17 +262,11 @@ def idle(world: WorldFactory, seconds: int, seed: int) -> None:
     plant.settle()
 
 
-def test_idle_keeps_connections_for_minutes(world: WorldFactory) -> None:
-    idle(world, 120, 1)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("seed", range(2))
-def test_idle_keeps_connections_for_an_hour(world: WorldFactory, seed: int) -> None:
-    idle(world, 3600, seed)
-
-
-def alarms(world: WorldFactory, count: int, mode: int, seed: int) -> None:
+@pytest.mark.parametrize(
+    ("count", "mode", "seed"),
+    [(50, 0, 1), (50, 7, 1), *(pytest.param(5_000, mode, mode, marks=pytest.mark.soak) for mode in (0, 1, 7))],
+)
+def test_sequence_numbers_wrap(world: WorldFactory, count: int, mode: int, seed: int) -> None:
     """``count`` alarms of each slave, pauses of all lengths between them, one telegram in a hundred lost."""
     plant = Plant(world(seed=seed), 187_500, seed, mode=mode)
     plant.lose(0.05, 4)
@@ -298,14 +295,3 @@ def alarms(world: WorldFactory, count: int, mode: int, seed: int) -> None:
         assert last[address] == count - 1
         assert all(one.end is AlarmEnd.ACKNOWLEDGED for one in raised[address])
         assert [alarm.sequence for alarm in heard[address]] == [number % SEQUENCES for number in range(count)]
-
-
-@pytest.mark.parametrize("mode", [0, 7])
-def test_sequence_numbers_wrap(world: WorldFactory, mode: int) -> None:
-    alarms(world, 50, mode, 1)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("mode", [0, 1, 7])
-def test_sequence_numbers_wrap_again_and_again(world: WorldFactory, mode: int) -> None:
-    alarms(world, 5_000, mode, mode)

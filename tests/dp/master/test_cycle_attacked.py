@@ -162,18 +162,8 @@ class Attack:
                 assert later - earlier >= setup.min_slave_interval_ns
 
 
-@pytest.mark.parametrize("n", range(10))
+@pytest.mark.parametrize("n", [*range(10), *(pytest.param(n, marks=pytest.mark.soak) for n in range(10, 400))])
 def test_cycles_stay_on_the_grid_under_any_fault(world: WorldFactory, n: int) -> None:
-    strike(world, n)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("n", range(10, 400))
-def test_cycles_stay_on_the_grid_under_any_fault_many_times(world: WorldFactory, n: int) -> None:
-    strike(world, n)
-
-
-def strike(world: WorldFactory, n: int) -> None:
     attack = Attack(world(), n)
     begin = Cadence.begin
 

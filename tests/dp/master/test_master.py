@@ -104,8 +104,7 @@ def test_stop_sends_nothing_to_slaves() -> None:
 def test_shutdown_safe_values_then_clear_twice() -> None:
     bus = exchanging(setup(safe=b"\x00\x01\x00\x02", initial=b"\x01\x01\x01\x01"))
     bus.send(SetMode(Mode.OPERATE), 5 * MS)
-    bus.requests.clear()
-    bus.send(Shutdown())
+    bus.send_anew(Shutdown())
     began = bus.now
     while not any(r.data == bytes(4) for r in bus.requests):
         bus.hold()
@@ -148,8 +147,7 @@ def test_add_and_remove_while_running() -> None:
     bus.slaves[4] = ScriptedSlave()
     bus.send(AddSlave(setup(4)), 5 * MS)
     assert bus.state(4) is SlaveState.DATA_EXCHANGE
-    bus.requests.clear()
-    bus.send(RemoveSlave(4), 60 * MS)
+    bus.send_anew(RemoveSlave(4), 60 * MS)
     made = [(r.dsap, r.data) for r in bus.requests if r.da == 4]
     assert len(made) > 10
     assert set(made[:-1]) == {(None, bytes(4))}

@@ -63,8 +63,7 @@ def test_deactivate_and_activate() -> None:
     assert squeezed(wire(bus)) == [(None, "04 7E 00 00"), (61, "40 01 01 0B 06 96 00")]
     assert not bus.image.valid
     bus.slave.configured = False
-    bus.requests.clear()
-    bus.send(ActivateSlave(3), 20 * MS)
+    bus.send_anew(ActivateSlave(3), 20 * MS)
     assert squeezed(wire(bus))[:5] == [DIAG, SET_PRM, CHK_CFG, DIAG, (None, "04 7F 40 00")]
     assert bus.states(3)[0] == "deactivated"
 

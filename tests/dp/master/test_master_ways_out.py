@@ -139,8 +139,7 @@ def test_a_slave_removed_during_its_bring_up_is_unlocked_when_it_was_parameteris
     bus.send(AddSlave(setup(4)))
     while bus.state(4).value != state:
         bus.hold()
-    bus.requests.clear()
-    bus.send(RemoveSlave(4), 200 * MS)
+    bus.send_anew(RemoveSlave(4), 200 * MS)
     assert [(r.dsap, r.data[0]) for r in bus.requests if r.da == 4] == [(61, 0x40)] * unlocks
 
 
@@ -171,8 +170,7 @@ def test_shutdown_during_bring_up_parameterises_nobody_any_more(bus: ScriptedLin
     bus.slaves[4] = ScriptedSlave()
     bus.send(AddSlave(setup(4)))
     bus.hold()
-    bus.requests.clear()
-    bus.send(Shutdown(), 100 * MS)
+    bus.send_anew(Shutdown(), 100 * MS)
     assert not any(r.da == 4 for r in bus.requests)
     assert bus.master.mode is Mode.OFFLINE
 

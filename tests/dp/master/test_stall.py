@@ -53,8 +53,7 @@ def test_no_old_output_goes_out_after_a_gap_longer_than_the_watchdog() -> None:
     clear = [r.data for r in bus.requests if r.dsap == 58]
     assert set(clear) == {b"\x02\x00"}  # Global_Control: Clear, never Operate
     assert "slave 3 (s3) was not asked for 201 ms, longer than its watchdog of 200 ms" in stall.text
-    bus.requests.clear()
-    bus.send(SetMode(Mode.OPERATE), 10 * MS)
+    bus.send_anew(SetMode(Mode.OPERATE), 10 * MS)
     assert outputs(bus) == [RUN]
     assert [event.mode for event in bus.events_of(ModeChanged)] == [Mode.CLEAR, Mode.OPERATE]
 

@@ -173,8 +173,7 @@ def test_a_slave_that_comes_back_is_put_back_into_its_groups_mode_before_its_out
 def test_safe_values_reach_outputs_that_are_held(end: object, safe: bytes) -> None:
     bus = operating(setup(3, safe=safe, initial=b"\x04\x7f\x40\x00"))
     bus.send(SendControl(1, (1,), sync=True), 10 * MS)
-    bus.requests.clear()
-    bus.send(end, 100 * MS)
+    bus.send_anew(end, 100 * MS)
     made = [(r.dsap, r.data.hex(" ")) for r in bus.requests]
     first = next(n for n, (dsap, octets) in enumerate(made) if dsap == 58)
     assert made[first] == (58, "14 00" if safe else "16 00")
@@ -184,8 +183,7 @@ def test_safe_values_reach_outputs_that_are_held(end: object, safe: bytes) -> No
 def test_a_slave_given_up_in_sync_gets_its_safe_values_too() -> None:
     bus = operating(setup(3), setup(4, safe=b"\x04\x7e\x00\x00", initial=b"\x04\x7f\x40\x00"))
     bus.send(SendControl(1, (1,), sync=True), 10 * MS)
-    bus.requests.clear()
-    bus.send(RemoveSlave(4), 100 * MS)
+    bus.send_anew(RemoveSlave(4), 100 * MS)
     made = [(r.dsap, r.data.hex(" ")) for r in bus.requests if r.da == 4]
     assert made[:3] == [(None, "04 7e 00 00"), (58, "14 00"), (None, "04 7e 00 00")]
     assert made[-1][0] == 61
@@ -197,8 +195,7 @@ def test_the_release_of_a_slave_given_up_says_the_mode_too(mode: Mode, octets: s
     bus = operating(setup(3), setup(4))
     bus.send(SetMode(mode), 200 * MS)
     bus.send(SendControl(1, (1,), freeze=True), 10 * MS)
-    bus.requests.clear()
-    bus.send(RemoveSlave(4), 100 * MS)
+    bus.send_anew(RemoveSlave(4), 100 * MS)
     assert [r.data.hex(" ") for r in bus.requests if (r.da, r.dsap) == (4, 58)] == [octets]
 
 

@@ -6,7 +6,7 @@ from collections import defaultdict
 from itertools import pairwise
 
 import pytest
-from api_kit import bus_of, operating, stack_of, virtual
+from api_kit import bus_of, operating, stack_of
 from bus_kit import SimBus
 from support import MS
 
@@ -17,6 +17,8 @@ from dpstack.sim.world import World
 from dpstack.stats import Histogram
 from dpstack.trace import WireEntry
 from dpstack.units import ns_to_bits
+
+pytestmark = pytest.mark.virtual_time
 
 BAUD = 500_000
 EXTRA = 300
@@ -67,31 +69,25 @@ def test_the_pause_is_kept_before_everything_that_is_sent(w: World) -> None:
 
 
 @pytest.mark.parametrize("extra", [0, 1, 50, 1_000])
-def test_the_plan_counts_it(extra: int) -> None:
+async def test_the_plan_counts_it(extra: int) -> None:
     tables: list[dict[str, object]] = [
         {"name": f"s{address}", "address": address, "ident": 1, "config": "20 10"} for address in (3, 4)
     ]
 
-    async def program() -> None:
-        async with operating(*tables, gap=0, extra_idle_bits=extra) as bus:
-            master = stack_of(bus).master
-            master.rotation = Histogram()  # without the rounds of the bring-up
-            await bus.rotated(30)
-            # each slave: SD2 with one octet both ways, T_SDR 11, T_ID1; the token and T_ID1
-            by_hand = 2 * (110 + 11 + 110 + 37 + extra) + 33 + 37 + extra
-            assert bus.plan.rotations[Case.SHORTEST].bits == by_hand
-            assert abs(master.rotation.min_ns - by_hand * 2_000) <= 5 * 2_000
-
-    virtual(program())
+    async with operating(*tables, gap=0, extra_idle_bits=extra) as bus:
+        master = stack_of(bus).master
+        master.rotation = Histogram()  # without the rounds of the bring-up
+        await bus.rotated(30)
+        # each slave: SD2 with one octet both ways, T_SDR 11, T_ID1; the token and T_ID1
+        by_hand = 2 * (110 + 11 + 110 + 37 + extra) + 33 + 37 + extra
+        assert bus.plan.rotations[Case.SHORTEST].bits == by_hand
+        assert abs(master.rotation.min_ns - by_hand * 2_000) <= 5 * 2_000
 
 
-def test_the_plan_shows_it_and_names_what_is_impossible() -> None:
-    async def program() -> None:
-        async with bus_of(extra_idle_bits=50) as bus:
-            parameters = bus.plan.as_dict()["parameters"]
-            assert isinstance(parameters, dict)
-            assert (parameters["extra_idle"], parameters["t_id1"], parameters["t_id2"]) == (50, 87, 150)
-
-    virtual(program())
+async def test_the_plan_shows_it_and_names_what_is_impossible() -> None:
+    async with bus_of(extra_idle_bits=50) as bus:
+        parameters = bus.plan.as_dict()["parameters"]
+        assert isinstance(parameters, dict)
+        assert (parameters["extra_idle"], parameters["t_id1"], parameters["t_id2"]) == (50, 87, 150)
     with pytest.raises(dpstack.ConfigError, match=r"extra_idle_bits"):
         bus_of(extra_idle_bits=-1)

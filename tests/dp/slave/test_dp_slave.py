@@ -218,8 +218,7 @@ def test_the_watchdog_has_a_1_ms_base_where_it_is_set_and_known(supported: bool,
     """docs/reference/protocol.md#watchdog: WD_Base_1ms; exactly f1 x f2 ms after the last request of the owner, octets
     2 and 3 are 1 and 7."""
     bench = served(Log(), wd_base_1ms=supported)
-    bench.prm(bytes.fromhex("88 01 07 0B 0A 35 00" + user_prm))
-    bench.cfg()
+    bench.prm_and_cfg(bytes.fromhex("88 01 07 0B 0A 35 00" + user_prm))
     bench.now = 1_234_567
     bench.dx()
     assert bench.app.wake_at() <= 1_234_567 + ms * MS
@@ -280,8 +279,7 @@ def modular(**more: Any) -> Bench:
 )
 def test_modules_in_any_order(config: str, reason: str | None) -> None:
     bench = modular()
-    bench.prm()
-    bench.cfg(bytes.fromhex(config))
+    bench.prm_and_cfg(cfg=bytes.fromhex(config))
     told = " ".join(bench.texts())
     if reason is None:
         assert bench.app.state is SlaveAppState.DATA_EXCH

@@ -139,8 +139,7 @@ def test_bad_configuration(start: SlaveAppState, config: bytes) -> None:
 def test_a_configuration_longer_than_a_telegram() -> None:
     config = bytes([0x7F] * 8)  # 8 x 16 words each way
     bench = Bench(Recorder(config))
-    bench.prm()
-    bench.cfg(config)
+    bench.prm_and_cfg(cfg=config)
     assert bench.app.state is WAIT_PRM
     assert "256 input and 256 output octets, 244 each are possible" in bench.texts()[-2]
 

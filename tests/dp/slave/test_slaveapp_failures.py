@@ -27,8 +27,7 @@ def test_a_broken_device_waits_in_wait_cfg_until_restarted(call: str) -> None:
     bench = Bench()
     bench.recorder.broken = call
     # all the calls that a device gets
-    bench.prm()
-    bench.cfg()
+    bench.prm_and_cfg()
     bench.dx()
     bench.dx()
     for command in (CLEAR, OPERATE, SYNC):
@@ -46,8 +45,7 @@ def test_a_broken_device_waits_in_wait_cfg_until_restarted(call: str) -> None:
     assert bench.app.outputs == b""
     bench.recorder.take()
     for _ in range(3):  # the master tries again and again: accepted, never ready, and the device left alone
-        bench.prm()
-        bench.cfg()
+        bench.prm_and_cfg()
         assert bench.app.state is SlaveAppState.WAIT_CFG
         assert bench.diag() == bytes.fromhex("02 0E 00 02 0A 35")  # not ready, Stat_Diag
         assert bench.dx() == RS_REPLY

@@ -82,8 +82,7 @@ def test_unlock_gives_it_to_others(bench: Bench) -> None:
     assert bench.prm(UNLOCK) == SC_REPLY
     assert (bench.app.state, bench.app.master) == (WAIT_PRM, None)
     assert bench.recorder.take()[-1] == "leave unlock"
-    bench.prm(sa=OTHER)
-    bench.cfg(sa=OTHER)
+    bench.prm_and_cfg(sa=OTHER)
     assert bench.dx(sa=OTHER).data == b"\x02"
     assert bench.app.master == OTHER
 

@@ -25,8 +25,7 @@ def slave(kit: AlarmBus) -> AlarmSlave:
 
 def test_held_until_the_application_has_it(kit: AlarmBus, slave: AlarmSlave) -> None:
     kit.hold()
-    slave.raises(PROCESS, block(2, 4))
-    kit.run(500)
+    kit.raise_and_run(500, PROCESS, block(2, 4))
     assert kit.blocks == [PROCESS]
     assert kit.raised[0].held
     assert not slave.acks
@@ -45,8 +44,7 @@ def test_in_sequence_mode_in_the_order_the_application_likes() -> None:
     slave.at_a_time = 4
     kit.hold()
     blocks = [block(2, 1, 0, number) for number in range(6)]
-    slave.raises(*blocks)
-    kit.run(200)
+    kit.raise_and_run(200, *blocks)
     assert kit.blocks == blocks[:4]
     assert kit.counts.too_many == 0
     for number in (3, 1, 4, 2):
@@ -60,8 +58,7 @@ def test_at_sap_50_beside_a_read_that_takes_its_time() -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=ALL, extra_alarm_sap=True))
     slave = kit.alarm_slave
     slave.sap = 50
-    token = kit.order_read()  # the slave acknowledges, and never answers
-    kit.run(20)
+    token = kit.order_read(run_ms=20)  # the slave acknowledges, and never answers
     slave.raises(PROCESS)
     kit.until_taken(1, 100)
     assert not kit.done
@@ -189,11 +186,9 @@ def test_busy_and_then_refused_is_refused(kit: AlarmBus) -> None:
 
 def test_a_refused_acknowledgement_ends_the_alarm_and_is_reported_once(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.refuses = ["B2", "B2"]
-    slave.raises(PROCESS)
-    kit.run(500)
+    kit.raise_and_run(500, PROCESS)
     slave.open.clear()
-    slave.raises(block(2, 4))
-    kit.run(500)
+    kit.raise_and_run(500, block(2, 4))
     assert [end.outcome.failure for end in kit.ends] == [ServiceFailure.NEGATIVE] * 2
     assert kit.counts.refused == 2
     assert kit.blocks == [PROCESS, block(2, 4)]

@@ -62,10 +62,8 @@ def test_every_type(kit: AlarmBus, kind: int, specifier: int) -> None:
     "octets", ["05 07 03 01 00", "05 02 ff 01 00", "05 00 01 01 00", "05 7f 01 01 00", "03 02 01", "3f 01 02"]
 )
 def test_malformed_device_blocks_are_reported_once_and_counted(kit: AlarmBus, octets: str) -> None:
-    kit.alarm_slave.changes(bytes.fromhex(octets))
-    kit.run(50)
-    kit.alarm_slave.changes(bytes.fromhex(octets))
-    kit.run(50)
+    kit.change_and_run(50, bytes.fromhex(octets))
+    kit.change_and_run(50, bytes.fromhex(octets))
     assert not kit.raised
     assert not kit.statuses
     assert kit.counts.malformed == 2
@@ -87,8 +85,7 @@ def test_malformed_device_blocks_are_reported_once_and_counted(kit: AlarmBus, oc
 )
 def test_an_alarm_of_a_kind_that_is_not_enabled_is_reported_and_not_acknowledged(kind: int, enabled: str) -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=tuple(name for name in ALL if name != enabled)))
-    kit.alarm_slave.raises(block(kind, 1))
-    kit.run(100)
+    kit.raise_and_run(100, block(kind, 1))
     assert not kit.raised
     assert not kit.alarm_slave.acks
     assert kit.counts.not_enabled == 1
@@ -101,14 +98,10 @@ def test_an_alarm_of_a_kind_that_is_not_enabled_is_reported_and_not_acknowledged
 
 def test_statuses_are_reported_when_they_are_new_and_never_acknowledged(kit: AlarmBus, slave: AlarmSlave) -> None:
     message = block(0x81, 2, 1, data="55")
-    slave.changes(message)
-    kit.run(50)
-    slave.changes(message + bytes.fromhex("05 82 00 00 c9"))  # as before, and modules 1, 3 and 4 are ill
-    kit.run(50)
-    slave.changes(bytes.fromhex("04 9e 01 00 04 9f 00 00 04 a0 01 00"))
-    kit.run(50)
-    slave.changes(message)
-    kit.run(50)
+    kit.change_and_run(50, message)
+    kit.change_and_run(50, message + bytes.fromhex("05 82 00 00 c9"))  # as before, and modules 1, 3 and 4 are ill
+    kit.change_and_run(50, bytes.fromhex("04 9e 01 00 04 9f 00 00 04 a0 01 00"))
+    kit.change_and_run(50, message)
     assert [told.status.type for told in kit.statuses] == [1, 2, 30, 31, 32, 1]
     assert kit.statuses[1].status.modules == (
         ModuleState.INVALID,
@@ -138,8 +131,7 @@ def test_channels_of_the_same_diagnosis_come_along(kit: AlarmBus, slave: AlarmSl
 def test_an_acknowledged_alarm_that_stays_in_the_diagnosis_for_a_while(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.keeps = True
     kit.raise_and_end(PROCESS)
-    slave.changes(bytes.fromhex("42 01"))  # something else asks to be read
-    kit.run(40)
+    kit.change_and_run(40, bytes.fromhex("42 01"))  # something else asks to be read
     slave.shown = b""
     slave.flag = True
     kit.run(500)
@@ -160,8 +152,7 @@ def test_numbered_alarms_that_stay_in_the_diagnosis(kit: AlarmBus, slave: AlarmS
 def test_unnumbered_alarms_in_a_static_diagnosis(kit: AlarmBus, slave: AlarmSlave) -> None:
     slave.keeps = True
     slave.static = True
-    slave.raises(PROCESS)
-    kit.run(1000)
+    kit.raise_and_run(1000, PROCESS)
     assert slave.diagnosed > 5
     assert len(kit.raised) <= 2  # the second by mistake: from then on it is known
     slave.raises(PROCESS)  # asks to be read, with nothing else new
@@ -201,8 +192,7 @@ def test_a_diagnosis_that_is_read_again_and_again(kit: AlarmBus, slave: AlarmSla
     kit.hold()
     slave.raises(PROCESS)
     for at in range(20):
-        slave.changes(bytes((0x42, at)))
-        kit.run(10)
+        kit.change_and_run(10, bytes((0x42, at)))
     assert slave.diagnosed > 10
     assert kit.blocks == [PROCESS]
     kit.acknowledge(1)
@@ -214,8 +204,7 @@ def test_a_diagnosis_that_is_read_again_and_again(kit: AlarmBus, slave: AlarmSla
 def test_class_2_reads_the_diagnosis_before_its_master_does(kit: AlarmBus, slave: AlarmSlave) -> None:
     for number in range(20):
         kit.send(ReadService(1000 + number, 4, Service.DIAGNOSIS))
-        slave.raises(block(2, 3, data=f"{number:02X}"))
-        kit.run(20)
+        kit.raise_and_run(20, block(2, 3, data=f"{number:02X}"))
     kit.until_taken(20)
     assert kit.blocks == slave.taken == [block(2, 3, data=f"{number:02X}") for number in range(20)]
 
@@ -249,8 +238,7 @@ def test_an_alarm_that_replaces_an_unacknowledged_one(kit: AlarmBus, slave: Alar
     slave.at_a_time = 2000  # it does not care for what was agreed
     kit.hold()
     blocks = [block(2, 3, data=f"{number:02X}") for number in range(3)]
-    slave.raises(*blocks)
-    kit.run(100)
+    kit.raise_and_run(100, *blocks)
     assert kit.blocks == blocks[:1]
     assert kit.counts.too_many == 2
     assert len(kit.remarks) == 1
@@ -280,8 +268,7 @@ def test_the_slave_leaves_data_exchange_at_every_step_of_an_alarm(after_ms: int,
     if hold:
         kit.hold()
     slave.polls = 1
-    slave.raises(PROCESS, block(1, 2))
-    kit.run(after_ms)
+    kit.raise_and_run(after_ms, PROCESS, block(1, 2))
     leaves(kit)
     was = len(kit.raised)
     assert kit.blocks == [PROCESS, block(1, 2)][:was]  # what was delivered stays delivered
@@ -300,8 +287,7 @@ def test_untaken_alarms_are_bounded_over_many_restarts_of_the_slave(kit: AlarmBu
     kit.hold()
     for _ in range(3):
         for kind in range(32, 62):
-            kit.alarm_slave.raises(block(kind, 1))
-            kit.run(12)
+            kit.raise_and_run(12, block(kind, 1))
         leaves(kit)
     assert kit.counts.raised == MAX_OPEN
     assert kit.counts.dropped > 0
@@ -348,8 +334,7 @@ def test_misuse() -> None:
         kit.hold()
     with pytest.raises(UsageError, match="station 9 is no slave of this master"):
         kit.acknowledge(1, address=9)
-    kit.alarm_slave.raises(PROCESS)
-    kit.run(50)
+    kit.raise_and_run(50, PROCESS)
     assert not kit.raised
     assert kit.counts_of(4) is None
     with_it = AlarmBus()
@@ -368,8 +353,7 @@ def test_a_diagnosis_that_the_master_reads_by_itself_brings_no_alarm_again() -> 
     slave = kit.alarm_slave
     slave.static = True
     slave.says[51] = lambda octets: SC
-    slave.raises(PLAIN)
-    kit.run(400)
+    kit.raise_and_run(400, PLAIN)
     assert slave.diagnosed > 3
     assert (kit.blocks, kit.ends) == ([PLAIN], [])
     slave.flag = True
@@ -421,8 +405,7 @@ def test_a_diagnosis_that_is_offered_again_after_silence(lost: int) -> None:
     slave = kit.alarm_slave
     slave.sap = 50
     slave.says[50] = lambda octets: SC  # its acknowledgement is under way
-    slave.raises(PLAIN)
-    kit.run(20)
+    kit.raise_and_run(20, PLAIN)
     slave.changes(bytes.fromhex("42 01"))
     read = slave.diagnosed
     while slave.diagnosed == read:

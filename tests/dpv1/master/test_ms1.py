@@ -67,7 +67,6 @@ def test_answered_in_the_request_itself(kit: Ms1Bus) -> None:
 
 @pytest.mark.parametrize("not_yet", [SC, status(4, NR), status(4, 0x00), status(4, RR), status(4, UE)])
 def test_the_slave_answers_not_yet(kit: Ms1Bus, not_yet: bytes) -> None:
-
     def ms1(data: bytes) -> bytes:
         if data:
             return SC
@@ -180,8 +179,7 @@ def test_a_late_answer_is_fetched_before_the_next_request() -> None:
 
 def test_an_unfetched_answer_survives_a_cancelled_service() -> None:
     kit = after_a_late_read()
-    token = kit.order_read()
-    kit.run(20)
+    token = kit.order_read(run_ms=20)
     kit.send(CancelService(token))
     assert kit.end(token).outcome.failure is ServiceFailure.CANCELLED
     old = first_an_old_one(kit.slave)
@@ -316,20 +314,17 @@ def test_a_slave_that_is_not_in_data_exchange(kit: Ms1Bus) -> None:
 
 def test_the_slave_is_removed_the_master_stops_the_port_vanishes() -> None:
     kit = Ms1Bus((4, 5))
-    first = kit.order_read()
-    kit.run(10)
+    first = kit.order_read(run_ms=10)
     kit.send(RemoveSlave(4))
     assert "removed from this bus" in kit.end(first).outcome.text
-    second = kit.order_read(address=5)
-    kit.run(10)
+    second = kit.order_read(address=5, run_ms=10)
     kit.send(LineDown("unplugged"))
     outcome = kit.end(second).outcome
     assert (outcome.failure, "unplugged" in outcome.text) == (ServiceFailure.LINE, True)
 
 
 def test_stop_leaves_a_service_without_data_exchange(kit: Ms1Bus) -> None:
-    token = kit.order_read()
-    kit.run(10)
+    token = kit.order_read(run_ms=10)
     kit.send(SetMode(Mode.STOP))
     outcome = kit.end(token).outcome
     assert outcome.failure is ServiceFailure.CLOSED
@@ -339,8 +334,7 @@ def test_stop_leaves_a_service_without_data_exchange(kit: Ms1Bus) -> None:
 
 
 def test_cancelled_under_way_its_answer_is_fetched_later(kit: Ms1Bus) -> None:
-    token = kit.order_read()
-    kit.run(20)
+    token = kit.order_read(run_ms=20)
     kit.send(CancelService(token))
     assert kit.end(token).outcome.failure is ServiceFailure.CANCELLED
     first_an_old_one(kit.slave)
@@ -348,7 +342,6 @@ def test_cancelled_under_way_its_answer_is_fetched_later(kit: Ms1Bus) -> None:
 
 
 def test_silence_a_read_is_repeated_a_write_is_not(kit: Ms1Bus) -> None:
-
     def silent_twice(data: bytes) -> bytes | None:
         return None if len(kit.slave.asked) <= 4 else answer(4, "5E 01 02 01 22")  # each time with its repetition
 

@@ -314,8 +314,7 @@ def test_alarms_with_lost_telegrams(
     ]
     waits = list(pauses)
     for entry in blocks:
-        slave.raises(entry)
-        kit.run(waits.pop(0) if waits else 0)
+        kit.raise_and_run(waits.pop(0) if waits else 0, entry)
     note(f"{[entry.hex(' ') for entry in blocks]}")
     kit.until(lambda: len(kit.ends) == len(blocks))
     kit.run(150)  # longer than anything could come of what stands in the diagnosis

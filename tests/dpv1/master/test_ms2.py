@@ -198,8 +198,7 @@ def test_a_cancelled_service_does_not_end_the_connection() -> None:
     kit = connected()
     kit.slave.polls = 12
     for order in ({}, {"timeout_ns": 20 * MS}):
-        token = kit.order_read(1, **order)
-        kit.run(20)
+        token = kit.order_read(1, **order, run_ms=20)
         if not order:
             kit.send(CancelService(token))
         failure = kit.end_of(token, RecordDone).outcome.failure
@@ -214,8 +213,7 @@ def test_the_answer_to_a_cancelled_service_is_fetched_without_another_service() 
     """At once, not with the next Idle."""
     kit = connected()
     kit.slave.polls = 7
-    token = kit.order_read(1)
-    kit.run(5)
+    token = kit.order_read(1, run_ms=5)
     kit.send(CancelService(token))
     assert kit.slave.sessions[48].waiting
     kit.run(30)
@@ -236,8 +234,7 @@ def test_a_cancelled_service_that_the_slave_did_not_take_leaves_no_answer() -> N
     """The slave answered "not now": waiting for its answer would end the connection."""
     kit = connected()
     kit.slave.says[48] = lambda octets: sd1(2, 4, 0x02)
-    token = kit.order_read(1)
-    kit.run(5)
+    token = kit.order_read(1, run_ms=5)
     kit.send(CancelService(token))
     assert kit.end_of(token, RecordDone).outcome.failure is ServiceFailure.CANCELLED
     kit.slave.says.clear()

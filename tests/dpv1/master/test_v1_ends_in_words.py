@@ -281,8 +281,7 @@ def test_an_answer_that_cannot_be_read_ends_the_connection() -> None:
 def test_the_answer_to_a_service_that_was_given_up_never_comes() -> None:
     kit = connected(send_timeout_ns=2_000 * MS, response_ns=300 * MS)
     kit.slave.serve = lambda pdu: None
-    given_up = kit.order_read(1)
-    kit.run(20)
+    given_up = kit.order_read(1, run_ms=20)
     kit.send(CancelService(given_up))
     done = kit.read(1, 3, 4)
     assert [end.text for end in kit.events_of(RecordDone)] == [

@@ -254,8 +254,7 @@ def test_leaving_data_exchange_ends_alarms(way: str) -> None:
     with pytest.raises(AlarmError, match="not in data exchange"):
         bench.alarms.status(Status(1, 1))
     if way != "failure":
-        bench.prm(prm())
-        bench.cfg()
+        bench.prm_and_cfg(prm())
         assert bench.ext() == ""
         assert bench.poll(50) == ""
         bench.raise_("02 01 00")

@@ -20,8 +20,7 @@ def served() -> tuple[Bench, Later]:
     device, later = Recorder(), Later()
     device.records, device.ms2 = later, 2
     made = Bench(device)
-    made.prm(PRM + b"\x80\0\0")
-    made.cfg()
+    made.prm_and_cfg(PRM + b"\x80\0\0")
     return made, later
 
 
@@ -38,8 +37,7 @@ def test_ms1() -> None:
     made.prm(UNLOCK)
     assert first.asker.open is False
     assert second.open is False
-    made.prm(PRM + b"\x80\0\0")
-    made.cfg(CFG)
+    made.prm_and_cfg(PRM + b"\x80\0\0", CFG)
     made.ask(51, READ)
     third = later.requests[2]
     assert third.asker is not first.asker

@@ -23,8 +23,7 @@ def bench_with(records: Records | None, prm: bytes = ENABLE) -> Bench:
     device = Recorder()
     device.records = records
     bench = Bench(device)
-    bench.prm(prm)
-    bench.cfg()
+    bench.prm_and_cfg(prm)
     bench.app.take_events()
     return bench
 
@@ -76,8 +75,7 @@ def test_an_answer_that_nobody_fetched_ends_with_data_exchange(request_: str) ->
     bench = bench_with(RecordTable(TABLE))
     assert ask(bench, request_) == SC_REPLY
     bench.prm(UNLOCK)
-    bench.prm(ENABLE)
-    bench.cfg()
+    bench.prm_and_cfg(ENABLE)
     assert ask(bench, "") == SC_REPLY
 
 
@@ -92,8 +90,7 @@ def test_closed_without_records_and_for_others_and_outside_data_exchange() -> No
 
 def test_parameters_without_it_close_it_again() -> None:
     bench = bench_with(RecordTable(TABLE))
-    bench.prm(PRM)
-    bench.cfg()
+    bench.prm_and_cfg(PRM)
     assert bench.app.state is SlaveAppState.DATA_EXCH
     assert ask(bench, "5E 00 01 F0") == RS_REPLY
 
@@ -134,8 +131,7 @@ def test_leaving_data_exchange_ends_what_is_worked_at() -> None:
     later = Later()
     bench = bench_with(later)
     ask(bench, "5E 00 01 F0")
-    bench.prm(ENABLE)
-    bench.cfg(CFG)
+    bench.prm_and_cfg(ENABLE, CFG)
     (request,) = later.requests
     assert not request.open
     request.answer(b"\x55")

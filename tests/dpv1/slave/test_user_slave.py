@@ -299,8 +299,7 @@ def test_both_on_the_bus() -> None:
     later = Later()
     made.serve_records(later)
     bench = Bench(made)
-    bench.prm(PRM + b"\x80\0\0")
-    bench.cfg(b"\x10\x20")
+    bench.prm_and_cfg(PRM + b"\x80\0\0", b"\x10\x20")
     for request, answer in (
         ("5E 00 2F F0", "5e002f0101"),
         ("5F 00 FF 04 08 00 FD E8", "5f00ff04"),

@@ -39,8 +39,7 @@ def made() -> Bench:
     device.ms2, device.ms2_max_len = 2, 4
     device.alarm_server = AlarmServer(AlarmSupport(KINDS, 0, extra_sap=True), 60, "recorder")
     made = Bench(device)
-    made.prm(PRM_NO_WD + b"\x80\xfc\0")
-    made.cfg()
+    made.prm_and_cfg(PRM_NO_WD + b"\x80\xfc\0")
     made.dx()
     made.app.take_events()
     return made

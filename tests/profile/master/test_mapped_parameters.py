@@ -8,7 +8,6 @@ import pytest
 from api_kit import operating
 from drive_bench import ALONE, PairBench, PluginBench
 
-import dpstack
 from dpstack.errors import ConfigError
 from dpstack.profile import DriveDevice
 from dpstack_drives.demag import DRIVE as DEMAG
@@ -18,6 +17,8 @@ from dpstack_drives.keb import DRIVE as KEB
 from dpstack_drives.ls import DRIVE as LS
 from dpstack_drives.ls.plugin import LsCore
 from dpstack_drives.ls.simulator import LsDevice
+
+pytestmark = pytest.mark.virtual_time
 
 ZERO = "00 " * 8
 DRIVES = {"demag": DEMAG, "fuji": FUJI, "imo": IMO, "keb": KEB, "ls": LS}
@@ -191,7 +192,7 @@ def test_start_is_refused_for_a_limit_without_a_value() -> None:
 
 
 @pytest.mark.parametrize("way", ["clear", "remove", "defect", "leave"])
-def test_no_way_out_takes_the_ramp_away(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_no_way_out_takes_the_ramp_away(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every telegram with a control word has dr-04 beside it, until Clear's zeros."""
     options = {"para_control": "0005 0006 dr-04=4"}
     pump = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "PPO2", "options": options}
@@ -205,25 +206,22 @@ def test_no_way_out_takes_the_ramp_away(way: str, monkeypatch: pytest.MonkeyPatc
     def defect(core: LsCore) -> None:
         raise RuntimeError(core.name)
 
-    async def program() -> None:
-        async with operating(pump) as bus:
-            drive = bus.drive("pump")
-            drive.speed = 1.0
-            await drive.start()
-            await drive.order("output", number="dr-04", value=5)
-            await asyncio.sleep(0.1)
-            frames.clear()
-            match way:
-                case "clear":
-                    await bus.clear()
-                case "remove":
-                    await bus.remove(6)
-                case "defect":
-                    monkeypatch.setattr(LsCore, "received", defect)
-                    await asyncio.sleep(0.1)
-
     monkeypatch.setattr(LsDevice, "exchange", noted)
-    dpstack.run_virtual(program())
+    async with operating(pump) as bus:
+        drive = bus.drive("pump")
+        drive.speed = 1.0
+        await drive.start()
+        await drive.order("output", number="dr-04", value=5)
+        await asyncio.sleep(0.1)
+        frames.clear()
+        match way:
+            case "clear":
+                await bus.clear()
+            case "remove":
+                await bus.remove(6)
+            case "defect":
+                monkeypatch.setattr(LsCore, "received", defect)
+                await asyncio.sleep(0.1)
     assert set(frames) - {" ".join(["00"] * 12)} <= {
         "04 7F 40 00 00 00 00 00 00 32 00 00",
         "04 7E 00 00 00 00 00 00 00 32 00 00",

@@ -3,11 +3,11 @@ power-on keeps start and set points back."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import NamedTuple
 
 import pytest
-from drive_bench import MS, NONE, PZD, PairBench, PluginBench
+from drive_bench import MS, NONE, PZD, Named, PairBench, PluginBench
 from support import present
 
 from dpstack.profile import DriveDevice, DriveProfile, ParamSpec, ParamStore, SettingsState
@@ -46,8 +46,8 @@ class Watched(PairBench):
 def pair(
     drive: DriveProfile,
     telegram: str | None,
-    simulated: Mapping[str, object] = NONE,
-    options: Mapping[str, object] = NONE,
+    simulated: Named = NONE,
+    options: Named = NONE,
     look: Callable[[DriveDevice], object] = lambda device: None,
 ) -> Watched:
     class Bench(Watched):
@@ -60,8 +60,8 @@ def pair(
 class Case(NamedTuple):
     drive: DriveProfile
     telegram: str | None
-    simulated: Mapping[str, object]
-    maps: Mapping[str, object]
+    simulated: Named
+    maps: Named
 
 
 CASES = [
@@ -201,7 +201,7 @@ def test_a_map_that_is_another_one_afterwards_is_an_error_and_refuses_the_start(
 
 # -- codes of a map ----------------------------------------------------------------------------------------------------
 
-CODES: list[tuple[DriveProfile, str | None, list[Mapping[str, object]]]] = [
+CODES: list[tuple[DriveProfile, str | None, list[Named]]] = [
     (IMO, None, [{"number": f"P15.{number:02}"} for number in range(2, 24)] + [{"number": 0x0F02}]),
     (FUJI, "PPO1", [{"number": f"o{number}"} for number in (40, 41, 42, 43, 48, 49, 50, 51)]),
     (FUJI, "PPO2", [{"number": pnu, "index": index} for pnu in (915, "pcd_read") for index in range(1, 5)]),
@@ -215,7 +215,7 @@ CODES: list[tuple[DriveProfile, str | None, list[Mapping[str, object]]]] = [
 
 @pytest.mark.parametrize(("drive", "telegram", "codes"), CODES)
 def test_a_plain_write_to_a_code_of_a_map_is_refused_naming_write_map(
-    drive: DriveProfile, telegram: str | None, codes: list[Mapping[str, object]]
+    drive: DriveProfile, telegram: str | None, codes: list[Named]
 ) -> None:
     bench = pair(drive, telegram)
     bench.pass_time(100)
@@ -265,8 +265,7 @@ def test_fuji_after_power_on_the_words_are_those_of_the_new_map() -> None:
     assert bench.out().endswith("04 7E 00 00 00 1E 00 00 00 00 00 00"), "no set point"
     waits = "other maps were written to the drive, which act from its next power-on: end the bus, set map_inputs = '' "
     for op, args in (("start", {}), ("speed", {"value": 0.5})):
-        kind, text = bench.refused(op, **args)
-        assert kind == "fault"
+        text = bench.refused_as("fault", op, **args)
         assert text.startswith(waits)
     assert bench.core.status().settings is SettingsState.DIFFERENT
     assert not bench.device.motor.on
@@ -338,8 +337,7 @@ def test_fuji_with_another_map_than_the_plant_file_gets_no_set_point() -> None:
     assert sent == {"04 7E 00 00"}
     says = "o40 to o43 are F07, the option map_outputs is F26: set map_outputs = 'F07'"
     for op, args in (("start", {}), ("speed", {"value": 0.25})):
-        kind, text = bench.refused(op, **args)
-        assert kind == "fault"
+        text = bench.refused_as("fault", op, **args)
         assert says in text
     bench.ok("speed", value=0)
     agrees = pair(FUJI, "PPO2", {"o40": 0x041A}, {"map_outputs": "F26=2"})
@@ -358,8 +356,7 @@ def test_imo_a_map_that_a_keypad_changed_is_seen_before_the_next_start() -> None
         spec = present(bench.device.store.table.named(name))
         bench.device.store.write(spec, raw)
     bench.device._load_maps()  # type: ignore[attr-defined]
-    kind, text = bench.refused("start")
-    assert kind == "fault"
+    text = bench.refused_as("fault", "start")
     assert text == (
         "the map was changed at the drive: it has inputs 'frequency' and outputs 'torque set_frequency' now, not "
         "'frequency' and 'set_frequency': order read_map to use it, or write_map"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import pytest
 from demag_kit import ZERO, pkw, sim
-from drive_bench import BUS, MS, NONE, PZD, DeviceBench, PairBench, PluginBench, S, pair
+from drive_bench import BUS, MS, NONE, PZD, DeviceBench, Named, PairBench, PluginBench, S, pair
 from support import present
 
 from dpstack.profile import CommandError, DriveProfile, ParameterChannel, ParamKey, SettingsState, Steps
@@ -79,13 +79,12 @@ REFUSED = [
 def test_another_scale_or_source_refuses_the_start(
     drive: DriveProfile,
     telegram: str | None,
-    simulated: Mapping[str, object],
-    options: Mapping[str, object],
+    simulated: Named,
+    options: Named,
     says: str,
 ) -> None:
     bench = pair(drive, telegram, simulated, options)
-    kind, text = bench.refused("start")
-    assert kind == "fault"
+    text = bench.refused_as("fault", "start")
     assert says in text
     status = bench.core.status()
     assert status.settings is SettingsState.DIFFERENT
@@ -107,7 +106,7 @@ NOTICED = [
 
 @pytest.mark.parametrize(("drive", "telegram", "simulated", "says"), NOTICED)
 def test_a_setting_that_changes_neither_scale_nor_source_is_a_notice(
-    drive: DriveProfile, telegram: str | None, simulated: Mapping[str, object], says: str
+    drive: DriveProfile, telegram: str | None, simulated: Named, says: str
 ) -> None:
     options = {"profile": "ls"} if "profile" in simulated else NONE
     bench = pair(drive, telegram, simulated, options)
@@ -134,9 +133,7 @@ def test_a_setting_that_changes_neither_scale_nor_source_is_a_notice(
         (IMO, None, PZD),
     ],
 )
-def test_settings_as_expected_give_no_notice(
-    drive: DriveProfile, telegram: str | None, simulated: Mapping[str, object]
-) -> None:
+def test_settings_as_expected_give_no_notice(drive: DriveProfile, telegram: str | None, simulated: Named) -> None:
     bench = pair(drive, telegram, simulated)
     bench.ok("start")
     assert bench.core.status().settings is SettingsState.CHECKED
@@ -299,7 +296,7 @@ def test_keb_reads_its_active_map_by_index() -> None:
     ],
 )
 def test_without_a_channel_a_drive_starts_with_its_settings_not_checked(
-    drive: DriveProfile, telegram: str, simulated: Mapping[str, object], relies: str
+    drive: DriveProfile, telegram: str, simulated: Named, relies: str
 ) -> None:
     bench = pair(drive, telegram, simulated)
     bench.ok("start")
@@ -331,9 +328,7 @@ def test_without_an_answer_a_drive_starts_in_time_with_its_settings_not_checked(
 
 
 @pytest.mark.parametrize(("drive", "telegram", "simulated"), [(DEMAG, "PPO1", BUS), (FUJI, "PPO1", NONE)])
-def test_a_slow_bus_leaves_time_for_the_start_itself(
-    drive: DriveProfile, telegram: str, simulated: Mapping[str, object]
-) -> None:
+def test_a_slow_bus_leaves_time_for_the_start_itself(drive: DriveProfile, telegram: str, simulated: Named) -> None:
     """Six drives at 9.6 kbit/s take 350 ms a rotation, a request of the Demag 1.9 s, its way to RUNNING 2 s."""
     bench = pair(drive, telegram, simulated, rotation=350 * MS)
     bench.ok("start")
@@ -485,9 +480,7 @@ def test_a_command_error_of_a_plugin_ends_the_comparison_only() -> None:
     assert "no answer of this drive" in core.status().settings_texts[0]
 
 
-def test_all_settings_of_a_parameter_that_cannot_be_read_are_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_all_settings_of_a_parameter_that_cannot_be_read_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """434 tells the source of the set point, and whether 228 is added."""
     read = ParameterChannel.read_many
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
 
 import pytest
 from api_kit import bench_of, in_virtual_time
-from drive_bench import MS, NONE, PZD, PairBench, PluginBench, S
+from drive_bench import MS, NONE, PZD, Named, PairBench, PluginBench, S
 
 import dpstack
 from dpstack.profile import DriveCore, DriveDevice, DriveProfile, SettingsState
@@ -36,7 +35,7 @@ BEGINS = [
 
 @pytest.mark.parametrize(("drive", "telegram", "simulated", "says"), BEGINS)
 def test_what_a_start_refuses_is_reported_when_data_exchange_begins(
-    drive: DriveProfile, telegram: str | None, simulated: Mapping[str, object], says: str
+    drive: DriveProfile, telegram: str | None, simulated: Named, says: str
 ) -> None:
     """Nobody has ordered anything; a start then says the same."""
     bench = PairBench(drive.core("it", telegram, simulated=True), drive.simulated(telegram, {}, simulated), 4 * MS)
@@ -44,17 +43,14 @@ def test_what_a_start_refuses_is_reported_when_data_exchange_begins(
     (notice,) = [text for text in bench.notices() if says in text]
     assert notice.endswith("; start is refused until then")
     assert bench.core.status().settings is SettingsState.DIFFERENT
-    kind, text = bench.refused("start")
-    assert kind == "fault"
+    text = bench.refused_as("fault", "start")
     assert says[:8] in text
 
 
 @pytest.mark.parametrize(
     ("drive", "options", "says"), [(DEMAG, {"set_412": True}, "412 is"), (IMO, {"set_map": True}, "no received PZD")]
 )
-def test_what_a_start_sets_itself_is_not_reported(
-    drive: DriveProfile, options: Mapping[str, object], says: str
-) -> None:
+def test_what_a_start_sets_itself_is_not_reported(drive: DriveProfile, options: Named, says: str) -> None:
     bench = PairBench(drive.core("it", None, options, simulated=True), drive.simulated(None, {}, {}))
     bench.pass_time(2000)
     assert not [text for text in bench.notices() if says in text]
@@ -161,7 +157,7 @@ def test_s1_says_nothing_while_the_control_word_is_0(drive: DriveProfile, inputs
     ],
 )
 def test_remote_is_none_where_no_bit_tells_it(
-    drive: DriveProfile, telegram: str, options: Mapping[str, object], inputs: str, remote: bool | None
+    drive: DriveProfile, telegram: str, options: Named, inputs: str, remote: bool | None
 ) -> None:
     bench = PluginBench(drive.core("it", telegram, options), inputs)
     assert bench.core.status().remote is remote

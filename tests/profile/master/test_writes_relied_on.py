@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import drive_bench
 import pytest
 from demag_kit import ZERO
-from drive_bench import ALONE, BUS, MS, NONE, PZD, PairBench, PluginBench
+from drive_bench import ALONE, BUS, MS, NONE, PZD, Named, PairBench, PluginBench
 from support import present
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
@@ -38,8 +37,8 @@ from dpstack_drives.ls import DRIVE as LS
 class Case(NamedTuple):
     drive: DriveProfile
     telegram: str | None
-    simulated: Mapping[str, object]
-    write: Mapping[str, object]
+    simulated: Named
+    write: Named
     #: the drive's text for the parameter
     label: str
 
@@ -154,7 +153,7 @@ def test_a_data_set_that_a_contact_selects_while_it_runs_takes_speed_and_frequen
     ],
 )
 def test_a_keypad_passes_no_plugin_so_each_start_reads_again(
-    drive: DriveProfile, telegram: str | None, simulated: Mapping[str, object], name: str, raw: int, says: str
+    drive: DriveProfile, telegram: str | None, simulated: Named, name: str, raw: int, says: str
 ) -> None:
     bench = pair(drive, telegram, simulated)
     bench.ok("start")
