@@ -132,7 +132,8 @@ def test_octets_of_one_module_may_begin_with_those_of_another() -> None:
     assert modules_of_config(file.device, b"\x10" * 244) is not None
 
 
-# --- Identifier octets against the examples of manuals (docs/reference/protocol.md#identifiers), and the watchdog ---
+# --- Identifier octets -----------------------------------------------------------------------------------------------
+# against the examples of manuals (docs/reference/protocol.md#identifiers), and the watchdog factors
 
 
 @pytest.mark.parametrize(

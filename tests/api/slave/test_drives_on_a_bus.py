@@ -176,7 +176,9 @@ options = { para_control = "0005 0006 dr-03=1" }
     assert "identifier octets 62 51 of ls-s100 are in no manual" in slave.notes[0]
 
 
-# --- An IMO HD2 on a bus: process data map, fault, and the one baud rate that its card accepts ----------------------
+# --- An IMO HD2 ------------------------------------------------------------------------------------------------------
+# its process data map, a fault, and the one baud rate that its card accepts
+# (docs/reference/drives/imo-hd2.md#address-and-baud-rate)
 
 
 IMO: Mapping[str, object] = {"name": "pump", "address": 5, "drive": "imo-hd2"}

@@ -180,7 +180,9 @@ def test_behind_an_adapter_a_slave_that_comes_later_is_taken_in(w: World) -> Non
     assert master.window.forced == 0
 
 
-# --- A slave that hears late, because it is simulated on a busy computer or stands behind a slow adapter, is found --
+# --- A slave that hears late -----------------------------------------------------------------------------------------
+# It is simulated on a busy computer or stands behind a slow adapter, and is found. It answers no request that has
+# another one behind it, so it has to be waited for: with every so many polls.
 
 
 P187 = BusParams.preset(187_500, address=2, gap=0)

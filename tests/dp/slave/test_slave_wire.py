@@ -103,7 +103,8 @@ def test_silent_refusal() -> None:
     assert bench.prm() == SC_REPLY
 
 
-# --- Set_Slave_Add (docs/reference/protocol.md#set_slave_add) ------------------------------------------------------
+# --- Set_Slave_Add (docs/reference/protocol.md#set_slave_add) --------------------------------------------------------
+# literal octets, when it is open, what is kept, what masters see
 
 
 #: new address 9, ident 0A35, No_Add_Chg 0

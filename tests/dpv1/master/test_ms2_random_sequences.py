@@ -172,7 +172,10 @@ def test_slaves_that_answer_anything(answers: list[bytes | None], steps: list[st
     assert kit.read(token).outcome.data == b"\1\2"
 
 
-# --- MS1 and MS2 together, master and slaves of ours in a world with loss, damage and services that overtake each other
+# --- MS1 and MS2 together --------------------------------------------------------------------------------------------
+# Master and slaves of ours in a world with loss, damage and services that overtake each other: every Initiate, Read,
+# Write and Data_Transport has exactly one end, no answer is taken for another one's, and no connection is left at
+# either end.
 
 
 MS = 1_000_000
