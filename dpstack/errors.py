@@ -49,14 +49,13 @@ class DpError(Exception):
 
 
 class ConfigError(DpError, ValueError):
-    """A configuration that cannot work. The text says where (file and line when there is a file) and what to do.
+    """A configuration that cannot work. The text says where (file and line when there is a file) and what to do."""
 
-    ``line``: the line in the file, None where there is none; ``what`` and ``todo``: problem and remedy without the
-    place, empty where the error has no such parts.
-    """
-
+    #: line in the file; None for an error without one
     line: int | None = None
+    #: the problem without its place; empty where the error has no such part
     what: str = ""
+    #: the remedy; empty where the error has no such part
     todo: str = ""
 
     @classmethod
@@ -119,6 +118,7 @@ class SlaveError(DpError):
 
     def __init__(self, address: int, message: str) -> None:
         super().__init__(message)
+        #: station address of the slave, 0..126
         self.address = address
 
 
@@ -138,27 +138,36 @@ class ServiceRefused(SlaveError):
 
     def __init__(self, address: int, message: str, *, service: str, status: str) -> None:
         super().__init__(address, message)
+        #: name of the service
         self.service = service
+        #: answer of the slave: "RS", "RR", "UE" ..., or "ignored"
         self.status = status
 
 
 class AcyclicError(SlaveError):
     """A negative answer to a DP-V1 ``service`` (Read, Write) of ``slot`` and ``index``.
 
-    ``error_decode``: 0x80 for the codes of DP-V1. ``error_class`` and ``error_code``: the halves of ``code_1``
-    (Error_Code_1; 0xB5 is "state conflict"). ``code_2``: the device's own.
+    ``error_class`` and ``error_code`` are the halves of ``code_1``.
     """
 
     def __init__(
         self, address: int, message: str, *, service: str, slot: int, index: int, codes: tuple[int, int, int]
     ) -> None:
         super().__init__(address, message)
+        #: "Read" or "Write"
         self.service = service
+        #: slot of the request, 0..254
         self.slot = slot
+        #: index of the request, 0..255
         self.index = index
-        #: as answered: Error_Decode, Error_Code_1, Error_Code_2
+        #: the three codes as answered: Error_Decode, Error_Code_1, Error_Code_2
         self.codes = codes
-        self.error_decode, self.code_1, self.code_2 = codes
+        #: Error_Decode; 0x80 for the codes of DP-V1
+        self.error_decode: int = codes[0]
+        #: Error_Code_1, class and code in one octet; 0xB5 is "state conflict"
+        self.code_1: int = codes[1]
+        #: Error_Code_2, the device's own
+        self.code_2: int = codes[2]
 
     def about(self, what: str) -> AcyclicError:
         """The same error with ``what``, the purpose of the service, in front of its text."""
@@ -190,6 +199,7 @@ class ConnectionEnded(SlaveError):
 
     def __init__(self, address: int, message: str, *, abort: tuple[int, int, int] | None = None) -> None:
         super().__init__(address, message)
+        #: subnet, instance and reason of the Abort that ended it (``dpstack.dpv1.pdu.ms2``); None without one
         self.abort = abort
 
 
@@ -210,7 +220,9 @@ class RecordRefused(DpError):
             if not isinstance(code, int) or not 0 <= code <= 0xFF:
                 raise UsageError(f"RecordRefused: {name} = {code!r} is no octet; 0xB0 says invalid index, for instance")
         super().__init__(f"record refused: Error_Code_1 0x{code_1:02X}, Error_Code_2 0x{code_2:02X}")
+        #: Error_Code_1, class and code: 0xB0 invalid index, 0xB2 invalid slot, 0xB5 state conflict ...
         self.code_1 = code_1
+        #: Error_Code_2, the maker's own
         self.code_2 = code_2
 
 
@@ -231,6 +243,7 @@ class DriveError(DpError):
 
     def __init__(self, drive: str, message: str) -> None:
         super().__init__(message)
+        #: name of the drive in the configuration
         self.drive = drive
 
 
@@ -247,4 +260,5 @@ class ParameterError(DriveError):
 
     def __init__(self, drive: str, number: int, message: str) -> None:
         super().__init__(drive, message)
+        #: error number of the drive
         self.number = number

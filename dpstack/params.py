@@ -68,16 +68,27 @@ class BusParams:
     Raises :class:`~dpstack.errors.ParamError`.
     """
 
+    #: baud rate in bit/s
     baud: int
+    #: TS, the address of this station, 0..126
     address: int
+    #: slot time T_SL: how long a master waits for the first octet of an answer, in bit times
     t_sl: int
+    #: shortest time in bit times that a station leaves between a request and its answer, min T_SDR
     min_tsdr: int
+    #: longest time in bit times until the answer of a slave begins, max T_SDR
     max_tsdr: int
+    #: setup time T_SET between an event and the reaction of this station, in bit times
     t_set: int
+    #: quiet time T_QUI of the transmitter after its last octet, in bit times
     t_qui: int
+    #: target rotation time T_TR of the token, in bit times
     t_tr: int
-    gap: int  # G: a GAP pass every G x T_TR; 0 = GAP off
+    #: GAP update factor G: a GAP pass every G x T_TR; 0: no GAP polls
+    gap: int
+    #: highest station address that the master looks for among new masters, 0..126
     hsa: int = 126
+    #: repetitions of a request without an answer
     max_retry: int = 1
     #: extra silence in front of every request, for slaves that find frame ends by a long pause
     extra_idle: int = 0

@@ -47,10 +47,14 @@ class Event(Struct, metaclass=_EventMeta, frozen=True):
     attributes but ``wall_ns`` are.
     """
 
+    #: pattern of :attr:`text`; ``{e.name}`` stands for an attribute of the event
     TEMPLATE: ClassVar[str]
+    #: :attr:`must_arrive` of the class
     MUST_ARRIVE: ClassVar[bool] = False
+    #: :attr:`severity` of the class
     SEVERITY: ClassVar[Severity] = Severity.INFO
 
+    #: the machine's time at which it happened, in ns
     t_ns: int
     #: wall clock (ns since 1970, UTC) at ``t_ns``; None until the bus hands the event to its application
     wall_ns: int | None = None
@@ -97,7 +101,9 @@ class Notice(Event):
     """A remark worth one line that has no type of its own. ``source`` names the layer or the station."""
 
     source: str
+    #: the remark, one line
     message: str
+    #: how much it matters
     severity: Severity = Severity.INFO
 
     TEMPLATE = "{e.source}: {e.message}"

@@ -12,15 +12,26 @@ import importlib
 import inspect
 import re
 from collections.abc import Iterable, Iterator
+from enum import Enum
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Final, get_origin
 
 from dpstack import events as bus_events
 from dpstack import slave as slave_names
+from dpstack.blocking import proxies
 from dpstack.cli.main import build_parser
 from dpstack.cli.parser import Parser
+from dpstack.dp.master.fixed_cycle import CycleStats
+from dpstack.dp.master.slave_reports import AlarmCounts
+from dpstack.dp.plan.cycle_check import CyclePlan
+from dpstack.dp.plan.plan import SlavePlan
+from dpstack.dp.plan.rotation_time import Figures, Rotation
+from dpstack.fdl.interface import LinkStats, StationStats
 from dpstack.trace import Event
+from dpstack.why.story import Likely
+from tools.class_attributes import Attribute, attributes
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 REFERENCE: Final = ROOT / "docs" / "reference"
@@ -35,10 +46,35 @@ NAMESPACES: Final = (
     "dpstack.decode",
     "dpstack.testing",
 )
+#: classes without a public name whose objects stand in attributes of a namespace, and the attributes
+_WITHIN: Final = {
+    "dpstack": {
+        Figures: "Plan.figures",
+        Rotation: "Plan.rotations",
+        SlavePlan: "Plan.slaves",
+        CyclePlan: "Plan.cycle",
+        LinkStats: "BusStats.link",
+        StationStats: "BusStats.stations",
+        CycleStats: "BusStats.cycles",
+        AlarmCounts: "SlaveStats.alarms",
+        Likely: "Story.causes",
+    }
+}
 #: those with private base classes, whose members are listed; the members of these classes are not listed again
 _INHERITING: Final = {"dpstack": "object, int, tuple, BaseException, Enum, DpError, Event, Slave"}
 
 _MADE: Final = "Made from the sources by `tools/make_reference_docs.py`; do not edit."
+#: sentences in front of the tables of attributes
+_ABOUT_ATTRIBUTES: Final = {
+    "dpstack.events": "[events.md](../events.md) has the fields of each event; all events have the attributes of "
+    "[Event](dpstack.md#event), too.",
+    "dpstack": "Some calls return objects whose class has no name here, for instance `bus.record()`: their attributes "
+    "stand on the page of [dpstack.blocking](dpstack.blocking.md).",
+    "dpstack.slave": "`SlaveServer.slave` is a [ServedSlave](dpstack.blocking.md#servedslave).",
+    "dpstack.blocking": "A class has the attributes of the class of the same name on the pages of "
+    "[dpstack](dpstack.md) and [dpstack.slave](dpstack.slave.md). The classes below have no name there: calls return "
+    "their objects, which have the same attributes in asynchronous programs.",
+}
 _EVENT_CLASS: Final = re.compile(r"^class \w+\([\w, ]*(?:Event|Notice)\):", re.MULTILINE)
 _ROLE: Final = re.compile(r":\w+:`~?([^`]+)`")
 _FIRST: Final = re.compile(r".+?\.(?= |$)")
@@ -58,6 +94,12 @@ def first_sentence(docstring: str | None) -> str:
 
 def cell(text: str) -> str:
     return text.replace("|", "\\|")
+
+
+def _row(attribute: Attribute) -> str:
+    """Name, type and meaning of an attribute."""
+    kind = f"`{cell(attribute.annotation)}`" if attribute.annotation else ""
+    return f"| `{attribute.name}` | {kind} | {cell(first_sentence(attribute.line))} |"
 
 
 # -- options.md --------------------------------------------------------------------------------------------------------
@@ -115,6 +157,7 @@ def event_modules() -> list[ModuleType]:
     return [importlib.import_module(".".join(path.parts)) for path in found]
 
 
+@cache
 def event_classes() -> list[type[Event]]:
     """The events of all modules by name, without base classes that have no text."""
     found = {
@@ -135,15 +178,9 @@ def _event(event: type[Event]) -> Iterator[str]:
     if not hasattr(bus_events, event.__name__):
         own = event.__name__ in slave_names.__all__
         yield f"Not of a bus: {'a served slave has it, import it from `dpstack.slave`' if own else 'it is internal'}.\n"
-    fields = [name for name in event.__struct_fields__ if name not in ("t_ns", "wall_ns")]
+    fields = [one for one in attributes(event, {Event}) if one.name in event.__struct_fields__]
     if fields:
-        hints = {
-            name: hint
-            for kind in reversed(event.__mro__)
-            for name, hint in vars(kind).get("__annotations__", {}).items()
-        }
-        rows = (f"| `{name}` | `{cell(str(hints[name]))}` |" for name in fields)
-        yield "\n".join(["| field | type |", "|---|---|", *rows]) + "\n"
+        yield "\n".join(["| field | type | |", "|---|---|---|", *map(_row, fields)]) + "\n"
     if event._text is Event._text:
         yield f"Text: `{event.TEMPLATE.replace('{e.', '{')}`\n"
 
@@ -192,8 +229,15 @@ def _line(value: object) -> str:
     if inspect.ismodule(value) or inspect.isclass(value) or inspect.isroutine(value):
         text = first_sentence(value.__doc__)
         sentence = _FIRST.match(text)
-        return text if sentence is None else sentence[0]
+        return (text if sentence is None else sentence[0]) + _members(value)
     return f"a `{type(value).__name__}`"
+
+
+def _members(value: object) -> str:
+    """The members of an enum with their values; "" for anything else."""
+    if not (inspect.isclass(value) and issubclass(value, Enum)):
+        return ""
+    return f" Members: {', '.join(f'`{one.name}` = `{one.value!r}`' for one in value)}."
 
 
 def names_table(namespace: str, left_out: Iterable[str]) -> str:
@@ -205,6 +249,55 @@ def names_table(namespace: str, left_out: Iterable[str]) -> str:
     return "\n".join(["| name | |", "|---|---|", *rows])
 
 
+@cache
+def public_classes() -> dict[type, str]:
+    """The public classes with the first namespace that has them."""
+    found: dict[type, str] = {}
+    for namespace in NAMESPACES:
+        module = importlib.import_module(namespace)
+        for name in sorted(module.__all__):
+            if inspect.isclass(getattr(module, name)):
+                found.setdefault(getattr(module, name), namespace)
+    return found
+
+
+def shown_attributes(kind: type, classes: Iterable[type]) -> list[Attribute]:
+    """The attributes of ``kind`` on its page: of ``classes``, its base classes have their own; events.md has fields."""
+    fields = set(kind.__struct_fields__) if kind in event_classes() else set()
+    asynchronous = {proxy: one for one, proxy in proxies._CLASSES.items()}.get(kind, kind)
+    if asynchronous is not kind and asynchronous in classes:
+        return []
+    return [one for one in attributes(asynchronous, set(classes) - {kind}) if one.name not in fields]
+
+
+def attribute_tables(namespace: str) -> Iterator[str]:
+    """A table for each class of ``namespace``, and the classes that have the attributes of base classes only."""
+    classes = public_classes()
+    inheriting = []
+    for kind in (kind for kind, first in classes.items() if first == namespace and not issubclass(kind, Enum)):
+        shown = shown_attributes(kind, classes)
+        bases = [base for base in kind.__mro__[1:] if base in classes and shown_attributes(base, classes)]
+        of_bases = ", ".join(f"`{base.__name__}`" for base in bases)
+        if shown:
+            also = f"Besides those of {of_bases}:\n\n" if bases else ""
+            rows = "\n".join(map(_row, shown))
+            yield f"### {kind.__name__}\n\n{also}| attribute | type | |\n|---|---|---|\n{rows}\n"
+        elif bases and not issubclass(kind, Event):
+            inheriting.append(f"`{kind.__name__}` ({of_bases})")
+    for kind, place in _WITHIN.get(namespace, {}).items():
+        rows = "\n".join(map(_row, attributes(kind)))
+        yield f"### {kind.__name__}\n\nThe class of `{place}`.\n\n| attribute | type | |\n|---|---|---|\n{rows}\n"
+    if inheriting:
+        yield f"Classes with the attributes of their base classes (in brackets): {', '.join(inheriting)}.\n"
+
+
+def _attributes_of(namespace: str) -> str:
+    """The section of a page with the attributes of its classes."""
+    tables = "\n".join(attribute_tables(namespace))
+    about = f"{_ABOUT_ATTRIBUTES[namespace]}\n\n" if namespace in _ABOUT_ATTRIBUTES else ""
+    return f"## Attributes\n\n{about}{tables}"
+
+
 def api_page(namespace: str) -> str:
     others = elsewhere(namespace)
     links = ", ".join(f"[{name}]({other}.md)" for name, other in others.items())
@@ -213,9 +306,12 @@ def api_page(namespace: str) -> str:
     inherited = f"\n   :inherited-members: {_INHERITING[namespace]}" if namespace in _INHERITING else ""
     return f"""# {namespace}
 
-{_MADE} `make docs` adds the whole docstrings; on a plain viewer of Markdown there is a line for each name.
+{_MADE} `make docs` adds the whole docstrings; a plain viewer of Markdown shows a line for each name and attribute.
 {sentence}
 {names_table(namespace, others)}
+
+{_attributes_of(namespace)}
+## Docstrings
 
 ```{{eval-rst}}
 .. automodule:: {namespace}{inherited}{excluded}

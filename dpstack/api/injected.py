@@ -16,9 +16,12 @@ class Injected(Event):
     ``address`` and ``name``: of the slave; None for the segment. ``args``: as typed.
     """
 
+    #: the command
     command: str
     args: tuple[str, ...]
+    #: station address of the slave; None for the segment
     address: int | None = None
+    #: name of the slave; None for the segment
     name: str | None = None
 
     def _text(self) -> str:
@@ -43,9 +46,12 @@ class ScenarioEvent(Event):
 
     step: int
     state: str
+    #: the step in words
     detail: str
     do: str | None = None
+    #: station address of the slave; None: of no slave
     address: int | None = None
+    #: name of the slave; None: of no slave
     name: str | None = None
     lasts_s: float | None = None
 

@@ -167,6 +167,7 @@ class SlaveFlapping(SlaveEvent):
 
     SEVERITY = Severity.WARNING
 
+    #: events about changes that were left out
     count: int
     drive: bool = False
 

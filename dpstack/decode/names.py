@@ -32,7 +32,9 @@ class DriveWords(Protocol):
 class ModuleName(NamedTuple):
     """A module by its name ("" for an empty slot) and its identifier octets."""
 
+    #: name; "" for an empty slot
     name: str
+    #: identifier octets
     config: bytes
 
 
@@ -44,15 +46,25 @@ class SlaveNames:
     parameters; ``texts``: of a diagnosis; ``drive`` makes the reader of its words, None where it is no drive.
     """
 
+    #: name of the slave
     name: str = ""
+    #: where the names come from, for people
     source: str = ""
+    #: ident number that they are for; None: any
     ident: int | None = None
+    #: names of the inputs
     inputs: FieldMap = field(default_factory=FieldMap)
+    #: names of the outputs
     outputs: FieldMap = field(default_factory=FieldMap)
+    #: modules in slot order, from ``first_slot`` on
     modules: tuple[ModuleName, ...] = ()
+    #: number of the first slot
     first_slot: int = FIRST_SLOT
+    #: user parameters
     prm: UserPrm | None = None
+    #: texts of its diagnosis
     texts: DiagTexts | None = None
+    #: makes the reader of the drive's words; returns None for a slave that is no drive
     drive: Callable[[], DriveWords | None] = lambda: None
 
     @property

@@ -38,14 +38,23 @@ class Explained:
     the data unit of a whole telegram. ``fields`` may be shared with other telegrams of the same content: do not change
     them. ``sender``, ``receiver``: names of the stations, empty where they have none."""
 
+    #: number of the transmission, from 1
     number: int
+    #: octets with their times
     transmission: Transmission
+    #: the telegram; None where the octets make no telegram
     telegram: Telegram | None
+    #: name of the service; empty where it is not known
     service: str
+    #: decoded fields by name; shared with other telegrams of the same content, so do not change them
     fields: Fields
+    #: what is wrong with the octets or the data unit; None without a finding
     error: str | None
+    #: its place among the other telegrams: answer to, retry of, remarks
     step: Step
+    #: name of the sending station; empty without one
     sender: str = ""
+    #: name of the receiving station; empty without one
     receiver: str = ""
     #: a request that nobody answered; known when the next telegram is explained
     unanswered: bool = False

@@ -37,7 +37,9 @@ class PortLost(Event):
 
     SEVERITY = Severity.ERROR
 
+    #: name of the port
     port: str
+    #: error of the operating system
     reason: str
 
     TEMPLATE = "port {e.port} vanished ({e.reason}): trying to open it again"
@@ -46,6 +48,7 @@ class PortLost(Event):
 class PortBack(Event):
     """The port could be opened again."""
 
+    #: name of the port
     port: str
 
     TEMPLATE = "port {e.port} is back"
@@ -57,7 +60,9 @@ class PortDisturbed(Event):
 
     SEVERITY = Severity.WARNING
 
+    #: name of the port
     port: str
+    #: what the other program did, and what to do
     what: str
 
     TEMPLATE = "{e.port}: {e.what}"
@@ -68,8 +73,11 @@ class BusProcessSilent(Event):
 
     SEVERITY = Severity.ERROR
 
+    #: process id of the bus process
     pid: int
+    #: time without a sign of life, in ns
     silent_ns: int
+    #: what the slaves do meanwhile, by their watchdogs, for people
     at_slaves: str
 
     def _text(self) -> str:
@@ -82,7 +90,9 @@ class BusProcessSilent(Event):
 class BusProcessBack(Event):
     """The bus process goes on."""
 
+    #: process id of the bus process
     pid: int
+    #: time that it was silent, in ns
     silent_ns: int
 
     def _text(self) -> str:
@@ -94,6 +104,7 @@ class OutputsDropped(SlaveEvent):
 
     SEVERITY = Severity.ERROR
 
+    #: octets that will not go out
     outputs: bytes
 
     def _text(self) -> str:
@@ -109,13 +120,18 @@ class BehindRealTime(Event):
     ``bus_ns`` of bus time went by in the last ``real_ns``; ``behind_ns`` is how far it is behind in all.
     """
 
+    #: bus time that went by in the last ``real_ns``, in ns
     bus_ns: int
+    #: real time over which it was measured, in ns
     real_ns: int
+    #: lag of the bus behind real time, in ns
     behind_ns: int
+    #: the bus keeps up with real time again
     keeps_up: bool
 
     @property
     def severity(self) -> Severity:
+        """INFO when the bus keeps up again, else WARNING."""
         return Severity.INFO if self.keeps_up else Severity.WARNING
 
     def _text(self) -> str:

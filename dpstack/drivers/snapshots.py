@@ -27,10 +27,14 @@ class SlaveSnapshot(Struct, frozen=True):
     ``alarms``: None for a slave that is not parameterised for DP-V1.
     """
 
+    #: state in which the master has the slave
     state: SlaveState = SlaveState.OFFLINE
+    #: why the slave is not in data exchange; None without a fault
     fault: Fault | None = None
+    #: last diagnosis read; None before the first
     diagnosis: Diagnosis | None = None
     watchdog_ns: int = 0
+    #: counters of its alarms; None for a slave that is not parameterised for DP-V1
     alarms: AlarmCounts | None = None
 
 
@@ -55,10 +59,15 @@ class BusSnapshot(Struct, frozen=True):
     address once.
     """
 
+    #: mode of the master
     mode: Mode
+    #: slack for late answers of this port, and what the computer adds
     patience: Patience
+    #: addresses of the slaves that this master holds in SYNC
     synced: frozenset[int] = frozenset()
+    #: addresses of the slaves that this master holds in FREEZE
     frozen: frozenset[int] = frozenset()
+    #: the station takes part in the token ring
     in_ring: bool = False
     claimed: bool = False
     las: frozenset[int] = frozenset()

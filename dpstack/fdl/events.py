@@ -16,8 +16,11 @@ HELD_BACK_CYCLES: Final = 8
 class RingJoined(Event):
     """This station holds its first token: it claimed the token on a silent bus, or another master passed it."""
 
+    #: address of this station
     address: int
+    #: True: this station made the token itself
     claimed: bool
+    #: addresses of the masters in the ring, with this one
     masters: tuple[int, ...]
 
     def _text(self) -> str:
@@ -29,7 +32,9 @@ class RingJoined(Event):
 class RingLeft(Event):
     """This station is no longer in the ring."""
 
+    #: address of this station
     address: int
+    #: why it left, for people
     reason: str
 
     TEMPLATE = "station {e.address} left the token ring: {e.reason}"
@@ -38,7 +43,9 @@ class RingLeft(Event):
 class MasterSeen(Event):
     """Another master joined or left the list of active stations (LAS)."""
 
+    #: station address of the other master, 0..126
     address: int
+    #: True: it joined; False: it left
     present: bool
     #: the master was in the ring before this station, so the time of its joining is unknown
     before: bool = False
@@ -54,6 +61,7 @@ class AddressCollision(Event):
 
     SEVERITY = Severity.ERROR
 
+    #: address of this station, which the other one uses, too
     address: int
 
     TEMPLATE = (
@@ -67,6 +75,7 @@ class TokenLost(Event):
 
     SEVERITY = Severity.WARNING
 
+    #: address of this station
     address: int
 
     TEMPLATE = "station {e.address}: no token for T_TO, claiming it"
@@ -75,7 +84,9 @@ class TokenLost(Event):
 class StationFound(Event):
     """A new station answered a poll, or a known station no longer answers (kind None)."""
 
+    #: station address, 0..126
     address: int
+    #: type of the station; None: it no longer answers
     kind: StationType | None
 
     def _text(self) -> str:
@@ -101,9 +112,13 @@ class DoesNotFit(Event):
 
     SEVERITY = Severity.WARNING
 
+    #: name of the service
     service: str
+    #: station address of the request, 0..126
     address: int
+    #: longest duration of the request, in ns
     takes_ns: int
+    #: slack of the port in each of its slot times, in ns
     slack_ns: int
 
     def _text(self) -> str:

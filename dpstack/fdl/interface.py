@@ -189,12 +189,19 @@ class Responder(Protocol):
 class StationStats(Struct):
     """Counters of one remote station, always on."""
 
+    #: requests without their repetitions
     requests: int = 0
+    #: answers in time
     answers: int = 0
+    #: repetitions of requests
     retries: int = 0
-    timeouts: int = 0  # requests without answer
-    late: int = 0  # answers that came after their time-out
-    early: int = 0  # of these, answers that began before min T_SDR
+    #: requests without an answer
+    timeouts: int = 0
+    #: answers that came after their time-out
+    late: int = 0
+    #: late answers that began before min T_SDR
+    early: int = 0
+    #: telegrams that are no answer to the request
     wrong: int = 0
     #: damaged telegrams and stray octets during the wait for its answer, by cause (names of DecoderStats)
     bad: dict[str, int] = field(default_factory=dict)
@@ -208,21 +215,35 @@ class StationStats(Struct):
 class LinkStats(Struct):
     """Counters of one active station's link, always on."""
 
-    sent: int = 0  # telegrams of this station, tokens included
-    heard: int = 0  # readable telegrams of all others
+    #: telegrams of this station, tokens included
+    sent: int = 0
+    #: readable telegrams of all other stations
+    heard: int = 0
+    #: tokens that this station received and used
     tokens: int = 0
+    #: times that this station found the bus silent for T_TO and claimed the token
     tokens_lost: int = 0
-    token_retries: int = 0  # token frames repeated because the next station was silent
-    withdrawn: int = 0  # token holds ended because another station sent as a token holder does
+    #: token frames repeated because the next station was silent
+    token_retries: int = 0
+    #: token holds ended because another station sent as a token holder does
+    withdrawn: int = 0
+    #: polls of addresses in the GAP
     gap_polls: int = 0
-    stray: int = 0  # responses without a request
+    #: responses without a request
+    stray: int = 0
+    #: answers that came after their slot time
     late: int = 0
-    garbled: int = 0  # answers of which only unreadable octets came
-    refused: int = 0  # requests of users that the guard refused
-    ignored: int = 0  # inputs without a row in the state table
-    #: stations that sent requests, and stations that passed a token, while this one listened before it joined the ring
+    #: answers of which only unreadable octets came
+    garbled: int = 0
+    #: requests of users that the guard refused
+    refused: int = 0
+    #: inputs without a row in the state table
+    ignored: int = 0
+    #: stations that sent requests while this one listened, before it joined the ring
     requesters: frozenset[int] = frozenset()
+    #: stations that passed a token while this one listened, before it joined the ring
     token_senders: frozenset[int] = frozenset()
+    #: counters by address of the station that got a request
     stations: dict[int, StationStats] = field(default_factory=dict)
 
     @property

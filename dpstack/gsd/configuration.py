@@ -24,11 +24,17 @@ _EMPTY: Final = b"\0"
 class Configuration:
     """A checked row of modules (None: an empty slot). ``inputs``/``outputs``: octets, seen from the master."""
 
+    #: device of the file
     device: Device
+    #: modules in slot order; None for an empty slot
     modules: tuple[Module | None, ...]
+    #: identifier octets for Chk_Cfg
     config: bytes
+    #: octets of the inputs, seen from the master
     inputs: int
+    #: octets of the outputs, seen from the master
     outputs: int
+    #: remarks for people, one line each
     notes: tuple[str, ...] = ()
 
     def user_prm(self, reading: Reading = Reading.REFS) -> UserPrm:

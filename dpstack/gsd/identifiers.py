@@ -30,15 +30,22 @@ class Identifier:
     ``inputs`` and ``outputs`` count octets as seen from the master (inputs come from the slave).
     """
 
+    #: identifier as in Chk_Cfg
     octets: bytes
+    #: octets of the inputs, seen from the master
     inputs: int
+    #: octets of the outputs, seen from the master
     outputs: int
+    #: the inputs are consistent as a whole, not by octet or word
     input_consistent: bool
+    #: the outputs are consistent as a whole, not by octet or word
     output_consistent: bool
+    #: manufacturer octets of the special format
     manufacturer: bytes = b""
 
     @property
     def empty(self) -> bool:
+        """No inputs and no outputs: an empty slot."""
         return not self.inputs and not self.outputs
 
 

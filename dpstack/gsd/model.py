@@ -34,9 +34,13 @@ def ranges_text(ranges: Ranges) -> str:
 class Diagnostic:
     """A finding in the file. ``column`` counts from 1; line 0 is the file as a whole."""
 
+    #: line in the file, from 1; 0 is the file as a whole
     line: int
+    #: column in the line, from 1
     column: int
+    #: error, warning or information
     severity: Severity = field(compare=False)
+    #: the finding for people
     message: str = field(compare=False)
 
     @property
@@ -155,14 +159,21 @@ class Parameter:
     ``allowed`` empty: everything the type can hold. ``texts``: value -> text of its PrmText, empty without one.
     """
 
+    #: number that devices and modules refer to
     number: int
+    #: name for people and for the configuration
     name: str
+    #: data type and bits
     type: PrmType
+    #: default value
     default: int
     allowed: Ranges = ()
+    #: number of its PrmText; None without one
     text_ref: int | None = None
     texts: Mapping[int, str] = field(default_factory=dict)
+    #: Changeable: False: engineering tools show it only
     changeable: bool = True
+    #: Visible: False: engineering tools hide it
     visible: bool = True
 
     def allows(self, value: int) -> bool:
@@ -216,9 +227,13 @@ class DiagText(NamedTuple):
     """
 
     kind: str
+    #: first bit, counted from 0 at the first octet behind the block's header; None of a channel
     first: int | None
+    #: last bit, counted like ``first``; None of a channel
     last: int | None
+    #: value of these bits; of a channel the error type
     value: int
+    #: text for people
     text: str
     help: str
 
@@ -242,15 +257,24 @@ class Module:
     ``complete`` is False when the file breaks off in it or its EndModule is missing: such a module cannot be used.
     """
 
+    #: name, which several modules may share
     name: str
+    #: identifier octets
     config: bytes
+    #: number that slots refer to; None without one
     reference: int | None = None
+    #: Info_Text for people
     info: str = ""
+    #: Preset: the module stands in every configuration if the device has fixed ones
     preset: bool = False
+    #: user parameters of the module
     prm: PrmBlock = field(default_factory=PrmBlock)
+    #: texts of its diagnosis
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
+    #: statements and blocks that dpstack does not use
     raw: tuple[Raw, ...] = ()
     complete: bool = True
+    #: line in the file, from 1
     line: int = field(default=0, compare=False)
 
     @property
@@ -268,10 +292,15 @@ class Module:
 class Slot:
     """One Slot of SlotDefinition: module references, ``default`` among ``allowed``."""
 
+    #: number of the slot
     number: int
+    #: name for people
     name: str
+    #: reference of the module that the slot has by default; None without one
     default: int | None
+    #: references of the modules that the slot takes
     allowed: Ranges
+    #: line in the file, from 1
     line: int = field(default=0, compare=False)
 
 
@@ -279,7 +308,9 @@ class Slot:
 class Speed:
     """A baud rate in bit/s the device knows, with its MaxTsdr in bit times (None: the file does not say)."""
 
+    #: baud rate in bit/s
     baud: int
+    #: MaxTsdr in bit times; None where the file does not say
     max_tsdr: int | None
 
 
@@ -292,41 +323,77 @@ class Device:
     does not use.
     """
 
+    #: Ident_Number
     ident: int | None = None
+    #: Vendor_Name
     vendor: str = ""
+    #: Model_Name
     model: str = ""
+    #: Revision of the device
     revision: str = ""
+    #: GSD_Revision: 1 to 5
     gsd_revision: int | None = None
+    #: Hardware_Release
     hardware_release: str = ""
+    #: Software_Release
     software_release: str = ""
+    #: Station_Type: 0 slave, 1 master
     station_type: int | None = None
+    #: baud rates that the device knows
     speeds: tuple[Speed, ...] = ()
+    #: Freeze_Mode_supp
     freeze: bool = False
+    #: Sync_Mode_supp
     sync: bool = False
+    #: Auto_Baud_supp: the device detects the rate
     auto_baud: bool = False
+    #: Set_Slave_Add_supp: a master can change the address
     set_slave_add: bool = False
+    #: Fail_Safe: the device takes empty outputs as Clear
     fail_safe: bool = False
+    #: Min_Slave_Intervall in 100 us
     min_slave_interval: int | None = None
+    #: Modular_Station: the modules are chosen
     modular: bool = False
+    #: Max_Module: most modules of a modular station
     max_module: int | None = None
+    #: Modul_Offset: number of the first slot
     modul_offset: int | None = None
+    #: FixPresetModules: preset modules are in every configuration
     fix_preset_modules: bool = False
+    #: Max_Input_Len in octets
     max_input_len: int | None = None
+    #: Max_Output_Len in octets
     max_output_len: int | None = None
+    #: Max_Data_Len in octets, inputs and outputs together
     max_data_len: int | None = None
+    #: Max_Diag_Data_Len in octets, the whole diagnosis
     max_diag_data_len: int | None = None
+    #: Max_User_Prm_Data_Len in octets
     max_user_prm_data_len: int | None = None
+    #: User_Prm_Data_Len in octets, as the file says
     user_prm_data_len: int | None = None
+    #: User_Prm_Data; None where the file has none
     user_prm_data: bytes | None = None
+    #: user parameters of the device by name (Ext_User_Prm_Data)
     prm: PrmBlock = field(default_factory=PrmBlock)
+    #: keywords of DP-V1
     dpv1: DpV1 = field(default_factory=DpV1)
+    #: Isochron_Mode_supp
     isochronous: bool = False
+    #: Isochron_Mode_required: such a device cannot be used here
     isochronous_required: bool = False
+    #: Publisher_supp: publishes its inputs by data exchange broadcast
     publisher: bool = False
+    #: modules in the order of the file
     modules: tuple[Module, ...] = ()
+    #: slots of SlotDefinition; empty where any module may have any slot
     slots: tuple[Slot, ...] = ()
+    #: user parameters by number (ExtUserPrmData)
     parameters: Mapping[int, Parameter] = field(default_factory=dict)
+    #: texts of the diagnosis of the device
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
+    #: texts of the diagnosis by type (UnitDiagType)
     diag_types: tuple[Diagnosis, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)
     raw: tuple[Raw, ...] = ()
@@ -360,9 +427,13 @@ class Device:
 class GsdFile:
     """A parsed file: the model and the findings. ``fatal``: why nothing of the file is usable, else None."""
 
+    #: name of the file
     name: str
+    #: device that the file describes
     device: Device
+    #: findings in the order of the lines
     diagnostics: tuple[Diagnostic, ...] = ()
+    #: encoding that the octets were read with
     encoding: str = "ascii"
     fatal: Diagnostic | None = None
 

@@ -168,7 +168,9 @@ class UserPrm:
         *,
         in_slots: bool = True,
     ) -> None:
+        #: device of the parameters
         self.device = device
+        #: whether defaults of named parameters lie over the constant octets
         self.reading = reading
         own = b"" if device.user_prm_data_ignored else device.user_prm_data or b""
         #: the constants of the device and of all modules, and the fields with their defaults

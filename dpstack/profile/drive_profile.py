@@ -20,10 +20,15 @@ from dpstack.profile.simulator.device import DriveDevice
 class OptionSpec(Struct, frozen=True, kw_only=True):
     """An option: ``default`` fixes the type (bool, float, str); ``low``/``high`` or ``choices`` limit it."""
 
+    #: default, which fixes the type (bool, float, str)
     default: bool | float | str
+    #: meaning for people
     text: str
+    #: lowest value; None without a limit
     low: float | None = None
+    #: highest value; None without a limit
     high: float | None = None
+    #: values that are allowed; empty: all
     choices: tuple[str, ...] = ()
 
 
@@ -44,7 +49,9 @@ _DEVICE_OPTIONS: Final = {
 class RateSetting(NamedTuple):
     """Baud rate of a drive that cannot detect it: the ``option`` with its setting, ``rates`` in bit/s by value."""
 
+    #: name of the option that holds the setting
     option: str
+    #: baud rate in bit/s by value of the setting
     rates: Mapping[int, int]
 
 
@@ -64,21 +71,31 @@ class DriveProfile(DriveType):
     vendor's), as ``package:file name``. ``rate_setting``: the drive works only at the rate that it is set to.
     """
 
+    #: maker and type for people
     title: str
     on_loss: str
+    #: makes the :class:`DriveCore` of a master
     core_factory: CoreFactory
+    #: makes the :class:`DriveDevice` of a simulation
     device_factory: DeviceFactory
+    #: no manual gives the ident number
     ident_made_up: bool = False
+    #: baud rates in bit/s; empty where the manual gives none
     baud_rates: tuple[int, ...] = ()
+    #: max T_SDR in bit times by baud rate; empty where the manual gives none
     max_tsdr: Mapping[int, int] = field(default_factory=dict)
+    #: shortest time between two polls, in ns
     min_slave_interval_ns: int = 0
+    #: options of ``[slave.options]`` by name
     core_options: Mapping[str, OptionSpec] = field(default_factory=dict)
+    #: options of the simulated drive by name
     device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     simulated_options: Mapping[str, object] = field(default_factory=dict)
     ready: Mapping[str, object] = field(default_factory=dict)
     left_open: Mapping[str, object] = field(default_factory=dict)
     gsd: str | None = None
+    #: the setting of the rate, for a drive that works only at the rate it is set to; None: it detects the rate
     rate_setting: RateSetting | None = None
 
     def rates(self, options: Mapping[str, object]) -> tuple[int, ...]:

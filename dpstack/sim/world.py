@@ -395,12 +395,17 @@ class World:
     """
 
     def __init__(self, *, seed: int = 0, start_ns: int = 0, referee: bool = True, keep: int = 400) -> None:
+        #: virtual time in ns
         self.now = start_ns
+        #: the last transmissions, at most ``keep``
         self.log = WireLog(keep)
+        #: faults of the line: noise, lost or damaged telegrams
         self.faults = Faults(2 * seed)
+        #: checks the wire against the standard; ``world.referee.check()`` raises for a violation. None without one
         self.referee: Referee | None = Referee(self.log, start_ns) if referee else None
         #: the events to come, and the numbers that keep their order within a nanosecond; the last one never comes
         self.heap: list[tuple[int, int, Callback, Any]] = [(NEVER, 0, _nothing, None)]
+        #: numbers that keep the order of events of the same time
         self.ticks = count(1)
         self._nodes = Nodes()
         self._medium = Medium(self, self._nodes, 2 * seed + 1)

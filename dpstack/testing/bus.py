@@ -190,6 +190,7 @@ class SimulatedBus:
     ) -> None:
         self._time = time
         self._bus: Bus | None = None
+        #: configuration of the bus
         self.config = config
         self.events: list[Event] = []
         if has_master:
@@ -199,6 +200,7 @@ class SimulatedBus:
             assert core.bench is not None
             self.world, self._bench = core.world, core.bench
         else:
+            #: the line itself, with its virtual time
             self.world = World(referee=False)
             self._bench = simulate(self.world, config.slaves, baud=config.baud)
             self._bench.on_events = self._on_device_events
@@ -210,6 +212,7 @@ class SimulatedBus:
         if unknown:
             raise UsageError(f"safe: no slave is called {', '.join(sorted(unknown))}")
         watched = [Watched.of(slave, octets.get(slave.name)) for slave in config.slaves]
+        #: what went over the line, see :class:`Wire`
         self.wire = Wire(watched, lambda: self.world.baud, decode_names(config))
         self.world.log.listener = self.wire.add
         self._faults = Faults(self._bench, self.world, config.bus.address)
@@ -368,6 +371,7 @@ class BusFactory:
 
     def __init__(self, time: VirtualTime) -> None:
         self._time = time
+        #: the buses made so far
         self.buses: list[SimulatedBus] = []
 
     def __call__(

@@ -81,14 +81,17 @@ class DriveConformance:
     Each check is one test method, once for each of ``telegrams``. Override a method to change or to leave out a check.
     """
 
-    #: the name of an installed drive (its entry point), or ``profile``: the object itself
+    #: the name of an installed drive (its entry point); or give ``profile``
     drive: ClassVar[str] = ""
+    #: the drive itself, instead of its name
     profile: ClassVar[DriveProfile | None] = None
     #: names of telegrams; none: the default telegram
     telegrams: ClassVar[Sequence[str]] = ()
-    #: the tables ``options`` and ``simulated`` of the slave, and further keys of it
+    #: the table ``options`` of the slave
     options: ClassVar[Mapping[str, object]] = {}
+    #: the table ``simulated`` of the slave
     simulated: ClassVar[Mapping[str, object]] = {}
+    #: further keys of the slave
     keys: ClassVar[Mapping[str, object]] = {}
     #: bit/s; None: the lowest rate of the drive from 93,750 on
     baud: ClassVar[int | None] = None

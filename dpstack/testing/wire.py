@@ -52,7 +52,9 @@ _PRM_REQ: Final = 0x01
 class Exchange(NamedTuple):
     """A Data_Exchange at ``t`` seconds of bus time. ``inputs``: the octets of a positive answer; None without one."""
 
+    #: bus time in seconds
     t: float
+    #: octets of the request
     outputs: bytes
     inputs: bytes | None
 
@@ -61,7 +63,9 @@ class Service(NamedTuple):
     """A service of the master at a slave at ``t`` seconds of bus time; ``answered``: positively. Successive
     Data_Exchanges are one entry, which is answered when one of them was."""
 
+    #: bus time in seconds
     t: float
+    #: name of the service
     name: str
     answered: bool
 

@@ -27,11 +27,17 @@ _MOST = 6
 class Likely:
     """One cause with its ``confidence`` 0..1, plain sentences for and against it, and the next thing to try."""
 
+    #: name of the cause, as ``why --json`` has it
     cause: str
+    #: confidence, 0..1
     confidence: float
+    #: sentences that speak for it
     speaks_for: tuple[str, ...]
+    #: sentences that speak against it
     against: tuple[str, ...]
+    #: what to try next
     next: str
+    #: the cause in words
     meaning: str
 
     def as_dict(self) -> dict[str, object]:
@@ -54,12 +60,19 @@ class Story:
     ``causes``: the likeliest first; at least one.
     """
 
+    #: name of the slave
     slave: str
+    #: station address, 0..126
     address: int
+    #: "run", or "class2" if another station looked
     source: str
+    #: state of the slave, as the JSON lines have it
     state: str
+    #: steps of the last bring-up, as ``why --json`` has them
     steps: tuple[dict[str, object], ...]
+    #: time in seconds and text of each step
     step_texts: tuple[tuple[float, str], ...]
+    #: causes, the likeliest first; at least one
     causes: tuple[Likely, ...]
 
     def as_dict(self) -> dict[str, object]:

@@ -145,6 +145,7 @@ class Bus(Sealed):
 
     @property
     def config(self) -> Config:
+        """The configuration, with the arguments of ``open_bus``."""
         return self._core.config
 
     @property
@@ -159,6 +160,7 @@ class Bus(Sealed):
 
     @property
     def params(self) -> BusParams:
+        """The bus parameters in use. Raises UsageError while the rate "auto" has not been found."""
         return self._core.params
 
     @property

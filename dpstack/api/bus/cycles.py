@@ -35,6 +35,7 @@ class Cycle:
     t_ns: int
     late_ns: int
     inputs: Mapping[str, bytes]
+    #: the slaves that answered in this round; :attr:`stale` has the others
     fresh: frozenset[str]
     missed: int
     skipped: int = 0
@@ -52,6 +53,7 @@ class Cycle:
 
     @property
     def late_ms(self) -> float:
+        """:attr:`late_ns` in ms"""
         return self.late_ns / NS_PER_MS
 
     @property

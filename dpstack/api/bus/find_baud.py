@@ -52,13 +52,20 @@ class BaudReport(Struct, frozen=True, kw_only=True):
     with the reason in ``evidence``; None: nobody looked.
     """
 
+    #: baud rate in bit/s; None when no telegram was recognised
     baud: int | None
+    #: time of listening in seconds
     seconds: float
+    #: telegrams received in a row, without odd octets between them
     telegrams: int = 0
     confidence: str | None = None
+    #: why no rate was found: "silence" or "noise"; None when one was
     missing: str | None = None
+    #: result for people
     text: str = ""
+    #: tokens and answers at this rate show that it is PROFIBUS; None: nobody looked
     profibus: bool | None = None
+    #: reason for ``profibus``, for people
     evidence: str = ""
 
     def as_dict(self) -> dict[str, object]:

@@ -43,6 +43,7 @@ _EXCHANGING: Final = SlaveState.DATA_EXCHANGE.value
 class BusRecording:
     """A recording of a running bus, made by ``bus.record()``. It ends with :meth:`stop`, its block, or the bus."""
 
+    #: lines about troubles, the latest last; those before the end of the bus are events, too
     troubles: list[str]
 
     def __init__(

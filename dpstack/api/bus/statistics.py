@@ -32,23 +32,34 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
     address of its master on a read-only bus, None: not known.
     """
 
+    #: station address, 0..126
     address: int
+    #: name in the configuration
     name: str
+    #: state in the words of :class:`SlaveState`
     state: str
+    #: successful data exchanges
     exchanges: int
+    #: repeated requests
     retries: int
+    #: requests given up
     timeouts: int
+    #: last valid inputs
     inputs: bytes
+    #: the inputs are those of a slave in data exchange, and not too old
     inputs_valid: bool
+    #: age of the inputs in seconds; None before the first ones
     inputs_age: float | None
     outputs: bytes
     held: bytes | None
     #: the effective watchdog, 0 when off
     watchdog_ms: int
+    #: counters of the link layer for this station
     link: StationStats
     master: int | None = None
     fields: Mapping[str, object] = field(default_factory=dict)
     held_fields: Mapping[str, object] = field(default_factory=dict)
+    #: units of the named fields that have one
     units: Mapping[str, str] = field(default_factory=dict)
     #: counters of its alarms, None for a slave without DP-V1
     alarms: AlarmCounts | None = None
@@ -101,21 +112,30 @@ class BusStats(Struct, frozen=True, kw_only=True):
     the bus does not run, or the counters are older than 1 s.
     """
 
+    #: bus time since the start, in seconds
     seconds: float
+    #: False on a port without octet times (pty), where the figures are the computer's
     paced: bool
+    #: number of rounds of data exchange
     rotations: int
     rotation_us: dict[str, int]
     token_us: dict[str, int]
+    #: counters of each slave, by address
     slaves: dict[int, SlaveStats]
+    #: tokens that this station received and used
     tokens: int
+    #: times that this station found the bus silent for T_TO and claimed the token
     tokens_lost: int
+    #: answers that came after their slot time
     late: int
     bad: dict[str, int]
+    #: counters of this station's link layer
     link: LinkStats
     #: statistics of the fixed cycles; None free running
     cycles: CycleStats | None
-    #: requests that did not fit between two cycles and were delayed; ``forced``: those sent in spite of that
+    #: requests that did not fit between two cycles and were delayed
     held_back: int
+    #: requests that fit between no two cycles and were sent all the same
     forced: int
     #: delay of answers by computer, adapter and T_SDR, as ``rotation_us``; None before the first measurement
     host_us: dict[str, int] | None
@@ -128,6 +148,7 @@ class BusStats(Struct, frozen=True, kw_only=True):
 
     @property
     def stations(self) -> dict[int, StationStats]:
+        """counters of the link layer, by address of the station that got a request"""
         return self.link.stations
 
     @property
@@ -137,10 +158,12 @@ class BusStats(Struct, frozen=True, kw_only=True):
 
     @property
     def retries(self) -> int:
+        """repeated requests to all stations"""
         return sum(station.retries for station in self.stations.values())
 
     @property
     def timeouts(self) -> int:
+        """requests to all stations that were given up"""
         return sum(station.timeouts for station in self.stations.values())
 
     def _cycle_dict(self) -> dict[str, object]:

@@ -54,6 +54,7 @@ class Commissioning:
         self._file = Path(_NEW if config is None else config)
         beside = self._file.parent
         named = [] if config is None else _gsd_of(self._file)
+        #: the GSD files among which descriptions are looked for
         self.folder = GsdFolder(
             beside if gsd is None else gsd,
             beside=beside,

@@ -46,8 +46,11 @@ ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
 class Config:
     """A whole configuration. ``source`` is its name and its lines in messages."""
 
+    #: table [bus]: port, rate, address and bus parameters
     bus: BusConfig
+    #: tables [[slave]], in the order of the file
     slaves: tuple[SlaveConfig, ...]
+    #: name of the file or of the arguments, and its lines, for messages
     source: Source = field(repr=False, compare=False)
     #: the tables of the connectors that publish the plant, by name
     connectors: Mapping[str, ConnectorConfig] = field(default_factory=dict)

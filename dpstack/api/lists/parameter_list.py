@@ -125,11 +125,16 @@ def value_text(value: float | int | None, unit: str) -> str:
 class ParameterValue:
     """A parameter read from the drive: ``value`` in ``unit``; ``raw``: the integer on the wire."""
 
+    #: number of the parameter
     number: int
+    #: name in the plugin's table; None where the table does not have the number
     name: str | None
+    #: value in ``unit``
     value: float | int
     raw: int
+    #: unit of ``value``; empty for a plain number
     unit: str = ""
+    #: data set that was read; None where the drive has none
     data_set: int | None = None
 
 
@@ -137,8 +142,11 @@ class ParameterValue:
 class ParameterPlace:
     """A parameter by number or name, in a data set, or an element by index."""
 
+    #: number or name
     number: int | str
+    #: data set; None: the active one, or the drive has none
     data_set: int | None = None
+    #: element of an array; None for a plain parameter
     index: int | None = None
 
     def as_dict(self) -> dict[str, int | str]:

@@ -36,16 +36,26 @@ class SlaveAlarm:
     ``diagnosis``: the telegram with the alarm, ``texts``: its other blocks. ``t_ns``: bus time.
     """
 
+    #: station address of the slave, 0..126
     address: int
+    #: name of the slave
     name: str
+    #: type of the alarm: 1 diagnosis, 2 process, 3 pull, 4 plug, 5 status, 6 update, 32..126 the maker's own
     type: int
+    #: ``type`` in words
     title: str
+    #: slot that raised it, 0..254
     slot: int
+    #: sequence number, 0..31
     sequence: int
+    #: whether a fault appears or disappears
     specifier: Specifier
+    #: data of the alarm, up to 59 octets; the device's manual says what they mean
     data: bytes
     user_ack: bool
+    #: the diagnosis telegram that carried the alarm
     diagnosis: Diagnosis
+    #: the other blocks of that diagnosis, one line each
     texts: tuple[str, ...]
     t_ns: int
     text: str

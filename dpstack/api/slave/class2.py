@@ -45,7 +45,9 @@ ReadsDiagnosis = Callable[[int], Awaitable[Diagnosis]]
 class ProcessData(Struct, frozen=True):
     """Inputs or outputs read from a slave: ``octets``, and ``values`` by name where the configuration names them."""
 
+    #: octets as read
     octets: bytes
+    #: values by name, as far as the configuration names them
     values: Mapping[str, Value] = msgspec.field(default_factory=dict)
 
 
@@ -76,6 +78,7 @@ class ReadDiagnosis(Diagnosis, frozen=True):
     They include texts of the GSD file if this bus has such a slave at that address.
     """
 
+    #: texts, one line each, with those of the GSD file if this bus has such a slave at that address
     diagnosis_texts: tuple[str, ...] = ()
 
 
@@ -293,6 +296,7 @@ class Connection(Sealed, RecordAccess):
 
     @property
     def address(self) -> int:
+        """station address of the slave, 0..126"""
         return self._done.address
 
     @property

@@ -43,6 +43,7 @@ class DriveNotice(NamedTuple):
     """A line of text from a drive plugin to the application; ``t_ns``: bus time."""
 
     t_ns: int
+    #: one line for people
     text: str
 
 

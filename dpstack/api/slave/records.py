@@ -62,11 +62,13 @@ class RecordAccess(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """the slave's name, for texts"""
 
     @property
     @abc.abstractmethod
-    def address(self) -> int: ...
+    def address(self) -> int:
+        """station address of the slave, 0..126"""
 
     @property
     @abc.abstractmethod

@@ -51,6 +51,7 @@ def sent_outputs(setup: SlaveParams, wanted: bytes, mode: Mode, *, exchanging: b
 class Slave(Sealed, RecordAccess):
     """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
 
+    #: the slave's table of the configuration
     config: SlaveConfig
 
     def __init__(self, bus: Host, config: SlaveConfig, setup: SlaveParams, *, has_plugin: bool) -> None:
@@ -90,6 +91,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def address(self) -> int:
+        """station address, 0..126"""
         return self._setup.address
 
     @property

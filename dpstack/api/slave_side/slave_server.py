@@ -151,6 +151,7 @@ def serve_async(device: Device) -> AsyncRecords | None:
 class ServedSlave(Sealed):
     """A served slave. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
 
+    #: the device that is served
     device: Device
 
     def __init__(
@@ -159,6 +160,7 @@ class ServedSlave(Sealed):
         self.device = device
         self._records = serve_async(device)
         self._app = SlaveApp(device, address=address, address_fixed=fixed)
+        #: the station of the slave on the line
         self.station = PassiveStation(address, self._app, params, patience=patience)
         #: the runtime of the station, set by the server
         self.runtime: Runtime | None = None
@@ -177,6 +179,7 @@ class ServedSlave(Sealed):
 
     @property
     def name(self) -> str:
+        """The device's name."""
         return self.device.name
 
     @property
@@ -233,6 +236,7 @@ class ServedSlave(Sealed):
 
     @property
     def stats(self) -> SlaveAppStats:
+        """Counters since the start."""
         return self._app.stats
 
     def diagnosis(self) -> Diagnosis:
@@ -380,7 +384,9 @@ class SlaveServer(Sealed):
     Leaving sets all outputs to their safe values. Raises ConfigError; PortError on entering.
     """
 
+    #: baud rate in bit/s
     baud: int
+    #: the served slaves, in the order given
     slaves: tuple[ServedSlave, ...]
     on_event: OnEvent | None
     failure: BusError | None

@@ -443,7 +443,7 @@ class VirtualBench(Bench):
         self._units: dict[int, SimulatedSlave] = {}
         self._silent: dict[int, int] = {}  # ends of the silences in ns
         self._cut: Counter[int] = Counter()  # number of times that a slave was silenced or switched off
-        #: gets the events of the slaves: what only the device side knows, such as an exception in a simulated drive
+        #: gets the events of the slaves that only the device side knows, such as an exception in a simulated drive
         self.on_events: Callable[[list[Event]], None] | None = None
 
     def __repr__(self) -> str:
@@ -505,10 +505,12 @@ class VirtualBench(Bench):
 
     @property
     def units(self) -> Mapping[int, SimulatedSlave]:
+        """The simulated slaves by address."""
         return self._units
 
     @property
     def now(self) -> int:
+        """Virtual time in ns."""
         return self._world.now
 
     def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:

@@ -48,20 +48,26 @@ class Fault:
     ``actual``: the identifier octets that the slave says to have, where they differ from the configuration; else empty.
     """
 
+    #: kind of the fault
     kind: FaultKind
+    #: what happened, one line
     message: str
+    #: what to do; empty where nothing helps
     remedy: str
     actual: bytes = field(default=b"", repr=False)
 
     @property
     def text(self) -> str:
+        """``message`` and ``remedy`` in one line."""
         return f"{self.message}; {self.remedy}" if self.remedy else self.message
 
 
 class SlaveEvent(Event):
     """Something about one slave of the master: its address, and its name in the configuration."""
 
+    #: station address of the slave, 0..126
     address: int
+    #: name of the slave in the configuration
     name: str
 
     @property
@@ -73,6 +79,7 @@ class SlaveEvent(Event):
 class SlaveStateChanged(SlaveEvent):
     """The master's handling of the slave reached another state."""
 
+    #: state in which the master has the slave
     state: SlaveState
 
     TEMPLATE = "{e.who}: {e.state.value}"
@@ -83,6 +90,7 @@ class SlaveFaulted(SlaveEvent):
 
     SEVERITY = Severity.ERROR
 
+    #: what happened, and what to do
     fault: Fault
 
     TEMPLATE = "{e.who}: {e.fault.text}"
@@ -91,6 +99,7 @@ class SlaveFaulted(SlaveEvent):
 class SlaveDiagnosis(SlaveEvent):
     """A diagnosis that differs from the last one was read."""
 
+    #: the diagnosis read
     diagnosis: Diagnosis
     #: the extended diagnosis as text, one line a block, in the words of the device's GSD file if it has some
     texts: tuple[str, ...] = ()
@@ -105,6 +114,7 @@ class SlaveRemark(SlaveEvent):
 
     SEVERITY = Severity.WARNING
 
+    #: the deviation, one line
     message: str
 
     TEMPLATE = "{e.who}: {e.message}"
@@ -113,6 +123,7 @@ class SlaveRemark(SlaveEvent):
 class ModeChanged(Event):
     """The master reached a mode."""
 
+    #: mode that the master reached
     mode: Mode
 
     def _text(self) -> str:
@@ -134,7 +145,9 @@ class OperateWaits(Event):
 
     SEVERITY = Severity.WARNING
 
+    #: addresses of the slaves that are not in data exchange
     slaves: tuple[int, ...]
+    #: why each of them is not, one line each
     reasons: tuple[str, ...]
 
     def _text(self) -> str:
@@ -158,11 +171,14 @@ class ForcedClear(Event):
 class AutoCleared(ForcedClear):
     """Auto-clear: ``slaves`` had no good data exchange for the Data_Control_Time, so the master goes to Clear."""
 
+    #: addresses of the slaves without good data exchange
     slaves: tuple[int, ...]
+    #: why each of them has none, one line each
     reasons: tuple[str, ...]
 
     @property
     def why(self) -> str:
+        """The reason, without what to do."""
         return f"auto_clear: {'; '.join(self.reasons)}"
 
     def _text(self) -> str:
@@ -186,6 +202,7 @@ class Stalled(ForcedClear):
     """
 
     gap_ns: int | None
+    #: addresses of the slaves without requests
     slaves: tuple[int, ...]
     blocked: Blocked | None
     reason: str
@@ -205,10 +222,12 @@ class Stalled(ForcedClear):
 class ApplicationSilent(ForcedClear):
     """The application watchdog ran out: the application did not call ``alive()`` for ``limit_ns``."""
 
+    #: time in ns that the application watchdog allows
     limit_ns: int
 
     @property
     def why(self) -> str:
+        """The reason, without what to do."""
         return f"application watchdog: alive() was not called for {ms_text(self.limit_ns)}"
 
     TEMPLATE = "master: outputs become safe: {e.why}; operate() when the application works again"
@@ -222,10 +241,15 @@ class CyclesMissed(Event):
 
     SEVERITY = Severity.WARNING
 
+    #: fixed cycles that did not begin when they were due
     count: int
+    #: all of them since the start of the bus
     missed: int
+    #: number of the worst cycle
     number: int
+    #: delay of the worst cycle, in ns
     late_ns: int
+    #: reason for the worst cycle, for people
     reason: str
 
     def _text(self) -> str:

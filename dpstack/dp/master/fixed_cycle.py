@@ -85,15 +85,21 @@ class CycleStats(Struct):
     :func:`tolerance_ns` (``begun_late``), or that the master left out because it was late (``left_out``).
     """
 
+    #: fixed cycle in ns; 0: free running, only ``begun`` counts
     cycle_ns: int
+    #: cycles that began
     begun: int = 0
+    #: cycles that began later than the tolerance allows
     begun_late: int = 0
+    #: cycles that the master left out because it was late
     left_out: int = 0
     late: Histogram = field(default_factory=Histogram)
+    #: number of deadline misses by reason
     reasons: dict[MissReason, int] = field(default_factory=dict)
 
     @property
     def missed(self) -> int:
+        """Deadline misses: cycles that began late, and cycles left out."""
         return self.begun_late + self.left_out
 
     def miss(self, reason: MissReason, count: int, *, left_out: bool) -> None:

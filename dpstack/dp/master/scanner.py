@@ -60,16 +60,23 @@ class Found(Struct, frozen=True, kw_only=True):
     ``config``: its identifier octets, if the scanner asked for them and the slave answered.
     """
 
+    #: station address, 0..126
     address: int
+    #: type of the station
     kind: StationType
+    #: state of a slave by its diagnosis; None: not known, or no slave
     state: SlaveView | None = None
+    #: ident number of a slave; None while it is not known
     ident: int | None = None
+    #: address of the slave's master; None without one
     master: int | None = None
     config: bytes | None = None
+    #: last diagnosis of a slave; None before the first
     diagnosis: Diagnosis | None = None
 
     @property
     def text(self) -> str:
+        """The station in one line."""
         words = [f"station {self.address}: {self.kind.text}"]
         if self.ident is not None:
             words.append(f"ident 0x{self.ident:04X}")
@@ -96,7 +103,9 @@ class Found(Struct, frozen=True, kw_only=True):
 class StationSeen(Event):
     """A station was found, or it has changed; ``present`` False: it no longer answers."""
 
+    #: the station
     found: Found
+    #: False: it no longer answers
     present: bool = True
 
     def _text(self) -> str:

@@ -32,11 +32,17 @@ class AlarmCounts(Struct, frozen=True, kw_only=True):
     raised: int = 0
     acknowledged: int = 0
     repeated: int = 0
+    #: refused acknowledgements
     refused: int = 0
+    #: alarms beyond the agreed number
     too_many: int = 0
+    #: alarms beyond the agreed number that found no room in the queue
     dropped: int = 0
+    #: alarms of a type that Set_Prm did not enable
     not_enabled: int = 0
+    #: blocks that are neither alarm nor status
     malformed: int = 0
+    #: delivered status messages
     statuses: int = 0
 
 

@@ -161,15 +161,21 @@ class Alarm(Struct, frozen=True):
     """An alarm: ``type`` 1..6 or 32..126, ``slot`` 0..254, ``sequence`` 0..31, ``specifier`` 0..3, ``data`` 0..59
     octets; ``add_ack``: the user has to acknowledge it in addition."""
 
+    #: type 1..6 or 32..126
     type: int
+    #: slot 0..254
     slot: int
+    #: specifier 0..3: whether a fault appears or disappears
     specifier: int = Specifier.NONE
+    #: sequence number 0..31
     sequence: int = 0
+    #: data, 0..59 octets
     data: bytes = b""
     add_ack: bool = False
 
     @property
     def title(self) -> str:
+        """Its type in words."""
         return alarm_name(self.type)
 
     @property
@@ -197,14 +203,19 @@ class Status(Struct, frozen=True):
     ``reserved``: bits 7..2 of the specifier; PrmCmdAck and Red_State have a sequence number there.
     """
 
+    #: type (bit 7 taken off) 1..3, 30, 31 or 32..126
     type: int
+    #: slot 0..254
     slot: int
+    #: specifier 0..3: whether a fault appears or disappears
     specifier: int = Specifier.NONE
+    #: data, 0..59 octets
     data: bytes = b""
     reserved: int = 0
 
     @property
     def title(self) -> str:
+        """Its type in words."""
         return status_name(self.type)
 
     @property

@@ -43,8 +43,11 @@ class Diagnosis(Struct, frozen=True):
     ``ext``: the octets after the six fixed ones, :attr:`blocks` splits them.
     """
 
+    #: octet Station_status_1
     status1: int
+    #: octet Station_status_2
     status2: int
+    #: octet Station_status_3
     status3: int
     master: int | None
     ident: int
@@ -117,14 +120,25 @@ class Diagnosis(Struct, frozen=True):
         return split_blocks(self.ext)[1]
 
     # those that only a master sets are in `findings`
+    #: Station_Not_Ready: the slave is not ready for data exchange
     not_ready = _Bit("station_not_ready")
+    #: Cfg_Fault: the slave refuses the configuration of the last Chk_Cfg
     cfg_fault = _Bit("cfg_fault")
+    #: Ext_Diag: the extended diagnosis reports a fault
     ext_diag = _Bit("ext_diag")
+    #: Not_Supported: the slave does not know the service or function
     not_supported = _Bit("not_supported")
+    #: Prm_Fault: the slave refuses the last Set_Prm
     prm_fault = _Bit("prm_fault")
+    #: Prm_Req: the slave must be parameterised and configured anew
     prm_req = _Bit("prm_req")
+    #: Stat_Diag: the slave has no valid data at present
     stat_diag = _Bit("stat_diag")
+    #: WD_On: the watchdog of the slave is on
     wd_on = _Bit("wd_on")
+    #: Freeze_Mode: the slave holds its inputs
     freeze = _Bit("freeze_mode")
+    #: Sync_Mode: the slave holds its outputs
     sync = _Bit("sync_mode")
+    #: Ext_Diag_Overflow: there is more diagnosis than fits
     overflow = _Bit("ext_diag_overflow")

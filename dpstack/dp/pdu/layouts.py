@@ -111,6 +111,7 @@ class Layout(Generic[R]):
 class Pdu(Struct, frozen=True):
     """Base class of the PDUs that :attr:`LAYOUT` describes completely."""
 
+    #: the fields in the order of their octets, with their formats
     LAYOUT: ClassVar[Layout[Any]]
 
     def build(self) -> bytes:

@@ -143,8 +143,11 @@ class PrmBlock(Struct, frozen=True):
     ``specifier``: the last octet of the head, 0 but in PrmCmd (sequence number). Raises ConfigError.
     """
 
+    #: type, 0..255 (:class:`BlockType`)
     type: int
+    #: slot, 0..254
     slot: int
+    #: octets behind the head
     data: bytes
     specifier: int = 0
 

@@ -61,11 +61,17 @@ class CyclePlan(Struct, frozen=True):
     ``refusals``) and ``notes``: one line each.
     """
 
+    #: the fixed cycle in ns
     cycle_ns: int
+    #: how safely the rotation fits into the cycle
     verdict: CycleVerdict
+    #: part of the cycle that the typical rotation takes
     load: float
+    #: reasons why the bus cannot be opened with this cycle
     refusals: tuple[Refusal, ...]
+    #: further findings, one line each
     findings: tuple[str, ...]
+    #: remarks, one line each
     notes: tuple[str, ...]
 
     def as_dict(self) -> dict[str, object]:

@@ -115,12 +115,19 @@ class SlavePlan(Struct, frozen=True, kw_only=True):
     ``chk_cfg`` are the octets that the master will send, in hex; ``....`` for an ident number from the diagnosis.
     """
 
+    #: parameters that the master sends to the slave
     setup: SlaveParams
+    #: time of the slave in the shortest rotation, in bit times
     shortest_bits: int
+    #: its turn is in the rounds whose number leaves ``offset`` when divided by ``every``
     offset: int
+    #: watchdog in ms, 0 is off
     watchdog_ms: int
+    #: what the device does when its master falls silent, for people
     on_loss: str
+    #: octets of Set_Prm in hex, ``....`` for an ident number that the diagnosis will give
     set_prm: str
+    #: octets of Chk_Cfg in hex
     chk_cfg: str
 
 
@@ -132,20 +139,29 @@ class Plan(Struct, frozen=True, kw_only=True):
     judgement of a fixed cycle, None if the bus runs free.
     """
 
+    #: rotation times, hold times and the bus parameters behind them
     figures: Figures
+    #: the plan of each slave, in the order of the addresses
     slaves: tuple[SlavePlan, ...]
+    #: watchdog of slaves that do not set their own, in ms
     watchdog_ms: int
+    #: values out of bounds, one line each with reason and remedy; empty if everything fits
     findings: tuple[str, ...]
+    #: remarks about legal values, one line each
     notes: tuple[str, ...] = ()
+    #: needs of other masters on the bus; empty without any
     beside: str = ""
+    #: judgement of a fixed cycle; None if the bus runs free
     cycle: CyclePlan | None = None
 
     @property
     def params(self) -> BusParams:
+        """bus parameters of the plan"""
         return self.figures.params
 
     @property
     def rotations(self) -> dict[Case, Rotation]:
+        """rotation times in bit times, by case"""
         return self.figures.rotations
 
     @property

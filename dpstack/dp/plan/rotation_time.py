@@ -74,10 +74,13 @@ class Rotation(Struct, frozen=True, kw_only=True):
 
     slaves: dict[int, int]
     together: frozenset[int]
+    #: time of the slaves in the fullest round
     data: int
     beside: int
     token: int
+    #: time of the other masters
     others: int
+    #: waiting for Min_Slave_Interval while the token goes round
     waiting: int
     idle: int
     bits: int
@@ -173,11 +176,16 @@ class Figures:
     ``host_slack_ns``: greatest delay of a known station's answer after the deadline of the wire.
     """
 
+    #: bus parameters
     params: BusParams
+    #: parameters of the slaves, sorted by address
     setups: Sequence[SlaveParams]
+    #: the other masters of the bus
     others: OtherMasters = ALONE
+    #: fixed cycle in ns; 0: free running
     cycle_ns: int = 0
     host_slack_ns: int = 0
+    #: the rotation in each case, in bit times
     rotations: dict[Case, Rotation] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -51,8 +51,9 @@ class SlaveApp(SlaveCore):
         self._timed = [one for one in self.services if type(one).tick is not SlaveService.tick]
         self._clock = DeviceClock(device)
         self._device_due = self._clock.due
+        #: counters since the start
         self.stats: SlaveAppStats = self.report.stats
-        #: the events since the last call, oldest first; the station calls it in every step
+        #: returns the events since the last call, oldest first; the station calls it in every step
         self.take_events: Callable[[], list[Event]] = self.report.take_events
 
     def __repr__(self) -> str:

@@ -181,6 +181,7 @@ class Searching(abc.ABC):
 class BaudStateChanged(SlaveAppEvent):
     """The slave's watch over the rate reached another state; ``baud`` in bit/s, None while it is searched."""
 
+    #: what the slave does about the rate
     state: BaudState
     baud: int | None
 
@@ -246,6 +247,7 @@ class SearchingSlave(Searching):
 class PortBaudChanged(Event):
     """The watch of a port's slaves over the rate reached another state; ``baud`` in bit/s, None while searched."""
 
+    #: what the slaves do about the rate
     state: BaudState
     baud: int | None
 

@@ -40,10 +40,13 @@ class DpV0Device:
     ident: int = 0
     other_idents: frozenset[int] = frozenset()
     configs: tuple[bytes, ...] = (b"",)
+    #: name for messages
     name: str = "device"
     fail_safe: bool = False
     fail_safe_required: bool = False
+    #: the device takes part in SYNC
     sync_supported: bool = True
+    #: the device takes part in FREEZE
     freeze_supported: bool = True
     set_slave_add: bool = False
     wd_base_1ms: bool = False

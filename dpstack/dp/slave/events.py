@@ -20,7 +20,9 @@ from dpstack.units import NS_PER_MS
 class SlaveAppEvent(Event):
     """Something about one slave application. ``address`` None: it is not on a station yet."""
 
+    #: station address, 0..126; None: it is not on a station yet
     address: int | None
+    #: name of the slave
     name: str
 
     @property
@@ -32,7 +34,9 @@ class SlaveAppEvent(Event):
 class SlaveAppStateChanged(SlaveAppEvent):
     """The slave reached another state. ``master``: address of the master that has locked it."""
 
+    #: state reached
     state: SlaveAppState
+    #: what led to it
     why: AppTrigger
     master: int | None
 
@@ -44,7 +48,9 @@ class SlaveAppStateChanged(SlaveAppEvent):
 class WatchdogExpired(SlaveAppEvent):
     """The master was silent for ``watchdog_ns``: the outputs are cleared."""
 
+    #: address of the master that fell silent
     master: int | None
+    #: watchdog of the slave in ns
     watchdog_ns: int
 
     def _text(self) -> str:
@@ -54,8 +60,11 @@ class WatchdogExpired(SlaveAppEvent):
 class RequestRefused(SlaveAppEvent):
     """A service of ``master`` was refused; ``reason`` names the octet. Reported once for the same reason."""
 
+    #: name of the service
     service: str
+    #: address of the master that asked for it
     master: int
+    #: why it was refused, with the octet concerned
     reason: str
 
     TEMPLATE = "{e.who}: {e.service} of master {e.master} refused: {e.reason}"
@@ -68,7 +77,9 @@ class AddressChanged(SlaveAppEvent):
     ``kept``: the device keeps it over a restart.
     """
 
+    #: former address; None: it was on no station
     before: int | None
+    #: address of the master that set it; None: the device itself changed it
     master: int | None
     fixed: bool
     kept: bool
@@ -92,7 +103,9 @@ class DeviceFailed(SlaveAppEvent):
     ``origin``: function, file and line of the exception, empty when it was not raised in the device's own code.
     """
 
+    #: service during which the exception came
     during: str
+    #: the exception, one line
     error: str
     origin: str = ""
 

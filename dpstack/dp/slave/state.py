@@ -207,16 +207,27 @@ class SlaveCore:
     """
 
     def __init__(self, device: DpV0Device, address: int | None, address_fixed: bool) -> None:
+        #: the device that it serves
         self.device = device
+        #: state of the slave application (WAIT_PRM, WAIT_CFG, DATA_EXCH)
         self.state = SlaveAppState.WAIT_PRM
+        #: address of the master that has locked the slave; None without one
         self.master: int | None = None
+        #: exception of the device, one line; None while it works
         self.failure: str | None = None
+        #: collects events and counters
         self.report = Report(device.name, address)
+        #: services of the device beyond DP-V0
         self.services = device.services(self.report)
+        #: its diagnosis for the master
         self.diag = DiagState(device, next((one.messages for one in self.services if one.messages is not None), None))
+        #: the address service
         self.set_address = SlaveAddress(device, self.report, address_fixed)
+        #: watchdog that the master set
         self.watchdog = Watchdog()
+        #: inputs and outputs; None outside data exchange
         self.data: CyclicData | None = None
+        #: Group_Ident: one bit for each of the groups 1 to 8
         self.group = 0
 
     @property

@@ -154,9 +154,13 @@ class ConnectionOver(Event):
     that opened it ended it.
     """
 
+    #: number of the connection on this bus
     connection: int
+    #: station address of the slave, 0..126
     address: int
+    #: SAP of the slave for the connection, 0..48
     server_sap: int
+    #: who ended it, and why
     reason: str
     abort: tuple[int, int, int] | None = None
     ordered: bool = False
@@ -167,6 +171,7 @@ class ConnectionOver(Event):
 
     @property
     def severity(self) -> Severity:
+        """INFO for an end that the program ordered, else WARNING."""
         return Severity.INFO if self.ordered else Severity.WARNING
 
 
@@ -202,8 +207,11 @@ class AlarmRaised(SlaveEvent):
     texts of the GSD file for the alarm, one line each.
     """
 
+    #: number of the alarm, counted for each slave
     number: int
+    #: the alarm
     alarm: Alarm
+    #: the diagnosis that carried the alarm
     diagnosis: Diagnosis
     held: bool = False
     texts: tuple[str, ...] = ()
@@ -239,6 +247,7 @@ class AlarmDone(SlaveEvent):
 class StatusTold(SlaveEvent):
     """The slave's diagnosis holds a new ``status``. Nobody acknowledges it."""
 
+    #: the new status
     status: Status
 
     TEMPLATE = "{e.who}: {e.status.full_text}"

@@ -46,13 +46,20 @@ class Im0(_ImRecord, frozen=True, kw_only=True):
     ``supported``: bit n for I&Mn, bit 0 profile specific. ``version``: of I&M itself.
     """
 
+    #: MANUFACTURER_ID, 0..65535, as PROFIBUS & PROFINET International assigns it
     manufacturer_id: int = 0
+    #: order number, up to 20 characters
     order_id: str = ""
+    #: serial number, up to 16 characters
     serial_number: str = ""
+    #: HARDWARE_REVISION, 0..65535
     hardware_revision: int = 0
     software_revision: str = "V1.0.0"
+    #: REV_COUNTER, 0..65535: counts changes of hardware or parameters
     revision_counter: int = 0
+    #: PROFILE_ID, 0..65535: the profile that the device follows
     profile_id: int = 0
+    #: PROFILE_SPECIFIC_TYPE, 0..65535: its kind within the profile
     profile_type: int = 0
     version: tuple[int, int] = (1, 1)
     supported: int = 0
@@ -61,25 +68,30 @@ class Im0(_ImRecord, frozen=True, kw_only=True):
 class Im1(_ImRecord, frozen=True):
     """I&M1: what the device is for in the plant (up to 32 characters), and where it is (up to 22)."""
 
+    #: the purpose of the device in the plant, up to 32 characters
     tag_function: str = ""
+    #: the place of the device, up to 22 characters
     tag_location: str = ""
 
 
 class Im2(_ImRecord, frozen=True):
     """I&M2: the date of installation, up to 16 characters (``2026-01-31 12:00``)."""
 
+    #: date of installation, up to 16 characters
     date: str = ""
 
 
 class Im3(_ImRecord, frozen=True):
     """I&M3: a description, up to 54 characters."""
 
+    #: description, up to 54 characters
     descriptor: str = ""
 
 
 class Im4(_ImRecord, frozen=True):
     """I&M4: a signature of the parameter set, 54 octets; shorter ones are filled up with zeros."""
 
+    #: signature of the parameter set, 54 octets
     signature: bytes = bytes(54)
 
     def __post_init__(self) -> None:

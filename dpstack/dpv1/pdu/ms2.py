@@ -89,10 +89,14 @@ class Initiate(Pdu, frozen=True, kw_only=True):
     """The common part of both Initiate PDUs: ``features``, ``profile_features``: two octets each; ``profile_ident``: 0
     for none; ``source``: the end that sends it."""
 
+    #: Features_Supported, two octets
     features: int = FEATURES
+    #: Profile_Features_Supported, two octets
     profile_features: int = 0
     profile_ident: int = 0
+    #: address of the end that sends it
     source: Address = Address()
+    #: address of the other end
     destination: Address = Address()
 
     def build(self) -> bytes:
@@ -131,6 +135,7 @@ _COMMON: Final = (
 class InitiateReq(Initiate, frozen=True):
     """Open a connection."""
 
+    #: longest silence of either end that the master wants, in ns
     send_timeout_ns: int
 
 

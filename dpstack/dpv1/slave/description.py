@@ -41,9 +41,12 @@ class SlaveParameter(msgspec.Struct, frozen=True):
     has it; the slave itself checks its parameters by ``on_prm``.
     """
 
+    #: name for people
     name: str
+    #: first octet of its place in the user parameters, from 0
     octet: int
     type: str = "Unsigned8"
+    #: default value
     default: int = 0
     allowed: tuple[tuple[int, int], ...] = ()
     texts: Mapping[int, str] = msgspec.field(default_factory=dict)
@@ -57,9 +60,13 @@ class SlaveModule:
     ``parameters`` by name, with octets counted from 0 within them. Raises ConfigError.
     """
 
+    #: name
     name: str
+    #: identifier octets, at least one
     config: bytes
+    #: default of its user parameters, for the GSD file alone [Ext_Module_Prm_Data_Len]
     prm: bytes = b""
+    #: its user parameters by name, for the GSD file alone
     parameters: tuple[SlaveParameter, ...] = ()
 
     def __post_init__(self) -> None:
@@ -93,35 +100,60 @@ class SlaveDescription:
     name; ``diag_texts``: texts for its diagnosis [Unit_Diag_Bit, Channel_Diag ...]. Raises ConfigError.
     """
 
+    #: ident number, 0..0xFFFF [Ident_Number]
     ident: int
+    #: name for messages [Model_Name]
     name: str = "slave"
+    #: identifier octets that a fixed slave accepts, the default first
     configs: tuple[bytes, ...] = ()
+    #: modules of a modular slave, instead of ``configs``
     modules: tuple[SlaveModule, ...] = ()
     presets: tuple[SlaveModule, ...] = ()
+    #: most modules of a modular slave [Max_Module]
     max_modules: int = 1
+    #: most octets of inputs [Max_Input_Len]
     max_input_len: int = MAX_DATA
+    #: most octets of outputs [Max_Output_Len]
     max_output_len: int = MAX_DATA
+    #: most octets of inputs and outputs together [Max_Data_Len]
     max_data_len: int = 2 * MAX_DATA
     user_prm_len: tuple[int, int] = (0, MAX_USER_PRM)
+    #: the slave takes part in SYNC [Sync_Mode_supp]
     sync: bool = True
+    #: the slave takes part in FREEZE [Freeze_Mode_supp]
     freeze: bool = True
+    #: empty outputs are taken as Clear [Fail_Safe]
     fail_safe: bool = False
+    #: a master that does not send such outputs is refused [Fail_Safe_required]
     fail_safe_required: bool = False
+    #: a master can change the address [Set_Slave_Add_supp]
     set_slave_add: bool = False
+    #: the watchdog can count in ms [WD_Base_1ms_supp]
     wd_base_1ms: bool = False
+    #: the user parameters begin with the three DPV1_Status octets [DPV1_Slave]
     dpv1: bool = False
+    #: structured parameters may follow DPV1_Status [Prm_Block_Structure_supp]
     prm_blocks: bool = True
+    #: parameters without structure are refused [Prm_Block_Structure_req]
     prm_blocks_required: bool = False
+    #: connections of class 2, 0..49 [C2_Read_Write_supp, C2_Max_Count_Channels]
     ms2: int = 0
+    #: most octets in one service of class 2 [C2_Max_Data_Len]
     ms2_max_len: int = MAX_RECORD
+    #: most octets of an Initiate [Max_Initiate_PDU_Length]
     ms2_max_initiate: int = MAX_DATA
     alarms: tuple[str, ...] = ()
     alarm_sequence: int = 0
+    #: alarms can be acknowledged over SAP 50, too [Extra_Alarm_SAP_supp]
     extra_alarm_sap: bool = False
+    #: most octets of a whole diagnosis, 6..244 [Max_Diag_Data_Len]
     max_diag_len: int = MAX_LEN
     rates: Mapping[int, int] = field(default_factory=dict)
+    #: shortest time between two polls, in ns [Min_Slave_Intervall]
     min_slave_interval_ns: int = 0
+    #: maker, for the GSD file alone [Vendor_Name]
     vendor: str = ""
+    #: revision of the device, for the GSD file alone [Revision]
     revision: str = ""
     parameters: tuple[SlaveParameter, ...] = ()
     diag_texts: tuple[DiagText, ...] = ()

@@ -25,7 +25,9 @@ from dpstack.params import DPV1_STATUS_LEN
 class AlarmAcknowledged(SlaveAppEvent):
     """``master`` acknowledged ``alarm``, which is over with it."""
 
+    #: the alarm, which is over
     alarm: Alarm
+    #: address of the master that acknowledged it
     master: int
 
     TEMPLATE = "{e.who}: {e.alarm.text}: acknowledged by master {e.master}"

@@ -117,8 +117,10 @@ class AcyclicDevice(DpV0Device):
     """
 
     records: Records | None = None
+    #: serves Data_Transport of class 2; None: refused
     transport: Transport | None = None
     ms2: int = 0
+    #: octets of data in one service of class 2, up to 240
     ms2_max_len: int = MAX_RECORD
     ms2_max_initiate: int = MAX_DATA
     ms2_at_once: bool = False

@@ -57,8 +57,11 @@ from dpstack.units import NEVER, NS_PER_MS
 class ConnectionOpened(SlaveAppEvent):
     """``master`` has opened a connection of class 2 at the server ``sap``."""
 
+    #: address of the master that opened it
     master: int
+    #: server SAP of the connection, 0..48
     sap: int
+    #: longest silence of either end, in ns
     send_timeout_ns: int
 
     def _text(self) -> str:
@@ -69,9 +72,13 @@ class ConnectionOpened(SlaveAppEvent):
 class ConnectionClosed(SlaveAppEvent):
     """A connection of class 2 is over and given back; ``services``: how many its master asked for."""
 
+    #: address of the master at the other end
     master: int
+    #: server SAP of the connection, 0..48
     sap: int
+    #: number of services that the master asked for
     services: int
+    #: why it ended, for people
     reason: str
 
     def _text(self) -> str:

@@ -109,8 +109,10 @@ class DpSlave(Sealed, Device):
         reason = description.check_cfg(real)
         if reason is not None:
             raise ConfigError(f"{who}: {reason}")
+        #: ident number of the description
         self.ident = description.ident
         self.name = description.name
+        #: the type of the slave
         self.description = description
         self._on_cycle = on_cycle
         self._calls = calls
@@ -133,8 +135,11 @@ class DpSlave(Sealed, Device):
         self._diag = NO_DIAG
         self.safe = safe or b""
         self._safe = b""  # in the length of the configuration in use
+        #: serves Read, see the class; None: refused
         self.on_read = options.get("on_read")
+        #: serves Write, see the class; None: refused
         self.on_write = options.get("on_write")
+        #: serves Data_Transport of class 2, see the class; None: refused
         self.on_transport = options.get("on_transport")
         self.ms2 = description.ms2 if ms2 is None else whole_number(f"{who}: ms2", ms2, ConfigError)
         self.ms2_max_len = description.ms2_max_len

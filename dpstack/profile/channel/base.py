@@ -15,9 +15,13 @@ from dpstack.profile.model.params import ParamSpec, ParamTable
 class ParamKey(Struct, frozen=True):
     """A parameter as a user names it. ``data_set`` and ``index`` as the drive defines them; ``ram``: not stored."""
 
+    #: name or number
     name: str | int
+    #: data set, as the drive counts them; None: the active one, or the drive has none
     data_set: int | None = None
+    #: element or subindex, as the drive counts them; None for a plain parameter
     index: int | None = None
+    #: write it to the RAM only, not to the EEPROM
     ram: bool = False
 
     @property

@@ -77,9 +77,13 @@ READS: Final = frozenset({int(TaskId.READ), int(TaskId.READ_ARRAY), int(TaskId.E
 class Pkw(NamedTuple):
     """Content of the channel: order or reply id, PNU, IND (its high octet), value (32 bits unsigned)."""
 
+    #: order or reply id, 0..15
     id: int
+    #: parameter number, 0..2047
     pnu: int
+    #: high octet of IND
     ind: int = 0
+    #: value, 32 bits unsigned
     pwe: int = 0
 
     def build(self) -> bytes:
@@ -102,7 +106,9 @@ class PkwDialect(Struct, frozen=True, kw_only=True):
     the order is repeated.
     """
 
+    #: reply ids that are positive, by order id
     answers: Mapping[int, tuple[int, ...]]
+    #: error texts by number
     errors: Mapping[int, str]
     zero_between: bool = True
     parse: Callable[[bytes], Pkw] = Pkw.parse
@@ -137,12 +143,13 @@ class PkwChannel:
     """The handshake at the master's end: one order at a time, the others queue."""
 
     #: the eight octets to send now
-    octets = ZEROS
+    octets: bytes = ZEROS
     #: :meth:`step` has to be called in every cycle
     busy: bool = False
 
     def __init__(self, dialect: PkwDialect, times: CycleTimes) -> None:
         self._dialect = dialect
+        #: clock and settle time of the drive core
         self.times = times
         self._queue: deque[Exchange] = deque()
         self.reset()
@@ -169,9 +176,11 @@ class PkwChannel:
         """Text for a reply to another order."""
         return f"parameter {reply.pnu} index {reply.ind} (reply {reply.id:d})"
 
-    #: the names of order ids and of reply ids, and the reply with an error
+    #: names of the order ids
     orders: type[IntEnum] = TaskId
+    #: names of the reply ids
     replies: type[IntEnum] = ReplyId
+    #: reply id of an error
     error_reply: int = ReplyId.ERROR
 
     def fields(self, octets: bytes, *, order: bool, find: FindSpec) -> dict[str, object]:
@@ -294,10 +303,15 @@ class ParamRef(NamedTuple):
     ``data_set`` for messages, None where the drive has none or the parameter exists once.
     """
 
+    #: parameter number on the wire, 0..2047
     pnu: int
+    #: high octet of IND
     ind: int
+    #: use the orders of arrays
     array: bool
+    #: its entry in the table; None for an unknown number
     spec: ParamSpec | None
+    #: the parameter for people
     label: str
     data_set: int | None = None
 

@@ -78,6 +78,7 @@ class Lookup(Generic[T]):
         self._ask = ask
         self._asked = False
         self._turn = 0
+        #: answer of the drive; None until it came
         self.value: T | None = None
 
     def reset(self) -> None:
@@ -126,15 +127,17 @@ class DriveCore:
     #: the words of the process data received, in order: ``status`` first, then ``speed``, ``current``, ``torque``,
     #: ``fault`` (a number), ``warning`` (bits), or a name of its own; a telegram has as many of them as it has words
     inputs: tuple[str, ...] = ("status", "speed")
-    #: of speed and set point, in parts of the reference
+    #: scale of speed and set point, in parts of the reference
     scale: Scale = SPEED
-    #: of current and torque, in parts of the rated ones; 0x4000 = 100 %
+    #: scale of current and torque, in parts of the rated ones; 0x4000 = 100 %
     current_scale: Scale = Scale("current")
-    #: texts by number of the fault, and by bit of the warning word
+    #: texts by number of the fault
     fault_names: Mapping[int, str] = {}
+    #: texts by bit of the warning word
     warning_names: Mapping[int, str] = {}
     #: what the parameter channel and record 47 reach; None: the drive has no parameters
     parameter_table: ParamTable | None = None
+    #: differences of the drive's parameter channel from plain PKW
     dialect: PkwDialect = PLAIN_PKW
     #: the slot of record 47 of a drive whose parameters have the same numbers there; None: it has no record 47
     record_slot: int | None = None
@@ -142,11 +145,13 @@ class DriveCore:
     lock_hint: str = ""
     #: what to check when the drive does not start for no known reason, for people
     start_hint: str = ""
-    #: see :class:`~dpstack.profile.master.new_address.NewAddress`
+    #: name of the parameter that holds the station address; "": the drive has none
     address_parameter: str = ""
+    #: when a new station address takes effect, for people; "": at once
     address_acts: str = "when it is switched off and on"
+    #: name of the parameter that makes a new station address take effect when it is written; "": none does
     address_trigger: str = ""
-    #: the outputs while they are :attr:`held`, for people
+    #: text about the outputs while they are :attr:`held`
     held_hint: str = "its set point is 0 until then"
     #: orders beyond those of every drive, see :meth:`order`
     own_ops: tuple[str, ...] = ()
@@ -154,39 +159,51 @@ class DriveCore:
     def __init__(self, profile: DriveType, name: str, telegram: TelegramSpec, options: Options) -> None:
         if self.inputs[:1] != ("status",) or len(set(self.inputs)) != len(self.inputs):
             raise ValueError(f"inputs must begin with 'status' and name each word once, not {self.inputs}")
+        #: name of the drive in the configuration
         self.name = name
-        self.drive = profile.name
-        #: for messages about the configuration
+        #: name of the drive profile, such as ``fuji-frenic``
+        self.drive: str = profile.name
+        #: the drive in messages about the configuration
         self.title = f"drive {name} ({profile.name})"
+        #: telegram in use
         self.telegram = telegram
+        #: frequency in Hz that 100 % speed means
         self.reference_hz = float(options.get("reference_hz", profile.reference_hz))
-        #: octets of the parameter channel before the process data
-        self.offset = CHANNEL_LEN if telegram.channel else 0
-        #: the octets for every way out
-        self.safe_outputs = (
+        #: octets of the parameter channel in front of the process data
+        self.offset: int = CHANNEL_LEN if telegram.channel else 0
+        #: octets of the outputs for every way out
+        self.safe_outputs: bytes = (
             bytes(self.offset) + self.safe_control.to_bytes(2, "big").ljust(telegram.outputs, b"\0")[: telegram.outputs]
         )
         self._rotation_ns = 0  # from one call of cyclic() to the next
         self._called_at: int | None = None
+        #: parameter channel; None where the telegram has none, or the drive has no parameters
         self.access: ParameterChannel | None = None
         if telegram.channel and self.parameter_table is not None:
             self.access = self.open_channel()
-        self.records: RecordQueue | None = None  # Reads and Writes to its slave
+        #: Reads and Writes to its slave (record 47); None until its master gives it one
+        self.records: RecordQueue | None = None
         #: requests over ``access`` that depend on the status word
         self.lookups: Lookups = ()
+        #: bus time of the present cycle in ns
         self.now = 0
-        #: inputs are of a drive in data exchange
+        #: the inputs are those of a drive in data exchange
         self.online = False
         #: the process data received, 16 bits each
         self.words: tuple[int, ...] = (0,) * (telegram.inputs // 2)
         self._places = {word: place for place, word in enumerate(self.inputs[: len(self.words)])}
+        #: last status word received, 16 bits
         self.status_word = 0
+        #: state of the drive; OFFLINE outside data exchange
         self.state = State.OFFLINE
+        #: what the control word leads to
         self.goal = Goal.IDLE
+        #: set point as a part of the reference (1.0 = 100 %)
         self.setpoint = 0.0
+        #: bus time of the last change of the set point, in ns
         self.setpoint_at = 0
         self._setpoint_word = 0
-        #: the process data are those of :meth:`encode_held`: nobody knows whether the drive would understand others
+        #: the process data are those of :meth:`encode_held`, as long as the drive might not understand others
         self.held = False
         #: in Clear: since when there are inputs, and what is read once
         self._watched_from: int | None = None
@@ -197,17 +214,20 @@ class DriveCore:
         self._achieved = False
         #: the outputs are built again in this rotation
         self.dirty = True
-        #: the octets of the last rotation, with the parameter channel; inputs are empty after :meth:`lost`
-        self.last_inputs = self.last_outputs = b""
-        #: words of the process data: ``unpack(octets, offset)``, ``pack(*words)``
-        self.unpack = struct.Struct(f">{telegram.inputs // 2}H").unpack_from
+        #: inputs of the last rotation, with the parameter channel; empty after :meth:`lost`
+        self.last_inputs = b""
+        #: outputs of the last rotation, with the parameter channel
+        self.last_outputs = b""
+        #: words of the inputs: ``unpack(octets, offset)``
+        self.unpack: Callable[..., tuple[int, ...]] = struct.Struct(f">{telegram.inputs // 2}H").unpack_from
+        #: octets of the words of the outputs: ``pack(*words)``
         self.pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
-        #: the words behind control word and set point
-        self.rest = (0,) * (telegram.outputs // 2 - 2)
+        #: words of the outputs behind control word and set point
+        self.rest: tuple[int, ...] = (0,) * (telegram.outputs // 2 - 2)
         self._orders = DriveJobs()
-        #: plain JSON data for the application, oldest first; the master calls it in every cycle
+        #: returns plain JSON data for the application, oldest first; the master calls it in every cycle
         self.take_events: Callable[[], list[dict[str, object]]] = self._orders.take_events
-        #: the settings of the drive, compared with those that the plugin relies on
+        #: comparison of the drive's settings with those that the plugin relies on
         self.settings_check = SettingsCheck(self, enabled=bool(options.get(CHECK_SETTINGS, True)))
         named = None if self.parameter_table is None else self.parameter_table.named(self.address_parameter)
         label = self.address_parameter if named is None else named.label

@@ -33,6 +33,7 @@ class MapCodes(Struct, frozen=True):
     ``count``: the parameter with the number of words in use; None: all are.
     """
 
+    #: parameters of the words, in order
     places: tuple[ParamKey, ...]
     count: ParamKey | None = None
 
@@ -64,6 +65,7 @@ class MappedCore(DriveCore, Generic[M]):
     until the drive has the maps of the options.
     """
 
+    #: the orders of :data:`MAP_OPS` that the plugin takes
     own_ops: tuple[str, ...] = MAP_OPS
     #: remedy where the telegram has no parameter channel, for people
     channel_hint: str = ""
@@ -78,19 +80,22 @@ class MappedCore(DriveCore, Generic[M]):
     #: control word or the set point stands in the output map, or another map may act since the drive's power-on
     holds_outputs: bool = False
 
-    #: the drive's maps; None until they are known
+    #: map of the drive's inputs; None until it is known
     inputs_map: M | None
+    #: map of the drive's outputs; None until it is known
     outputs_map: M | None
-    #: the word at which the inputs' map begins, and that of the outputs
+    #: the word at which the map of the inputs begins
     inputs_at: int = 0
+    #: the word at which the map of the outputs begins
     outputs_at: int = 0
     #: octet order of a word
     octet_order: Literal["big", "little"] = "big"
-    #: values of the outputs by key: those of the option, and the present ones
+    #: values of the outputs by key, as the option has them
     presets: Mapping[int, int] = MappingProxyType({})
+    #: present values of the outputs by key
     values: dict[int, int]
     _last_map: M | None = None
-    #: those of the options
+    #: maps of the options
     plant: _Maps[M]
     #: maps in the drive that act from its next power-on
     pending: _Maps[M] | None = None

@@ -35,10 +35,15 @@ class TelegramSpec(Struct, frozen=True, kw_only=True):
     no manual.
     """
 
+    #: name
     name: str
+    #: identifier octets
     config: bytes
+    #: octets of the outputs behind the parameter channel
     outputs: int
+    #: octets of the inputs behind the parameter channel
     inputs: int
+    #: a parameter channel of eight octets leads
     channel: bool = False
     made_up: bool = False
 
@@ -70,11 +75,17 @@ class DriveType:
     ``reference_hz``: what 100 % speed is at the factory.
     """
 
+    #: name of the drive, that of its entry point
     name: str
+    #: ident number, 0..0xFFFF
     ident: int
+    #: its telegrams by name
     telegrams: Mapping[str, TelegramSpec]
+    #: name of the telegram that a configuration without one gets
     default_telegram: str
+    #: frequency in Hz that 100 % speed means at the factory
     reference_hz: float
+    #: user parameters for Set_Prm
     user_prm: bytes = b""
     fail_safe: bool = False
     family: TelegramFamily | None = None

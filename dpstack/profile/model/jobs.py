@@ -32,8 +32,11 @@ class CommandError(Exception):
 
     def __init__(self, kind: ErrorKind, text: str, number: int | None = None) -> None:
         super().__init__(text)
+        #: "fault", "timeout", "parameter", "usage" or "lost"
         self.kind = kind
+        #: the failure for people
         self.text = text
+        #: error number of the drive; None where the drive did not give one
         self.number = number
 
 

@@ -20,8 +20,11 @@ class ParamStore:
     def __init__(
         self, table: ParamTable, presets: Mapping[str, object], *, sets: int = 1, where: str = "drive"
     ) -> None:
+        #: the parameters
         self.table = table
+        #: number of data sets, counted from 1
         self.sets = sets
+        #: writes that the EEPROM had to store
         self.eeprom_writes = 0
         #: counts the occasions at which values may have changed
         self.changes = 0

@@ -67,19 +67,30 @@ class ParamSpec:
     counts: at once (empty), from :data:`POWER_ON`, or with a write of the parameter of this name.
     """
 
+    #: number
     number: int
+    #: name, unique within the table
     name: str
+    #: title for people
     title: str
+    #: lowest value in ``unit``
     low: float = 0
+    #: highest value in ``unit``
     high: float = 0xFFFF
+    #: value at delivery in ``unit``
     factory: float = 0
     _: KW_ONLY
     index: int = 0
+    #: 32 bits on the wire instead of 16
     long: bool = False
+    #: decimals: the wire carries value x 10^decimals
     decimals: int = 0
+    #: counts on the wire that make 1 in ``unit``, where that is no power of ten
     per_unit: float = 0
+    #: unit of the value; empty for a plain number
     unit: str = ""
     per_set: bool = False
+    #: the drive refuses writes
     read_only: bool = False
     text: bool = False
     made_up: bool = False
@@ -150,7 +161,7 @@ class ParamTable:
             self._by_key[spec.number, spec.index] = spec
             self._by_name[spec.name.lower()] = spec
         #: names of the parameters whose write makes others count
-        self.applies = frozenset(spec.acts for spec in self._by_key.values()) - {"", POWER_ON}
+        self.applies: frozenset[str] = frozenset(spec.acts for spec in self._by_key.values()) - {"", POWER_ON}
 
     def __iter__(self) -> Iterator[ParamSpec]:
         return iter(self._by_key.values())
@@ -183,13 +194,21 @@ class ListedParam:
     ``per_unit``: counts on the wire that make 1 in ``unit``, 0 where it is not known.
     """
 
+    #: name for the read
     name: str
+    #: number in the table of the plugin
     number: int
+    #: title for people
     title: str
+    #: subindex in the table of the plugin; 0 for none
     subindex: int = 0
+    #: data set for the read; None where the drive has none
     data_set: int | None = None
+    #: index for the read; None for a plain parameter
     index: int | None = None
+    #: unit of the value; empty for a plain number
     unit: str = ""
+    #: the drive refuses writes
     read_only: bool = False
     why_not: str | None = None
     per_unit: float = 0

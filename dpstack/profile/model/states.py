@@ -36,8 +36,11 @@ FAULTED = frozenset({State.FAULT, State.FAULT_REACTION})
 class StateRow(NamedTuple):
     """A status word with ``word & mask == value`` means ``state``."""
 
+    #: state that the status word means
     state: State
+    #: bits that count
     mask: int
+    #: their value
     value: int
 
 
@@ -47,7 +50,8 @@ class StateTable:
     __slots__ = ("_known", "_mask", "rows")
 
     def __init__(self, rows: Iterable[StateRow]) -> None:
-        self.rows = tuple(rows)
+        #: the rows, in the order given
+        self.rows: tuple[StateRow, ...] = tuple(rows)
         self._known: dict[int, State] = {}
         self._mask = 0
         for number, row in enumerate(self.rows):
@@ -90,12 +94,16 @@ class ControlTable(Struct, frozen=True, kw_only=True):
     Bits of ``status`` by name, as far as the drive has them: ``reached``, ``remote``, ``warning``.
     """
 
+    #: bits of the control word
     control: Word
+    #: bits of the status word by name, as far as the drive has them: ``reached``, ``remote``, ``warning``
     status: Word
+    #: the state of each status word
     states: StateTable
     run: Mapping[State, int]
     steady: Mapping[Goal, int]
     released_mask: int
+    #: states that read as STOPPING while bits of ``released_mask`` are missing
     releasing: frozenset[State]
 
     def word(self, goal: Goal, state: State) -> int:

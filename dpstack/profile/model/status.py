@@ -31,17 +31,28 @@ class DriveStatus:
     written and does not yet act. ``speed`` and ``frequency_hz`` are None while the drive has another scale.
     """
 
+    #: state of the drive; OFFLINE outside data exchange
     state: State
+    #: the drive is in RUNNING
     running: bool
     reached: bool
     remote: bool | None
+    #: set point as a part of the reference (1.0 = 100 %)
     setpoint: float
+    #: actual speed as a part of the reference (1.0 = 100 %); None where the telegram does not carry it, or the drive
+    #: has another scale
     speed: float | None
+    #: ``speed`` in Hz, by the drive's reference; None as ``speed``
     frequency_hz: float | None
+    #: actual current as a part of the rated current; None where the telegram does not carry it
     current: float | None = None
+    #: actual torque as a part of the rated torque; None where the telegram does not carry it
     torque: float | None = None
+    #: names of the warnings that stand
     warnings: tuple[str, ...] = ()
+    #: names of the faults that stand
     faults: tuple[str, ...] = ()
+    #: the process data as received, 16 bits each
     words: tuple[int, ...] = ()
     bits: tuple[str, ...] = ()
     settings: SettingsState = SettingsState.NONE

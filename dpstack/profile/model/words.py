@@ -12,6 +12,7 @@ from msgspec import Struct
 class Word(Struct, frozen=True):
     """A 16-bit word of named bits, e.g. a control or a status word. ``bits``: name -> bit number 0..15."""
 
+    #: name for messages
     name: str
     bits: Mapping[str, int]
 
@@ -42,10 +43,15 @@ class Scale(Struct, frozen=True):
     The range is what the octets can hold: -200 % .. +199.99 % for N2.
     """
 
+    #: name of the field, for messages
     name: str
+    #: count that stands for ``span``
     full: int = 0x4000
+    #: value at ``full``, in ``unit``
     span: float = 1.0
+    #: unit of the value; empty for a part of the reference
     unit: str = ""
+    #: width of the signed field
     bits: int = 16
 
     def encode(self, value: float) -> int:

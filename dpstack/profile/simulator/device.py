@@ -47,53 +47,68 @@ class DriveDevice(Device):
     only.
     """
 
-    #: the parameters, and the number of data sets
+    #: the parameters
     parameter_table: ParamTable = ParamTable(())
+    #: number of data sets
     data_sets: int = 1
-    #: names of the faults of :meth:`trip` by number, and what an unknown one is, for people
+    #: names of the faults of :meth:`trip` by number
     trips: Mapping[int, str] = {}
+    #: text for the number of a fault that :meth:`trip` does not know
     unknown_trip: str = "no fault of this drive"
     #: names of the contacts and terminals of :meth:`contact`
     contacts: tuple[str, ...] = ()
-    #: the internal scan time
+    #: internal scan time in ns
     scan_ns: int = 4 * NS_PER_MS
-    #: of the parameter channel
+    #: differences of the parameter channel from plain PKW
     dialect: PkwDialect = PLAIN_PKW
+    #: name of the parameter that holds the station address; "": it has none
     address_parameter: str = ""
     parameter_errors: Mapping[int, str] = {}
+    #: error numbers that only reads give
     read_errors: frozenset[int] = frozenset()
+    #: error numbers that only writes give
     write_errors: frozenset[int] = frozenset()
 
     def __init__(
         self, profile: DriveType, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
     ) -> None:
-        #: for messages about its configuration
+        #: the simulated drive in messages about its configuration
         self.title = f"simulated {profile.name}"
+        #: values of the parameters
         self.store = ParamStore(self.parameter_table, presets, sets=self.data_sets, where=self.title)
+        #: the drive that it simulates
         self.profile = profile
         self.ident = profile.ident
         self.name = profile.name
         self.fail_safe = profile.fail_safe
         configs = [telegram.config, *(spec.config for spec in profile.telegrams.values())]
         self.configs = tuple(dict.fromkeys(configs))
+        #: telegram in use, at first that of its options
         self.telegram = telegram
-        self.motor = Motor(load=float(options["load"])) if "load" in options else Motor()
+        #: the simulated motor
+        self.motor: Motor = Motor(load=float(options["load"])) if "load" in options else Motor()
+        #: its end of the parameter channel
         self.channel: ChannelServer = PkwServer(self.dialect, self.carry_out, refuse=self.refuse_order)
         #: record 47, for a subclass that has it among its ``records``
         self.record47: ParameterServer | None = None
+        #: bits of the warnings that stand, as :meth:`warn` sets them
         self.warning_mask = 0
+        #: the enable input is on, see :meth:`release`
         self.released = True
-        #: contacts that are on now, and at its commissioning
-        self.contacts_on = self.contacts_wired = frozenset[str]()
-        #: None: there are no valid ones
+        #: contacts that are on now
+        self.contacts_on = frozenset[str]()
+        #: contacts that are on at its commissioning
+        self.contacts_wired = frozenset[str]()
+        #: outputs of the last exchange; None while there are no valid ones
         self.last_outputs: bytes | None = None
         self._inputs = b""
         self._next: int | None = None
         self._powered = True
-        #: see :meth:`take_trip`
+        #: fault that begins with the next scan, see :meth:`take_trip`; None without one
         self.pending_trip: int | None = None
         self._tripped: str | None = None  # by trip(), while the fault stands
         self._own_load: float | None = None  # before set_load()
+        #: 1 forward, -1 reverse, 0 no jog
         self.jog_direction = 0  # as in jog()
         #: the inverter has no power under its bus option: no answers in the parameter channel
         self.unpowered = False

@@ -39,18 +39,27 @@ class Motor:
     """
 
     inertia: float = 0.1
+    #: slip at rated torque, as a part of the rated frequency
     slip: float = 0.04
     limit: float = 1.5
     magnetising: float = 0.4
     load: float = 0.2
+    #: ramp up in per unit of the rated frequency per second
     accel: float = 1.0
+    #: ramp down in per unit of the rated frequency per second
     decel: float = 1.0
+    #: the inverter feeds the motor
     on: bool = field(default=False, init=False)
     braking: bool = field(default=False, init=False)
+    #: set point of the frequency, per unit of the rated one
     setpoint: float = 0.0
+    #: speed, per unit of the rated frequency
     speed: float = 0.0
+    #: stator frequency, per unit of the rated one
     frequency: float = 0.0
+    #: torque, per unit of the rated one
     torque: float = 0.0
+    #: the torque limit holds the frequency back
     limited: bool = field(default=False, init=False)
     _decay: float = field(init=False)
     _at: int | None = field(default=None, init=False)

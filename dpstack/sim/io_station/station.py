@@ -155,7 +155,7 @@ class IoStation(DpSlave):
             raise ConfigError(
                 f"I/O station {name}: {what}; it has 1 to {MAX_MODULES} slots, with the modules of its GSD file"
             )
-        #: in their order; None for a slot that is configured to be empty
+        #: the slots in their order; None for one that is configured to be empty
         self.slots: tuple[Slot | None, ...] = tuple(
             None if octet == EMPTY else Slot(number, MODULES[octet]) for number, octet in enumerate(config, 1)
         )
