@@ -28,7 +28,7 @@ a tool each: `tools/make_*_docs.py` and `tools/make_pictures.py`. A new public n
 `tools/make_reference_docs.py`.
 
 Every block of code has a kind, and each kind its test. `make check` runs two kinds with sybil, in the order of the page
-and in a folder of the page's own (`tools/book_blocks.py` and `tools/book_commands.py` tell the marks of a block):
+and in a folder of the page's own (`tools/book_blocks.py` and `tools/book_commands.py` list the marks of a block):
 
 - `python`: a program in virtual time; its output stands below it
 - `console`: commands, with `/dev/ttyUSB0` on a simulated segment; what they print may stand below them

@@ -52,7 +52,7 @@ class MqttConfig(ConnectorConfig, frozen=True, kw_only=True):
     password_env: the environment variable that has the password. Left out: none
     password_file: the file that has the password in its first line, mode 0600. Left out: none
     keepalive_s: the broker takes this program for gone after one and a half times this time without a message
-    status: publish the [status](segment-status.md) of the segment for `dpstack fleet`; `false` where the broker does
+    status: publish the [status](segment-status.md) of the segment for `dpstack fleet`; `false` if the broker does
         not permit this program the topic `dpstack/GROUP/NODE/status`
     """
 
