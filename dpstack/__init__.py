@@ -211,7 +211,7 @@ params BusParams
 
 
 def _hint(name: str) -> str:
-    """Where ``name`` is found instead; empty where it is unknown. (Python asks for names such as ``__path__``.)"""
+    """Where ``name`` is found instead; empty if it is unknown. (Python asks for names such as ``__path__``.)"""
     from importlib.util import find_spec  # here, as it is for names that there are not
 
     if not name.startswith("_") and find_spec(f"dpstack.{name}") is None:  # else Python goes on to import it

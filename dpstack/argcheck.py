@@ -12,7 +12,7 @@ from dpstack.text import brief
 
 
 def whole_number(what: str, value: Any, error: type[Exception] = UsageError) -> int:
-    """``value`` where it is a whole number; the caller checks ranges. Raises ``error``."""
+    """``value`` if it is a whole number; the caller checks ranges. Raises ``error``."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise error(f"{what} = {brief(value)} is no whole number: give one, 47 or 0x2F for instance")
     return value
@@ -99,7 +99,7 @@ class Sealed:
             raise AttributeError(text, name=name, obj=self)
 
     def _read_hint(self, name: str) -> str:
-        """The end of the message about the unknown attribute ``name``; empty where nothing comes near."""
+        """The end of the message about the unknown attribute ``name``; empty if nothing comes near."""
         known = [key for key in dir(type(self)) if not key.startswith("_")]
         import difflib  # here, as it is for mistakes
 

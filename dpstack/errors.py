@@ -27,7 +27,7 @@
         +-- ParameterError              a negative answer of the parameter channel: number and the manual's text
 
 Misuse and wrong configurations raise at once. An error of a peer on the wire never raises in the core: it becomes an
-event and a counter, and one of the lower branches where a caller waits for the result. Every argument of a constructor
+event and a counter, and one of the lower branches if a caller waits for the result. Every argument of a constructor
 is an attribute of the same name: so an error keeps its class across the control socket
 (``dpstack.api.control.errors``).
 """
@@ -53,9 +53,9 @@ class ConfigError(DpError, ValueError):
 
     #: line in the file; None for an error without one
     line: int | None = None
-    #: the problem without its place; empty where the error has no such part
+    #: the problem without its place; empty if the error has no such part
     what: str = ""
-    #: the remedy; empty where the error has no such part
+    #: the remedy; empty if the error has no such part
     todo: str = ""
 
     @classmethod

@@ -51,7 +51,7 @@ class LineUp(Struct, frozen=True):
 class RateRefused(Struct, frozen=True):
     """Command from a driver: the port cannot do the rate that :attr:`Machine.baud` asks for.
 
-    The machine then asks for another rate, or raises where it knows none.
+    The machine then asks for another rate, or raises if it knows none.
     """
 
     reason: str
@@ -85,7 +85,7 @@ class Pumped(Protocol):
         """Process received octets; the last bit of the last one was on the line no later than ``now``."""
 
     def sent(self, at: int) -> None:
-        """The transmission taken last leaves the line at ``at``; this may lie ahead where the rate is known.
+        """The transmission taken last leaves the line at ``at``; this may lie ahead if the rate is known.
 
         An answer may arrive before the port's own estimate of this: receiving while sending implies sent.
         """

@@ -39,7 +39,7 @@ class Listen:
         return cls((found["host"] or _HOST).strip("[]"), int(found["port"]), option)
 
     def sockets(self) -> list[socket.socket]:
-        """Listening sockets on all addresses of the host. Raises PortError where it has none, or the port is in use."""
+        """Listening sockets on all addresses of the host. Raises PortError if it has none, or the port is in use."""
         try:
             found = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         except (OSError, UnicodeError) as exc:

@@ -91,7 +91,7 @@ def shortened(text: str, most: int = 60) -> str:
 
 
 def brief(value: object) -> str:
-    """``value`` in a message about it: its representation, cut where it would hide what follows."""
+    """``value`` in a message about it: its representation, cut if it would hide what follows."""
     return shortened(repr(value))
 
 

@@ -42,8 +42,8 @@ class Event(Struct, metaclass=_EventMeta, frozen=True):
     """Something happened at ``t_ns`` (the machine's time). Layers derive their own events from this one.
 
     A derived class is immutable, with keyword arguments, by itself. It has a ``TEMPLATE`` of its :attr:`text`, in which
-    ``{e.name}`` stands for an attribute of the event, or ``_text()`` where the words depend on the attributes.
-    ``MUST_ARRIVE``: see :attr:`must_arrive`; ``SEVERITY``: see :attr:`severity`. Two events are equal where all
+    ``{e.name}`` stands for an attribute of the event, or ``_text()`` if the words depend on the attributes.
+    ``MUST_ARRIVE``: see :attr:`must_arrive`; ``SEVERITY``: see :attr:`severity`. Two events are equal if all
     attributes but ``wall_ns`` are.
     """
 
@@ -74,7 +74,7 @@ class Event(Struct, metaclass=_EventMeta, frozen=True):
 
     @property
     def text(self) -> str:
-        """One line for people: what happened, and what to do where something is to be done. Names out of files and from
+        """One line for people: what happened, and what to do if something is to be done. Names out of files and from
         devices are printable in it (:mod:`dpstack.text`); other attributes are as the file or the device has them."""
         return printable(self._text())
 
@@ -112,7 +112,7 @@ class Notice(Event):
 class WireEntry(NamedTuple):
     """One transmission on the wire: octets as sent, first start edge, end of the last stop bit, remarks.
 
-    ``sender``: name or address of the station; None where it is unknown.
+    ``sender``: name or address of the station; None if it is unknown.
     """
 
     start_ns: int

@@ -1,7 +1,7 @@
 """Units of time: integer nanoseconds, bit times, and the one rounding rule between them.
 
 A duration is an ``int`` in nanoseconds (names end in ``_ns`` or are called ``now``, ``at``) or in bit times
-(the standard's ``t_sl``, ``min_tsdr`` ...; names end in ``_bits`` where they are not the standard's).
+(the standard's ``t_sl``, ``min_tsdr`` ...; names end in ``_bits`` if they are not the standard's).
 Bits become nanoseconds at one place, :func:`bits_to_ns`, rounded to the nearest nanosecond. A *sum* of bits is
 converted, never single bits, so that the error of a telegram is half a nanosecond and not 255 times that.
 """

@@ -173,7 +173,7 @@ def _port(path: str, here: Computer) -> Iterator[Check]:
         yield from _abilities(path, can, adapter, is_pty)
 
 
-#: where a port is held and no holder can be seen
+#: if a port is held and no holder can be seen
 _UNSEEN: Final = "a program of another user may have it, which only root can see: sudo fuser -v PORT"
 
 

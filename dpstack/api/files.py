@@ -96,7 +96,7 @@ def _lock(fd: int, path: Path, found: os.stat_result) -> None:
 def open_new(path: Path, otherwise: str = "") -> int:
     """Make a file, or take an empty one; its descriptor. ``otherwise``: further advice in place of a device.
 
-    Raises UsageError, also where there is a file of that name already.
+    Raises UsageError, also if there is a file of that name already.
     """
     try:
         with contextlib.suppress(FileNotFoundError):
@@ -127,7 +127,7 @@ def close_written(fd: int, path: Path) -> bool:
 
 
 def _check_new(path: Path, found: os.stat_result, otherwise: str) -> None:
-    """Raises UsageError where ``path`` is anything but an empty file."""
+    """Raises UsageError if ``path`` is anything but an empty file."""
     if stat.S_ISLNK(found.st_mode):
         raise UsageError(f"{path}: {_LINK}")
     if stat.S_ISDIR(found.st_mode):
@@ -144,7 +144,7 @@ class AtomicFile:
     Links, devices and pipes are refused. An existing file is replaced only if it is
     empty or ``is_earlier`` accepts it as an earlier file of the same kind; ``what`` names that kind in messages.
 
-    Entering raises UsageError where the file cannot be written, before the caller does any work. Leaving without
+    Entering raises UsageError if the file cannot be written, before the caller does any work. Leaving without
     :meth:`keep` writes no file and keeps an existing one.
     """
 
@@ -186,7 +186,7 @@ class AtomicFile:
         return path
 
     def _link(self, path: Path) -> bool:
-        """Give the file its name, unless there is a file of that name by now; False where the disk has no links."""
+        """Give the file its name, unless there is a file of that name by now; False if the disk has no links."""
         try:
             os.link(self._new, path)
         except FileExistsError:
@@ -197,7 +197,7 @@ class AtomicFile:
         return True
 
     def _check(self, path: Path) -> None:
-        """Raises UsageError where ``path`` may not be written."""
+        """Raises UsageError if ``path`` may not be written."""
         try:
             found = os.lstat(path)
         except FileNotFoundError:

@@ -55,7 +55,7 @@ class GsdFolder:
     """The GSD files in ``folder``, and those that come with dpstack.
 
     ``beside``: the folder of the configuration, from which paths are written. ``deep``: look into the folders in it,
-    too. ``also``: further files. Symbolic links that lead out of the folder are not followed. Raises ConfigError where
+    too. ``also``: further files. Symbolic links that lead out of the folder are not followed. Raises ConfigError if
     ``folder`` is no folder.
     """
 
@@ -151,7 +151,7 @@ class GsdFolder:
             self._bad[path] = reason
 
     def _found(self) -> Iterator[tuple[Path, str]]:
-        """The files by name; the last one with a text where a limit was reached."""
+        """The files by name; the last one with a text if a limit was reached."""
         seen = listed = 0
         inside = self.folder.resolve()
         for place, folders, files in os.walk(self.folder, onerror=self._not_read):

@@ -39,7 +39,7 @@ def bundled() -> dict[str, str]:
 def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
     """The octets of the file ``path`` in ``folder``, or of a bundled GSD file by the name of its device.
 
-    Raises ConfigError where it cannot be read.
+    Raises ConfigError if it cannot be read.
     """
     file = _place(path, folder)
     try:
@@ -57,7 +57,7 @@ def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
 def _place(path: str | Path, folder: Path) -> Path:
     try:
         return folder / Path(path).expanduser()
-    except RuntimeError:  # "~name" where no user has this name: it can be the name of a file
+    except RuntimeError:  # "~name" if no user has this name: it can be the name of a file
         return folder / path
 
 
@@ -71,7 +71,7 @@ _parsed: Final = functools.lru_cache(4)(load_gsd)
 
 
 def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:
-    """Read a GSD file as :func:`read_octets` does. Raises ConfigError, GsdError where it cannot be used at all."""
+    """Read a GSD file as :func:`read_octets` does. Raises ConfigError, GsdError if it cannot be used at all."""
     octets = read_octets(path, folder)
     return _parsed(octets, str(_place(path, folder)))
 
@@ -79,7 +79,7 @@ def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:
 def copy_gsd(drive: str, target: str | Path) -> None:
     """Write the bundled GSD file of ``drive`` to the new file ``target``.
 
-    Raises ConfigError, UsageError where it cannot be written.
+    Raises ConfigError, UsageError if it cannot be written.
     """
     if drive not in bundled():
         raise ConfigError(f"no GSD file was written for {drive!r}; there is one for {', '.join(bundled()) or 'none'}")
@@ -91,7 +91,7 @@ def write_gsd(slave: SlaveDescription, target: str | Path, *, replace: bool = Fa
     """Write the GSD file of ``slave`` to the new file ``target``, with ``replace`` over an existing one.
 
     Returns remarks about what a GSD file cannot say of it. Raises ConfigError for a slave that cannot have a GSD file,
-    UsageError where the file cannot be written.
+    UsageError if the file cannot be written.
     """
     said, remarks = as_gsd_file(slave)
     octets = gsd_octets(slave)
@@ -105,7 +105,7 @@ def write_gsd(slave: SlaveDescription, target: str | Path, *, replace: bool = Fa
 
 
 def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:
-    """All diagnostics of a GSD file. Raises ConfigError where it cannot be read."""
+    """All diagnostics of a GSD file. Raises ConfigError if it cannot be read."""
     return check(parse_gsd(read_octets(path), str(path)))
 
 
@@ -114,7 +114,7 @@ ENDINGS: Final = frozenset(f".gs{language}" for language in "degfips")
 
 
 def gsd_files(folder: Path) -> list[Path]:
-    """The GSD files in ``folder`` and the folders in it, by name. Raises ConfigError where there are none."""
+    """The GSD files in ``folder`` and the folders in it, by name. Raises ConfigError if there are none."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: this is no folder; give the folder of the plant's GSD files")
     found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())
@@ -133,7 +133,7 @@ _NAMES: Final = "vendor model revision gsd_revision hardware_release software_re
 def gsd_dict(file: GsdFile) -> dict[str, object]:
     """The file as JSON shows it (interface of ``dpstack gsd show --json``).
 
-    ``user_prm`` and ``user_prm_const`` are None where the file contradicts itself; a diagnostic says how.
+    ``user_prm`` and ``user_prm_const`` are None if the file contradicts itself; a diagnostic says how.
     """
     device = file.device
     return {
@@ -178,7 +178,7 @@ def diagnostic_dict(diagnostic: Diagnostic) -> dict[str, object]:
 
 
 def module_dict(file: GsdFile, module: Module) -> dict[str, object]:
-    """One module; ``inputs`` and ``outputs`` in octets, None where its identifier octets contradict themselves."""
+    """One module; ``inputs`` and ``outputs`` in octets, None if its identifier octets contradict themselves."""
     inputs, outputs = module_lengths(module)
     return {
         "name": module.name,
@@ -211,7 +211,7 @@ def diagnosis_texts(diagnosis: Diagnosis) -> list[dict[str, object]]:
 
 
 def module_lengths(module: Module) -> tuple[int | None, int | None]:
-    """(input octets, output octets), None where the identifier octets contradict themselves."""
+    """(input octets, output octets), None if the identifier octets contradict themselves."""
     try:
         return io_lengths(module.config)
     except ConfigError:
@@ -219,7 +219,7 @@ def module_lengths(module: Module) -> tuple[int | None, int | None]:
 
 
 def module_prm(file: GsdFile, module: Module) -> bytes:
-    """The module's part of the user parameters with its defaults, in no slot; empty where they fit no Set_Prm."""
+    """The module's part of the user parameters with its defaults, in no slot; empty if they fit no Set_Prm."""
     try:
         # without the device's own parameters: UserPrm would compute them again for every module
         return UserPrm(Device(parameters=file.device.parameters), (module,), in_slots=False).octets()
@@ -257,7 +257,7 @@ def flags_of(device: Device, names: Mapping[str, str]) -> list[str]:
 
 
 def alarms_text(device: Device) -> str | None:
-    """The alarms of the device as text; None where it has none."""
+    """The alarms of the device as text; None if it has none."""
     kinds, required = alarm_kinds(device.dpv1.alarms), alarm_kinds(device.dpv1.required)
     if not kinds:
         return None

@@ -42,7 +42,7 @@ def measure(
     """Measure the adapter at ``path``. ``loop``: the path of the port at the other end of the line; "": the port hears
     what it sends; None: nothing is sent, and only the rates that the port takes are found.
 
-    Linux only. Raises PortError; UsageError where octets come on the line, which is no loop then.
+    Linux only. Raises PortError; UsageError if octets come on the line, which is no loop then.
     """
     if sys.platform != "linux" or not termios2.AVAILABLE:
         raise PortError(f"{path}: an adapter is measured on Linux only")
@@ -89,7 +89,7 @@ def _opened(path: str, rate: int, open_ports: contextlib.ExitStack) -> TtyPort:
 
 
 def _refuse_a_bus(path: str, rate: int) -> None:
-    """Raises UsageError where octets come without being asked for."""
+    """Raises UsageError if octets come without being asked for."""
     port = TtyPort(path, rate, listen=True)
     try:
         port.open_now()
@@ -150,7 +150,7 @@ def _round(near: TtyPort, far: TtyPort, octets: bytes) -> int | None:
 
 
 def _sent(sender: TtyPort, receiver: TtyPort, octets: bytes) -> int | None:
-    """Send ``octets``; the time in ns until all have arrived at ``receiver``, None where some are missing."""
+    """Send ``octets``; the time in ns until all have arrived at ``receiver``, None if some are missing."""
     assert sender.fd is not None
     assert receiver.fd is not None
     begun = time.monotonic_ns()

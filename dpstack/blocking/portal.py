@@ -25,7 +25,7 @@ _WAITS: Final = inspect.CO_COROUTINE | inspect.CO_ASYNC_GENERATOR | inspect.CO_I
 
 
 class Call:
-    """One call in the loop's thread: ``function(*args, **kwargs)``, and its result is awaited where it is awaitable."""
+    """One call in the loop's thread: ``function(*args, **kwargs)``, and its result is awaited if it is awaitable."""
 
     def __init__(
         self,
@@ -110,10 +110,10 @@ class Portal:
         return threading.current_thread() is self._thread
 
     def run(self, function: Callable[..., object], *args: object, **kwargs: object) -> object:
-        """The result of ``function(*args, **kwargs)`` in the loop's thread, awaited where it is awaitable.
+        """The result of ``function(*args, **kwargs)`` in the loop's thread, awaited if it is awaitable.
 
         An exception in the waiting thread (Ctrl-C) cancels the call, and is raised when the call has ended; another
-        one more than a second later is raised at once. Raises UsageError where the caller must not wait.
+        one more than a second later is raised at once. Raises UsageError if the caller must not wait.
         """
         __tracebackhide__ = True
         if self.is_own_thread:

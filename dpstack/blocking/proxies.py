@@ -68,7 +68,7 @@ class Proxy:
 class Items(Proxy):
     """An iterator of a bus. It waits for each item, ``timeout`` seconds at most, and then raises TimeoutError.
 
-    After a TimeoutError, or Ctrl-C, the iteration goes on where it was: no item is lost.
+    After a TimeoutError, or Ctrl-C, the iteration goes on if it was: no item is lost.
     """
 
     __slots__ = ("_pending", "_timeout")

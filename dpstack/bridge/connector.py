@@ -49,12 +49,12 @@ class Connector(ABC):
         self.spread: Callable[[Sequence[Change]], None] = self.take
 
     def acknowledge(self, id_: str, by: str = "", comment: str | None = None) -> bool:
-        """Acknowledge a condition of the tree in the name of ``by``; all connectors get the change. False where it is
+        """Acknowledge a condition of the tree in the name of ``by``; all connectors get the change. False if it is
         not there, or acknowledged already. ``comment`` None leaves the one that it has."""
         return self._spread(self.tree.acknowledge(id_, by, comment))
 
     def comment(self, id_: str, by: str, comment: str) -> bool:
-        """Give a condition of the tree another comment; all connectors get the change. False where it is not there."""
+        """Give a condition of the tree another comment; all connectors get the change. False if it is not there."""
         return self._spread(self.tree.comment(id_, by, comment))
 
     def _spread(self, changes: Sequence[Change]) -> bool:
@@ -65,7 +65,7 @@ class Connector(ABC):
     async def open(self) -> None:  # noqa: B027  a connector that only connects to others needs none
         """Take the resources of this computer: a listening socket, a directory. Called once, before the bus is opened.
 
-        Raises DpError in one line, for instance where the port is taken or a file cannot be read; then nothing goes
+        Raises DpError in one line, for instance if the port is taken or a file cannot be read; then nothing goes
         on the bus. It must release what it has taken in :meth:`close`.
         """
 
@@ -86,7 +86,7 @@ class Connector(ABC):
         """
 
     def close(self) -> None:  # noqa: B027  a connector that only connects to others needs none
-        """Release everything at once, without waiting. Called once at the end, also where :meth:`open` failed."""
+        """Release everything at once, without waiting. Called once at the end, also if :meth:`open` failed."""
 
 
 class Teller:
@@ -105,7 +105,7 @@ class Teller:
 
 
 def product_version() -> str:
-    """The version of dpstack; empty where it is not installed."""
+    """The version of dpstack; empty if it is not installed."""
     try:
         return version("dpstack")
     except PackageNotFoundError:

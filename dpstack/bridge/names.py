@@ -1,7 +1,7 @@
 """Names of slaves and values as Sparkplug B, OPC UA and Prometheus permit them.
 
 The rule is the same for all connectors: a character that the connector does not permit becomes ``_``, a name that is
-too long is cut, an empty one becomes ``_``. Where two names would then be the same, the one with the lower key keeps
+too long is cut, an empty one becomes ``_``. If two names would then be the same, the one with the lower key keeps
 it, the others get their key behind it. So the names depend only on the plant, and not on the order in which its slaves
 come.
 """

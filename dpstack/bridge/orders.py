@@ -167,7 +167,7 @@ class Orders:
         """Carry out the order ``wanted`` with its argument ``value``, and wait for the result. ``wanted`` is the name
         of the order (``SLAVE.NAME``), or an order of :attr:`allowed` whose caller has checked the type of ``value``.
 
-        ``made_at``: the time of its sender in s since 1970; None where it has none. ``late_s``: the s that its
+        ``made_at``: the time of its sender in s since 1970; None if it has none. ``late_s``: the s that its
         connection has delivered it late, for one without ``made_at``. Its age (see :class:`_Age`) is judged when it
         comes and once more right before it is carried out. Raises nothing but the cancellation of its caller, which
         ends the order as far as the run can take it back; a halt that has begun goes on.
@@ -198,7 +198,7 @@ class Orders:
     ) -> list[OrderResult]:
         """Set outputs of one slave, by name and value, so that all of them change in one Data_Exchange. Each is judged
         as by :meth:`give`, and one that is refused leaves the others; but the run takes those as one order, and refuses
-        all where it refuses one. Results and the rest: as of :meth:`give`."""
+        all if it refuses one. Results and the rest: as of :meth:`give`."""
 
         batch = batch or self.batch()
         age = _Age(batch.came, made_at, late_s)
@@ -258,7 +258,7 @@ class Orders:
                 await self._carry(typed)
 
     async def _carry_on(self, typed: SetOutputs | DriveOrder) -> None:
-        """Carry out a halt to its end, also where its sender has gone meanwhile."""
+        """Carry out a halt to its end, also if its sender has gone meanwhile."""
         task = asyncio.ensure_future(self._carry(typed))
         self._halting.add(task)
         task.add_done_callback(self._halted)
@@ -293,7 +293,7 @@ class Orders:
         return order
 
     def _judge_slave(self, order: OfferedOrder) -> None:
-        """Raises _RefusedError where the slave is not in data exchange: it would get the order when it is back,
+        """Raises _RefusedError if the slave is not in data exchange: it would get the order when it is back,
         whenever that is. A halt goes to the run, which keeps it for that moment: else the drive would go on then."""
         if order.operation not in HALTS and not self._tree.is_alive(order.slave):
             raise _RefusedError("the slave is not in data exchange", Refusal.NO_EXCHANGE)
@@ -401,7 +401,7 @@ def check_allowed(allow: Sequence[str], orders: Iterable[str]) -> None:
 
 
 def _plain(value: object) -> Value:
-    """``value`` where it is a value of a node. Raises ValueError."""
+    """``value`` if it is a value of a node. Raises ValueError."""
     if value is None or isinstance(value, (bool, int, float, str, bytes)):
         return value
     raise ValueError(f"a {type(value).__name__} is no value of an order")

@@ -103,7 +103,7 @@ class Cutter:
         return not (isinstance(found, Telegram) and octets[0] in _CHECKED)
 
     def stall_at(self) -> int:
-        """When the octets held count as no telegram, in ns; NEVER where none are held."""
+        """When the octets held count as no telegram, in ns; NEVER if none are held."""
         return self._last_ns + self.stall_ns if self._held or self._doubt else NEVER
 
     def give_up(self) -> list[Transmission]:

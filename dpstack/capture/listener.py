@@ -29,11 +29,11 @@ OnTransmission = Callable[[Transmission], None]
 
 
 class Listener:
-    """Listens at ``baud`` bit/s; None: finds the rate first, and again where it changes.
+    """Listens at ``baud`` bit/s; None: finds the rate first, and again if it changes.
 
     Each transmission goes to ``on_transmission``; its time is the machine's time plus ``epoch_ns``. ``slack_ns``: delay
     of the port; ``settle_ns``, ``silence_ns``, ``limit_ns``: see :class:`AutoBaud`. Events: :class:`BaudFound`, at each
-    rate found; :class:`BaudNotFound` where a search is limited, which is then over.
+    rate found; :class:`BaudNotFound` if a search is limited, which is then over.
     """
 
     #: a listening station has no address
@@ -122,7 +122,7 @@ class Listener:
         return events
 
     def command(self, command: object, now: int) -> None:
-        """Commands of a driver. Raises ConfigError where the port can do no rate, UsageError on other commands."""
+        """Commands of a driver. Raises ConfigError if the port can do no rate, UsageError on other commands."""
         match command:
             case LineDown() | LineUp():
                 if self._search is not None:

@@ -52,7 +52,7 @@ _OTHER_FILES: Final[dict[bytes, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """One port of a capture. ``bits_per_s``: 0 where the file does not say; ``unit``: if_tsresol, of its times."""
+    """One port of a capture. ``bits_per_s``: 0 if the file does not say; ``unit``: if_tsresol, of its times."""
 
     name: str = ""
     linktype: int = USER0
@@ -171,7 +171,7 @@ class Reader:
     """Iterates over the packets of a pcapng ``file``, in the file's order, in bounded memory: a block that it keeps,
     and one piece of the file. ``name`` is the file's in messages.
 
-    The iteration raises CaptureFileError, with the place in the file, where a block cannot be read: the packets before
+    The iteration raises CaptureFileError, with the place in the file, if a block cannot be read: the packets before
     it have been delivered. A file that ends within a block, as one whose writer was killed, ends the iteration, and
     ``cut`` says how much was left over.
     """
@@ -302,7 +302,7 @@ class Reader:
         return int(self._one(self._held, self._at + 4)[0])
 
     def _passed(self, kind: int, size: int) -> bool:
-        """Pass over a block of an unknown type, of any size; False where the file ends within it."""
+        """Pass over a block of an unknown type, of any size; False if the file ends within it."""
         passed = self._pass(size - 4)
         if passed == size - 4:
             passed += min(self._fill(4), 4)

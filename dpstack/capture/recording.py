@@ -58,7 +58,7 @@ class Gaps:
             self._more += 1
 
     def take(self) -> str:
-        """The causes since the last call, in one line; empty where there was no gap."""
+        """The causes since the last call, in one line; empty if there was no gap."""
         causes, self._causes = self._causes, []
         more, self._more = self._more, 0
         if not causes:
@@ -85,7 +85,7 @@ class Recording:
         self._ended_ns = 0
 
     def add(self, one: Transmission, remark: str = "", gap: str = "") -> None:
-        """Write a transmission. ``remark``: for its comment, besides its own note; ``gap``: the cause where octets are
+        """Write a transmission. ``remark``: for its comment, besides its own note; ``gap``: the cause if octets are
         missing before it."""
         t_ns = self._ended_ns if one.t_ns is None else one.t_ns
         if one.baud != self._baud:

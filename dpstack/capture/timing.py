@@ -22,7 +22,7 @@ _TEXT: Final = re.compile(r"times by (tap|adapter|host|file), resolution (\d{1,9
 @dataclass(frozen=True, slots=True)
 class LineTiming:
     """``source``: "tap", "adapter", "host" or "file". ``resolution_ns``: the error of the distance of two times, None
-    where nobody knows it."""
+    if nobody knows it."""
 
     source: str
     resolution_ns: int | None

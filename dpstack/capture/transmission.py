@@ -34,7 +34,7 @@ def damage_text(damage: int) -> str:
 class Transmission(NamedTuple):
     """Octets that followed each other on a line, or in a file. Octets that are no telegram are one, too.
 
-    ``t_ns``: time of the first bit in ns since 1970, None where the source has no times. ``baud`` in bit/s, 0 where
+    ``t_ns``: time of the first bit in ns since 1970, None if the source has no times. ``baud`` in bit/s, 0 if
     the source does not say. ``damage``: a sum of :class:`Damage`. ``note``: one line of the source, for people.
     """
 

@@ -66,7 +66,7 @@ class _Version(argparse.Action):
 
 
 def build_parser(words: Sequence[str] = ()) -> Parser:
-    """The parser of the program. Where the first of ``words`` is a command, the parsers of the others are left out."""
+    """The parser of the program. If the first of ``words`` is a command, the parsers of the others are left out."""
     parser = Parser(
         prog="dpstack",
         description="PROFIBUS-DP: a soft master, simulated slaves, and what belongs to them.",

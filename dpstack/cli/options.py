@@ -26,7 +26,7 @@ def add_other_port(parser: Parser) -> None:
 
 
 def require(module: str, what: str, extra: str) -> None:
-    """Raises UsageError where the package ``module`` is not installed, which ``what`` needs and ``extra`` brings."""
+    """Raises UsageError if the package ``module`` is not installed, which ``what`` needs and ``extra`` brings."""
     if importlib.util.find_spec(module) is None:
         raise UsageError(f"{what} needs {module}: pip install 'dpstack[{extra}]'")
 

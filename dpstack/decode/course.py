@@ -24,7 +24,7 @@ _IS_COUNTED: Final = tuple(number in COUNTED for number in range(16))
 
 @dataclass(slots=True, eq=False)
 class _Request:
-    """A request that was heard. ``end_ns``: of its last bit, None where it is not known. ``damages``: how many damaged
+    """A request that was heard. ``end_ns``: of its last bit, None if it is not known. ``damages``: how many damaged
     transmissions came before it; ``damaged``: one came while its answer was due."""
 
     telegram: Telegram
@@ -39,8 +39,8 @@ class Step(NamedTuple):
     """The place of a telegram in the course of the bus; numbers are those of other telegrams.
 
     ``retry_of``: the request that it repeats with the frame count bit unturned; ``repeated_poll_of``: the same for a
-    request without a frame count. ``fcb_turned``: None where nobody can know. ``request``: the request that it answers,
-    for its service; ``response_us``: from the end of that request, where the times are known. ``probably_answers``: the
+    request without a frame count. ``fcb_turned``: None if nobody can know. ``request``: the request that it answers,
+    for its service; ``response_us``: from the end of that request, if the times are known. ``probably_answers``: the
     request whose answer was due when damaged octets came. ``remarks``: what is out of order, for people.
     """
 

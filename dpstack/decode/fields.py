@@ -65,9 +65,9 @@ _RESERVED_CONTROL: Final = 0xC1
 
 
 def fields_of(telegram: Telegram) -> Fields:
-    """The fields of the data unit; empty where it has none, or nobody but the user knows them (Data_Exchange).
+    """The fields of the data unit; empty if it has none, or nobody but the user knows them (Data_Exchange).
 
-    Raises PduError, or ConfigError for identifiers, where the octets are not what their SAP says.
+    Raises PduError, or ConfigError for identifiers, if the octets are not what their SAP says.
     """
     data = telegram.data
     if not data or (telegram.dsap is None and telegram.ssap is None):

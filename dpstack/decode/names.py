@@ -1,4 +1,4 @@
-"""Names and texts of stations: of a user's configuration, or of a GSD file; empty where nobody knows any.
+"""Names and texts of stations: of a user's configuration, or of a GSD file; empty if nobody knows any.
 
 Plain data and functions that a caller hands to the decoder: this room knows neither files nor drives.
 """
@@ -26,7 +26,7 @@ class DriveWords(Protocol):
         """Parameter channel, status word by its bits, state, actual values, faults, warnings."""
 
     def parameter(self, number: int, subindex: int) -> str:
-        """The name of a parameter; empty where it has none."""
+        """The name of a parameter; empty if it has none."""
 
 
 class ModuleName(NamedTuple):
@@ -43,7 +43,7 @@ class SlaveNames:
     """Names of one slave. ``source``: where they come from, for people. ``ident`` None: any.
 
     ``inputs``, ``outputs``: names of process data; ``modules`` in slot order from ``first_slot`` on; ``prm``: its user
-    parameters; ``texts``: of a diagnosis; ``drive`` makes the reader of its words, None where it is no drive.
+    parameters; ``texts``: of a diagnosis; ``drive`` makes the reader of its words, None if it is no drive.
     """
 
     #: name of the slave
@@ -78,8 +78,8 @@ class Names:
     """All names for one bus. ``slaves``: by address, of the configuration.
 
     ``recognise``: names for an ident number and the identifier octets of Chk_Cfg (empty while they are unknown), None
-    where no GSD file has them. ``record``: the fields of record 47, of a request (True) or a response, with the names
-    of a drive's parameters; empty where the octets are none.
+    if no GSD file has them. ``record``: the fields of record 47, of a request (True) or a response, with the names
+    of a drive's parameters; empty if the octets are none.
     """
 
     slaves: Mapping[int, SlaveNames] = field(default_factory=dict)

@@ -37,7 +37,7 @@ def read_transmissions(
 ) -> Iterator[Transmission]:
     """The transmissions in a pcapng ``file``, or in a text file with hex digits, a transmission a line.
 
-    ``on_interface`` gets the interface of a pcapng file before its first transmission, and again where another one
+    ``on_interface`` gets the interface of a pcapng file before its first transmission, and again if another one
     follows.
 
     Raises CaptureFileError, after what could be read, for what cannot; a line of text that is no hex digits likewise.

@@ -48,7 +48,7 @@ class _Piece(NamedTuple):
 
 
 class Station:
-    """One station. ``names`` are those that count now, ``drive`` reads its words where it is one."""
+    """One station. ``names`` are those that count now, ``drive`` reads its words if it is one."""
 
     def __init__(self, address: int, names: Names) -> None:
         self._all = names
@@ -175,7 +175,7 @@ class Station:
             }
 
     def configuration(self, data: bytes, found: Fields) -> None:
-        """The names of modules, and the parameters in the Set_Prm before, where only the modules tell them."""
+        """The names of modules, and the parameters in the Set_Prm before, if only the modules tell them."""
         self.configured(data)
         self._add_parameters(found)
         if self.names.source:
@@ -211,14 +211,14 @@ class Stations:
         self._stations: dict[int, Station] = {}
 
     def name_of(self, address: int) -> str:
-        """The name in the configuration, empty where there is none."""
+        """The name in the configuration, empty if there is none."""
         found = self._names.slaves.get(address)
         return "" if found is None else found.name
 
     def fields(self, telegram: Telegram, asked: Telegram | None) -> Fields:
         """The fields of the data unit. ``asked``: the request, of an answer.
 
-        Raises PduError, or ConfigError for identifiers, where the octets are not what their SAP says.
+        Raises PduError, or ConfigError for identifiers, if the octets are not what their SAP says.
         """
         data, fc = telegram.data, telegram.fc
         if not data:

@@ -34,17 +34,17 @@ _NO_FIELDS: Final[Fields] = {}
 
 @dataclass(slots=True, eq=False)
 class Explained:
-    """One transmission. ``telegram`` is None where the octets are none, ``error`` says why, and also what is wrong in
+    """One transmission. ``telegram`` is None if the octets are none, ``error`` says why, and also what is wrong in
     the data unit of a whole telegram. ``fields`` may be shared with other telegrams of the same content: do not change
-    them. ``sender``, ``receiver``: names of the stations, empty where they have none."""
+    them. ``sender``, ``receiver``: names of the stations, empty if they have none."""
 
     #: number of the transmission, from 1
     number: int
     #: octets with their times
     transmission: Transmission
-    #: the telegram; None where the octets make no telegram
+    #: the telegram; None if the octets make no telegram
     telegram: Telegram | None
-    #: name of the service; empty where it is not known
+    #: name of the service; empty if it is not known
     service: str
     #: decoded fields by name; shared with other telegrams of the same content, so do not change them
     fields: Fields
@@ -161,7 +161,7 @@ class Explainer:
         self._asked: Explained | None = None  # the last request
 
     def add(self, sent: Transmission, number: int | None = None) -> Explained:
-        """The next transmission; ``number``: where it is not that of the one before and 1. Never raises for octets."""
+        """The next transmission; ``number``: if it is not that of the one before and 1. Never raises for octets."""
         self._number = number = self._number + 1 if number is None else number
         octets, t_ns, baud, _, _ = sent
         telegram = decode(octets)

@@ -46,7 +46,7 @@ def render_changes(
 
     New is everything that differs from the telegram before of the same sort between the same stations: other outputs
     or inputs (for a drive: other bits or another set point, not its speed, current and torque), another diagnosis, an
-    answer that is missing or comes back, a retry, damage, a remark. Polls of the GAP are new where an address begins or
+    answer that is missing or comes back, a retry, damage, a remark. Polls of the GAP are new if an address begins or
     ceases to answer. ``names``: of stations and process data; ``number``: of the first transmission.
     """
     entries = list(log)
@@ -75,7 +75,7 @@ def render_changes(
 
 
 class _Line(NamedTuple):
-    """A transmission, or where ``one`` is None several that repeat what was there before, which end with ``entry``."""
+    """A transmission, or if ``one`` is None several that repeat what was there before, which end with ``entry``."""
 
     entry: WireEntry
     one: Explained | None

@@ -205,7 +205,7 @@ def _place(flaw: Flaw, octets: bytes) -> str:
 
 # --- contents ---------------------------------------------------------------------------------------------------------
 def contents(telegram: Telegram) -> str:
-    """A text for the contents of ``telegram``; empty where it has none."""
+    """A text for the contents of ``telegram``; empty if it has none."""
     try:
         return contents_of(telegram, fields_of(telegram))
     except (PduError, ConfigError) as error:

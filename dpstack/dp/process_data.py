@@ -68,7 +68,7 @@ class Field:
     offset: float = 0
     unit: str = ""
     dead_band: float = 0
-    #: decimal places of a scaled whole number, None where rounding to them changes nothing
+    #: decimal places of a scaled whole number, None if rounding to them changes nothing
     _places: int | None = field(default=None, init=False, repr=False, compare=False)
     #: the codec of a number; None for others
     _codec: struct.Struct | None = field(default=None, init=False, repr=False, compare=False)
@@ -240,7 +240,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class FieldMap(Collection[str]):
-    """The fields of one image of ``length`` octets; empty where nothing is named."""
+    """The fields of one image of ``length`` octets; empty if nothing is named."""
 
     fields: Mapping[str, Field] = field(default_factory=dict)
     length: int = 0

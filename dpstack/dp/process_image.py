@@ -15,7 +15,7 @@ UNWATCHED_NS: Final = NS_PER_S
 
 
 def inputs_limit_ns(watchdog_ns: int, poll_interval_ns: int) -> int:
-    """The greatest age of valid inputs in ns: the slave's watchdog time (1 s where it is off, ``watchdog_ns`` 0), and
+    """The greatest age of valid inputs in ns: the slave's watchdog time (1 s if it is off, ``watchdog_ns`` 0), and
     never less than two of its poll intervals."""
     return max(watchdog_ns or UNWATCHED_NS, 2 * poll_interval_ns)
 
@@ -101,7 +101,7 @@ class SlaveImage:
 
 
 def image_of(setup: SlaveParams, before: SlaveImage | None = None) -> SlaveImage:
-    """The process image of a slave; ``before`` itself where the lengths are the same.
+    """The process image of a slave; ``before`` itself if the lengths are the same.
 
     Raises UsageError if ``before`` has a drive plugin, because a plugin is made for one pair of lengths.
     """

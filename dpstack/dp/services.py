@@ -57,7 +57,7 @@ def set_prm(setup: SlaveParams, ident: int, watchdog: WatchdogTime | None) -> by
 
 
 def planned_prm(setup: SlaveParams, watchdog: WatchdogTime | None) -> str:
-    """The octets of :func:`set_prm` in hex, ``....`` where the ident number will be that of the slave's diagnosis."""
+    """The octets of :func:`set_prm` in hex, ``....`` if the ident number will be that of the slave's diagnosis."""
     octets = set_prm(setup, setup.ident or 0, watchdog).hex()
     first, behind = 2 * _IDENT_AT, 2 * (_IDENT_AT + 2)
     return octets if setup.ident is not None else octets[:first] + "...." + octets[behind:]

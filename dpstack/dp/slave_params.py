@@ -37,7 +37,7 @@ _MAX_FINE_MS: Final = 255 * 255
 
 
 class WatchdogTime(NamedTuple):
-    """A watchdog as Set_Prm says it: two factors 1..255 of a base of 10 ms, or of 1 ms where the slave has that."""
+    """A watchdog as Set_Prm says it: two factors 1..255 of a base of 10 ms, or of 1 ms if the slave has that."""
 
     factors: tuple[int, int]
     base_ms: int = 10
@@ -65,7 +65,7 @@ class SlaveParams:
     ``wd_base_1ms``: a DP-V1 slave with a watchdog base of 1 ms; its user parameters begin with DPV1_Status_1..3.
     ``dpv1``: DPV1_Enable and what goes with it, for a slave whose user parameters begin so; None: nothing of it.
     ``fail_safe``: it gets empty frames in Clear; ``fail_safe_told``: DPV1_Status_1 says whether, also without ``dpv1``.
-    ``max_tsdr``: MaxTsdr in bit times by baud rate, where it is known.
+    ``max_tsdr``: MaxTsdr in bit times by baud rate, if it is known.
     ``max_diag_len``: octets of its longest diagnosis, 6..244, None: not known.
     ``ignore_auto_clear``: the master stays in Operate without it. ``texts``: what its GSD file says to a diagnosis.
 
@@ -96,7 +96,7 @@ class SlaveParams:
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: what the drive or device does when its master stops, for people ("coasts after 200 ms")
     on_loss: str = ""
-    #: for people, where the slave refuses ``user_prm``: how its GSD file can be read otherwise, and how to ask for that
+    #: for people, if the slave refuses ``user_prm``: how its GSD file can be read otherwise, and how to ask for that
     prm_note: str = field(default="", compare=False)
     ident_adapts: bool = False
 
@@ -165,9 +165,9 @@ class SlaveParams:
         return group_mask(self.groups)
 
     def watchdog(self, default_ms: int) -> WatchdogTime | None:
-        """The watchdog it gets where ``default_ms`` is the master's recommendation; None is off.
+        """The watchdog it gets if ``default_ms`` is the master's recommendation; None is off.
 
-        The 1 ms base is taken where the slave has it and it comes closer.
+        The 1 ms base is taken if the slave has it and it comes closer.
         """
         wanted = default_ms if self.watchdog_ms is None else self.watchdog_ms
         if not wanted:

@@ -68,7 +68,7 @@ def data_bits(params: BusParams, setup: SlaveParams, tsdr: int, retries: int = 0
 
 
 def diagnosis_bits(params: BusParams, setup: SlaveParams, retries: int = 0) -> int:
-    """Slave_Diag with the longest diagnosis of ``setup``, 244 octets where its Max_Diag_Data_Len is not known."""
+    """Slave_Diag with the longest diagnosis of ``setup``, 244 octets if its Max_Diag_Data_Len is not known."""
     octets = DIAG_REQUEST + (MAX_LEN if setup.max_diag_len is None else setup.max_diag_len)
     return exchange_bits(params, DIAG_REQUEST, octets, longest_tsdr(params, setup), retries)
 
@@ -108,7 +108,7 @@ def token_bits(params: BusParams) -> int:
 
 
 def gap_poll_bits(params: BusParams) -> int:
-    """A silent GAP poll; 0 where the GAP is off."""
+    """A silent GAP poll; 0 if the GAP is off."""
     return vain_bits(params, GAP_REQUEST) if params.gap else 0
 
 

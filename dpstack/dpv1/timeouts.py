@@ -8,7 +8,7 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 
 #: time-out of a service from the order to its end, other services before it included; the caller may give another one
 SERVICE_TIMEOUT: Final = 10 * NS_PER_S
-#: how long a slave works at a service at most, where its GSD file has no C1_Response_Timeout or C2_Response_Timeout
+#: how long a slave works at a service at most, if its GSD file has no C1_Response_Timeout or C2_Response_Timeout
 RESPONSE_TIMEOUT: Final = NS_PER_S
 #: a service that takes the slave all its time has so much more
 _MARGIN: Final = NS_PER_S

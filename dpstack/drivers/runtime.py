@@ -144,7 +144,7 @@ class BehindRealTime(Event):
         )
 
 
-#: Memory (octets) that an open bus keeps for its end where the program has used up all other: more than one arena of
+#: Memory (octets) that an open bus keeps for its end if the program has used up all other: more than one arena of
 #: Python's allocator. It is never written, so it only takes addresses.
 RESERVE: Final = 2 * 1024 * 1024
 
@@ -175,7 +175,7 @@ class Runtime(Protocol):
 
     @property
     def paced(self) -> bool:
-        """True where octets take their time on a wire (or the virtual one), False on plain ptys and sockets."""
+        """True if octets take their time on a wire (or the virtual one), False on plain ptys and sockets."""
 
     @property
     def not_running(self) -> str | None:

@@ -23,7 +23,7 @@ CAPACITY: Final = 16_384
 TAP_PORTION: Final = 256
 #: ... and comes back after this time, as each wake-up costs more than the entries ...
 TAP_PAUSE_NS: Final = 100 * NS_PER_MS
-#: ... or after this one, where entries are left.
+#: ... or after this one, if entries are left.
 TAP_SHORT_PAUSE_NS: Final = NS_PER_MS
 
 #: Octets on the line: ``(end_ns, baud, octets, sent)``. No later than ``end_ns`` (the machine's time) the last bit was

@@ -297,7 +297,7 @@ class PlainFrame:
 
 @lru_cache(_KEPT_HEADS)
 def _plain_frame(head: bytes) -> PlainFrame | None:
-    """The frame with the first seven octets ``head``. None for another kind, and where :func:`_read_head` finds a
+    """The frame with the first seven octets ``head``. None for another kind, and if :func:`_read_head` finds a
     flaw."""
     if len(head) < 7 or head[0] != _SD2:
         return None

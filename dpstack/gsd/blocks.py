@@ -3,7 +3,7 @@
 Each class has a table of handlers by keyword; :data:`BLOCKS` has the classes by the keyword that opens them. At its
 closing keyword a block hands its content to the block around it.
 A line often occurs again in a file. All its occurrences are one :class:`Statement`, which keeps the parsed value as
-``item`` (False where it cannot be parsed). Each occurrence is reported.
+``item`` (False if it cannot be parsed). Each occurrence is reported.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Block:
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
-        """The block that ``statement`` opens; None where its :attr:`head` cannot be parsed."""
+        """The block that ``statement`` opens; None if its :attr:`head` cannot be parsed."""
         return cls(statement.line, findings)
 
     @property
@@ -86,7 +86,7 @@ class Block:
         self.findings.warning(statement.line, message, statement.column)
 
     def number(self, statement: Statement) -> int | None:
-        """The value of ``statement`` as one number; None where it is none."""
+        """The value of ``statement`` as one number; None if it is none."""
         found = without_remark(statement, number)
         warn_of_remark(self.findings, statement)
         return found
@@ -125,7 +125,7 @@ def _numbered_text(statement: Statement) -> tuple[int, str] | None:
 
 
 def text_item(block: Block, statement: Statement, what: str) -> tuple[int, str] | None:
-    """(number, text) of ``Text(3) = "on"`` and similar statements; None and a warning where it cannot be parsed."""
+    """(number, text) of ``Text(3) = "on"`` and similar statements; None and a warning if it cannot be parsed."""
     item = _parsed(statement, _numbered_text)
     if item is None:
         text, _, closed = string(statement.value)
@@ -274,7 +274,7 @@ def _type_item(statement: Statement) -> _TypeItem | str:
 
 
 def _without_default(kind: PrmType, allowed: Ranges) -> _TypeItem:
-    """``Bit(0)  0-1``: the default is 0, or the lowest value where 0 is not allowed."""
+    """``Bit(0)  0-1``: the default is 0, or the lowest value if 0 is not allowed."""
     default = 0 if in_ranges(0, allowed) else min(low for low, _ in allowed)
     problem = f"no default value in front of the range {ranges_text(allowed)}; {default} is used"
     lowest, highest = kind.limits
@@ -428,7 +428,7 @@ class DiagBlock(Block):
             self.raws += inner.raws
 
     def diagnosis(self, type_number: int | None = None) -> Diagnosis:
-        """The texts read so far. Where a plain and an X_ text have the same number, the X_ text (of DP-V1) counts."""
+        """The texts read so far. If a plain and an X_ text have the same number, the X_ text (of DP-V1) counts."""
         if not self.texts:
             return Diagnosis(tuple(self.areas), type_number)
         merged: defaultdict[str, dict[int, str]] = defaultdict(dict)

@@ -38,7 +38,7 @@ class Configuration:
     notes: tuple[str, ...] = ()
 
     def user_prm(self, reading: Reading = Reading.REFS) -> UserPrm:
-        """Raises GsdError where the user parameters are too long."""
+        """Raises GsdError if the user parameters are too long."""
         return UserPrm(self.device, self.modules, reading)
 
     def texts(self) -> DiagTexts:
@@ -48,7 +48,7 @@ class Configuration:
 def fixed_modules(device: Device) -> tuple[Module, ...]:
     """The modules that every configuration begins with: Preset = 1 in a file with FixPresetModules = 1.
 
-    Raises GsdError where one of them is damaged in the file, and where they are too many for any device.
+    Raises GsdError if one of them is damaged in the file, and if they are too many for any device.
     """
     found = tuple(module for module in device.modules if is_fixed(device, module))
     if len(found) > _MAX_SLOTS:
@@ -85,7 +85,7 @@ def default_modules(device: Device) -> tuple[Module, ...] | None:
 def is_compact_row(device: Device, modules: Sequence[Module | None]) -> bool:
     """Whether ``modules`` are all modules of the compact station ``device``, and fit it together.
 
-    A compact station has all of its modules (GSD specification, Modular_Station = 0). Where they cannot all be there,
+    A compact station has all of its modules (GSD specification, Modular_Station = 0). If they cannot all be there,
     the file lists them to choose from.
     """
     if device.modular or tuple(modules) != device.modules or not all(module.complete for module in device.modules):
@@ -100,7 +100,7 @@ def is_compact_row(device: Device, modules: Sequence[Module | None]) -> bool:
 
 
 def _excess(device: Device, inputs: int, outputs: int) -> str:
-    """The limit of ``device`` that is exceeded by process data of these lengths; empty where they fit."""
+    """The limit of ``device`` that is exceeded by process data of these lengths; empty if they fit."""
     for what, length, limit in (
         ("inputs", inputs, device.max_input_len),
         ("outputs", outputs, device.max_output_len),
@@ -175,7 +175,7 @@ def configure(device: Device, wanted: Sequence[int | str] | None = None, *, own_
 
 
 def _named(device: Device, wanted: Sequence[int | str]) -> tuple[Module | None, ...]:
-    """The modules with these names. Where a fixed preset and another module share a name and everything that is sent,
+    """The modules with these names. If a fixed preset and another module share a name and everything that is sent,
     the name stands for the preset in front and for the other module elsewhere.
     """
     if len(wanted) > _MAX_SLOTS:
@@ -214,7 +214,7 @@ def configuration_like(
 ) -> Configuration:
     """The configuration with the identifier octets ``config``, or else with ``lengths`` (input octets, output octets).
 
-    It is the preset or one module behind the fixed presets. ``own_prm`` as for :func:`plug`. Raises GsdError where
+    It is the preset or one module behind the fixed presets. ``own_prm`` as for :func:`plug`. Raises GsdError if
     there is none, or more than one.
     """
     preset, fixed = default_modules(device), fixed_modules(device)
@@ -239,7 +239,7 @@ def configuration_like(
 
 def modules_of_config(device: Device, config: bytes) -> tuple[Module | None, ...] | None:
     """The modules whose identifier octets are ``config``, in slot order, None for an empty slot. Modules with the same
-    octets cannot be told apart: the first one in the file counts. None where some octets are those of no module.
+    octets cannot be told apart: the first one in the file counts. None if some octets are those of no module.
     """
     best = read_modules(device, config, most=1)[0][0]
     if best.unknown:
@@ -248,7 +248,7 @@ def modules_of_config(device: Device, config: bytes) -> tuple[Module | None, ...
 
 
 def plug(device: Device, modules: Sequence[Module | None], *, own_prm: bool = False) -> Configuration:
-    """A configuration of ``modules``; fixed presets are put in front where they are missing. Raises GsdError.
+    """A configuration of ``modules``; fixed presets are put in front if they are missing. Raises GsdError.
 
     ``own_prm``: user parameters come from elsewhere, so those of the file need not fit.
     """

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 class DiagTexts:
     """The texts of ``device`` with ``modules`` in the order of the configuration (None: an empty slot).
 
-    Where the module is known, its texts count before the device's. Bits are counted from 0 at the first
+    If the module is known, its texts count before the device's. Bits are counted from 0 at the first
     octet behind the block's header (GE's MM300 manual prints it so, table 4-5); an area's first bit is its lowest.
     """
 
@@ -27,7 +27,7 @@ class DiagTexts:
         return tuple(self._found(octets, module))
 
     def channel_text(self, error_type: int, module: int | None = None) -> DiagText | None:
-        """The text of a channel related error, 0..31; None where the file has none."""
+        """The text of a channel related error, 0..31; None if the file has none."""
         texts = (text for diagnosis in self._sources(module) for text in diagnosis.texts)
         return next((text for text in texts if text.kind == "channel" and text.value == error_type), None)
 
@@ -36,7 +36,7 @@ class DiagTexts:
         return tuple(text for diagnosis in self._sources(module) for text in diagnosis.texts)
 
     def module_name(self, module: int) -> str:
-        """The name of a module by its index in the configuration; empty for an empty slot and where there is none."""
+        """The name of a module by its index in the configuration; empty for an empty slot and if there is none."""
         found = self._module(module)
         return "" if found is None else found.name
 

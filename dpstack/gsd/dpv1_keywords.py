@@ -82,12 +82,12 @@ class DpV1:
 
     @property
     def c1_response_ns(self) -> int:
-        """C1_Response_Timeout in ns, 0 where the file says nothing."""
+        """C1_Response_Timeout in ns, 0 if the file says nothing."""
         return self.c1_response_timeout * _RESPONSE_UNIT
 
     @property
     def c2_response_ns(self) -> int:
-        """C2_Response_Timeout in ns, 0 where the file says nothing."""
+        """C2_Response_Timeout in ns, 0 if the file says nothing."""
         return self.c2_response_timeout * _RESPONSE_UNIT
 
 

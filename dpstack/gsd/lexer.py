@@ -43,7 +43,7 @@ class Statement:
     """One statement. ``keyword`` in lower case, ``written`` as in the file; ``index`` and ``value`` are stripped.
 
     ``line``: the number of the physical line; the parser sets it anew for each occurrence of the same text. ``item``:
-    the parsed value, kept for the next occurrence; False where a block cannot parse it. ``remark``: a comment behind
+    the parsed value, kept for the next occurrence; False if a block cannot parse it. ``remark``: a comment behind
     the value that lacks its semicolon, see :func:`without_remark`.
     """
 
@@ -65,7 +65,7 @@ class Statement:
 
 
 def lex(line: str) -> Statement | None:
-    """The statement of a logical line; None where it holds blanks or a comment only."""
+    """The statement of a logical line; None if it holds blanks or a comment only."""
     match = _LINE.match(line)
     if match is None:  # impossible: every part of the pattern is optional
         return None
@@ -94,7 +94,7 @@ def _int(text: str) -> int:
 
 
 def numbers(text: str) -> list[int] | None:
-    """Numbers with commas (or only blanks) between; None where one of them is none. Empty text: an empty list."""
+    """Numbers with commas (or only blanks) between; None if one of them is none. Empty text: an empty list."""
     try:
         return [_COMMON[part] for part in text.split(",")]
     except KeyError:
@@ -109,7 +109,7 @@ def numbers(text: str) -> list[int] | None:
 
 
 def ranges(text: str) -> Ranges | None:
-    """``0-3``, ``0,1,5``, ``-32768-32767``, ``24 - 24``, or a mix; None where it is none of these."""
+    """``0-3``, ``0,1,5``, ``-32768-32767``, ``24 - 24``, or a mix; None if it is none of these."""
     found: list[tuple[int, int]] = []
     for part in text.split(","):
         piece = part.strip()
@@ -127,7 +127,7 @@ def ranges(text: str) -> Ranges | None:
 
 
 def first_number(text: str) -> tuple[int | None, str]:
-    """(the number in front, the rest behind it); None where no number stands in front."""
+    """(the number in front, the rest behind it); None if no number stands in front."""
     match = _FIRST.match(text)
     return (None, text) if match is None else (_int(match[1]), text[match.end() :])
 
@@ -144,7 +144,7 @@ _T = TypeVar("_T")
 
 
 def without_remark(statement: Statement, parse: Callable[[str], _T | None], text: str | None = None) -> _T | None:
-    """``parse`` of the statement's value (or of ``text``, a part of it); None where it cannot be parsed.
+    """``parse`` of the statement's value (or of ``text``, a part of it); None if it cannot be parsed.
 
     Numbers with a text behind them are read without it: it is a comment whose semicolon is missing. The statement keeps
     it as ``remark``, for a warning.
@@ -159,7 +159,7 @@ def without_remark(statement: Statement, parse: Callable[[str], _T | None], text
 
 
 def string(text: str) -> tuple[str | None, str, bool]:
-    """(the string in front, the rest behind it, its end is there); None where no string stands in front."""
+    """(the string in front, the rest behind it, its end is there); None if no string stands in front."""
     match = _STRING.match(text)
     if match is None:
         return None, text, True

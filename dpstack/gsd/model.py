@@ -223,7 +223,7 @@ class DiagText(NamedTuple):
     """One text for a diagnosis and its condition. ``kind``: "bit", "not_bit", "area" or "channel".
 
     Of a bit or an area: the bits ``first``..``last``, counted from 0 at the first octet behind the block's header, have
-    the ``value``. Of a channel: the error type is ``value``. ``help``: empty where the file has none.
+    the ``value``. Of a channel: the error type is ``value``. ``help``: empty if the file has none.
     """
 
     kind: str
@@ -242,7 +242,7 @@ class DiagText(NamedTuple):
 class Diagnosis:
     """Texts of the diagnosis: of a device, a module or one UnitDiagType (``type``, the first octet after the header).
 
-    ``texts``: those for bits, for bits that are 0, for areas, for channel errors. Where the file has a plain and an X_
+    ``texts``: those for bits, for bits that are 0, for areas, for channel errors. If the file has a plain and an X_
     text (of DP-V1) for the same condition, the X_ text.
     """
 
@@ -252,7 +252,7 @@ class Diagnosis:
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """One module: a name (no key: several may share it), its number where it has one, identifier octets.
+    """One module: a name (no key: several may share it), its number if it has one, identifier octets.
 
     ``complete`` is False when the file breaks off in it or its EndModule is missing: such a module cannot be used.
     """
@@ -310,13 +310,13 @@ class Speed:
 
     #: baud rate in bit/s
     baud: int
-    #: MaxTsdr in bit times; None where the file does not say
+    #: MaxTsdr in bit times; None if the file does not say
     max_tsdr: int | None
 
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """One device. Lengths in octets, None where the file says nothing. ``min_slave_interval`` in 100 us.
+    """One device. Lengths in octets, None if the file says nothing. ``min_slave_interval`` in 100 us.
 
     Keywords that dpstack does not use have no field of their own. ``settings``: every ``keyword = value`` of the device
     as written, by keyword in lower case (the last one counts), used or not. ``raw``: statements and blocks that dpstack
@@ -373,7 +373,7 @@ class Device:
     max_user_prm_data_len: int | None = None
     #: User_Prm_Data_Len in octets, as the file says
     user_prm_data_len: int | None = None
-    #: User_Prm_Data; None where the file has none
+    #: User_Prm_Data; None if the file has none
     user_prm_data: bytes | None = None
     #: user parameters of the device by name (Ext_User_Prm_Data)
     prm: PrmBlock = field(default_factory=PrmBlock)
@@ -387,7 +387,7 @@ class Device:
     publisher: bool = False
     #: modules in the order of the file
     modules: tuple[Module, ...] = ()
-    #: slots of SlotDefinition; empty where any module may have any slot
+    #: slots of SlotDefinition; empty if any module may have any slot
     slots: tuple[Slot, ...] = ()
     #: user parameters by number (ExtUserPrmData)
     parameters: Mapping[int, Parameter] = field(default_factory=dict)

@@ -1,6 +1,6 @@
 """Comparison of the configuration that Chk_Cfg asks for with the slave's own one, module by module.
 
-Modules are told apart by the GSD file where there is one, otherwise by identifiers.
+Modules are told apart by the GSD file if there is one, otherwise by identifiers.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Difference(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One module: its identifier octets, and its name where that is known. ``at``: its first octet, from 1."""
+    """One module: its identifier octets, and its name if that is known. ``at``: its first octet, from 1."""
 
     octets: bytes
     name: str
@@ -43,7 +43,7 @@ class Part:
 
     @property
     def title(self) -> str:
-        """Its name, or that it is an empty slot; empty where the name is not known."""
+        """Its name, or that it is an empty slot; empty if the name is not known."""
         return "no module" if self.is_empty and not self.name else self.name
 
     @property
@@ -56,8 +56,8 @@ class Part:
 class Comparison:
     """``slots``: the first slot that differs, and those that follow, with wanted and real module (None: none there).
 
-    ``octet``: the first octet that differs, from 1; 0 where none does. ``key``: the key ``modules`` of a configuration
-    that fits the slave; empty without a GSD file, and where the file does not name all of its modules one by one.
+    ``octet``: the first octet that differs, from 1; 0 if none does. ``key``: the key ``modules`` of a configuration
+    that fits the slave; empty without a GSD file, and if the file does not name all of its modules one by one.
     """
 
     kind: Difference
@@ -91,7 +91,7 @@ class Comparison:
 
     @property
     def short(self) -> str:
-        """The first slot that differs in a few words, and how many more do; empty where none has a slot."""
+        """The first slot that differs in a few words, and how many more do; empty if none has a slot."""
         if not self.slots:
             return ""
         slot, wanted, real = self.slots[0]
@@ -124,7 +124,7 @@ def compare_modules(
 
 
 def _modules_key(parts: Sequence[Part], device: Device | None) -> str:
-    """``modules = ["8 DO", ""]`` for ``parts``; empty where a name is missing, or is that of several modules."""
+    """``modules = ["8 DO", ""]`` for ``parts``; empty if a name is missing, or is that of several modules."""
     if device is None:
         return ""
     count = Counter(folded(module.name) for module in device.modules)
@@ -162,7 +162,7 @@ def _same(one: Part, other: Part) -> bool:
 
 
 def _of_modules(config: bytes, modules: Sequence[Module | None]) -> list[Part] | None:
-    """``config`` cut where ``modules`` end; None where it was not made of them."""
+    """``config`` cut where ``modules`` end; None if it was not made of them."""
     octets = [b"\0" if module is None else module.config for module in modules]
     if not octets or b"".join(octets) != config:
         return None
@@ -170,7 +170,7 @@ def _of_modules(config: bytes, modules: Sequence[Module | None]) -> list[Part] |
 
 
 def _like(config: bytes, ours: Sequence[Part] | None) -> list[Part] | None:
-    """``config`` cut into modules of our own configuration, in any order; None where other octets remain."""
+    """``config`` cut into modules of our own configuration, in any order; None if other octets remain."""
     if not ours:
         return None
     names = {part.octets: part.name for part in reversed(ours)}

@@ -131,7 +131,7 @@ class _Rows:
 
 
 def _identifier_ends(config: bytes) -> dict[int, int]:
-    """The end of each identifier by its place; empty where the octets contradict themselves."""
+    """The end of each identifier by its place; empty if the octets contradict themselves."""
     try:
         identifiers = parse_identifiers(config)
     except ConfigError:

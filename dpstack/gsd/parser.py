@@ -42,7 +42,7 @@ _MISSING: Final = Statement("", "", None, False, "", "")
 
 
 def load_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
-    """Like :func:`parse_gsd`, but raises GsdError where the file cannot be used at all."""
+    """Like :func:`parse_gsd`, but raises GsdError if the file cannot be used at all."""
     found = parse_gsd(octets, name)
     if found.fatal is not None:
         raise GsdError(f"{name}:{max(1, found.fatal.line)}: {found.fatal.message}")
@@ -143,7 +143,7 @@ class _Reader:
             self._keep(statement)
 
     def _open_known(self, statement: Statement, kind: type[Block], end: str) -> None:
-        """Open a block of ``kind``. Where its head cannot be parsed, its inside is kept raw."""
+        """Open a block of ``kind``. If its head cannot be parsed, its inside is kept raw."""
         # only areas stand inside other blocks: if another block begins, the end of the open one is missing
         while self._outer and not (kind is AreaBlock and isinstance(self._block, DiagBlock)):
             self._broken_off(f"{statement.written} on line {statement.line}")
@@ -223,7 +223,7 @@ class _Reader:
 
 
 def _closing_keyword(keyword: str, endings: frozenset[str]) -> str | None:
-    """The closing keyword that an unknown ``keyword`` has among the file's ``endings``; None where it has none."""
+    """The closing keyword that an unknown ``keyword`` has among the file's ``endings``; None if it has none."""
     for ending in (f"end{keyword}", f"end_{keyword}", f"{keyword}_end", f"{keyword.removesuffix('_beg')}_end"):
         if ending in endings:
             return ending

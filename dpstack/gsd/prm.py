@@ -34,7 +34,7 @@ class Reading(Enum):
 class PrmField:
     """One parameter at its place. ``at``: octet of the whole, ``offset``: octet of the device's or the module's part.
 
-    ``place``: the number of the module's slot; of the device itself 0, or "device" where a module is in slot 0.
+    ``place``: the number of the module's slot; of the device itself 0, or "device" if a module is in slot 0.
     ``slot_number``: its value is always the number of its slot.
     """
 
@@ -104,12 +104,12 @@ def write_bits(octets: bytearray, at: int, kind: PrmType, value: int) -> None:
     octets[at : at + kind.size] = whole.to_bytes(kind.size, "big")
 
 
-#: the remedy where modules make the user parameters too long
+#: the remedy if modules make the user parameters too long
 _SHORTER: Final = "take out modules, or give user_prm"
 
 
 def length_note(device: Device, octets: int, own: int) -> str:
-    """How the length of the user parameters contradicts the lengths of the file; empty where it does not.
+    """How the length of the user parameters contradicts the lengths of the file; empty if it does not.
 
     ``octets``: all of them, ``own``: those of the device itself. User_Prm_Data_Len counts only without
     Max_User_Prm_Data_Len; the modules of a modular station may make more.
@@ -156,7 +156,7 @@ class UserPrm:
 
     Without ``in_slots`` the modules are in no slot, and ``[SlotNumber]`` keeps its default. A device with Read and
     Write (DP-V1) whose file has no octets, and no limit below three, gets three zeros: DPV1_Status.
-    Raises GsdError where they do not fit a Set_Prm, where the modules make them longer than the device takes, or where
+    Raises GsdError if they do not fit a Set_Prm, if the modules make them longer than the device takes, or if
     a module may not have the number of its slot.
     """
 
@@ -220,7 +220,7 @@ class UserPrm:
 
     @property
     def length_note(self) -> str:
-        """How the number of octets contradicts the file; empty where it does not."""
+        """How the number of octets contradicts the file; empty if it does not."""
         return length_note(self.device, len(self._const), self._own)
 
     @property
@@ -264,7 +264,7 @@ class UserPrm:
         raise GsdError(f"{key!r} may be {len(found)} parameters; write one of {meant}{more}")
 
     def shortest_key(self, field: PrmField) -> str:
-        """The parameter's name where that is enough to find it, else its key."""
+        """The parameter's name if that is enough to find it, else its key."""
         name = field.parameter.name
         return name if sum(_matches(other, name) for other in self._fields) == 1 else field.key
 

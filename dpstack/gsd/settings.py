@@ -106,7 +106,7 @@ class Settings:
         return found
 
     def line(self, keyword: str) -> int:
-        """The line of ``keyword``, 0 where the file does not have it."""
+        """The line of ``keyword``, 0 if the file does not have it."""
         found = self._settings.get(keyword)
         return found.line if found else 0
 

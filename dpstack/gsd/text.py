@@ -131,7 +131,7 @@ def _split(line: str, inside: bool) -> tuple[str, bool, bool]:
 
 
 def _open_string(line: str, start: int) -> tuple[str, bool, bool]:
-    """Split a line whose string is open at ``start``; it goes on in the next line where a backslash ends this one."""
+    """Split a line whose string is open at ``start``; it goes on in the next line if a backslash ends this one."""
     slash = line.rfind("\\")
     if slash < start or not _SEAM.match(line, slash):
         # a comment with a backslash of its own behind the seam

@@ -4,8 +4,8 @@ Every telegram that asks a station is a request, repetitions too, and ends as on
 that nobody could read (damaged), or not answered: requests = answers + damaged + no_answer, and one more for the
 request that waits for its answer at this moment (:attr:`Counters.asked`).
 
-Damaged octets belong to the station that was asked just before; where nobody was asked, where they begin like the next
-telegram of the master, or where an answer came as well, they are ``unattributed``. So each damaged transmission counts
+Damaged octets belong to the station that was asked just before; if nobody was asked, if they begin like the next
+telegram of the master, or if an answer came as well, they are ``unattributed``. So each damaged transmission counts
 once: all damaged = damaged of the stations + pieces of open requests + unattributed. A readable answer that no request
 asked for is ``late`` at the station that sent it, or one of ``strays``.
 
@@ -44,7 +44,7 @@ from dpstack.units import NS_PER_S, bits_to_ns, chars_to_ns
 
 #: an exchange is repeated at most this often (max_retry up to 15 exists, DP masters have up to 8)
 MAX_DEPTH: Final = 8
-#: A station without an answer for this time is offline where it was asked, and unknown where nobody asks it. Slow buses
+#: A station without an answer for this time is offline if it was asked, and unknown if nobody asks it. Slow buses
 #: get more: SILENT_BITS, three of the longest rotations of its master, at most LONGEST_SILENCE_NS (all our choice).
 SILENT_NS: Final = 2 * NS_PER_S
 SILENT_BITS: Final = 200_000
@@ -59,7 +59,7 @@ TOGETHER_BITS: Final = 10
 _CLEAR_DATA: Final = 2
 _TOKENS_OF_NOBODY: Final = 2  # so many tokens of one sender may be damaged ones of others
 _LONGEST: Final = 256
-#: where the source does not say the rate
+#: if the source does not say the rate
 _ANY_BAUD: Final = 9600
 _NOT_ASKED = tuple(number in UNANSWERED for number in range(16))
 _IS_COUNTED = tuple(number in COUNTED for number in range(16))
@@ -220,7 +220,7 @@ class Counters:
         #: damaged transmissions by cause: "fcs", "short", "start", "parity", "octets"
         self.damaged: dict[str, int] = {}
         self.unattributed = 0
-        #: readable answers of stations that nobody had asked, and SC where nobody was asked
+        #: readable answers of stations that nobody had asked, and SC if nobody was asked
         self.strays = 0
         #: telegrams that began when the one before had hardly ended: they arrived together in the computer
         self.together = 0
@@ -277,7 +277,7 @@ class Counters:
 
     @property
     def repeats(self) -> int:
-        """How often the request that waits for its answer has been repeated with its frame count bit; 0 where none
+        """How often the request that waits for its answer has been repeated with its frame count bit; 0 if none
         waits."""
         asked = self._asked
         return 0 if asked is None else asked.repeats

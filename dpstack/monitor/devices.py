@@ -11,8 +11,8 @@ from dpstack.gsd.diag_texts import DiagTexts
 
 @dataclass(frozen=True, slots=True)
 class KnownDevice:
-    """``name``: the user's; ``model``: the vendor's, both "" where unknown. ``max_tsdr``: MaxTsdr in bit times by baud
-    rate. ``texts``: of its GSD file. ``dpv1``: whether it knows DP-V1, None where nobody says."""
+    """``name``: the user's; ``model``: the vendor's, both "" if unknown. ``max_tsdr``: MaxTsdr in bit times by baud
+    rate. ``texts``: of its GSD file. ``dpv1``: whether it knows DP-V1, None if nobody says."""
 
     name: str = ""
     model: str = ""
@@ -27,7 +27,7 @@ _UNKNOWN: Final = KnownDevice()
 @dataclass(slots=True)
 class Devices:
     """Known devices: ``by_address`` from the user's configuration, ``by_ident`` from a folder of GSD files. ``t_sl`` in
-    bit times by baud rate, from the configuration; empty where there is none."""
+    bit times by baud rate, from the configuration; empty if there is none."""
 
     by_address: dict[int, KnownDevice] = field(default_factory=dict)
     by_ident: dict[int, KnownDevice] = field(default_factory=dict)

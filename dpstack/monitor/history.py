@@ -57,7 +57,7 @@ class Past:
         return seconds <= share * self.seconds
 
     def failed(self, station: Station) -> int:
-        """The failures since the last call; the second counts where the station was asked."""
+        """The failures since the last call; the second counts if the station was asked."""
         failures = station.damaged + station.no_answer
         new, self._failures = failures - self._failures, failures
         if station.requests != self._requests:

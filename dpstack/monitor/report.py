@@ -469,7 +469,7 @@ class Report:
         return bits * 1e6 / baud if bits and baud else None
 
     def _times_neighbours(self) -> bool:
-        """Whether the port could time the silence between telegrams: it could where it timed an answer."""
+        """Whether the port could time the silence between telegrams: it could if it timed an answer."""
         return any(_is_timed(one.get("tsdr_us")) for _, one in self._by_address("stations"))
 
 
@@ -569,7 +569,7 @@ def _figure_of(caption: str, drawing: str) -> str:
 
 
 def _figure(points: Any, values: Histogram, name: str) -> list[str]:
-    """The histogram, where the port could time it."""
+    """The histogram, if the port could time it."""
     return [_figure_of(name, drawings.histogram(values, name))] if values.count and _is_timed(points) else []
 
 

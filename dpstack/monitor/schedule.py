@@ -42,7 +42,7 @@ class Use(Enum):
 class Slot(NamedTuple):
     """One transmission of a rotation. ``start_ns``: from the begin of the rotation; ``idle_ns``: silence before it.
 
-    ``sa``: the sender, None where the octets do not say it; ``da``: the receiver, None for an answer without addresses.
+    ``sa``: the sender, None if the octets do not say it; ``da``: the receiver, None for an answer without addresses.
     ``text``: the service, or what the decoder says of the octets.
     """
 
@@ -145,7 +145,7 @@ class ScheduleRecorder:
     def typical(self, near_ns: int | None = None) -> Rotation | None:
         """The recorded rotation whose duration is nearest to ``near_ns`` (None: to their median); None without any.
 
-        Only recorded ones that begin like most of them count, and none that begins with a token where others do not.
+        Only recorded ones that begin like most of them count, and none that begins with a token if others do not.
         """
         if not self._kept:
             return None

@@ -1,4 +1,4 @@
-"""Thresholds of the verdicts, each with its unit, its meaning and its source ("our choice" where no source has one)."""
+"""Thresholds of the verdicts, each with its unit, its meaning and its source ("our choice" if no source has one)."""
 
 from __future__ import annotations
 

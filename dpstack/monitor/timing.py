@@ -1,7 +1,7 @@
 """Figures of durations as far as the source of the octets can time them; None stands for those that it cannot.
 
 A duration is the distance of two times, each of which may be wrong by the resolution of the source. Durations between
-neighbouring telegrams (T_SDR, hold time) mean nothing where telegrams arrive together in one piece.
+neighbouring telegrams (T_SDR, hold time) mean nothing if telegrams arrive together in one piece.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dpstack.units import NS_PER_US
 
 #: A figure is given from this multiple of the resolution on: its error is a quarter at most (our choice).
 RESOLVED: Final = 4
-#: Where more than this share of the telegrams arrived together, distances of neighbouring telegrams say nothing (our
+#: If more than this share of the telegrams arrived together, distances of neighbouring telegrams say nothing (our
 #: choice).
 MOST_BATCHED: Final = 0.1
 #: and the source is no finer than so much of the pieces in which it delivers them
@@ -65,14 +65,14 @@ class Timing:
         }
 
     def neighbours(self, durations: Histogram) -> dict[str, float] | None:
-        """``min``, ``p50``, ``p99`` and ``max`` in us of durations between neighbouring telegrams; None where their
+        """``min``, ``p50``, ``p99`` and ``max`` in us of durations between neighbouring telegrams; None if their
         median cannot be timed."""
         if not durations.count or not self.times_neighbours or not self.resolves(durations.quantile_ns(0.5)):
             return None
         return {name: _us(ns) for name, ns in _points(durations, QUANTILES).items()}
 
     def rotations(self, durations: Histogram) -> dict[str, float | None] | None:
-        """The figures in us of durations over many telegrams; the mean needs no resolution. None where there are no
+        """The figures in us of durations over many telegrams; the mean needs no resolution. None if there are no
         durations."""
         if not durations.count:
             return None

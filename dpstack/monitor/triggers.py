@@ -82,7 +82,7 @@ class Triggers:
             self._changes.append(change)
 
     def add(self, one: Transmission) -> str:
-        """Count ``one``. Returns the triggers that fire at it, with their reasons; empty where none does."""
+        """Count ``one``. Returns the triggers that fire at it, with their reasons; empty if none does."""
         counters = self.counters
         counters.add(one)
         if not self._triggers:
@@ -129,7 +129,7 @@ class Kept(NamedTuple, Generic[T]):
 
 class Window(Generic[T]):
     """Holds the items of the last ``before_ns`` until a trigger, and lets those pass up to ``after_ns`` behind the last
-    one. ``most``: memory in octets; where it is not enough, the oldest items go, and a remark says so.
+    one. ``most``: memory in octets; if it is not enough, the oldest items go, and a remark says so.
     """
 
     def __init__(self, before_ns: int, after_ns: int, most: int = MOST_HELD) -> None:

@@ -302,7 +302,7 @@ def _retried(station: Station) -> float:
 
 
 def _level(value: float, warning: float, critical: float) -> str:
-    """The level of ``value``; "" where it is in order, and for 0."""
+    """The level of ``value``; "" if it is in order, and for 0."""
     if not value:
         return ""
     return CRITICAL if value >= critical else WARNING if value >= warning else ""

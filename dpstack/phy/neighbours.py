@@ -41,7 +41,7 @@ class Neighbours(Struct, frozen=True):
 
     @property
     def t_sl(self) -> int:
-        """T_SL in bit times for all masters of the bus, 0 where any T_SL will do."""
+        """T_SL in bit times for all masters of the bus, 0 if any T_SL will do."""
         answers = t_sl_of_answers(self.params, self.patience)
         if not answers:
             return 0

@@ -17,7 +17,7 @@ MOST_CONDITIONS: Final = 4096
 class Condition:
     """``id``: stable for the same condition of the same slave, the source of OPC UA's ConditionId. ``slave`` None: of
     the bus. ``time``: of its last change, ``since``: when it became active last, in s since 1970 by the clock of the
-    stream. ``count`` rises by one with each of its changes, and goes on where the condition was forgotten and comes
+    stream. ``count`` rises by one with each of its changes, and goes on if the condition was forgotten and comes
     again: so each event has an id of its own. ``unacked_from``: the count at which it came back unacknowledged.
     """
 
@@ -71,7 +71,7 @@ class ConditionBook:
         self, id_: str, slave: int | None, title: str, text: str, level: Severity, time: float, *, active: bool = True
     ) -> Condition | None:
         """The condition ``id_`` is active, with ``text``. ``active`` False: something happened that does not last; it
-        is retained until it is acknowledged. Returns the condition where it has changed."""
+        is retained until it is acknowledged. Returns the condition if it has changed."""
         known = self._known.get(id_)
         if known is None:
             if not self._make_room(slave):
@@ -97,7 +97,7 @@ class ConditionBook:
         )
 
     def end(self, id_: str, time: float, text: str | None = None) -> Condition | None:
-        """The condition is not active any more. Returns it where it was."""
+        """The condition is not active any more. Returns it if it was."""
         known = self._known.get(id_)
         if known is None or not known.active:
             return None
@@ -119,15 +119,15 @@ class ConditionBook:
         return [one for one in changed if one is not None]
 
     def acknowledge(self, id_: str, time: float, by: str = "", comment: str | None = None) -> Condition | None:
-        """Acknowledge a condition; ``comment`` None leaves the one that it has. Returns it; None where there is none,
-        or where it is acknowledged already."""
+        """Acknowledge a condition; ``comment`` None leaves the one that it has. Returns it; None if there is none,
+        or if it is acknowledged already."""
         known = self._known.get(id_)
         if known is None or known.acked:
             return None
         return self._say(replace(known, acked=True), time, by, comment)
 
     def comment(self, id_: str, time: float, by: str, comment: str) -> Condition | None:
-        """Give a condition another comment. Returns it; None where there is none."""
+        """Give a condition another comment. Returns it; None if there is none."""
         known = self._known.get(id_)
         return None if known is None else self._say(known, time, by, comment)
 

@@ -77,7 +77,7 @@ class Node:
     """One value of the tree. ``id``: stable, with the address of the slave and not its name. ``path``: the names for
     people below the bus or the slave, as given; :mod:`dpstack.bridge.names` makes them valid for a connector.
 
-    ``low`` and ``high``: range in ``unit``, None where it is not known. ``dead_band``: changes up to so much, in
+    ``low`` and ``high``: range in ``unit``, None if it is not known. ``dead_band``: changes up to so much, in
     ``unit``, are no news. ``order``: the order that sets it, None: it can only be read.
     """
 

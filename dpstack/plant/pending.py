@@ -58,7 +58,7 @@ class Pending:
         return self.urgent or self._snapshot is not None
 
     def take(self, *, snapshots: bool = True) -> Item | None:
-        """The next item; None where nothing waits. ``snapshots``: False leaves a snapshot, unless the end waits."""
+        """The next item; None if nothing waits. ``snapshots``: False leaves a snapshot, unless the end waits."""
         if self._plant is not None:
             item, self._plant = self._plant, None
             return item

@@ -109,7 +109,7 @@ class Reading(NamedTuple):
 
 
 def clean(text: object) -> str:
-    """``text`` for people, short and without control characters; empty where it is no text."""
+    """``text`` for people, short and without control characters; empty if it is no text."""
     return shortened(printable(text[: MOST_TEXT + 1]), MOST_TEXT) if isinstance(text, str) else ""
 
 

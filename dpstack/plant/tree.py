@@ -47,7 +47,7 @@ STATISTICS_S: Final = 10.0
 _DRIFT: Final = 1e-3
 #: s since 1970 at the end of the year 9999
 _LATEST: Final = 253_402_300_799.0
-#: age of valid inputs of a slave without watchdog in ms, where the stream does not say more
+#: age of valid inputs of a slave without watchdog in ms, if the stream does not say more
 _UNWATCHED_MS: Final = 1000.0
 #: faults, warnings or diagnoses of one slave that are conditions
 _MOST_TEXTS: Final = 16
@@ -250,7 +250,7 @@ class PlantTree:
         return self.apply_all((item,), now)
 
     def apply_all(self, items: Iterable[Mapping[str, Any]], now: float) -> list[Change]:
-        """Take items that were there together at ``now``. They are judged once, behind the last one: where a program
+        """Take items that were there together at ``now``. They are judged once, behind the last one: if a program
         that was stopped finds old items, nobody dies of them to be born again at once."""
         return [change for part in self.apply_in_parts(items, now) for change in part]
 
@@ -310,14 +310,14 @@ class PlantTree:
         yield found
 
     def acknowledge(self, id_: str, by: str = "", comment: str | None = None) -> list[Change]:
-        """Acknowledge a condition. Nothing changes where it is not there, or acknowledged already. ``comment`` None
+        """Acknowledge a condition. Nothing changes if it is not there, or acknowledged already. ``comment`` None
         leaves the one that it has."""
         said = None if comment is None else clean(comment)
         found = self.conditions.acknowledge(id_, self._time(self._t), clean(by), said)
         return [] if found is None else [found]
 
     def comment(self, id_: str, by: str, comment: str) -> list[Change]:
-        """Give a condition another comment. Nothing changes where it is not there."""
+        """Give a condition another comment. Nothing changes if it is not there."""
         found = self.conditions.comment(id_, self._time(self._t), clean(by), clean(comment))
         return [] if found is None else [found]
 

@@ -234,7 +234,7 @@ def _short(verdict: Verdict) -> Verdict:
 
 
 def _level(value: float, warning: float, critical: float) -> str:
-    """The level of ``value``; empty where it is in order."""
+    """The level of ``value``; empty if it is in order."""
     if value <= 0:
         return ""
     return CRITICAL if value >= critical else WARNING if value >= warning else ""

@@ -20,7 +20,7 @@ from dpstack.units import baud_text
 
 #: Stands for the simulated bus where the name of a port is wanted.
 VIRTUAL: Final = "virtual"
-#: Called where octets that were delivered in the last so many ns may be damaged, as the port learns only now.
+#: Called if octets that were delivered in the last so many ns may be damaged, as the port learns only now.
 OnDoubt = Callable[[int], None]
 #: Receives the octets read from the line, in order; called from the loop.
 OnData = Callable[[bytes], None]
@@ -92,7 +92,7 @@ class Port(ABC):
         self.open_now()
 
     def open_now(self) -> None:
-        """Like :meth:`open`, for drivers without asyncio. Raises PortError where the port needs asyncio."""
+        """Like :meth:`open`, for drivers without asyncio. Raises PortError if the port needs asyncio."""
         raise PortError(f'{self.name}: a port of this kind works with the asyncio driver only: set driver = "asyncio"')
 
     @abstractmethod
@@ -126,7 +126,7 @@ class Port(ABC):
         return None
 
     def line_baud(self) -> int | None:
-        """The rate of the line in bit/s (of a pty: the one its opener has set); None where the port cannot know it."""
+        """The rate of the line in bit/s (of a pty: the one its opener has set); None if the port cannot know it."""
         return None
 
     def damage(self) -> dict[str, int]:
@@ -138,7 +138,7 @@ class Port(ABC):
     def set_baud(self, baud: int) -> None:
         """Change the rate of the open line at once and drop unread octets.
 
-        Raises BaudError where the line, or this kind of port, cannot do so: the old rate stays then.
+        Raises BaudError if the line, or this kind of port, cannot do so: the old rate stays then.
         """
         raise BaudError(f"{self.name}: a port of this kind keeps the rate it was opened with; give the rate")
 
@@ -167,7 +167,7 @@ class Port(ABC):
         self._on_data = self._on_lost = None
 
     def pause_reading(self, paused: bool) -> bool:
-        """Pause delivery (the system keeps what arrives) or resume it; False where this port cannot do so."""
+        """Pause delivery (the system keeps what arrives) or resume it; False if this port cannot do so."""
         return not paused
 
     def _drop(self) -> bool:

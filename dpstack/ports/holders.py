@@ -36,7 +36,7 @@ def holder_of(fd: int) -> str:
 
 
 def holder_of_path(path: str, proc: Path = PROC) -> str | None:
-    """The program that holds the lock on ``path`` or, without a lock, has it open; None where none can be found.
+    """The program that holds the lock on ``path`` or, without a lock, has it open; None if none can be found.
 
     Only root can see open descriptors of other users' programs, see :func:`hides_programs`.
     """
@@ -118,7 +118,7 @@ def _program(pid: int, proc: Path) -> str:
 
 
 def _parent(pid: int, proc: Path) -> int | None:
-    """The process that started ``pid``; None where that cannot be read."""
+    """The process that started ``pid``; None if that cannot be read."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         # "4711 (name) S 1234 ..."
         stat = (proc / str(pid) / "stat").read_text(encoding="utf-8", errors="replace")

@@ -15,7 +15,7 @@ class Marks(Enum):
     """How a driver reports an octet with a parity or framing error."""
 
     OCTET = "octet"  # each at its place
-    PACKET = "packet"  # all octets of a USB packet, where one of them is damaged
+    PACKET = "packet"  # all octets of a USB packet, if one of them is damaged
     MISPLACED = "misplaced"  # beside the octets: the mark may stand on the octets of the next packet
     COUNTED = "counted"  # it only counts them, perhaps after the octets were delivered
     NONE = "none"

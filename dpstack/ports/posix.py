@@ -17,7 +17,7 @@ _MISSING: Final[list[str]] = [] if hasattr(socket, "AF_UNIX") else ["Unix socket
 
 
 def check(what: str) -> None:
-    """Raises PortError where this system cannot have ``what``."""
+    """Raises PortError if this system cannot have ``what``."""
     if _MISSING:
         raise PortError(
             f"{what} needs {', '.join(_MISSING)}, which Python does not have on this system: take Linux or another "
@@ -27,7 +27,7 @@ def check(what: str) -> None:
 
 @contextlib.contextmanager
 def importing_pyserial(what: str) -> Iterator[None]:
-    """Around an import of pyserial, which needs such modules too. Raises PortError where the import fails."""
+    """Around an import of pyserial, which needs such modules too. Raises PortError if the import fails."""
     try:
         yield
     except ImportError as error:

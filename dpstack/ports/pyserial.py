@@ -40,7 +40,7 @@ class PySerialPort(Port):
         self._transport: Any = None
 
     async def open(self) -> None:
-        """Open 8E1, exclusive where the system has that, and flush. Raises PortError, PortBusyError, BaudError."""
+        """Open 8E1, exclusive if the system has that, and flush. Raises PortError, PortBusyError, BaudError."""
         self.close()
         await asyncio.sleep(0)
         self.notices = []

@@ -170,7 +170,7 @@ class Rfc2217Port(Port):
 
 
 def _hang_up(port: Any) -> None:
-    """Close. pyserial leaves its socket open where the far end has closed the connection first."""
+    """Close. pyserial leaves its socket open if the far end has closed the connection first."""
     connection = port._socket
     port.close()
     if connection is not None:

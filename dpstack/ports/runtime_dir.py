@@ -44,7 +44,7 @@ def own_directory(path: Path) -> bool:
     """Create ``path`` with mode 0700, or check that it is a directory of this user. True when it was created.
 
     The caller chose this path, so the directories above it are not checked; see :func:`open_own`.
-    Raises PortError where it belongs to another user, OSError where it cannot be created.
+    Raises PortError if it belongs to another user, OSError if it cannot be created.
     """
     try:
         path.mkdir(mode=0o700, parents=True)
@@ -64,7 +64,7 @@ def open_own(path: str, *, make: bool = False) -> int:
     write to one of these directories unless it is sticky. ``path`` itself is no link and is writable by this user only.
     ``make``: create missing directories with mode 0700.
 
-    Returns a file descriptor. Raises PortError that names the directory, its owner and what to do; OSError where a
+    Returns a file descriptor. Raises PortError that names the directory, its owner and what to do; OSError if a
     directory is missing or cannot be opened.
     """
     left = list(reversed(_parts(path)))
@@ -123,7 +123,7 @@ def _open(name: str, fd: int, flags: int, *, make: bool) -> int:
 
 
 def _link_target(name: str, fd: int, place: str, *, last: bool) -> str:
-    """Where the symbolic link ``name`` leads. Raises PortError where it is none, or one that is not to be followed."""
+    """Where the symbolic link ``name`` leads. Raises PortError if it is none, or one that is not to be followed."""
     info = os.stat(name, dir_fd=fd, follow_symlinks=False)
     if last or not stat.S_ISLNK(info.st_mode):
         kind = "a symbolic link" if stat.S_ISLNK(info.st_mode) else "a file"
@@ -134,7 +134,7 @@ def _link_target(name: str, fd: int, place: str, *, last: bool) -> str:
 
 
 def _check_owner(info: os.stat_result, place: str, *, last: bool = False) -> None:
-    """Raises PortError where another user could put something of his own into the directory or in its place."""
+    """Raises PortError if another user could put something of his own into the directory or in its place."""
     own = os.geteuid()
     if info.st_uid not in ((own,) if last else (0, own)):
         raise PortError(

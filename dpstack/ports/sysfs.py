@@ -47,7 +47,7 @@ class Adapter:
 
     @property
     def usb(self) -> str | None:
-        """``vendor:product`` in hex; None where it is no USB adapter."""
+        """``vendor:product`` in hex; None if it is no USB adapter."""
         place = self._device.resolve() if self._device.exists() else self._usb_serial.resolve()
         for folder in (place, *place.parents):
             vendor, product = _read(folder / "idVendor"), _read(folder / "idProduct")
@@ -65,7 +65,7 @@ class Adapter:
         return self._usb_serial / "latency_timer"
 
     def latency_ms(self) -> int | None:
-        """FTDI's latency timer in ms; None where there is none."""
+        """FTDI's latency timer in ms; None if there is none."""
         text = _read(self.latency_file)
         return int(text) if text is not None and text.isdecimal() else None
 
@@ -74,7 +74,7 @@ class Adapter:
         _write(self.latency_file, str(ms))
 
     def set_event_char(self, octet: int | None) -> None:
-        """Let the chip deliver as soon as ``octet`` arrives (None: off). Raises OSError, also where it is no FTDI."""
+        """Let the chip deliver as soon as ``octet`` arrives (None: off). Raises OSError, also if it is no FTDI."""
         _write(self._usb_serial / "event_char", str(0 if octet is None else _EVENT_ON | octet))
 
 

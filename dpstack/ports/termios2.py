@@ -28,7 +28,7 @@ _SPEEDS_AT: Final = _LAYOUT.size - _SPEEDS.size
 #: The rate of a new tty, which nobody has set.
 UNTOUCHED: Final = 38_400
 
-#: False where the kernel's numbers are others (alpha, mips, powerpc, sparc ...) or the system is not Linux.
+#: False if the kernel's numbers are others (alpha, mips, powerpc, sparc ...) or the system is not Linux.
 AVAILABLE: Final = (
     sys.platform == "linux"
     and is_available()
@@ -62,7 +62,7 @@ def set_raw(fd: int, baud: int | None, *, marks: bool = False) -> Applied:
     A damaged character (parity, framing, break) is dropped by the kernel (INPCK, IGNPAR, IGNBRK), so that the Hamming
     distance of 4 that parity and check sum give together is kept; with ``marks`` it is marked instead (PARMRK, see
     :class:`dpstack.ports.tty.Unmarker`), and a break ignored. At the last close, also of a killed program, the kernel
-    lowers RTS and DTR (HUPCL): a converter that RTS switches must not go on driving the bus. Raises OSError where the
+    lowers RTS and DTR (HUPCL): a converter that RTS switches must not go on driving the bus. Raises OSError if the
     tty refuses.
     """
     buffer = bytearray(_LAYOUT.size)

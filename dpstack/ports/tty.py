@@ -65,7 +65,7 @@ class TtyPort(FdPort):
         #: the class of its driver
         self.driver = self._adapter.kernel_driver
         self._set_to = termios2.Settings(0, 0, 0)  # as it was set last
-        self._errors = 0  # the driver's count of damaged octets at the last look, where it only counts them
+        self._errors = 0  # the driver's count of damaged octets at the last look, if it only counts them
         self._unmarker = Unmarker(keep=listen)
         self._unmark = False
         self._counted: Counter[str] = Counter()  # the driver's counters up to the last close
@@ -331,7 +331,7 @@ def _kind(mode: int) -> str:
 
 
 def existing_ports() -> list[str]:
-    """The paths of the serial ports that are plugged in, adapters by their lasting name where there is one."""
+    """The paths of the serial ports that are plugged in, adapters by their lasting name if there is one."""
     by_id = {os.path.realpath(path): path for path in sorted(glob.glob("/dev/serial/by-id/*"))}
     devices = sorted(path for kind in ("USB", "ACM", "AMA", "XRUSB") for path in glob.glob(f"/dev/tty{kind}*"))
     return [f"{path} ({by_id[path]})" if path in by_id else path for path in devices]
@@ -406,7 +406,7 @@ class Unmarker:
                 at = mark + 2
 
     def _with_marks(self, kept: bytearray, places: list[int]) -> bytes:
-        """``kept`` with its marks, if there are any. Where all octets are marked, perhaps the adapter marks packets."""
+        """``kept`` with its marks, if there are any. If all octets are marked, perhaps the adapter marks packets."""
         if not places:
             return bytes(kept)
         return MarkedOctets(bytes(kept), tuple(places), packets=self.packets or 1 < len(places) == len(kept))

@@ -1,7 +1,7 @@
 """Tuning of an open Linux serial port: low latency, RS-485 mode, error counters; restored at the end.
 
 A driver that lacks one of them is tolerated; a notice says so, and ``dpstack doctor`` explains it. The functions for
-ioctl raise OSError (ENOTTY or EINVAL as a rule) where the driver lacks it. Numbers and layouts: Linux serial.h,
+ioctl raise OSError (ENOTTY or EINVAL as a rule) if the driver lacks it. Numbers and layouts: Linux serial.h,
 tty_flags.h, asm-generic/ioctls.h.
 """
 
@@ -55,7 +55,7 @@ _CAUSES: Final = ("frame", "overrun", "parity", "brk", "buf_overrun")
 def low_latency(fd: int, on: bool) -> bool:
     """Let the driver deliver octets at once (FTDI: after 1 ms instead of 16), or not. Returns whether it did before.
 
-    Raises OSError also where the driver takes the setting and does not keep it: it has no such mode.
+    Raises OSError also if the driver takes the setting and does not keep it: it has no such mode.
     """
     buffer = _query(fd, TIOCGSERIAL, _SERIAL_SIZE)
     (flags,) = _FLAGS.unpack_from(buffer, _FLAGS_AT)
@@ -90,14 +90,14 @@ def get_rs485(fd: int) -> tuple[int, ...]:
 
 
 def set_rs485(fd: int, words: tuple[int, ...]) -> None:
-    """Set the RS-485 mode, flags first. Raises OSError also where the driver takes it and does not keep it."""
+    """Set the RS-485 mode, flags first. Raises OSError also if the driver takes it and does not keep it."""
     fcntl.ioctl(fd, TIOCSRS485, bytearray(_RS485.pack(*words)), True)
     if (get_rs485(fd)[0] ^ words[0]) & RS485_ENABLED:
         raise _has_not("RS-485 mode")
 
 
 def try_rs485(fd: int) -> None:
-    """Raises OSError where the driver has no RS-485 mode. Only setting tells (here: what is set already): a port
+    """Raises OSError if the driver has no RS-485 mode. Only setting tells (here: what is set already): a port
     without the mode answers the question after it with zeros."""
     set_rs485(fd, get_rs485(fd))
 
@@ -108,7 +108,7 @@ def uart_errors(fd: int) -> dict[str, int]:
 
 
 def drop_rts(fd: int) -> bool:
-    """Drop RTS, which the system raises when it opens a tty; False where the tty has no such line."""
+    """Drop RTS, which the system raises when it opens a tty; False if the tty has no such line."""
     try:
         fcntl.ioctl(fd, termios.TIOCMBIC, struct.pack("=I", termios.TIOCM_RTS))
     except OSError:
@@ -132,7 +132,7 @@ class Tuning:
 
     ``event_char``: let an FTDI deliver at every ED octet instead of waiting for its timer. ``rs485`` False: the
     driver's RS-485 mode is left as it is (a converter behind an RS-232 port switches by itself). ``notices``: one line
-    for each thing that is tolerated. ``errors``: the driver's error counters at the start, None where it has none.
+    for each thing that is tolerated. ``errors``: the driver's error counters at the start, None if it has none.
     """
 
     def __init__(self, fd: int, adapter: Adapter, *, event_char: bool = False, rs485: bool = True) -> None:
@@ -160,7 +160,7 @@ class Tuning:
                 step()
 
     def damage(self) -> dict[str, int]:
-        """The driver's error counts since the start, by name; empty where it cannot count."""
+        """The driver's error counts since the start, by name; empty if it cannot count."""
         if self.errors is None:
             return {}
         try:
@@ -170,7 +170,7 @@ class Tuning:
         return {cause: (now[cause] - then) % (1 << 32) for cause, then in self.errors.items()}
 
     def _try(self, what: str, step: Callable[[], T]) -> T | None:
-        """The result of ``step``; None where the driver does not have ``what``."""
+        """The result of ``step``; None if the driver does not have ``what``."""
         try:
             return step()
         except OSError:

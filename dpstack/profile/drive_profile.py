@@ -63,9 +63,9 @@ DeviceFactory = Callable[["DriveProfile", TelegramSpec, Options, Mapping[str, ob
 class DriveProfile(DriveType):
     """A drive: found by the entry point group ``dpstack.drives`` under ``name``.
 
-    ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``on_loss``: what the drive does when its
+    ``max_tsdr``: bit times by baud rate, empty if the manual gives none. ``on_loss``: what the drive does when its
     master stops. ``notes``: what a user should know. ``simulated_options``: options of the core that no manual gives,
-    as the simulated drive has them. ``ready``: parameters of the simulated drive that differ from delivery where it is
+    as the simulated drive has them. ``ready``: parameters of the simulated drive that differ from delivery if it is
     set up for the bus (option :data:`READY`); ``left_open``: those of them that a plant without that option leaves as
     delivered. ``gsd``: a GSD file of ours made from the manual's facts (not the
     vendor's), as ``package:file name``. ``rate_setting``: the drive works only at the rate that it is set to.
@@ -80,9 +80,9 @@ class DriveProfile(DriveType):
     device_factory: DeviceFactory
     #: no manual gives the ident number
     ident_made_up: bool = False
-    #: baud rates in bit/s; empty where the manual gives none
+    #: baud rates in bit/s; empty if the manual gives none
     baud_rates: tuple[int, ...] = ()
-    #: max T_SDR in bit times by baud rate; empty where the manual gives none
+    #: max T_SDR in bit times by baud rate; empty if the manual gives none
     max_tsdr: Mapping[int, int] = field(default_factory=dict)
     #: shortest time between two polls, in ns
     min_slave_interval_ns: int = 0
@@ -137,9 +137,9 @@ class DriveProfile(DriveType):
     ) -> DriveCore:
         """The master's end for the drive called ``name`` in the configuration. Raises ConfigError.
 
-        ``simulated``: the other end is the simulated drive, so what is made up for it counts where nothing is given.
-        ``records``: the master carries out Read and Write of this slave, so parameters go over record 47 where the
-        drive has it, and over the parameter channel of its telegram where not.
+        ``simulated``: the other end is the simulated drive, so what is made up for it counts if nothing is given.
+        ``records``: the master carries out Read and Write of this slave, so parameters go over record 47 if the
+        drive has it, and over the parameter channel of its telegram if not.
         """
         where = f"drive {name} ({self.name})"
         specs = {**self.core_options, **_OPTIONS}

@@ -27,7 +27,7 @@ _SHOWN_VALUES: Final = 4
 class HeardDrive:
     """The process data of the drive ``profile`` with ``telegram`` and ``options``, octets of any content.
 
-    Raises ConfigError where the options are not those of the drive.
+    Raises ConfigError if the options are not those of the drive.
     """
 
     def __init__(self, profile: DriveProfile, name: str, telegram: str | None, options: dict[str, object]) -> None:
@@ -48,7 +48,7 @@ class HeardDrive:
         return self._read(octets, self._core.telegram.input_octets, self._inputs)
 
     def parameter(self, number: int, subindex: int) -> str:
-        """The name of a parameter; empty where it has none."""
+        """The name of a parameter; empty if it has none."""
         spec = self._core.parameter(number, subindex)
         return "" if spec is None else spec.label
 
@@ -119,9 +119,9 @@ class HeardDrive:
 
 # --- record 47 --------------------------------------------------------------------------------------------------------
 def record_fields(octets: bytes, request: bool, name_of: Callable[[int, int], str]) -> Fields:
-    """Record 47, a request or a response; empty where ``octets`` are none of the profile's.
+    """Record 47, a request or a response; empty if ``octets`` are none of the profile's.
 
-    ``name_of``: the name of a parameter by PNU and subindex, empty where it has none.
+    ``name_of``: the name of a parameter by PNU and subindex, empty if it has none.
     """
     try:
         return _request(octets, name_of) if request else _response(octets)

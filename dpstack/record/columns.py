@@ -170,7 +170,7 @@ class RecordedSlave:
         return {"name": self.name, "address": self.address, "columns": columns}
 
     def _column(self, name: str, taken: set[str], kind: Kind, type_: str, unit: str = "") -> Column:
-        """A column that is no field; where a field has its name, ``slave`` or ``drive`` stands in front."""
+        """A column that is no field; if a field has its name, ``slave`` or ``drive`` stands in front."""
         while name in taken:
             name = f"{'slave' if kind is Kind.STATE else 'drive'} {name}"
         taken.add(name)

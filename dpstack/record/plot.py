@@ -73,7 +73,7 @@ class Band:
 
 @dataclass(slots=True)
 class Trace:
-    """A number; NaN where it is not valid."""
+    """A number; NaN if it is not valid."""
 
     name: str
     at: array[float] = field(default_factory=lambda: array("d"))
@@ -196,7 +196,7 @@ def picture(drawing: Drawing, title: str, form: str) -> bytes:
 
 
 def show(drawing: Drawing, title: str) -> None:
-    """Open a window and return when it is closed. Raises UsageError where none can be opened."""
+    """Open a window and return when it is closed. Raises UsageError if none can be opened."""
     mpl = _matplotlib()
     import matplotlib.pyplot as plt
 

@@ -1,6 +1,6 @@
 """Recordings read from CSV, JSON lines or Parquet, also rotated sets of files.
 
-A line that cannot be read is left out; :attr:`Recording.remarks` says how many there were, and where the first one is.
+A line that cannot be read is left out; :attr:`Recording.remarks` says how many there were, and if the first one is.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ _ROWS_AT_ONCE: Final = 10_000
 class Row(NamedTuple):
     """One row. ``time``: s since 1970; ``t``: s since the start of the program that wrote it.
 
-    ``at``: s since the first row of the recording: it never runs back, also where the clock of the computer did.
-    ``values`` by the name of the column, None where not valid. ``gap``: nothing is known about the time before.
+    ``at``: s since the first row of the recording: it never runs back, also if the clock of the computer did.
+    ``values`` by the name of the column, None if not valid. ``gap``: nothing is known about the time before.
     """
 
     time: float
@@ -55,7 +55,7 @@ class Row(NamedTuple):
 
 
 class _Head(NamedTuple):
-    """The beginning of one file: its columns in the order of their cells, and its description where it has one."""
+    """The beginning of one file: its columns in the order of their cells, and its description if it has one."""
 
     columns: tuple[Column, ...]
     about: Mapping[str, object]
@@ -64,7 +64,7 @@ class _Head(NamedTuple):
 class Recording:
     """A recording, one file or a rotated set. Entering a loop over :meth:`rows` reads it anew.
 
-    ``path``: a file; where there is none of that name, the parts that ``--rotate`` made of it
+    ``path``: a file; if there is none of that name, the parts that ``--rotate`` made of it
     (``plant_00001_20260131T120000Z.csv``). Raises UsageError for anything that is no recording.
     """
 
@@ -75,7 +75,7 @@ class Recording:
         self._heads = [_read_head(part) for part in self.parts]
         #: all columns by name
         self.columns: Mapping[str, Column] = unique([column for head in self._heads for column in head.columns])
-        #: the description in the first file; empty where it has none
+        #: the description in the first file; empty if it has none
         self.about = about = self._heads[0].about
         config = about.get("config")
         self.config = config if isinstance(config, str) else None
@@ -83,7 +83,7 @@ class Recording:
         self.on_change = about.get("on_change") is True
 
     def rows(self) -> Iterator[Row]:
-        """All rows in their order. Raises UsageError where a file can no longer be read."""
+        """All rows in their order. Raises UsageError if a file can no longer be read."""
         self.remarks.clear()
         last: Row | None = None
         for part, head in zip(self.parts, self._heads, strict=True):
@@ -98,7 +98,7 @@ class Recording:
 
 
 def parts_of(path: Path) -> tuple[Path, ...]:
-    """The files of the recording ``path``, the oldest one first. Raises UsageError where there is none."""
+    """The files of the recording ``path``, the oldest one first. Raises UsageError if there is none."""
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: a recording ends in {', '.join(SUFFIXES)}; give a file that run --record wrote")
     try:
@@ -330,7 +330,7 @@ def _whole_line(file: BinaryIO) -> str | None:
 
 
 def _csv_cells(line: str) -> list[str] | None:
-    """The cells of one line; None where it is none."""
+    """The cells of one line; None if it is none."""
     if '"' not in line and "\r" not in line and "\0" not in line:
         return line.removesuffix("\n").split(",")
     try:
@@ -342,7 +342,7 @@ def _csv_cells(line: str) -> list[str] | None:
 
 # --- Parquet ---------------------------------------------------------------------------------------------------------
 def pyarrow_with_parquet() -> Any:
-    """The package pyarrow, with its modules parquet and csv. Raises UsageError where it is not installed."""
+    """The package pyarrow, with its modules parquet and csv. Raises UsageError if it is not installed."""
     try:
         import pyarrow
         import pyarrow.csv

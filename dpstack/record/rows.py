@@ -80,7 +80,7 @@ class Rows:
         return (self.layout.description() + "\n").encode()
 
     def row(self, sample: Sample, note: str = "") -> bytes | None:
-        """The line of ``sample``; None where nothing has changed, on change. ``note``: for people, makes it a row."""
+        """The line of ``sample``; None if nothing has changed, on change. ``note``: for people, makes it a row."""
         news = bool(note) or not self.layout.on_change
         for cells, source in zip(self._cells, sample.sources, strict=True):
             if source is cells.source or source == cells.source:
@@ -142,7 +142,7 @@ def csv_text(text: str) -> str:
 
 
 def csv_cell(value: Cell) -> str:
-    """A value as a cell: numbers, true and false, octets as hex; empty where it is not valid."""
+    """A value as a cell: numbers, true and false, octets as hex; empty if it is not valid."""
     kind = type(value)
     if kind is float:
         return repr(value) if math.isfinite(value) else ""  # type: ignore[arg-type]

@@ -68,7 +68,7 @@ class TerminalPlant(Plant):
         self.exit()
 
     def _keep_modes_of_shell(self) -> None:
-        """Where `run` was killed and the shell has the terminal again, its modes are the shell's."""
+        """If `run` was killed and the shell has the terminal again, its modes are the shell's."""
         with contextlib.suppress(OSError):
             if os.tcgetpgrp(_TERMINAL) != os.getpgrp() and isinstance(self._driver, LinuxDriver):
                 self._driver.attrs_before = None
@@ -108,7 +108,7 @@ class TerminalPlant(Plant):
             self.action_redraw()
 
     def _look_at_terminal(self) -> None:
-        """End where the terminal is lost: textual would read nothing from it without end."""
+        """End if the terminal is lost: textual would read nothing from it without end."""
         poll = select.poll()
         poll.register(_TERMINAL, 0)
         if poll.poll(0):

@@ -14,7 +14,7 @@ from dpstack.plant.state import LiveState
 SILENT_S: Final = 2.0
 #: a value is marked as changed for so long (s)
 CHANGED_S: Final = 1.0
-#: marks of changed values that are kept, also where they are older
+#: marks of changed values that are kept, also if they are older
 _MOST_CHANGED: Final = 10_000
 #: styles of severities and of levels
 _STYLES: Final = {"error": "bad", "warning": "warn", "good": "good"}
@@ -146,7 +146,7 @@ class View:
 
 
 def clock_text(event: Mapping[str, Any]) -> str:
-    """The wall clock of an event in local time; empty where it has none."""
+    """The wall clock of an event in local time; empty if it has none."""
     try:
         return datetime.fromisoformat(str(event["time"])).astimezone().strftime("%H:%M:%S")
     except (KeyError, ValueError):

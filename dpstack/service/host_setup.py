@@ -20,7 +20,7 @@ _HANGS_S: Final = 60.0
 def steps(environment: Mapping[str, str] = os.environ) -> list[str]:
     """The commands of the set-up, one a line as a shell takes them. Nothing is changed.
 
-    Raises UsageError where there is no shell, or dpstack is packed into an archive.
+    Raises UsageError if there is no shell, or dpstack is packed into an archive.
     """
     return _lines(_call(environment, "--print"))
 

@@ -44,7 +44,7 @@ class Manager:
 
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> Manager | None:
-        """The manager that ``environment`` names; None where there is none."""
+        """The manager that ``environment`` names; None if there is none."""
         address = environment.get("NOTIFY_SOCKET", "")
         if not address.startswith(("/", "@")) or not hasattr(socket, "AF_UNIX"):
             return None
@@ -62,7 +62,7 @@ class Manager:
 
 
 class ServiceReport:
-    """Reports to the service manager what ``state`` returns; does nothing where there is no manager.
+    """Reports to the service manager what ``state`` returns; does nothing if there is no manager.
 
     ``READY=1`` once, ``STATUS=`` after a change, ``WATCHDOG=1`` while the bus runs: it says that the bus has gone on
     since the last look. A stuck machine, a dead or stopped bus process and a lost port send none, and a blocked event

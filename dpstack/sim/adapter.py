@@ -62,7 +62,7 @@ class OwnOctets(Protocol):
 class Adapter:
     """``station`` on an adapter with ``habits``. A BusStation: add it to the world, send commands to it.
 
-    ``own``: removes the echo, where there is one. ``cost``: the time from the first octet of a packet on the wire to
+    ``own``: removes the echo, if there is one. ``cost``: the time from the first octet of a packet on the wire to
     the delivery of the packet to the host.
     """
 
@@ -89,7 +89,7 @@ class Adapter:
 
     @property
     def params(self) -> BusParams | None:
-        """The station's bus parameters, for the referee; None where it has none."""
+        """The station's bus parameters, for the referee; None if it has none."""
         return getattr(self.station, "params", None)
 
     @property

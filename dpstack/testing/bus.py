@@ -285,7 +285,7 @@ class SimulatedBus:
 
     @property
     def master(self) -> Bus:
-        """The bus for the application under test. Raises UsageError where the application opens its own."""
+        """The bus for the application under test. Raises UsageError if the application opens its own."""
         if self._bus is None:
             raise UsageError("this bus was made with master=None: the application opens its own, by open_bus() of it")
         return self._bus
@@ -393,14 +393,14 @@ class BusFactory:
 
         ``baud``: bit/s (default: that of the file, or 500,000). ``master``: "operate" returns in Operate with all
         slaves in data exchange; "clear" returns in Clear, while the bring-up begins; None simulates the slaves only,
-        and the application opens its bus itself. ``safe``: safe outputs by name, octets or hex, where they are not
+        and the application opens its bus itself. ``safe``: safe outputs by name, octets or hex, if they are not
         zeros or those of the drive. ``scenario``: a file of steps, as for ``dpstack sim --scenario``; its times, and
         those of recordings and functions of the key ``simulate``, count from the return of this call. ``devices``: own
         devices by the name of the slave, such as a :class:`dpstack.slave.DpSlave`, instead of simulated ones.
         ``allow_code``: functions of the key ``simulate`` may be loaded and called. ``ready_s``: seconds of virtual time
         for the bring-up. ``bus``: further keys of [bus].
 
-        Raises ConfigError; SlaveFault or SlaveTimeout where a slave does not come into data exchange.
+        Raises ConfigError; SlaveFault or SlaveTimeout if a slave does not come into data exchange.
         """
         refuse_running_loop("dpstack_bus()")
         if config is None:

@@ -52,7 +52,7 @@ class Fault:
         self.end()
 
     def end(self) -> None:
-        """End the fault; nothing happens where it has ended before, or has no end (a trip)."""
+        """End the fault; nothing happens if it has ended before, or has no end (a trip)."""
         end, self._end = self._end, None
         if end is not None:
             end()
@@ -94,7 +94,7 @@ class Faults:
         return self.begin(slave, "rs", for_s, status=status)
 
     def wrong_length(self, slave: str | int, by_octets: int | None = None, for_s: float | None = None) -> Fault:
-        """Inputs with ``by_octets`` more octets, or with fewer; None: one fewer, one more where it has no inputs."""
+        """Inputs with ``by_octets`` more octets, or with fewer; None: one fewer, one more if it has no inputs."""
         return self.begin(slave, "wrong_length", for_s, by_octets=by_octets)
 
     def noise(self, slave: str | int, rate: float = 1e-3, seed: int | None = None, for_s: float | None = None) -> Fault:

@@ -113,7 +113,7 @@ class _Outputs:
     """The outputs that may act at one slave, as the octets on the line tell.
 
     Outputs that are not safe count at once; safe ones, Clear and Unlock count when the slave has answered them, or
-    answered before them where they have no answer.
+    answered before them if they have no answer.
     """
 
     def __init__(self, slave: Watched) -> None:
@@ -233,7 +233,7 @@ class Wire:
         if every:
             log = render(entries[-last:] if last > 0 else [], self._baud())
         else:
-            # most failures have their reason in the last seconds; the whole log is decoded only where it is needed
+            # most failures have their reason in the last seconds; the whole log is decoded only if it is needed
             for reach in (_NEAR, KEPT):
                 near = entries[-reach:]
                 first = self._count - len(near) + 1
@@ -250,7 +250,7 @@ class Wire:
 
         Safe are the outputs for every way out, which are zeros without another configuration, and of a drive every
         control word that stops it or does not start it. Safe outputs, Clear and Unlock count only from a slave that
-        answers; other outputs count as soon as they are sent. Outputs under SYNC act with the next SYNC. Where zeros
+        answers; other outputs count as soon as they are sent. Outputs under SYNC act with the next SYNC. If zeros
         are no safe outputs, zeros and Clear leave what acts.
         """
         __tracebackhide__ = True

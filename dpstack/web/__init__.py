@@ -18,5 +18,5 @@ WebSocket and the rights.
 
 from typing import Final
 
-#: the address of the page, where no other is given
+#: the address of the page, if no other is given
 PAGE: Final = "127.0.0.1:8470"

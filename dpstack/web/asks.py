@@ -95,7 +95,7 @@ COMMISSIONING: Final[dict[str, tuple[Callable[..., object], int, int]]] = {
 
 
 class Asks:
-    """The asks of all pages of ``source``. ``commissioning``: None where there is no configuration."""
+    """The asks of all pages of ``source``. ``commissioning``: None if there is no configuration."""
 
     def __init__(self, source: Source, commissioning: Commissioning | None = None) -> None:
         self._source = source

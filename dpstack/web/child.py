@@ -87,7 +87,7 @@ class Child:
             await asyncio.wait({self._reading}, timeout=1.0)
 
     async def end(self) -> None:
-        """End it in order, as SIGTERM does; more firmly where it does not end."""
+        """End it in order, as SIGTERM does; more firmly if it does not end."""
         process = self._process
         if process is None:
             return

@@ -1,4 +1,4 @@
-"""One stream of items for any number of pages: what each still has to get is merged where it does not read.
+"""One stream of items for any number of pages: what each still has to get is merged if it does not read.
 
 The items of the source change one :class:`~dpstack.plant.state.LiveState`. Five times a second the fan-out hands the
 new ones to its readers. A page that is up to date gets the same encoded texts as all others. For one that is still
@@ -68,7 +68,7 @@ class Reader:
 
     def say(self, text: str) -> bool:
         """Send ``text`` behind all that waits: a new welcome must not come behind the plant that it announces. False
-        where the page has too many answers to read."""
+        if the page has too many answers to read."""
         if self._answers >= MOST_ANSWERS:
             return False
         self._waiting.append(text)
@@ -82,7 +82,7 @@ class Reader:
         return not self._waiting
 
     def wake(self) -> None:
-        """End the wait of :meth:`take`, also where there is nothing to send."""
+        """End the wait of :meth:`take`, also if there is nothing to send."""
         self._wake.set()
 
     async def take(self) -> list[str]:

@@ -32,7 +32,7 @@ _Texts = Annotated[tuple[_Text, ...], Meta(max_length=64)]
 
 
 class MessageError(Exception):
-    """A message that is not as the protocol has it. ``id``: the number of the ask or order; None where it has none."""
+    """A message that is not as the protocol has it. ``id``: the number of the ask or order; None if it has none."""
 
     def __init__(self, text: str, id: int | None = None) -> None:
         super().__init__(printable(text))
@@ -40,7 +40,7 @@ class MessageError(Exception):
 
 
 class Hello(Struct, frozen=True):
-    """The first message. ``token``: None where the page has none."""
+    """The first message. ``token``: None if the page has none."""
 
     token: _Token | None = None
 

@@ -35,7 +35,7 @@ _COMMANDS: Final[dict[str, Callable[[tuple[str, ...]], tuple[str, ...]]]] = {
     **{one: _same(one, NOW) for one in ("set", "outputs", "drive")},
     "write": _write,
 }
-#: starts the run where there is none
+#: starts the run if there is none
 START: Final = "start"
 ORDERS: Final = (*_COMMANDS, START)
 

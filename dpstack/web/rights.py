@@ -61,7 +61,7 @@ class Visitor:
 
 @dataclass(frozen=True)
 class Rights:
-    """The rights of one start. ``tokens``: name by token; None where none is needed. ``secret``: that of this start."""
+    """The rights of one start. ``tokens``: name by token; None if none is needed. ``secret``: that of this start."""
 
     control: bool = False
     tokens: Mapping[str, str] | None = None
@@ -69,7 +69,7 @@ class Rights:
     pauses: Pauses = field(default_factory=lambda: Pauses())
 
     def visitor(self, token: str | None) -> Visitor | None:
-        """The page with ``token``; None where it is wrong. Takes the same time whatever token it is."""
+        """The page with ``token``; None if it is wrong. Takes the same time whatever token it is."""
         if self.tokens is None and not self.control:
             return Visitor(None, False)
         known = dict(self.tokens or {})
@@ -107,7 +107,7 @@ class Pauses:
         self._waiting: Counter[str] = Counter()
 
     async def wait(self, address: str) -> bool:
-        """Wait before looking at a token from ``address``. False, at once, where too many of its network wait."""
+        """Wait before looking at a token from ``address``. False, at once, if too many of its network wait."""
         network = network_of(address)
         wrong = self._wrong.get(network, 0)
         if not wrong:
@@ -140,7 +140,7 @@ class Pauses:
 def make_rights(*, local: bool, control: bool, tokens: Mapping[str, str] | None, tls: bool) -> Rights:
     """The rights of a start. ``local``: it listens on this computer only; ``tokens``: None without a file of them.
 
-    Raises UsageError where others reach the address and something for it is missing.
+    Raises UsageError if others reach the address and something for it is missing.
     """
     if not local and tokens is None:
         raise UsageError(
@@ -171,7 +171,7 @@ def who_may(rights: Rights, *, tls: bool, local: bool) -> str:
 def read_tokens(path: Path) -> dict[str, str]:
     """The tokens of a file with lines ``NAME TOKEN``: name by token. Empty lines and those with ``#`` count as none.
 
-    Raises ConfigError where the file can be read by others or does not belong to this user, where a token is shorter
+    Raises ConfigError if the file can be read by others or does not belong to this user, if a token is shorter
     than 16 characters, or stands there twice. No message holds a token.
     """
     try:
@@ -234,7 +234,7 @@ def _check_private(path: Path, info: os.stat_result) -> None:
 def tls_context(cert: Path, key: Path) -> tuple[ssl.SSLContext, frozenset[str]]:
     """The TLS context of the server with ``cert`` (its chain too) and ``key``, PEM files; and the names in ``cert``.
 
-    Raises ConfigError where a file cannot be read, is none of PEM, they do not belong together, the key has a password,
+    Raises ConfigError if a file cannot be read, is none of PEM, they do not belong together, the key has a password,
     or ``cert`` is not valid today.
     """
     for path, kind in ((cert, "certificate"), (key, "key")):

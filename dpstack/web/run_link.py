@@ -17,7 +17,7 @@ from dpstack.ports.base import VIRTUAL
 #: seconds between two snapshots of the run
 INTERVAL_S: Final = 0.2
 
-#: connects to the run; None where there is none. Blocks; raises DpError
+#: connects to the run; None if there is none. Blocks; raises DpError
 Find = Callable[[], ControlClient | None]
 
 
@@ -35,7 +35,7 @@ class RunLink:
 
     @classmethod
     async def join(cls, find: Find) -> RunLink | None:
-        """The run that ``find`` finds; None where there is none. Raises DpError, PortError where it has no ``live``."""
+        """The run that ``find`` finds; None if there is none. Raises DpError, PortError if it has no ``live``."""
         connection = _Connection(find)
         about = await connection.use(lambda client: client.help())
         client = connection.client
@@ -58,7 +58,7 @@ class RunLink:
         """The items of the run until it has ended, and can be found no more. None: it has sent nothing for 10 s (it is
         stopped, or busy).
 
-        Raises the error of the run, PortError where it is no dpstack.
+        Raises the error of the run, PortError if it is no dpstack.
         """
         async with contextlib.aclosing(stream_lines(self._client, "live", f"{INTERVAL_S:g}")) as lines:
             async for line in lines:
@@ -72,7 +72,7 @@ class RunLink:
                     yield answer["item"]
 
     async def call(self, command: str, *args: str) -> Any:
-        """The answer to ``command``, of this very run. Raises DpError: UsageError where another run is there now.
+        """The answer to ``command``, of this very run. Raises DpError: UsageError if another run is there now.
 
         Cancelled, it closes the connection, which ends a long command in the run.
         """
@@ -107,11 +107,11 @@ class _Connection:
     def __init__(self, find: Find) -> None:
         self._find = find
         self._closed = False
-        #: None before :meth:`use`, and where there is no run
+        #: None before :meth:`use`, and if there is no run
         self.client: ControlClient | None = None
 
     async def use(self, work: Callable[[ControlClient], Any]) -> Any:
-        """The result of ``work``; None where there is no run. Cancelled, or with an error, it closes the connection."""
+        """The result of ``work``; None if there is no run. Cancelled, or with an error, it closes the connection."""
         task = asyncio.ensure_future(asyncio.to_thread(self._carry_out, work))
         try:
             return await asyncio.shield(task)

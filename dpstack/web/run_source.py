@@ -155,7 +155,7 @@ class RunSource(Source):
 
     @property
     def _reads_only(self) -> bool:
-        """Whether the source starts a run that only reads where there is none."""
+        """Whether the source starts a run that only reads if there is none."""
         return self._file is not None and not self._control and not self._joined_another
 
     async def _follow_link(self, link: RunLink) -> None:

@@ -107,7 +107,7 @@ class WebServer:
 
     @property
     def url(self) -> str:
-        """The address of the page, with the secret of this start behind ``#`` where orders need it."""
+        """The address of the page, with the secret of this start behind ``#`` if orders need it."""
         return self._base + (f"#{self.rights.secret}" if self.rights.secret else "")
 
     @property
@@ -166,7 +166,7 @@ class WebServer:
 
     def tell(self, text: str, severity: str = "info", *, pages: bool = True, **more: object) -> None:
         """An event of the server itself, in the log, and on all ``pages``. The log has the clock of this computer, the
-        pages that of the stream: it goes on evenly, also where somebody has set the clock since the run began."""
+        pages that of the stream: it goes on evenly, also if somebody has set the clock since the run began."""
         now, text = _now(), printable(text)
         self.log(f"{now} {text}")
         if not pages:
@@ -312,7 +312,7 @@ class WebServer:
         return ws
 
     async def _let_in(self, ws: web.WebSocketResponse, remote: str) -> Visitor | None:
-        """The rights of a page by its first message. None where it has none and was disconnected."""
+        """The rights of a page by its first message. None if it has none and was disconnected."""
         why = f"the first message did not come within {_HELLO_S:g} s"
         try:
             async with asyncio.timeout(_HELLO_S):

@@ -30,7 +30,7 @@ class Neighbour:
 
     @property
     def there(self) -> bool:
-        """Whether it answered when it was asked last, also where it refused."""
+        """Whether it answered when it was asked last, also if it refused."""
         return self.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED)
 
 
@@ -41,8 +41,8 @@ class Ring:
 
     ``asks``: the master may send to slaves (not in Stop).
 
-    ``without_token``: stations that send requests and never passed a token. ``collision``: text, where another station
-    sends with the master's address. ``refused``: why the ring could not be joined, empty where it could.
+    ``without_token``: stations that send requests and never passed a token. ``collision``: text, if another station
+    sends with the master's address. ``refused``: why the ring could not be joined, empty if it could.
     """
 
     own: int
@@ -84,7 +84,7 @@ class LineCounters:
 class Evidence:
     """All that is known about the slave with ``setup``.
 
-    ``device``, ``modules``: of its GSD file, where it has one. ``expected_prm``: the user parameters that this file
+    ``device``, ``modules``: of its GSD file, if it has one. ``expected_prm``: the user parameters that this file
     gives for these modules, or the plugin of its drive. ``exchanged_ns``: time of its last good Data_Exchange, 0: none.
     ``rates``: baud rates that the device knows, empty: not known. ``config``: the identifier octets that the slave says
     to have (Get_Cfg), None: not asked, or not answered. ``found``: the stations of a scan, None: the bus was not

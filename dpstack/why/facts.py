@@ -22,7 +22,7 @@ from dpstack.why.steps import CHK_CFG, SET_PRM
 
 #: requests from which a share of failures says something
 ENOUGH: Final = 20
-#: share of damaged answers from which a line is disturbed, and where there was only one
+#: share of damaged answers from which a line is disturbed, and if there was only one
 _DISTURBED: Final = 0.004
 _ONCE: Final = 0.03
 #: late answers, and their share of the failures, from which a slave is late
@@ -37,7 +37,7 @@ _ALL_DAMAGED: Final = 0.85
 _ALWAYS_DAMAGED: Final = 8
 #: damaged octets from which missing answers are explained by them
 _DROPPED: Final = 4
-#: a state is out of date where the last good Data_Exchange is older than so many of the longest times between two
+#: a state is out of date if the last good Data_Exchange is older than so many of the longest times between two
 _STALE: Final = 4
 #: share of the time that a station takes that sends without end, at least
 _JAM_LOAD: Final = 0.4
@@ -186,7 +186,7 @@ class Facts:
 
     @cached_property
     def all_damaged(self) -> int:
-        """The number of unreadable answers to the services of the last bring-up, where nearly all of them are; else 0.
+        """The number of unreadable answers to the services of the last bring-up, if nearly all of them are; else 0.
 
         A class 2 service has several attempts.
         """
@@ -306,7 +306,7 @@ class Facts:
 
     @cached_property
     def waits_help(self) -> bool:
-        """Its answers to class 2 services are good where the master waits longer, and missing where it does not.
+        """Its answers to class 2 services are good if the master waits longer, and missing if it does not.
 
         The last attempt at such a service has more time. Nothing but a slow answer is healed by that.
         """
@@ -368,7 +368,7 @@ class Facts:
 
     @cached_property
     def comparison(self) -> Comparison | None:
-        """Wanted and real configuration; None where the real one is not known."""
+        """Wanted and real configuration; None if the real one is not known."""
         real = self.evidence.config
         if real is None:
             read = self.step_of("Get_Cfg")

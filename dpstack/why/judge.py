@@ -1,6 +1,6 @@
 """Causes of a slave that is not in data exchange, each with what speaks for and against it.
 
-Each rule looks at one group of causes. A confidence of 0.9 and more stands only where the protocol leaves no other
+Each rule looks at one group of causes. A confidence of 0.9 and more stands only if the protocol leaves no other
 explanation for the answers: an ident number, a master's address, a configuration that the slave itself names.
 """
 
@@ -55,7 +55,7 @@ Findings = Iterator[Finding]
 
 
 def judge(facts: Facts) -> list[Finding]:
-    """All findings, the likeliest first; "healthy" where nothing speaks against the slave."""
+    """All findings, the likeliest first; "healthy" if nothing speaks against the slave."""
     found: dict[Cause, Finding] = {}
     for rule in _RULES:
         for finding in rule(facts):
@@ -207,7 +207,7 @@ def _out_of_ring(f: Facts, *, jammed: bool) -> Findings:
     yield Finding(Cause.NO_TOKEN, 0.5 if jammed or unreadable else 0.86, said, against)
 
 
-#: where all slaves fell silent at once
+#: if all slaves fell silent at once
 _SHARED: Final = "look at all that the slaves share: the cable and the plug at the master, its adapter, their supply"
 
 #: T_TO in slot times of the highest address is 6 + 2 x 126; after so many a silent line is claimed for sure
@@ -768,7 +768,7 @@ def _restarts(f: Facts) -> Findings:
 
 
 def _steady(f: Facts, losses: Sequence[Loss]) -> str:
-    """A sentence where the slave is in data exchange for so long that its last loss is over; else empty."""
+    """A sentence if the slave is in data exchange for so long that its last loss is over; else empty."""
     last = f.evidence.bring_up
     if not f.exchanging or last is None or not last.exchanging_ns:
         return ""

@@ -54,7 +54,7 @@ class Likely:
 
 @dataclass(frozen=True, slots=True)
 class Story:
-    """Why a slave is, or is not, in data exchange. ``source``: "run", or "class2" where another station looked.
+    """Why a slave is, or is not, in data exchange. ``source``: "run", or "class2" if another station looked.
 
     ``state``: of the slave, as the JSON lines have it. ``steps``: as ``why --json`` has them, the last bring-up.
     ``causes``: the likeliest first; at least one.
@@ -138,7 +138,7 @@ _SOURCES = {"run": "its own master", "class2": "a class 2 master beside it"}
 
 def glance(found: Found) -> str:
     """The likely cause why a slave that a scan ``found`` is not in data exchange, as far as its diagnosis says; empty
-    where it is, and for other stations."""
+    if it is, and for other stations."""
     diagnosis = found.diagnosis
     if found.kind is not StationType.SLAVE or found.state is SlaveView.DATA_EXCHANGE:
         return ""

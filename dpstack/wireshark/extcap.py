@@ -107,7 +107,7 @@ def _programs() -> Iterator[dict[str, Any]]:
 
 
 def _help(path: str) -> dict[str, Any]:
-    """The answer of the program behind a socket. Raises OSError, ValueError where there is none."""
+    """The answer of the program behind a socket. Raises OSError, ValueError if there is none."""
     with socket.socket(socket.AF_UNIX) as connection:
         connection.settimeout(_PATIENCE_S)
         connection.connect(path)
@@ -152,7 +152,7 @@ def print_options() -> None:
 
 def capture(port: str, baud: str, fifo: str) -> int:
     """Run ``dpstack capture`` into ``fifo`` until Wireshark ends the capture, which is no error. Returns the exit code;
-    where capture fails, its last line is for Wireshark."""
+    if capture fails, its last line is for Wireshark."""
     import select
     import signal
     import subprocess

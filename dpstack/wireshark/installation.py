@@ -60,7 +60,7 @@ class Place:
 
     @property
     def state(self) -> State:
-        """Raises DpError where it cannot be read."""
+        """Raises DpError if it cannot be read."""
         try:
             if not self.path.is_symlink() and not self.path.exists():
                 return State.MISSING
@@ -112,7 +112,7 @@ class Wireshark:
         )
 
     def install(self) -> tuple[Place, Place]:
-        """Write both files; a file of an earlier installation is replaced. Raises UsageError where a file of somebody
+        """Write both files; a file of an earlier installation is replaced. Raises UsageError if a file of somebody
         else has the name: nothing is written then."""
         places = self.places
         for place in places:
@@ -126,7 +126,7 @@ class Wireshark:
         return places
 
     def remove(self) -> tuple[list[Path], list[Path]]:
-        """Remove what an installation wrote, also where other versions look. Returns the files that were removed, and
+        """Remove what an installation wrote, also if other versions look. Returns the files that were removed, and
         those of somebody else that were left. Raises DpError."""
         lua, extcap = self.places
         removed, left = [], []
@@ -144,7 +144,7 @@ class Wireshark:
 
 
 def find_wireshark() -> Wireshark:
-    """Ask tshark for its version and folders. Raises DpError where there is none, or it does not answer."""
+    """Ask tshark for its version and folders. Raises DpError if there is none, or it does not answer."""
     tshark = shutil.which("tshark")
     if tshark is None:
         raise DpError(_MISSING)
@@ -180,7 +180,7 @@ def _output(tshark: str, *arguments: str) -> str:
 def extcap_program() -> bytes:
     """The extcap program as it is installed: begun with this interpreter, and with the folder of this dpstack.
 
-    Raises UsageError where the interpreter has no name.
+    Raises UsageError if the interpreter has no name.
     """
     if not sys.executable:
         raise UsageError("this Python does not know its own path; start dpstack with a Python that does")

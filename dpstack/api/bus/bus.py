@@ -258,7 +258,7 @@ class Bus(Sealed):
     async def outputs_taken(self) -> None:
         """Wait until the master has the outputs that the program has set; in Operate its next round sends them.
 
-        Raises OrderDropped where a bus process did not take them within 1 s: they will not be sent, and
+        Raises OrderDropped if a bus process did not take them within 1 s: they will not be sent, and
         ``Slave.outputs`` are the earlier ones. Raises UsageError when the bus is not open, BusError when it is over.
         """
         await self._core.outputs_taken()
@@ -340,7 +340,7 @@ class Bus(Sealed):
         """The story of a slave: its last bring-up step by step, and the likely causes why it is not in data exchange.
 
         ``ask``: send it Slave_Diag and Get_Cfg, which change nothing; without it, only what was seen so far counts.
-        ``scan``: where nobody, or another device, answers at its address, ask the other addresses, for 20 s at most.
+        ``scan``: if nobody, or another device, answers at its address, ask the other addresses, for 20 s at most.
         ``master``: the address that the master of the slave should have, on a read-only bus (default: the one that it
         names). Raises UsageError for an unknown slave.
         """

@@ -104,7 +104,7 @@ class Parts:
     attach: Callable[[SlaveConfig], Awaitable[DrivePlugin | None]]
     rounds: Rounds
     world: World | None = None
-    #: the simulated slaves; None where there are none
+    #: the simulated slaves; None if there are none
     bench: VirtualBench | None = None
 
 
@@ -150,7 +150,7 @@ def compose(
         watched=watched,
     )
     driver = driver_for(config, port)
-    # not on a pty, whose waiting times allow for a stalled computer; nor where the user gives host_slack_ms
+    # not on a pty, whose waiting times allow for a stalled computer; nor if the user gives host_slack_ms
     tune = port is not None and port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
     bench = None
     view: View
@@ -307,7 +307,7 @@ def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
 async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin | None:
     """Attach the drive plugin of ``slave`` in the running bus process; None for a slave without plugin.
 
-    Raises ConfigError where it cannot be imported there.
+    Raises ConfigError if it cannot be imported there.
     """
     plugin = plugin_of(slave)
     if plugin is None:

@@ -340,7 +340,7 @@ class BusCore(BusBase):
         self._fail_all_calls(failure)
 
     def _fail_all_calls(self, error: DpError) -> None:
-        """Every pending and later call raises ``error``, or the first one where this was called before."""
+        """Every pending and later call raises ``error``, or the first one if this was called before."""
         if self._over is None:
             self._over = error
         self._ordered_end.is_over()

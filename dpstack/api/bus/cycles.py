@@ -92,7 +92,7 @@ class Cycle:
         """The inputs of one slave as an object of ``kind``, a class of :class:`dpstack.Inputs`.
 
         Raises NoInputs while it is not in data exchange (``name in cycle`` tells), UsageError for a name that no slave
-        of the bus has, and where the class does not fit the configuration.
+        of the bus has, and if the class does not fit the configuration.
         """
         self.values(name)
         return typed(Inputs, kind).taken(self.inputs[name], self._fields[name], f"slave {self._slaves[name]} ({name})")

@@ -21,7 +21,7 @@ _IN_PROGRAM: Final = 'with driver = "asyncio" the bus runs in the process of the
 def driver_for(config: Config, port: Port | None) -> str:
     """ASYNCIO or PROCESS for ``port``; VIRTUAL without a port (simulated bus).
 
-    Raises ConfigError where "process" or the processor of a bus process is configured and impossible.
+    Raises ConfigError if "process" or the processor of a bus process is configured and impossible.
     """
     wanted = config.bus.driver
     if wanted == PROCESS:
@@ -58,7 +58,7 @@ def _process_pays(port: Port) -> bool:
 
 
 def _why_no_process(port: Port | None) -> tuple[str, str] | None:
-    """The reason why the bus of ``port`` cannot run in a process of its own, and advice; None where it can."""
+    """The reason why the bus of ``port`` cannot run in a process of its own, and advice; None if it can."""
     take_asyncio = 'take driver = "asyncio"'
     if port is None:
         return "a simulated bus lives in the program's own process", "leave driver out"

@@ -187,7 +187,7 @@ def slave_logger_name(name: str) -> str:
 
 
 def log_or_print(level: int, text: str) -> None:
-    """Log ``text``; on standard error where the program has not configured logging: for what somebody must read."""
+    """Log ``text``; on standard error if the program has not configured logging: for what somebody must read."""
     if _is_handled(ROOT):
         ROOT.log(level, "%s", text)
     elif logging.lastResort is not None:

@@ -140,8 +140,8 @@ async def search_baud(
 ) -> BaudFound | BaudNotFound:
     """Open ``port``, listen until the search (:class:`AutoBaud`) has a result, and close it.
 
-    It skips rates that the port cannot do. Raises PortError where the port cannot be opened, vanishes, or is of a kind
-    whose rate cannot be changed; ConfigError where it can do none of ``rates``.
+    It skips rates that the port cannot do. Raises PortError if the port cannot be opened, vanishes, or is of a kind
+    whose rate cannot be changed; ConfigError if it can do none of ``rates``.
     """
     search = AutoBaud(monotonic_ns(), rates=rates, silence_ns=silence_ns, limit_ns=limit_ns, **_delays(port))
     return await _run_search(port.name, partial(AsyncioRuntime, port, search, echo=Echo.OFF))
@@ -154,7 +154,7 @@ def _delays(port: Port) -> dict[str, int]:
 async def _run_search(
     where: str, make_runtime: Callable[..., Runtime], then: Callable[[], Awaitable[None]] | None = None
 ) -> BaudFound | BaudNotFound:
-    """Run a search until it has a result, and ``then`` where the rate was found. Raises PortError, and any exception of
+    """Run a search until it has a result, and ``then`` if the rate was found. Raises PortError, and any exception of
     the machine."""
     result: asyncio.Future[BaudFound | BaudNotFound] = asyncio.get_running_loop().create_future()
 

@@ -76,7 +76,7 @@ class LiveItems:
             self._more.set()
 
     def take(self) -> Item | None:
-        """The next item; None where there is none at this moment."""
+        """The next item; None if there is none at this moment."""
         item = self._pending.take(snapshots=self._due)
         if item is not None and "snapshot" in item:
             self._due = False
@@ -107,7 +107,7 @@ class LiveStream(AsyncIterator[Item]):
         self._finaliser = None if leave is None else when_dropped(self, leave, items)
 
     def take(self) -> Item | None:
-        """The next item; None where there is none at this moment."""
+        """The next item; None if there is none at this moment."""
         return self._items.take()
 
     async def wait(self) -> None:
@@ -177,7 +177,7 @@ class LiveFeed:
             self._plant, self._now = None, {}
 
     def end(self, why: str, *, failed: bool) -> None:
-        """The bus has ended, by a fault where ``failed``: hand out its last snapshot, and the end."""
+        """The bus has ended, by a fault if ``failed``: hand out its last snapshot, and the end."""
         if self._end is not None:
             return
         self._end = end_of(why, failed=failed)
@@ -231,7 +231,7 @@ class LiveFeed:
         self._busy += loop.time() - since
 
     def _describe(self) -> None:
-        """Hand out the plant where it is new, with an empty whole snapshot, which the rest of this round fills."""
+        """Hand out the plant if it is new, with an empty whole snapshot, which the rest of this round fills."""
         bus = self._bus
         # a bus that searches its rate has neither slaves nor a time yet, one that is not open no time
         slaves = tuple((slave.address, id(slave.config), _ident(slave)) for slave in bus.slaves)

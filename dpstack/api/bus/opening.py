@@ -92,7 +92,7 @@ def _make_old() -> None:
     """Have only a full collection look at the objects that there are: modules stay, and the next collection of young
     objects, which else looks at all that the imports have made, would take as long as a twelfth of the first call.
 
-    Only where there were imports: to count frozen objects takes as long as a look at each of them, 0.1 s for a million.
+    Only if there were imports: to count frozen objects takes as long as a look at each of them, 0.1 s for a million.
     """
     if not gc.get_freeze_count():  # else the program has frozen objects, and they would not be any longer
         gc.freeze()
@@ -100,7 +100,7 @@ def _make_old() -> None:
 
 
 def begin_for_command(words: Sequence[str]) -> None:
-    """Start a bus process early where ``dpstack run WORDS`` is going to need one."""
+    """Start a bus process early if ``dpstack run WORDS`` is going to need one."""
     driver = next((value for word, value in pairwise(words) if word == "--driver"), None)
     given = [word.partition("=")[2] for word in words if word.startswith("--driver=")]
     files = (word for word in words if not word.startswith("-"))
@@ -108,7 +108,7 @@ def begin_for_command(words: Sequence[str]) -> None:
 
 
 def _begin_early(config: object, port: str | None, driver: str | None) -> bool:
-    """Start the bus process of this configuration, where it needs one. Returns whether it does."""
+    """Start the bus process of this configuration, if it needs one. Returns whether it does."""
     if not _wants_process(config, port, driver):
         return False
     from dpstack.drivers.process import early_start  # here, as other buses need nothing of it

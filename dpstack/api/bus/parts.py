@@ -95,7 +95,7 @@ class BusBase:
         return self.parts.plan.params
 
     def fitting(self, slave: SlaveConfig) -> SlaveParams:
-        """The parameters of ``slave`` for the master. Raises ConfigError where the cycle has no time for it beside the
+        """The parameters of ``slave`` for the master. Raises ConfigError if the cycle has no time for it beside the
         others."""
         others = [other for address, other in self.view.setups.items() if address != slave.address]
         refuse_misfit(self.config, self.plan, [*others, slave.params])
@@ -156,7 +156,7 @@ class BusBase:
 
     @property
     def bench(self) -> VirtualBench | None:
-        """The simulated slaves of this bus; None where there are none."""
+        """The simulated slaves of this bus; None if there are none."""
         return self.parts.bench
 
     # --- slaves and drives ---------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ class BusBase:
         return tuple(self._drives[address] for address in sorted(self._drives))
 
     def find_drive(self, address: int) -> Drive | None:
-        """The drive at ``address``; None where there is none."""
+        """The drive at ``address``; None if there is none."""
         return self._drives.get(address)
 
     def slave(self, which: str | int) -> Slave:

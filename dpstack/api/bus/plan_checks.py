@@ -81,7 +81,7 @@ def _at_rates(config: Config) -> Iterable[Figures]:
 
 
 def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveParams]) -> list[str]:
-    """A note where the fixed cycle is shorter than a round over a USB adapter usually takes."""
+    """A note if the fixed cycle is shorter than a round over a USB adapter usually takes."""
     slaves = len(rotation(params, setups, Case.SHORTEST).together)
     round_ns = slaves * _ADAPTER_EXCHANGE + _ADAPTER_TOKEN
     if not config.bus.cycle_ns or round_ns <= config.bus.cycle_ns:
@@ -94,7 +94,7 @@ def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveParam
 
 
 def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveParams]) -> None:
-    """Raises ConfigError, one line, where the fixed cycle of ``plan`` is impossible with ``setups``."""
+    """Raises ConfigError, one line, if the fixed cycle of ``plan`` is impossible with ``setups``."""
     cycle_ns = config.bus.cycle_ns
     if not cycle_ns:
         return

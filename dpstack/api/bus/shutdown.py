@@ -57,7 +57,7 @@ def hurry_all() -> None:
 
 
 class OrderedEnd:
-    """The end of ``bus``: its steps, the task or finaliser that carries it out, and the report where it failed.
+    """The end of ``bus``: its steps, the task or finaliser that carries it out, and the report if it failed.
 
     ``close``, ``hurry_bus``: methods of the bus.
     """
@@ -289,11 +289,11 @@ class OrderedEnd:
             log_or_print(logging.ERROR, text)
 
     async def elsewhere(self) -> bool:
-        """Close the bus for a caller outside of the bus's event loop; False where the caller is in that loop.
+        """Close the bus for a caller outside of the bus's event loop; False if the caller is in that loop.
 
         If that loop runs in another thread, it carries out the end. If it does not run, the end is carried out here as
         by the finaliser. Without any running loop (Python discards a coroutine) the finaliser does it later. Raises
-        BusError where the loop in the other thread is blocked.
+        BusError if the loop in the other thread is blocked.
         """
         loop = self._loop
         try:

@@ -103,7 +103,7 @@ class BusStats(Struct, frozen=True, kw_only=True):
     """Counters of the whole bus. Rotation times in whole microseconds: ``min``, ``p50``, ``p99``, ``p999``, ``max``.
 
     ``rotation_us``: from the first Data_Exchange of a round to that of the next; ``token_us``: from token receipt to
-    token receipt. ``paced``: False on a port without octet times (pty), where the figures are the computer's. ``bad``:
+    token receipt. ``paced``: False on a port without octet times (pty), if the figures are the computer's. ``bad``:
     unreadable octets and telegrams by cause (names of DecoderStats); ``uart_...``: octets that the adapter or its
     driver found damaged. ``stations``: the link layer's counters of every station that it has sent a request;
     ``link``: those of this station; ``retries`` and ``timeouts``: sums over the stations.
@@ -114,7 +114,7 @@ class BusStats(Struct, frozen=True, kw_only=True):
 
     #: bus time since the start, in seconds
     seconds: float
-    #: False on a port without octet times (pty), where the figures are the computer's
+    #: False on a port without octet times (pty), if the figures are the computer's
     paced: bool
     #: number of rounds of data exchange
     rotations: int
@@ -222,7 +222,7 @@ def clear_since(bus: BusBase) -> dict[str, object]:
 
 def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters | None = None) -> BusStats:
     """The counters of this moment, with those of ``slaves``. Never waits for a bus process. ``counters``: those of the
-    bus where the caller has them; else a copy."""
+    bus if the caller has them; else a copy."""
     view, now = bus.view, bus.runtime.now()
     counters = view.counters() if counters is None else counters
     age_ns = max(0, now - counters.t_ns) if counters.t_ns else 0

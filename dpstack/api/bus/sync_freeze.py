@@ -23,7 +23,7 @@ T = TypeVar("T", ControlSent, PictureTaken)
 async def send_control(bus: BusBase, groups: Groups, **what: bool) -> ControlSent:
     """Send one Global_Control. Returns when its last bit has left the line.
 
-    Raises UsageError where this mode or these slaves do not allow it, SlaveFault if a slave is not in data exchange and
+    Raises UsageError if this mode or these slaves do not allow it, SlaveFault if a slave is not in data exchange and
     all have to be, BusError if the bus can no longer send it.
     """
     sent = await _order_control(bus, ControlSent, groups, **what)

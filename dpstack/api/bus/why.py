@@ -61,7 +61,7 @@ async def gather(
     """All that is known about ``slave``; with ``ask`` also its answers to class 2 services, while the bus is in the
     ring. ``master``: the address of its master by the configuration, None: this station.
 
-    ``scan`` is called where nobody, or another device, answers at the address of the slave; None: never.
+    ``scan`` is called if nobody, or another device, answers at the address of the slave; None: never.
     """
     own = bus.params.address if master is None else master
     await _caught_up(bus, slave)
@@ -213,7 +213,7 @@ def _disturbed(bus: BusBase) -> str:
 
 
 def _ident_there(slave: Slave) -> int | None:
-    """The ident number of the device that answers at the address of ``slave``; None where nobody has answered."""
+    """The ident number of the device that answers at the address of ``slave``; None if nobody has answered."""
     there = slave.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED)
     return slave.diagnosis.ident if there and slave.diagnosis is not None else None
 

@@ -36,7 +36,7 @@ class Fit(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """One explanation of a slave. ``keys``: those of its [[slave]] table without name and address; None where the
+    """One explanation of a slave. ``keys``: those of its [[slave]] table without name and address; None if the
     candidate leads to no table. ``text``: one sentence about how it fits.
     """
 
@@ -179,7 +179,7 @@ def _of_gsd(entry: GsdEntry, device: Device, config: bytes | None) -> Candidate:
 
 
 def _gsd_keys(entry: GsdEntry, device: Device, modules: Sequence[Module | None]) -> dict[str, object]:
-    """Raises GsdError where the modules make no configuration, or have no name of their own."""
+    """Raises GsdError if the modules make no configuration, or have no name of their own."""
     row = plug(device, modules).modules
     return {"gsd": entry.key, "modules": [module_key(device, module) for module in row]}
 
@@ -258,7 +258,7 @@ def module_choice(entry: GsdEntry, device: Device, config: bytes | None) -> dict
 
 
 def _module(device: Device, module: Module) -> dict[str, object]:
-    """One module; ``key`` None with the ``reason`` where a configuration cannot name it."""
+    """One module; ``key`` None with the ``reason`` if a configuration cannot name it."""
     reason = None
     key: int | str | None = None
     try:

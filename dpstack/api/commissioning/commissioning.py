@@ -47,7 +47,7 @@ class Commissioning:
     and the GSD files that the configuration names.
 
     The methods read files and may take some seconds: call them in a thread of their own, one at a time. Wrong arguments
-    raise UsageError with one line that says what to do. Raises ConfigError where ``gsd`` is no folder.
+    raise UsageError with one line that says what to do. Raises ConfigError if ``gsd`` is no folder.
     """
 
     def __init__(self, config: str | Path | None = None, gsd: str | Path | None = None) -> None:
@@ -94,8 +94,8 @@ class Commissioning:
         did not tell its configuration), "partly" or "none", "text": one sentence about the fit, "gsd": its name in a
         configuration or null, "drive": name or null, "telegrams": those that fit, "vendor", "model", "revision",
         "unknown_octets": identifier octets of no module, "readings": ways to make them from modules, "ambiguous": true
-        where a person has to choose among modules with equal octets, "keys": the keys for :meth:`table` without name
-        and address, or null where it leads to none}``. The best candidate is a proposal: a person chooses.
+        if a person has to choose among modules with equal octets, "keys": the keys for :meth:`table` without name
+        and address, or null if it leads to none}``. The best candidate is a proposal: a person chooses.
         """
         given = [_station(one) for one in _list(stations, "stations", _MOST_STATIONS)]
         self.folder.refresh()
@@ -170,7 +170,7 @@ class Commissioning:
         "text": one sentence}``.
 
         ``plan`` as ``dpstack plan --json`` prints it (``rotation_us``, ``findings``, ``notes`` ...), null with errors
-        and where there is none (no baud rate, "auto"). One error of each table is found, at most 50.
+        and if there is none (no baud rate, "auto"). One error of each table is found, at most 50.
         """
         written = _text(text, "text", blank=True)
         self.folder.refresh()
@@ -199,7 +199,7 @@ class Commissioning:
     def toml(self, plant: object) -> dict[str, Any]:
         """The text of a whole configuration, and its check: ``{"toml": TEXT, "errors", "plan", "text"}``.
 
-        ``plant``: ``{"bus": {keys of [bus]}, "slaves": [{keys of [[slave]]}, ...]}``. The text loads again where there
+        ``plant``: ``{"bus": {keys of [bus]}, "slaves": [{keys of [[slave]]}, ...]}``. The text loads again if there
         are no errors; it is not written to any file.
         """
         given = _mapping(plant, "plant")
@@ -264,7 +264,7 @@ def _joined(lines: Sequence[str]) -> str:
 
 
 def _gsd_of(path: Path) -> list[str]:
-    """The names of GSD files in the configuration at ``path``; none where it cannot be read."""
+    """The names of GSD files in the configuration at ``path``; none if it cannot be read."""
     try:
         data, _ = read_toml(read_file(path, _MOST_OCTETS).decode("utf-8-sig"))
     except (OSError, ValueError):

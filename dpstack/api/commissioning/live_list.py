@@ -156,7 +156,7 @@ def _slave(found: Found, chosen: Mapping[str, object] | None) -> list[str]:
 
 
 def _why_unusable(found: Found) -> str | None:
-    """The reason why the answers of a slave are not enough to configure it; None where they are."""
+    """The reason why the answers of a slave are not enough to configure it; None if they are."""
     if found.address > MAX_STATION:
         return f"station {found.address} is a slave as delivered: give it an address of its own first"
     if found.ident is None or found.config is None:

@@ -101,7 +101,7 @@ class PlanSimulation:
     """The plant of ``plan`` in virtual time: all slaves of ``config`` with their devices, and the master in Operate.
 
     Slaves answer after the T_SDR of the typical rotation. :meth:`run` may be cancelled; :meth:`result` has what was
-    measured until then. Raises ConfigError where the bus cannot be opened.
+    measured until then. Raises ConfigError if the bus cannot be opened.
     """
 
     def __init__(self, config: Config, plan: Plan) -> None:
@@ -141,7 +141,7 @@ class PlanSimulation:
                 self._result = self._measured()
 
     def result(self) -> SimulatedPlan | None:
-        """The measured figures; None where it ended before the measurement began."""
+        """The measured figures; None if it ended before the measurement began."""
         return self._result
 
     async def _bring_up(self) -> None:

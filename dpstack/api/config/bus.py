@@ -179,7 +179,7 @@ class BusConfig(Struct, frozen=True, kw_only=True):
 
     @property
     def cycle_ns(self) -> int:
-        """The fixed cycle in ns, 0 where the bus runs as fast as it can."""
+        """The fixed cycle in ns, 0 if the bus runs as fast as it can."""
         return 0 if self.cycle_ms is None else round(self.cycle_ms * NS_PER_MS)
 
 

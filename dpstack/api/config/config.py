@@ -101,12 +101,12 @@ class Config:
 
     @property
     def file(self) -> Path | None:
-        """The configuration file, as an absolute path without links; None where it was read from no file."""
+        """The configuration file, as an absolute path without links; None if it was read from no file."""
         return self.source.file
 
     @property
     def digest(self) -> str | None:
-        """SHA-256 (hex) of the text of the configuration file as it was read; None where it was read from no file."""
+        """SHA-256 (hex) of the text of the configuration file as it was read; None if it was read from no file."""
         return self.source.digest
 
     @property
@@ -154,13 +154,13 @@ class Config:
 
 
 def load_config(path: str | Path) -> Config:
-    """Read a configuration file. Raises ConfigError, one line, also where the file cannot be read."""
+    """Read a configuration file. Raises ConfigError, one line, also if the file cannot be read."""
     text = read_text(path, "configuration file")
     return parse_config(text, str(path), file=Path(os.path.realpath(path)))
 
 
 def _toml_files(folder: Path) -> list[str]:
-    """The names of the first thousand files of ``folder`` that end in .toml; none where it cannot be read."""
+    """The names of the first thousand files of ``folder`` that end in .toml; none if it cannot be read."""
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         return sorted(entry.name for entry in itertools.islice(entries, 1000) if entry.name.endswith(".toml"))
     return []
@@ -200,7 +200,7 @@ def read_tables(text: str, name: str, file: Path | None = None) -> tuple[dict[st
 
 
 def file_digest(path: str | Path) -> str | None:
-    """The digest of a configuration file as it is now, for a comparison with :attr:`Config.digest`; None where it
+    """The digest of a configuration file as it is now, for a comparison with :attr:`Config.digest`; None if it
     cannot be read."""
     try:
         return _digest(read_text(path, "configuration file"))
@@ -227,7 +227,7 @@ def check_config(
 ) -> tuple[Config | None, list[ConfigError]]:
     """Read ``text`` as :func:`parse_config`, and collect up to ``most`` errors, at most one of each table.
 
-    The configuration is None where a table cannot be read.
+    The configuration is None if a table cannot be read.
     """
     errors: list[ConfigError] = []
     try:

@@ -65,9 +65,9 @@ class Dpv1Keys(TypedDict, total=False):
 
 
 def read_dpv1(table: Table, device: Device | None, user_prm: bytes) -> Dpv1 | None:
-    """DP-V1 of the slave with these parameters; None where nothing of it is used. Raises ConfigError.
+    """DP-V1 of the slave with these parameters; None if nothing of it is used. Raises ConfigError.
 
-    Left out it is on where the GSD file says DPV1_Slave and C1_Read_Write_supp, or where DPV1_Enable stands in the
+    Left out it is on if the GSD file says DPV1_Slave and C1_Read_Write_supp, or if DPV1_Enable stands in the
     parameters already.
     """
     given = table.raw("dpv1")

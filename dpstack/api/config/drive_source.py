@@ -1,4 +1,4 @@
-"""A [[slave]] table with a drive, alone or with its maker's GSD file. Loaded where a slave has the key ``drive``."""
+"""A [[slave]] table with a drive, alone or with its maker's GSD file. Loaded if a slave has the key ``drive``."""
 
 from __future__ import annotations
 

@@ -24,9 +24,9 @@ class Choice(Struct):
 
 
 def module_key(device: Device, module: Module | None) -> int | str:
-    """The entry of ``modules`` for ``module``: its name where that is enough, else its reference number.
+    """The entry of ``modules`` for ``module``: its name if that is enough, else its reference number.
 
-    Raises GsdError where the file leaves no way.
+    Raises GsdError if the file leaves no way.
     """
     if module is None:
         return ""
@@ -43,7 +43,7 @@ def module_key(device: Device, module: Module | None) -> int | str:
 
 
 def as_toml(device: Device, choice: Choice) -> str:
-    """The table, with identifier octets and user parameters as comments. Raises GsdError where the choices do not fit
+    """The table, with identifier octets and user parameters as comments. Raises GsdError if the choices do not fit
     together.
     """
     configuration = plug(device, choice.modules)
@@ -62,7 +62,7 @@ def as_toml(device: Device, choice: Choice) -> str:
 
 
 def octet_remarks(config: bytes, user_prm: bytes) -> list[str]:
-    """Comments with the octets of Chk_Cfg and Set_Prm. Raises ConfigError where ``config`` contradicts itself."""
+    """Comments with the octets of Chk_Cfg and Set_Prm. Raises ConfigError if ``config`` contradicts itself."""
     inputs, outputs = io_lengths(config)
     return [
         comment(f"identifier octets {config.hex(' ').upper()}: {inputs} octets of inputs, {outputs} of outputs"),

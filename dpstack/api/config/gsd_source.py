@@ -1,4 +1,4 @@
-"""A [[slave]] table with a GSD file: modules, user parameters, limits. Loaded where a slave has the key ``gsd``."""
+"""A [[slave]] table with a GSD file: modules, user parameters, limits. Loaded if a slave has the key ``gsd``."""
 
 from __future__ import annotations
 

@@ -274,7 +274,7 @@ class SlaveConfig:
     #: names for the process data
     input_fields: FieldMap = field(default_factory=FieldMap)
     output_fields: FieldMap = field(default_factory=FieldMap)
-    #: the application makes the outputs octet by octet, also where there is a drive plugin
+    #: the application makes the outputs octet by octet, also if there is a drive plugin
     raw: bool = False
     #: its baud rates by manual or GSD file; empty: not known
     baud_rates: frozenset[int] = frozenset()

@@ -52,7 +52,7 @@ class Gsd:
 
 
 class Key(Struct, frozen=True):
-    """The values that a key allows, besides its type. ``unit``: of the limits, where the key's name has none. ``hint``:
+    """The values that a key allows, besides its type. ``unit``: of the limits, if the key's name has none. ``hint``:
     the remedy in the message about a value outside the limits. ``read``: the reader of a key that has a value, instead
     of the reader of its type.
     """
@@ -63,7 +63,7 @@ class Key(Struct, frozen=True):
     hint: str = ""
     gsd: Gsd | None = None
     read: Callable[[Table, str, Key], object] | None = None
-    #: the type of the value, the first one where it may be given in several
+    #: the type of the value, the first one if it may be given in several
     kind: Any = None
 
 
@@ -191,7 +191,7 @@ class Table:
     # readers of a key that has a value
 
     def _typed(self, key: str, kinds: type | tuple[type, ...], wanted: str) -> Any:
-        """The value where it is one of ``kinds``; ``wanted``: what it must be, for people. A bool is no number."""
+        """The value if it is one of ``kinds``; ``wanted``: what it must be, for people. A bool is no number."""
         value = self._data.get(key)
         if not isinstance(value, kinds) or (isinstance(value, bool) and kinds is not bool):
             self._wrong(key, wanted)

@@ -43,7 +43,7 @@ _PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of do
 
 
 class TomlError(ValueError):
-    """``what`` is wrong in ``line`` (from 1), at ``column`` where that is known."""
+    """``what`` is wrong in ``line`` (from 1), at ``column`` if that is known."""
 
     def __init__(self, line: int, what: str, column: int | None = None) -> None:
         self.line = line

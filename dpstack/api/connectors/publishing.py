@@ -42,7 +42,7 @@ from dpstack.units import NS_PER_S
 _INTERVAL_S: Final = 0.2
 #: s that the connectors have for their nodes before the bus begins: 50 000 take some 10 s
 _BUILD_S: Final = 60.0
-#: s that the connectors have where the user is in a hurry, or the bus still runs
+#: s that the connectors have if the user is in a hurry, or the bus still runs
 _HURRIED_S: Final = 0.5
 #: s between two looks whether the user is in a hurry
 _LOOK_S: Final = 0.1
@@ -52,7 +52,7 @@ _BEAT_S: Final = 1.0
 #: remarks that are kept until the bus is open
 _MOST_REMARKS: Final = 100
 _SOURCE: Final = "connectors"
-#: texts of Python and of the loader where there are no addresses left
+#: texts of Python and of the loader if there are no addresses left
 _NO_THREAD: Final = "can't start new thread"
 _NO_MAP: Final = ("failed to map segment", "annot allocate memory")
 _LOG: Final = logging.getLogger("dpstack.bridge")
@@ -65,11 +65,11 @@ def publish(bus: Bus, **tables: Mapping[str, object]) -> Publishing:
 
     The connectors are those of its configuration file, or of ``tables``: mappings with the keys of the table of that
     name (docs/reference/configuration.md). They run in the event loop of the program, read the live stream, and never
-    delay the bus where it has a process of its own. A connector that fails ends alone; a notice of the bus tells it.
+    delay the bus if it has a process of its own. A connector that fails ends alone; a notice of the bus tells it.
     Leaving the block ends them, which takes 4.5 s at most, and 1 s while the bus is open.
 
-    Raises ConfigError here, and UsageError for anything but a bus; on entering UsageError where the package of an extra
-    is missing, and PortError or ConfigError where a connector cannot begin.
+    Raises ConfigError here, and UsageError for anything but a bus; on entering UsageError if the package of an extra
+    is missing, and PortError or ConfigError if a connector cannot begin.
     """
     if not isinstance(bus, Bus):
         raise UsageError(
@@ -137,7 +137,7 @@ class Publishing:
             raise self._no_memory(str(error) or type(error).__name__) from None
 
     def _check_room(self, kinds: Mapping[str, ConnectorKind]) -> None:
-        """Raises BusError where the limit of addresses is too low: some packages end the program then, without a word
+        """Raises BusError if the limit of addresses is too low: some packages end the program then, without a word
         that anybody could catch."""
         if not posix.is_available():
             return

@@ -79,7 +79,7 @@ class ControlClient:
         """The result of ``command``, checked for the fields of ``kind``, with the parameters of earlier items.
 
         A long command calls ``progress``. Raises the error of the program: UsageError or ConfigError for a wrong
-        request, any other error for a failure (BusError for a defect); PortError where no program or another one
+        request, any other error for a failure (BusError for a defect); PortError if no program or another one
         answers.
         """
         result: Any = None
@@ -152,7 +152,7 @@ class ControlClient:
         return self.parsed(line)
 
     def parsed(self, line: bytes) -> Mapping[str, Any]:
-        """A line of the program. Raises PortError where it is no answer of dpstack."""
+        """A line of the program. Raises PortError if it is no answer of dpstack."""
         try:
             answer = json.loads(line)
         except (ValueError, RecursionError):
@@ -189,10 +189,10 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
 
 
 def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
-    """Connect to the run on ``port`` with the configuration file ``config``; None where no run answers for that port.
+    """Connect to the run on ``port`` with the configuration file ``config``; None if no run answers for that port.
     On "virtual", where each program has a bus of its own, runs with other files do not count.
 
-    Raises UsageError where the run has another file, or where several runs on "virtual" have this one; PortError where
+    Raises UsageError if the run has another file, or if several runs on "virtual" have this one; PortError if
     the program cannot connect to a run.
     """
     with _open_directory() as sockets:
@@ -214,10 +214,10 @@ def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) 
 
 
 def find_any_run(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
-    """Connect to the run on ``port``, whatever its configuration; None where no run answers for that port. "virtual"
+    """Connect to the run on ``port``, whatever its configuration; None if no run answers for that port. "virtual"
     stands for the only run on it, as in :func:`connect`.
 
-    Raises PortError where the program cannot connect to the run, UsageError where there are several on "virtual".
+    Raises PortError if the program cannot connect to the run, UsageError if there are several on "virtual".
     """
     with _open_directory() as sockets:
         if sockets is None:
@@ -236,7 +236,7 @@ def running() -> list[dict[str, Any]]:
 
 @contextlib.contextmanager
 def _open_directory() -> Iterator[Sockets | None]:
-    """The directory of the sockets; None where no program has created it. Raises PortError."""
+    """The directory of the sockets; None if no program has created it. Raises PortError."""
     sockets = None
     with os_errors(f"control sockets in {directory()} cannot be looked at"), contextlib.suppress(FileNotFoundError):
         sockets = Sockets() if posix.is_available() else None

@@ -94,7 +94,7 @@ SEGMENT: Final = (
     Spec("resume", "STATION", "connects it again", "0"),
     Spec("stats", "", "octets of each station, damaged octets", ""),
 )
-#: first argument of an order that is refused where it cannot reach the slave at this moment
+#: first argument of an order that is refused if it cannot reach the slave at this moment
 NOW: Final = "now"
 RUN: Final = (
     Spec("outputs", f"[{NOW}] SLAVE=HEX...", "output octets of slaves without a drive plugin", "9=00FF"),

@@ -105,11 +105,11 @@ class Sender:
         self._writer = writer
 
     async def __call__(self, item: object) -> None:
-        """Send an item, and wait for a client that reads slowly. Raises where it has gone or does not read."""
+        """Send an item, and wait for a client that reads slowly. Raises if it has gone or does not read."""
         await self._send(item)
 
     def offer(self, line: bytes) -> bool:
-        """Send ``line``, an encoded ``{"item": ...}`` with its line end, without waiting. False where it is not sent,
+        """Send ``line``, an encoded ``{"item": ...}`` with its line end, without waiting. False if it is not sent,
         as the client has too many octets to read, or has gone."""
         transport = self._writer.transport
         if transport.is_closing() or transport.get_write_buffer_size() > _MOST_OFFERED:
@@ -123,7 +123,7 @@ class Sender:
         return self._writer.transport.get_write_buffer_size()
 
     def check(self) -> None:
-        """Raises where the client has gone."""
+        """Raises if the client has gone."""
         if self._writer.transport.is_closing():
             raise _ClientGoneError
 
@@ -138,7 +138,7 @@ class ControlServer:
 
     ``kind``: run, sim or segment. Clients find the program by ``port``, and by ``also`` unless another program has it.
     ``handlers``: one for each of ``specs`` except ``help``. ``config``: the configuration file, by which clients check
-    that this is the right program. Entering raises PortError where it can make no socket, PortBusyError where another
+    that this is the right program. Entering raises PortError if it can make no socket, PortBusyError if another
     program answers for the port already.
     """
 
@@ -154,14 +154,14 @@ class ControlServer:
     ) -> None:
         self.kind = kind
         self.port = port
-        #: its name for `dpstack ctl`: the port, or a name of its own where several programs may have the same port
+        #: its name for `dpstack ctl`: the port, or a name of its own if several programs may have the same port
         self.name = port
-        #: the absolute path of the configuration file; None where there is none
+        #: the absolute path of the configuration file; None if there is none
         self.config = config
         #: time of creation
         self.started = datetime.now(UTC)
         self._also = also
-        #: the reason why `dpstack ctl` does not find the program by its port alone; None where it does
+        #: the reason why `dpstack ctl` does not find the program by its port alone; None if it does
         self.remark: str | None = None
         #: time limit (s) for a client that reads nothing of its answer
         self.patience_s = _PATIENCE_S

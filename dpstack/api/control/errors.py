@@ -52,7 +52,7 @@ def failure(answer: Mapping[str, object]) -> DpError:
 
 
 def _parameters(kind: type[DpError]) -> tuple[str, ...]:
-    """The parameters of its constructor; none where it inherits that of Exception."""
+    """The parameters of its constructor; none if it inherits that of Exception."""
     import inspect  # here, as most commands do not fail
 
     return tuple(inspect.signature(kind).parameters) if inspect.isfunction(kind.__init__) else ()

@@ -19,7 +19,7 @@ _PATIENCE: Final = 240
 
 
 def live_items(bus: Bus, args: list[str]) -> LongCommand:
-    """Items until the bus ends or the client closes the connection. Snapshots come even where nothing has changed."""
+    """Items until the bus ends or the client closes the connection. Snapshots come even if nothing has changed."""
     interval = arguments.number(args[0], 0.02, 60, "0.5") if args else 0.1
 
     async def feed(sender: Sender) -> object:
@@ -38,7 +38,7 @@ def live_items(bus: Bus, args: list[str]) -> LongCommand:
 
 
 async def _wait_for_room(sender: Sender) -> None:
-    """Wait until the client has read enough. Raises where it has gone, or does not read."""
+    """Wait until the client has read enough. Raises if it has gone, or does not read."""
     sender.check()
     unread = deaf = 0
     while sender.unread > _MOST_UNREAD:

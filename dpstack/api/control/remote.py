@@ -211,9 +211,9 @@ async def through_run(
     config: Config, slave: int, order: ParsedCommand, progress: OnProgress | None = None, *, master: int = 1
 ) -> dict[str, Any] | None:
     """Have the run with the port and the file of ``config`` do :func:`~dpstack.api.control.record_orders.carry_out`;
-    None where no run answers for the port. ``master``: class 1 or 2.
+    None if no run answers for the port. ``master``: class 1 or 2.
 
-    Raises the errors of ``carry_out``, UsageError where the run has another configuration file or no such slave,
+    Raises the errors of ``carry_out``, UsageError if the run has another configuration file or no such slave,
     PortError. Another thread calls ``progress``.
     """
     client = await asyncio.to_thread(find_run, config.port, config.file)
@@ -226,7 +226,7 @@ async def through_run(
 
 async def reading_through_run(port: str, config: Config | None, station: str) -> StationReading | None:
     """Have the run on ``port`` with the file of ``config`` (None: whatever file it has) read ``station``, an address or
-    name; None where no run answers for the port. Raises as :func:`through_run`.
+    name; None if no run answers for the port. Raises as :func:`through_run`.
     """
     if config is None:
         client = await asyncio.to_thread(find_any_run, port)
@@ -244,7 +244,7 @@ async def reading_through_run(port: str, config: Config | None, station: str) ->
 
 
 async def why_through_run(config: Config, slave: int) -> dict[str, Any] | None:
-    """The story that the run with the port and the file of ``config`` tells about ``slave``; None where no run answers
+    """The story that the run with the port and the file of ``config`` tells about ``slave``; None if no run answers
     for the port. Raises as :func:`through_run`.
     """
     client = await asyncio.to_thread(find_run, config.port, config.file)
@@ -303,11 +303,11 @@ class RemoteDrive(Readable):
 
 
 async def find_drive(config: Config, name: str) -> RemoteDrive | None:
-    """The drive ``name`` of the run that has the port and the file of ``config``; None where no run answers for the
+    """The drive ``name`` of the run that has the port and the file of ``config``; None if no run answers for the
     port.
 
-    Raises UsageError where that run has another configuration file or no such drive, BusError where it can give no
-    orders now, PortError where it does not answer.
+    Raises UsageError if that run has another configuration file or no such drive, BusError if it can give no
+    orders now, PortError if it does not answer.
     """
     client = await asyncio.to_thread(find_run, config.port, config.file)
     if client is None:

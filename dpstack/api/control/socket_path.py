@@ -57,7 +57,7 @@ def os_errors(what: str, advice: str = "") -> Iterator[None]:
 
 
 def names_of(port: str) -> tuple[str, ...]:
-    """The names of a port: as written (absolute), and the device behind links where that is another one."""
+    """The names of a port: as written (absolute), and the device behind links if that is another one."""
     if "://" in port or ("/" not in port and not os.path.exists(port)):
         return (port,)  # a URL, "virtual:4711", COM3
     return tuple(dict.fromkeys((os.path.abspath(port), os.path.realpath(port))))
@@ -84,7 +84,7 @@ def socket_name(name: str) -> str:
 
 
 def peer_uid(connection: socket.socket) -> int | None:
-    """The user of the process at the other end of a Unix socket; None where the system does not tell it."""
+    """The user of the process at the other end of a Unix socket; None if the system does not tell it."""
     if _PEERCRED is not None:
         return int(_UCRED.unpack(connection.getsockopt(socket.SOL_SOCKET, _PEERCRED, _UCRED.size))[1])
     import ctypes  # here, as Linux tells it without
@@ -112,7 +112,7 @@ def is_trusted(uid: int | None) -> bool:
 class Sockets:
     """The directory of the control sockets, by an open descriptor: later changes of its path have no effect.
 
-    ``make``: create a missing directory; otherwise FileNotFoundError. Raises PortError where another user could put a
+    ``make``: create a missing directory; otherwise FileNotFoundError. Raises PortError if another user could put a
     socket into it, OSError. A context manager. All names here are file names.
     """
 
@@ -147,7 +147,7 @@ class Sockets:
         return [name for name in names if socket_name(name) in left]
 
     def link_target(self, name: str) -> str | None:
-        """The target of the link ``name``; None where it is no link, or missing."""
+        """The target of the link ``name``; None if it is no link, or missing."""
         try:
             return os.readlink(name, dir_fd=self._fd)
         except OSError:
@@ -163,12 +163,12 @@ class Sockets:
             os.unlink(name, dir_fd=self._fd)
 
     def bind(self, listening: socket.socket, name: str) -> None:
-        """Create a socket of this user. Raises OSError, PortError where its path is too long for this system."""
+        """Create a socket of this user. Raises OSError, PortError if its path is too long for this system."""
         listening.bind(self._address(name))
         os.chmod(name, 0o600, dir_fd=self._fd)
 
     def connect(self, name: str, timeout: float | None) -> socket.socket:
-        """A connection to the program behind a socket. Raises OSError where there is none, PortError where the socket
+        """A connection to the program behind a socket. Raises OSError if there is none, PortError if the socket
         or the process behind it belongs to another user.
         """
         info = os.stat(name, dir_fd=self._fd)
@@ -239,8 +239,8 @@ class Sockets:
             os.close(fd)
 
     def _address(self, name: str) -> str:
-        """A path for bind and connect, which have no ``dir_fd``: by the descriptor where that works, as this is short
-        and leads to the checked directory. Raises PortError where the path is too long.
+        """A path for bind and connect, which have no ``dir_fd``: by the descriptor if that works, as this is short
+        and leads to the checked directory. Raises PortError if the path is too long.
         """
         by_descriptor = f"/proc/self/fd/{self._fd}"
         with contextlib.suppress(OSError):

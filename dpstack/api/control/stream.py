@@ -11,7 +11,7 @@ from dpstack.errors import DpError, PortError
 
 
 async def stream_lines(client: ControlClient, command: str, *args: str) -> AsyncGenerator[bytes | None]:
-    """The lines that the program sends after ``command``, until it ends or this generator is closed. None where it has
+    """The lines that the program sends after ``command``, until it ends or this generator is closed. None if it has
     sent nothing for 10 s (:data:`~dpstack.api.control.client.TIMEOUT_S`): it is stopped, or busy.
 
     It uses up the connection. Raises PortError when the connection breaks, and for a line without end.

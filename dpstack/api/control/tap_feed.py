@@ -132,7 +132,7 @@ class TapFeed:
             self._set_timer(TAP_PAUSE_NS)
 
     def _leave(self, reader: _Reader) -> None:
-        """The last octets go to the client, too, where the program ends."""
+        """The last octets go to the client, too, if the program ends."""
         self._hand_out(all_of_it=True)
         self._readers.discard(reader)
         self._end_unless_followed()

@@ -45,8 +45,8 @@ class Ring:
 class CaptureFile:
     """Collects blocks (:meth:`write`, one block a call) and writes them with :meth:`flush`.
 
-    Entering makes the file; of a ring it looks at the directory only. It raises UsageError where there is a file of
-    that name already, unless it is empty, or where it cannot be made. A file in which nothing was written is removed.
+    Entering makes the file; of a ring it looks at the directory only. It raises UsageError if there is a file of
+    that name already, unless it is empty, or if it cannot be made. A file in which nothing was written is removed.
 
     The files of a ring are named after ``name``, with a number and the time of their first transmission:
     ``bus_00001_20260131T120000Z.pcapng``. Those of an earlier capture belong to the ring, too.

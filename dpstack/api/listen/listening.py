@@ -59,7 +59,7 @@ class ListenedLine:
 
     @property
     def timing(self) -> LineTiming:
-        """How finely the transmissions are timed, at the slowest rate where the rate is not known yet."""
+        """How finely the transmissions are timed, at the slowest rate if the rate is not known yet."""
         return timing_of(self.source, self.baud or BAUD_RATES[0], exact=self.exact)
 
 
@@ -69,7 +69,7 @@ class Listening:
 
     ``on_transmission`` gets each transmission, ``on_event`` :class:`BaudFound`, :class:`PortLost`, :class:`PortBack`,
     notices, :class:`OctetsLost`. ``own`` False: only through a program, the port itself is never opened. Entering
-    raises PortError where the port cannot be opened, UsageError for a port that has no wire.
+    raises PortError if the port cannot be opened, UsageError for a port that has no wire.
     """
 
     def __init__(
@@ -190,10 +190,10 @@ class Listening:
 async def keep_listening(
     make: Callable[[bool], Listening], begin: Callable[[Listening], None], interrupt: Callable[[str], None]
 ) -> None:
-    """Listen for ever: where the program that held the port ends, wait until one holds it again.
+    """Listen for ever: if the program that held the port ends, wait until one holds it again.
 
     ``make``: a new :class:`Listening`; its argument is ``own``. ``begin`` is called with each one that is entered,
-    ``interrupt`` with the reason when it has ended. Raises PortError for an own port, and where the first one cannot be
+    ``interrupt`` with the reason when it has ended. Raises PortError for an own port, and if the first one cannot be
     entered; UsageError.
     """
     program: str | None = None
@@ -215,7 +215,7 @@ async def keep_listening(
 
 
 def _program_on(port: str) -> ControlClient | None:
-    """A connection to the program that holds ``port``; None where there is none. Raises UsageError where there are
+    """A connection to the program that holds ``port``; None if there is none. Raises UsageError if there are
     several."""
     try:
         return connect(port)

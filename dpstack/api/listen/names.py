@@ -34,7 +34,7 @@ _KEPT: Final = 256
 def decode_names(config: Config | None = None, gsd: Iterable[str] = ()) -> Names:
     """Names of the slaves in ``config``, and of others by the GSD files ``gsd`` (files, or folders of them).
 
-    Raises ConfigError where a GSD file cannot be read.
+    Raises ConfigError if a GSD file cannot be read.
     """
     slaves = {} if config is None else {slave.address: _configured(slave) for slave in config.slaves}
     return Names(slaves, _Recogniser(_devices(gsd)).names, _record)

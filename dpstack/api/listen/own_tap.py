@@ -23,7 +23,7 @@ from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_US, ns_to_s
 _STEP_NS: Final = 200 * NS_PER_US
 #: ... the next one comes after this one ...
 _PAUSE_NS: Final = NS_PER_MS
-#: ... and after this one where nothing waits
+#: ... and after this one if nothing waits
 _IDLE_NS: Final = 20 * NS_PER_MS
 
 

@@ -63,7 +63,7 @@ class ProgramTap:
         self._items: AsyncGenerator[_TapItem | None] | None = None
 
     async def open(self) -> None:
-        """Ask the program, and read what it says about its line. Raises PortError where it has no tap, or does not
+        """Ask the program, and read what it says about its line. Raises PortError if it has no tap, or does not
         answer."""
         try:
             about = await asyncio.to_thread(self._client.help)  # it blocks
@@ -155,7 +155,7 @@ async def _items(client: ControlClient) -> AsyncGenerator[_TapItem | None]:
 
 
 def _refuse(client: ControlClient, line: bytes, error: Exception) -> None:
-    """``line`` is no item. Raises the error that it tells, or PortError where it is no line of dpstack; returns where
+    """``line`` is no item. Raises the error that it holds, or PortError if it is no line of dpstack; returns if
     it is the end of the tap."""
     answer = client.parsed(line)
     if answer.get("ok") is False:

@@ -33,8 +33,8 @@ SIMULATED: Final = "this bus was simulated by dpstack: there was no cable and no
 class ReportFile:
     """The report of ``monitor`` in the file ``name``; give it each transmission with :meth:`add`, after the monitor.
 
-    Entering makes the file. It raises UsageError where there is a file of that name already, unless it is empty, or
-    where it cannot be made. A file in which nothing was written is removed at the end.
+    Entering makes the file. It raises UsageError if there is a file of that name already, unless it is empty, or
+    if it cannot be made. A file in which nothing was written is removed at the end.
     """
 
     def __init__(self, name: str, monitor: Monitor) -> None:
@@ -53,7 +53,7 @@ class ReportFile:
         close_written(fd, self._path)
 
     def add(self, one: Transmission) -> None:
-        """Count ``one``, and record it where it belongs to a rotation that the report may show."""
+        """Count ``one``, and record it if it belongs to a rotation that the report may show."""
         self._monitor.add(one)
         self._recorder.add(one)
 

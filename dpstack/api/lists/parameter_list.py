@@ -127,14 +127,14 @@ class ParameterValue:
 
     #: number of the parameter
     number: int
-    #: name in the plugin's table; None where the table does not have the number
+    #: name in the plugin's table; None if the table does not have the number
     name: str | None
     #: value in ``unit``
     value: float | int
     raw: int
     #: unit of ``value``; empty for a plain number
     unit: str = ""
-    #: data set that was read; None where the drive has none
+    #: data set that was read; None if the drive has none
     data_set: int | None = None
 
 
@@ -166,7 +166,7 @@ class Listing(Protocol):
 
     @property
     def parameters(self) -> tuple[ListedParam, ...]:
-        """All declared parameters. Raises UsageError where the telegram has no parameter channel."""
+        """All declared parameters. Raises UsageError if the telegram has no parameter channel."""
 
 
 class ParameterDifference(Difference[SavedParam]):

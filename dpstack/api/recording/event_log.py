@@ -41,7 +41,7 @@ Line = Mapping[str, object]
 
 
 class EventLog:
-    """Appends events to the file ``path``; JSON lines where it ends in .jsonl or .json, else lines of text.
+    """Appends events to the file ``path``; JSON lines if it ends in .jsonl or .json, else lines of text.
 
     Opening raises UsageError for a file that is no log of this kind (an empty one is), that is being written already,
     or that cannot be made; for a link, a directory, a device, a pipe. ``tell`` gets one line
@@ -59,7 +59,7 @@ class EventLog:
         self._thread.put({"time": iso_time(time.time()), **line})
 
     def close(self) -> bool:
-        """Write the rest. False where the disk did not answer, or lines are lost for another reason."""
+        """Write the rest. False if the disk did not answer, or lines are lost for another reason."""
         self._thread.finish()
         return self._thread.ended(_PATIENCE_S) and not self._thread.lost and not self._sink.lost
 
@@ -139,7 +139,7 @@ class _LogFiles:
         self._retry_s = time.monotonic() + _RETRY_S
 
     def _rotate(self) -> None:
-        """Rename the files; where that fails the log goes on in the same one."""
+        """Rename the files; if that fails the log goes on in the same one."""
         with contextlib.suppress(OSError):
             for number in range(KEPT - 1, 0, -1):
                 with contextlib.suppress(FileNotFoundError):

@@ -22,7 +22,7 @@ from dpstack.units import NS_PER_S
 
 #: octets that are written at once at most
 _BLOCK: Final = 1 << 16
-#: seconds from one attempt to the next where a file cannot be written
+#: seconds from one attempt to the next if a file cannot be written
 _RETRY_S: Final = 1.0
 NO_ROTATION: Final = Rotation()
 
@@ -30,7 +30,7 @@ NO_ROTATION: Final = Rotation()
 class RecordFile:
     """Writes samples as rows; ``path`` ends in .csv, .jsonl or .parquet.
 
-    With ``rotation``, and where the columns change, parts are written: ``plant_00001_20260131T120000Z.csv``. A Parquet
+    With ``rotation``, and if the columns change, parts are written: ``plant_00001_20260131T120000Z.csv``. A Parquet
     file is a CSV file until it is complete; then a process of its own converts it. ``tell`` gets one line about each
     trouble, in the writer thread.
 
@@ -150,7 +150,7 @@ class RecordFile:
         return seconds is not None and time.monotonic() - self._began_s >= seconds
 
     def _next_part(self, sample: Sample) -> Rows | None:
-        """Begin the file in which ``sample`` is the first row; None where that fails."""
+        """Begin the file in which ``sample`` is the first row; None if that fails."""
         if self._rows is not None or self._file is None:
             self.flush()
             if self._failed_since:
@@ -211,7 +211,7 @@ class RecordFile:
             )
 
     def _retry(self) -> None:
-        """Go on with the last sample, where the disk takes it."""
+        """Go on with the last sample, if the disk takes it."""
         self._retry_s = time.monotonic() + _RETRY_S
         if self._last is None:
             return

@@ -50,7 +50,7 @@ class WriterThread(Generic[T]):
         self._thread.start()
 
     def put(self, item: T) -> bool:
-        """Take one item, from the event loop. False where the queue is full: it is lost."""
+        """Take one item, from the event loop. False if the queue is full: it is lost."""
         if len(self._queue) >= self._most:
             self.lost += 1
             return False

@@ -87,12 +87,12 @@ class SlaveAlarm:
 
     @property
     def appears(self) -> bool:
-        """True where the alarm reports a new fault of the slot."""
+        """True if the alarm reports a new fault of the slot."""
         return self.specifier is Specifier.APPEARS
 
     @property
     def disappears(self) -> bool:
-        """True where a fault has gone; :attr:`slot_good` is False while the slot has other faults."""
+        """True if a fault has gone; :attr:`slot_good` is False while the slot has other faults."""
         return self.specifier in (Specifier.DISAPPEARS, Specifier.DISAPPEARS_OTHERS)
 
     @property
@@ -104,7 +104,7 @@ class SlaveAlarm:
         """Acknowledge the alarm (``alarms()`` does so by itself), and wait for the slave's confirmation. The
         acknowledgement does not wait for listeners that have not read the alarm yet.
 
-        May be repeated. Raises AcyclicError and ServiceRefused where the slave refuses, SlaveFault when the slave left
+        May be repeated. Raises AcyclicError and ServiceRefused if the slave refuses, SlaveFault when the slave left
         data exchange before (its alarms are void then), UsageError, BusError.
         """
         await self._bus_listeners.acknowledge(self)

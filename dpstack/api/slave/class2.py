@@ -43,7 +43,7 @@ ReadsDiagnosis = Callable[[int], Awaitable[Diagnosis]]
 
 
 class ProcessData(Struct, frozen=True):
-    """Inputs or outputs read from a slave: ``octets``, and ``values`` by name where the configuration names them."""
+    """Inputs or outputs read from a slave: ``octets``, and ``values`` by name if the configuration names them."""
 
     #: octets as read
     octets: bytes
@@ -160,7 +160,7 @@ class Class2(Sealed):
         The slave needs no parameters for it and stays with its master. ``send_timeout`` in seconds: the longest silence
         that both ends agree on (default by baud rate); ``response_timeout``: limit for one service (default:
         C2_Response_Timeout of the GSD file). ``source``, ``destination``: API and access level, and octets of network
-        and MAC address where the end is not on this bus. ``timeout``: as for its services. Raises ServiceRefused (all
+        and MAC address if the end is not on this bus. ``timeout``: as for its services. Raises ServiceRefused (all
         connections of the slave are in use, or it has none), ConnectionEnded (the slave aborts), SlaveTimeout,
         SlaveFault, UsageError, BusError.
         """
@@ -260,7 +260,7 @@ class Connection(Sealed, RecordAccess):
 
     All services raise ConnectionEnded once the connection has ended (also services under way), otherwise the errors of
     :meth:`Slave.read`: AcyclicError, SlaveTimeout, SlaveFault, UsageError, BusError. ``timeout`` in seconds from the
-    call (None: 10, longer where C2_Response_Timeout is); a service that takes the slave longer ends the connection.
+    call (None: 10, longer if C2_Response_Timeout is); a service that takes the slave longer ends the connection.
     """
 
     def __init__(self, made: Connecting, done: InitiateDone, ending: ConnectionEnd) -> None:
@@ -417,7 +417,7 @@ class Connecting:
         return Connection(self, done, ending)
 
     def _check(self) -> None:
-        """Raises UsageError where the GSD file of the slave excludes the connection or its addresses."""
+        """Raises UsageError if the GSD file of the slave excludes the connection or its addresses."""
         who = f"slave {self.order.address} ({self.name})"
         if not self.limits.c2_read_write:
             raise UsageError(f"{who}: its GSD file says C2_Read_Write_supp = 0: it has no class 2 connections")

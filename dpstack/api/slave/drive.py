@@ -33,7 +33,7 @@ _tokens = itertools.count(1)
 
 
 def declared_parameters(core: DriveCore) -> tuple[ListedParam, ...]:
-    """The parameters that a plugin declares. Raises UsageError where the telegram has no parameter channel."""
+    """The parameters that a plugin declares. Raises UsageError if the telegram has no parameter channel."""
     if core.access is None:
         raise UsageError(f"drive {core.name}: {core.telegram.name} of {core.drive} has no parameter channel")
     return core.parameters()
@@ -202,7 +202,7 @@ class Drive(Sealed, Readable):
     async def read_many(
         self, parameters: Sequence[int | str | ParameterPlace], *, timeout: float = 5.0
     ) -> list[ParameterValue | ParameterError]:
-        """Read several parameters, as :meth:`parameter`, in few requests where one request can carry several.
+        """Read several parameters, as :meth:`parameter`, in few requests if one request can carry several.
 
         Returns one entry for each parameter, in their order: the value, or the error of a parameter that the drive
         refuses. Raises the other errors of :meth:`read`.
@@ -235,7 +235,7 @@ class Drive(Sealed, Readable):
     def parameters(self) -> tuple[ListedParam, ...]:
         """The parameters that the plugin declares, as :meth:`dump` reads them.
 
-        Raises UsageError where the telegram has no parameter channel.
+        Raises UsageError if the telegram has no parameter channel.
         """
         return declared_parameters(self._core)
 
@@ -260,7 +260,7 @@ class Drive(Sealed, Readable):
         )
 
     async def read_map(self, timeout: float = 10.0) -> dict[str, object]:
-        """Read the process data map of the drive. Raises UsageError where the drive has no map."""
+        """Read the process data map of the drive. Raises UsageError if the drive has no map."""
         return _members(await self.order("read_map", timeout))
 
     async def write_map(

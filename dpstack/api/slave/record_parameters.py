@@ -48,8 +48,8 @@ class RecordParameters:
     several tasks wait for each other.
 
     ``timeout`` in seconds for the whole call; None: no limit besides that of each service. A parameter that the drive
-    refuses is an ErrorValue in the result. All methods raise DriveTimeout where the drive does not answer,
-    ParameterError where it has no record 47. ``longest``: octets that one Read or Write can carry, unless ``limits``
+    refuses is an ErrorValue in the result. All methods raise DriveTimeout if the drive does not answer,
+    ParameterError if it has no record 47. ``longest``: octets that one Read or Write can carry, unless ``limits``
     has them.
     """
 
@@ -104,7 +104,7 @@ class RecordParameters:
         return await self._run(lambda deadline: defined(self._client, deadline), timeout)
 
     async def describe(self, pnus: Sequence[int], *, timeout: float | None = None) -> list[Description | None]:
-        """The descriptions, None where the drive has none."""
+        """The descriptions, None if the drive has none."""
         return await self._run(lambda deadline: describe(self._client, pnus, deadline), timeout)
 
     async def texts(self, pnu: int, count: int, *, first: int = 0, timeout: float | None = None) -> list[str]:
@@ -156,7 +156,7 @@ class RecordParameters:
 
 
 def drive_error(name: str, kind: object, text: object, number: object = None) -> DriveError:
-    """The exception of a failed order to the drive ``name``: of the parameter ``number``, where ``kind`` says so."""
+    """The exception of a failed order to the drive ``name``: of the parameter ``number``, if ``kind`` says so."""
     message = f"drive {name}: {text}"
     match kind:
         case "fault":

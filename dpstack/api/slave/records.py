@@ -31,7 +31,7 @@ _LONGEST_PAUSE: Final = 0.05
 
 
 def usual_timeout(response_ns: int) -> float:
-    """The timeout in seconds of one service, with its time in the queue: 10, longer where the slave may work on it for
+    """The timeout in seconds of one service, with its time in the queue: 10, longer if the slave may work on it for
     ``response_ns`` (0: not known)."""
     return ns_to_s(service_timeout(response_ns))
 
@@ -57,7 +57,7 @@ class RecordWay(NamedTuple):
 class RecordAccess(abc.ABC):
     """Read and Write of one slave, and I&M and PROFIdrive parameters on top of them.
 
-    A ``timeout`` in seconds counts from the call (None: 10, longer where the slave may take longer).
+    A ``timeout`` in seconds counts from the call (None: 10, longer if the slave may take longer).
     """
 
     @property
@@ -154,7 +154,7 @@ class RecordAccess(abc.ABC):
         """Read I&M ``number`` 0..4 of ``slot``: Write of the call, then Read of its answer. Raises as :meth:`read`.
 
         If the slave is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel), the call repeats for up to
-        2 s, or ``timeout`` where that is shorter.
+        2 s, or ``timeout`` if that is shorter.
         """
         from dpstack.dpv1.pdu.im import IM_ANSWER, IM_INDEX, build_call, parse_answer  # here, as few programs ask
 

@@ -184,7 +184,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def conspicuous(self) -> str:
-        """The unusual flags and the texts of :attr:`diagnosis` in one line; empty where there are none."""
+        """The unusual flags and the texts of :attr:`diagnosis` in one line; empty if there are none."""
         diagnosis = self.diagnosis
         return "" if diagnosis is None else self.conspicuous_text(diagnosis, exchanging=self.ready_now)
 
@@ -218,7 +218,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def inputs_limit(self) -> float:
-        """The greatest age of valid inputs in seconds: the slave's watchdog time (1 s where it is off), and never less
+        """The greatest age of valid inputs in seconds: the slave's watchdog time (1 s if it is off), and never less
         than two of its poll intervals as the plan counts them."""
         return ns_to_s(self.inputs_limit_ns)
 
@@ -236,7 +236,7 @@ class Slave(Sealed, RecordAccess):
     def outputs(self) -> bytes:
         """The outputs of the next Data_Exchange in Operate. Assigning is atomic and goes out in the next rotation.
 
-        Raises UsageError on a bus that is not open; assigning also where the length does not fit, a drive plugin makes
+        Raises UsageError on a bus that is not open; assigning also if the length does not fit, a drive plugin makes
         the outputs, or the bus is read-only.
         """
         self._bus.check_open()
@@ -282,7 +282,7 @@ class Slave(Sealed, RecordAccess):
         return None
 
     def check_outputs(self, octets: bytes) -> None:
-        """Raises UsageError where ``octets`` cannot become the outputs (see :attr:`outputs`)."""
+        """Raises UsageError if ``octets`` cannot become the outputs (see :attr:`outputs`)."""
         self._bus.check_open()
         length = self._setup.output_len
         why = ""
@@ -338,7 +338,7 @@ class Slave(Sealed, RecordAccess):
     def value(self, name: str, kind: type[T]) -> T:
         """A named input or output as ``kind``: bool, int, float (also of a whole number), bytes.
 
-        Raises UsageError where the field has another type, and as ``slave[name]`` does.
+        Raises UsageError if the field has another type, and as ``slave[name]`` does.
         """
         value = self[name]
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
@@ -350,19 +350,19 @@ class Slave(Sealed, RecordAccess):
     def inputs_as(self, kind: type[In]) -> In:
         """The last valid inputs as an object of ``kind``, a class of :class:`dpstack.Inputs`; all of one exchange.
 
-        See :attr:`inputs_valid`. Raises UsageError where the class does not fit the configuration.
+        See :attr:`inputs_valid`. Raises UsageError if the class does not fit the configuration.
         """
         return typed(Inputs, kind).taken(self.inputs, self.config.input_fields, self.who)
 
     def outputs_as(self, kind: type[Out]) -> Out:
         """The outputs of the next Data_Exchange in Operate as an object of ``kind``, a class of
-        :class:`dpstack.Outputs`. Raises UsageError where the class does not fit the configuration."""
+        :class:`dpstack.Outputs`. Raises UsageError if the class does not fit the configuration."""
         return typed(Outputs, kind).taken(self.outputs, self.config.output_fields, self.who)
 
     def send(self, outputs: Outputs) -> None:
         """Change the outputs that ``outputs`` has, and no others: they go out in the same rotation.
 
-        Raises UsageError where the class does not fit the configuration, or a value its field; and as :attr:`outputs`.
+        Raises UsageError if the class does not fit the configuration, or a value its field; and as :attr:`outputs`.
         """
         if not isinstance(outputs, Outputs):
             raise UsageError(
@@ -416,7 +416,7 @@ class Slave(Sealed, RecordAccess):
         """The value of a named input as ``kind`` (see :meth:`value`): the present one as soon as the inputs are valid,
         then each new one, as :meth:`changes`. It goes on when the slave was lost and comes back.
 
-        Raises UsageError for a name that is no input, and where the field has another type.
+        Raises UsageError for a name that is no input, and if the field has another type.
         """
         self._input_field(name)
         told = self.value(name, kind)
@@ -534,7 +534,7 @@ class Slave(Sealed, RecordAccess):
         """Change parameters while the bus runs: safe outputs for 50 ms, Unlock, a new bring-up, data exchange.
 
         ``changes`` are keys of [[slave]], in the units of a configuration, see :class:`Changes`. Raises ConfigError
-        before it changes anything (also where a named field would lie outside, or the GSD file excludes the change),
+        before it changes anything (also if a named field would lie outside, or the GSD file excludes the change),
         UsageError for other lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's
         pending orders end with DriveError. ``timeout`` in seconds.
         """

@@ -45,10 +45,10 @@ _NO_SLAVE: Final = "answers, and refuses Slave_Diag ({status}): it may be a mast
 
 
 class StationReading(Struct, frozen=True):
-    """The octets that the station at ``address`` gave; None where it gave none, then ``errors`` has the reason by the
+    """The octets that the station at ``address`` gave; None if it gave none, then ``errors`` has the reason by the
     name of the service.
 
-    ``own``: address of the master that asked; ``source``: "run" or "class2". ``status`` is "" where the diagnosis was
+    ``own``: address of the master that asked; ``source``: "run" or "class2". ``status`` is "" if the diagnosis was
     read or nobody answered; otherwise the negative answer to Slave_Diag ("RS", "UE" ...), "unreadable", or "master" for
     a station of the token ring.
     """
@@ -142,7 +142,7 @@ class KnownDevices:
             self._by_ident.setdefault(device.ident, device)
 
     def find(self, ident: int) -> Device | None:
-        """The device with the ident number; None where no file has it."""
+        """The device with the ident number; None if no file has it."""
         if ident in self._by_ident:
             return self._by_ident[ident]
         for name in bundled():
@@ -247,11 +247,11 @@ def _model(device: Device | None, ident: int) -> str | None:
 def _modules(
     config: Configuration | None, slave: SlaveConfig | None, device: Device | None
 ) -> tuple[Module | None, ...] | None:
-    """The modules behind the identifier octets in slot order; None where no GSD file has them."""
+    """The modules behind the identifier octets in slot order; None if no GSD file has them."""
     if config is None:
         return None
     if slave is not None and slave.params.texts is not None and config.octets == slave.params.config:
-        return slave.params.texts.modules or None  # also where two modules have the same octets
+        return slave.params.texts.modules or None  # also if two modules have the same octets
     return None if device is None else modules_of_config(device, config.octets)
 
 
@@ -302,7 +302,7 @@ def _findings(
     config: Configuration | None,
     texts: tuple[str, ...],
 ) -> Iterator[str]:
-    """One line each; none where the station is in data exchange, as configured, and reports nothing."""
+    """One line each; none if the station is in data exchange, as configured, and reports nothing."""
     exchanging = state is SlaveView.DATA_EXCHANGE
     if not exchanging:
         yield _WAITS[state].format(master=diagnosis.master)

@@ -46,7 +46,7 @@ def at(
     """The place of a field of :class:`Inputs` or :class:`Outputs`. ``octet`` counts from 0.
 
     ``what``: of a Bool the bit, 0..7; of Octets their number; of Int and Scaled the type, "u8", "i16", "f32le" and so
-    on as in the configuration, where ``scale``, ``offset`` and ``unit`` are explained too. Without arguments the field
+    on as in the configuration, if ``scale``, ``offset`` and ``unit`` are explained too. Without arguments the field
     is the one of this name in the configuration.
     """
     place = None if octet is None else (octet, what, {"scale": scale, "offset": offset, "unit": unit})
@@ -64,7 +64,7 @@ class _Typed:
     def taken(cls, octets: bytes, known: FieldMap, who: str) -> Self:
         """The values of ``octets``. ``known``: the fields of the configuration; ``who``: their slave, for messages.
 
-        Raises UsageError where a field does not fit the configuration.
+        Raises UsageError if a field does not fit the configuration.
         """
         values: dict[str, Any] = {}
         for name, (found, kind) in _fields(cls, known, who, len(octets)).items():
@@ -91,7 +91,7 @@ class Outputs(_Typed):
 
 
 def typed(base: type[_Typed], kind: type[K]) -> type[K]:
-    """``kind``. Raises UsageError where it is no class of ``base``, :class:`Inputs` or :class:`Outputs`."""
+    """``kind``. Raises UsageError if it is no class of ``base``, :class:`Inputs` or :class:`Outputs`."""
     if not isinstance(kind, type) or not issubclass(kind, base):
         name = base.__name__
         raise UsageError(

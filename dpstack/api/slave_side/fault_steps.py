@@ -38,7 +38,7 @@ End = Callable[[], bool]
 @dataclass(frozen=True, slots=True)
 class Deed:
     """Something to be done to a simulated slave. ``text``: for people. ``begin`` does it and returns what ends it, None
-    where nothing does. It may raise ValueError or UsageError.
+    if nothing does. It may raise ValueError or UsageError.
     """
 
     text: str

@@ -223,7 +223,7 @@ def _opened(path: Path) -> TextIO:
 def _written_rows(path: Path) -> Iterator[_Row]:
     """The rows of a CSV file whose first column is t, in seconds. Lines without such a number are left out.
 
-    Raises UsageError where the file is no CSV file any more.
+    Raises UsageError if the file is no CSV file any more.
     """
     first: float | None = None
     with _opened(path) as file:
@@ -293,7 +293,7 @@ class _Calls:
         bench.call_at(origin_ns + number * self._period_ns, partial(self._tick, origin_ns, number))
 
     def _outputs(self) -> object:
-        """The named outputs, or the octets where none is named; zeros outside data exchange."""
+        """The named outputs, or the octets if none is named; zeros outside data exchange."""
         unit = self._unit
         octets = unit.app.outputs or bytes(unit.config.params.output_len)
         fields = unit.config.output_fields

@@ -32,7 +32,7 @@ __all__ = [
     "sim_event_json",
 ]
 
-#: the rate in bit/s where neither the arguments nor the configuration give one
+#: the rate in bit/s if neither the arguments nor the configuration give one
 DEFAULT_BAUD: Final = 500_000
 
 

@@ -139,7 +139,7 @@ def slave_from_gsd(
 
 
 def serve_async(device: Device) -> AsyncRecords | None:
-    """Let the async functions of ``device`` serve its records; None where it has none."""
+    """Let the async functions of ``device`` serve its records; None if it has none."""
     if not (isinstance(device, DpSlave) and (device.on_read or device.on_write or device.on_transport)):
         return None
     records = AsyncRecords(device)

@@ -99,12 +99,12 @@ def silence_text(left_ns: int) -> str:
 
 
 def rates_of(slave: SlaveConfig) -> Sequence[int]:
-    """The baud rates of the device; all rates where it gives none."""
+    """The baud rates of the device; all rates if it gives none."""
     return sorted(slave.baud_rates) or BAUD_RATES
 
 
 def set_rate(slave: SlaveConfig) -> int | None:
-    """The rate to which the device is set; None where it detects the rate."""
+    """The rate to which the device is set; None if it detects the rate."""
     fixed = slave.profile is not None and slave.profile.rate_setting is not None
     return rates_of(slave)[0] if fixed else None
 
@@ -191,7 +191,7 @@ class SimulatedSlave:
 
     @property
     def drive(self) -> DriveDevice | None:
-        """The device where it is a simulated drive."""
+        """The device if it is a simulated drive."""
         if self._own is not None:
             from dpstack.profile import DriveDevice  # here, as few tests have a device of their own
 
@@ -199,7 +199,7 @@ class SimulatedSlave:
         return None if self.config.profile is None else cast("DriveDevice", self.device)
 
     def check_settable(self) -> None:
-        """Raises UsageError where the device makes its inputs itself: a drive, or the device of a test."""
+        """Raises UsageError if the device makes its inputs itself: a drive, or the device of a test."""
         if self._own is not None:
             raise UsageError(f"{self.who}: its own function makes its inputs; change what the function returns")
         if self.drive is not None:
@@ -315,7 +315,7 @@ class Bench(ABC):
     :meth:`address_of` does.
     """
 
-    #: True where the keys ``simulate`` of the slaves are carried out
+    #: True if the keys ``simulate`` of the slaves are carried out
     is_fed: bool = False
 
     @property
@@ -330,7 +330,7 @@ class Bench(ABC):
 
     @abstractmethod
     def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
-        """Call ``callback`` at ``at_ns``, at once where that time is over; never after the end of the slaves."""
+        """Call ``callback`` at ``at_ns``, at once if that time is over; never after the end of the slaves."""
 
     @abstractmethod
     def _silence(self, address: int, for_ns: int | None) -> None: ...

@@ -39,7 +39,7 @@ def liveness(tree: PlantTree) -> Health:
 
 def readiness(tree: PlantTree, judge: Callable[[], Verdict]) -> Health:
     """``/readyz``: the bus operates (on a bus that is read only: its master is in the ring), and all slaves are in data
-    exchange, but those that were taken out of service by order. Where it is ready, ``judge`` is asked for further
+    exchange, but those that were taken out of service by order. If it is ready, ``judge`` is asked for further
     lines."""
     trouble = tree.trouble(None)
     if trouble is not None:

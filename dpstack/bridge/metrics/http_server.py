@@ -80,7 +80,7 @@ class HttpServer:
 
     ``origins``: a ``Host`` that is not one of them is refused, against pages of others in a browser of this computer;
     None: every host. ``count``: takes the status of each answer; ``refused``: is called for each connection that was
-    closed at once. ``fault``: the answer where a page raises.
+    closed at once. ``fault``: the answer if a page raises.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ class Usage(NamedTuple):
 
 
 def usage_of(pid: int) -> Usage | None:
-    """The use of resources by process ``pid``; None where there is none, or no ``/proc``."""
+    """The use of resources by process ``pid``; None if there is none, or no ``/proc``."""
     folder = _PROC / str(pid)
     try:
         fields = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()

@@ -227,7 +227,7 @@ class MqttConnector(Connector):
     # --- a session ------------------------------------------------------------------------------------------------
 
     async def _session(self) -> Disconnect:
-        """One connection from its begin to its end. Returns where the edge node ends it; raises MqttError, OSError."""
+        """One connection from its begin to its end. Returns if the edge node ends it; raises MqttError, OSError."""
         node, numbers = self._node, self._numbers
         assert node is not None
         assert numbers is not None, "open() comes first"
@@ -342,7 +342,7 @@ class MqttConnector(Connector):
                 self._round_wanted.set()
 
     async def _confirm(self, client: aiomqtt.Client) -> None:
-        """Confirm what was sent by round trips on this connection. Raises MqttError where the broker does not answer:
+        """Confirm what was sent by round trips on this connection. Raises MqttError if the broker does not answer:
         then nobody knows what it has read."""
         before = cancellations()
         while True:

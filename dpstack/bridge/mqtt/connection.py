@@ -128,7 +128,7 @@ def _will(will: Publish) -> aiomqtt.Will:
 
 
 def session_of(message: aiomqtt.Message) -> int | None:
-    """The number of the session whose will ``message`` is; None where it has none that :func:`make_client` gives."""
+    """The number of the session whose will ``message`` is; None if it has none that :func:`make_client` gives."""
     for name, text in getattr(message.properties, "UserProperty", ()):
         if name == _SESSION and len(text) <= _MOST_DIGITS and text.isascii() and text.isdecimal():
             return int(text)
@@ -163,7 +163,7 @@ async def connect(client: LimitedClient) -> None:
 
 
 async def subscribe(client: LimitedClient, topics: Iterable[str], qos: int) -> None:
-    """Subscribe. Raises MqttError where the broker refuses a topic, or does not answer in time."""
+    """Subscribe. Raises MqttError if the broker refuses a topic, or does not answer in time."""
     for topic in topics:
         for code in await client.subscribe(topic, qos=qos):
             if isinstance(code, ReasonCode) and code.is_failure:
@@ -171,7 +171,7 @@ async def subscribe(client: LimitedClient, topics: Iterable[str], qos: int) -> N
 
 
 async def close(client: aiomqtt.Client) -> None:
-    """End a connection, whatever its state: DISCONNECT with "Disconnect with Will Message" where it still works
+    """End a connection, whatever its state: DISCONNECT with "Disconnect with Will Message" if it still works
     (tck-id-payloads-ndeath-will-message-publisher-disconnect-mqtt50), then the socket."""
     paho, gone = client._client, client._disconnected
     code = None
@@ -206,7 +206,7 @@ def is_refused(error: BaseException) -> bool:
 
 
 def why_lost(error: BaseException, last: LastError, *, connected: bool) -> str:
-    """The reason of an error of the connection, with a remedy where there is one. ``connected``: whether the broker had
+    """The reason of an error of the connection, with a remedy if there is one. ``connected``: whether the broker had
     accepted the connection."""
     for alert, text in _ALERTS:
         if alert in last.text:

@@ -444,7 +444,7 @@ class EdgeNode(PlantNode):
             self._keep(self._entries(slave, {key: reading}))
 
     def _replace(self, slave: int | None, owner: _Device, key: str, clock: float) -> None:
-        """A newer value takes the place of one that was not sent: it is kept where it was its turn already."""
+        """A newer value takes the place of one that was not sent: it is kept if it was its turn already."""
         before = owner.pending.get(key)
         if before is not None and clock >= owner.due:
             self._keep(self._entries(slave, {key: before}))
@@ -558,7 +558,7 @@ class EdgeNode(PlantNode):
         self._show_result(wish.name, result, reason, wall)
 
     def _wish(self, device: str | None, given: Given, time_ms: int | None, *, retained: bool) -> OrderWish:
-        """The order that a metric of a command means. Raises ValueError with the reason where there is none."""
+        """The order that a metric of a command means. Raises ValueError with the reason if there is none."""
         if retained:
             raise ValueError("the broker had kept this command: nobody knows how old it is")
         key, order = self._order_given(device, given)

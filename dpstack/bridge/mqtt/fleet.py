@@ -28,7 +28,7 @@ _MOST_NAME: Final = 120
 _STATUS: Final = "status"
 #: of a gateway with plain JSON
 _ONLINE: Final = "online"
-#: s by which the clock of a gateway may be ahead of that of this computer, where only ``sent`` dates a status
+#: s by which the clock of a gateway may be ahead of that of this computer, if only ``sent`` dates a status
 _MOST_AHEAD_S: Final = 2.0
 #: s for which a status counts that the broker had kept: nobody has heard its gateway yet, and it sends one by then
 _KEPT_S: Final = RENEW_S + 2.0
@@ -143,7 +143,7 @@ class Fleet:
     ) -> Segment | None:
         """Take a message; ``expiry``: s of its message expiry that are left; ``session``: the number of the session
         whose will it is; ``retained``: the broker had kept it; ``wall``: s since 1970 by the clock of this computer.
-        Nothing that it may hold raises. Returns the segment where people should see a change."""
+        Nothing that it may hold raises. Returns the segment if people should see a change."""
         match topic.split("/", 4):
             case ["dpstack", group, node, end] if end == _STATUS:
                 age = EXPIRY_S - expiry if expiry is not None and expiry <= EXPIRY_S else None
@@ -237,7 +237,7 @@ class Fleet:
         self.why_broken = why
 
     def _judge(self, segment: Segment, now: float) -> Segment | None:
-        """The segment where its state has changed."""
+        """The segment if its state has changed."""
         status, segment.flips = segment.status, now - segment.went_back < _FLIPS_S
         if status.state == ENDED:
             state = State.ENDED
@@ -262,7 +262,7 @@ class Fleet:
 
 
 def _age_by_clocks(status: Status, wall: float) -> float | None:
-    """s since ``status`` was sent, where the clocks of its gateway and of this computer may agree; else None. A clock
+    """s since ``status`` was sent, if the clocks of its gateway and of this computer may agree; else None. A clock
     that is wrong by less than 30 s is not noticed."""
     age = wall - status.sent
     return max(0.0, age) if -_MOST_AHEAD_S <= age < EXPIRY_S else None
@@ -284,7 +284,7 @@ def _seen(status: Status) -> tuple[object, ...]:
 
 
 def _session_of(payload: bytes) -> object:
-    """The bdSeq of an NDEATH; None where there is none."""
+    """The bdSeq of an NDEATH; None if there is none."""
     try:
         metrics = read_command(payload).metrics
     except ValueError:

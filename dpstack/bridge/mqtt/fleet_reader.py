@@ -1,6 +1,6 @@
 """Reads the statuses of all segments of a broker over one connection, which is made again when it is lost.
 
-It subscribes and publishes nothing, but where the caller asks for births.
+It subscribes and publishes nothing, but if the caller asks for births.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class FleetReader:
         return self._lost_before + int(getattr(self._queue, "lost", 0))
 
     async def run(self) -> None:
-        """Read until cancelled. Raises UsageError where the broker refuses user or password at the first connection."""
+        """Read until cancelled. Raises UsageError if the broker refuses user or password at the first connection."""
         ticking = asyncio.create_task(self._tick(), name="dpstack fleet: time")
         try:
             await self._connect_again_and_again()

@@ -11,7 +11,7 @@ The part that knows no disk, no network and no clock. A value takes this way:
    historical, and leave the disk when they are confirmed. So each value arrives at least once, or is counted.
 
 Times of entries are ms since the start of the computer, by a clock that nobody sets, with the offset of the clock of
-the computer that was known then. So the right time can be found at sending, where that clock was set meanwhile.
+the computer that was known then. So the right time can be found at sending, if that clock was set meanwhile.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ EARLIEST_MS: Final = 1_577_836_800_000
 _SET_MS: Final = 1000
 #: octets of a metric in a payload besides texts and octets: alias, time, value, flag, quality
 _METRIC_OCTETS: Final = 64
-#: s until the next look where the clock was never set
+#: s until the next look if the clock was never set
 _HOLD_S: Final = 60.0
 
 
@@ -157,13 +157,13 @@ class History:
         self._bound()
 
     def sent(self, entries: Iterable[Entry]) -> None:
-        """Take values that were sent: they are kept where the connection ends before it has confirmed them."""
+        """Take values that were sent: they are kept if the connection ends before it has confirmed them."""
         self._unconfirmed.extend((self._round, entry) for entry in entries)
         while len(self._unconfirmed) > self._most:
             self.keep(self._unconfirmed.popleft()[1])
 
     def covered(self, device: str | None, metric: str, reading: Reading, at_ms: int | None) -> None:
-        """A birth holds the value of a metric. Where it is the newest one that waits in memory, it need not be sent as
+        """A birth holds the value of a metric. If it is the newest one that waits in memory, it need not be sent as
         history. ``at_ms``: its time, None: any one."""
         number = self._newest.get((device, metric))
         entry = None if number is None else self._new.get(number)
@@ -179,7 +179,7 @@ class History:
         self._good.clear()
 
     def look_again(self) -> None:
-        """A device was born: the disk may hold values of it, also where it is being read without them now."""
+        """A device was born: the disk may hold values of it, also if it is being read without them now."""
         self._is_exhausted = False
         self._must_look_again = self._is_reading
 
@@ -327,7 +327,7 @@ class History:
         return done
 
     def take_read_request(self) -> frozenset[str] | None:
-        """Devices whose entries are to be left out, where the next part is to be read; :meth:`give` or :meth:`not_read`
+        """Devices whose entries are to be left out, if the next part is to be read; :meth:`give` or :meth:`not_read`
         comes next then. None: nothing is to be read."""
         without, self._read_without = self._read_without, None
         self._is_reading = without is not None

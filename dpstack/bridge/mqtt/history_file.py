@@ -65,7 +65,7 @@ class DamagedHistoryError(HistoryError):
 
 
 def boot_id() -> str:
-    """The id of this start of the computer; another one at each call where the kernel gives none."""
+    """The id of this start of the computer; another one at each call if the kernel gives none."""
     try:
         return _BOOT_ID.read_text("ascii").strip() or str(uuid.uuid4())
     except (OSError, ValueError):
@@ -356,7 +356,7 @@ def _written(value: Value) -> int | float | str | bytes | None:
 
 
 def _read_back(value: object, type_: DataType) -> Value:
-    """A value of the file. Raises ValueError or TypeError where it is none of ``type_``."""
+    """A value of the file. Raises ValueError or TypeError if it is none of ``type_``."""
     if value is None:
         return None
     if type_ in (DataType.STRING, DataType.TEXT) and isinstance(value, str):

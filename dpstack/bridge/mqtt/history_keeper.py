@@ -127,7 +127,7 @@ class HistoryKeeper:
 
     @contextlib.contextmanager
     def _watched(self) -> Iterator[None]:
-        """Tell it where the disk does not answer for long, for instance that of a server that is gone; and the values
+        """Tell it if the disk does not answer for long, for instance that of a server that is gone; and the values
         that are lost meanwhile."""
         loop = asyncio.get_running_loop()
         timer: asyncio.TimerHandle
@@ -159,7 +159,7 @@ class HistoryKeeper:
         return file
 
     def _open(self) -> HistoryFile:
-        """In the thread: where the caller is cancelled meanwhile, the file is known all the same, and opened once."""
+        """In the thread: if the caller is cancelled meanwhile, the file is known all the same, and opened once."""
         if self._file is None:
             self._file = HistoryFile(self._folder, self._most_mb * _MB, self._boot)
         return self._file

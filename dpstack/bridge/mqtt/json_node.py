@@ -220,7 +220,7 @@ class JsonNode(PlantNode):
         self._gone[self._sent.pop(key).topic] = None
 
     def _topic(self, key: _Key) -> str | None:
-        """None where nothing has this topic any more."""
+        """None if nothing has this topic any more."""
         if key.part == _ONLINE and key.slave is None:
             return self._online_topic
         folder = self._folders.get(key.slave)
@@ -362,7 +362,7 @@ class JsonNode(PlantNode):
         self._add_result(wish.name, wish.made_at, result, reason, wall)
 
     def _wish(self, slave: str, name: str, payload: bytes, *, retained: bool) -> OrderWish:
-        """The order that a message means. Raises ValueError with the reason where there is none."""
+        """The order that a message means. Raises ValueError with the reason if there is none."""
         if retained:
             raise ValueError("the broker had kept this order: nobody knows how old it is")
         order = self._orders.get((slave, name))

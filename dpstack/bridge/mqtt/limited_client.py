@@ -44,7 +44,7 @@ class LimitedClient(aiomqtt.Client):
         self._client_connect()
 
     async def wait_connected(self) -> None:
-        """Wait for CONNACK. Raises MqttError where the broker refuses, or does not answer in time."""
+        """Wait for CONNACK. Raises MqttError if the broker refuses, or does not answer in time."""
         await self._wait_for(self._connected, timeout=None)
 
     def _receive_limited(self, octets: int) -> bytes:

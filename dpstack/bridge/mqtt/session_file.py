@@ -23,11 +23,11 @@ _LINE: Final = re.compile(rb"([0-9]{1,3})\n")
 
 
 class SessionFile:
-    """The folder ``folder`` of one edge node; it is made where it is missing (rights 0700).
+    """The folder ``folder`` of one edge node; it is made if it is missing (rights 0700).
 
     ``damaged``: there is a file, but no number in it, so nobody knows the number of the last session.
 
-    Raises ConfigError where another program has the folder, or where it cannot be used.
+    Raises ConfigError if another program has the folder, or if it cannot be used.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -48,13 +48,13 @@ class SessionFile:
         except OSError as error:
             os.close(self._fd)
             raise _unusable(folder, error) from None
-        # where open() of the connector was cancelled, nobody has this object when its thread has made it
+        # if open() of the connector was cancelled, nobody has this object when its thread has made it
         self._release = weakref.finalize(self, os.close, self._fd)
         self.damaged = found is None
         self._last = -1 if found is None else found
 
     def next(self) -> int:
-        """The number of the next session, which is on disk now. Raises OSError where it cannot be written: do not
+        """The number of the next session, which is on disk now. Raises OSError if it cannot be written: do not
         connect then."""
         number = (self._last + 1) % NUMBERS
         new = f"{_NAME}.new"
@@ -75,7 +75,7 @@ class SessionFile:
         self._release()
 
     def _read(self) -> int | None:
-        """The number in the file; -1 without a file, None where there is none in it."""
+        """The number in the file; -1 without a file, None if there is none in it."""
         try:
             fd = os.open(_NAME, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW, dir_fd=self._fd)
         except FileNotFoundError:

@@ -91,7 +91,7 @@ def content_of(tree: PlantTree, judge: Judge) -> dict[str, Any]:
 
 
 def _first_ones(reasons: Sequence[str]) -> list[str]:
-    """The worst reasons; where there are more, the last one is their number."""
+    """The worst reasons; if there are more, the last one is their number."""
     found = [_short(one, _MOST_TEXT) for one in reasons[:MOST_REASONS]]
     if len(reasons) > MOST_REASONS:
         found[-1] = f"and {len(reasons) - MOST_REASONS + 1} more"
@@ -161,7 +161,7 @@ class StatusSource:
 
 def read_status(octets: bytes) -> Status:
     """The status in a payload, whoever sent it. Keys that are not known are left out. Raises ValueError with the
-    reason where it is none."""
+    reason if it is none."""
     given = read_object(octets, MOST_OCTETS)
     if given.get("version") != VERSION:
         raise ValueError(f"this program knows version {VERSION} of a status")

@@ -30,7 +30,7 @@ class WorkerThread(Executor):
         return future
 
     async def call(self, function: Callable[..., T], *arguments: Any) -> T:
-        """The result of ``function``, or what it raises. It goes on where the caller is cancelled."""
+        """The result of ``function``, or what it raises. It goes on if the caller is cancelled."""
         self._loop = loop = asyncio.get_running_loop()
         # a virtual loop waits for what this method began
         future = loop.run_in_executor(self, function, *arguments)

@@ -33,9 +33,9 @@ _MOST_OCTETS: Final = 1 << 16
 def own_certificate(
     cert: Path, key: Path, *, uri: str, hosts: Iterable[str], now: datetime
 ) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
-    """The certificate (DER or PEM) and the key (PEM) of the server. Where neither file is there, both are made.
+    """The certificate (DER or PEM) and the key (PEM) of the server. If neither file is there, both are made.
 
-    Raises ConfigError where only one is there, they do not belong together, others can read the key, or the
+    Raises ConfigError if only one is there, they do not belong together, others can read the key, or the
     certificate is not valid at ``now``.
     """
     there = [path for path in (cert, key) if path.exists()]

@@ -47,7 +47,7 @@ from dpstack.trace import Severity
 WRITE_S: Final = 0.2
 #: changes of conditions that wait; the oldest beyond them are left out, and a refresh brings them
 MOST_EVENTS_WAITING: Final = 4096
-#: s until clients are served, even where the plant is not known yet
+#: s until clients are served, even if the plant is not known yet
 _PLANT_S: Final = 2.0
 #: nodes that are written before clients have their turn
 _AT_ONCE: Final = 100
@@ -75,7 +75,7 @@ _CODES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class OpcUaSettings:
-    """``cert``, ``key``: made at the first start where neither is there. ``trust_dir``: the
+    """``cert``, ``key``: made at the first start if neither is there. ``trust_dir``: the
     certificates of clients; None: any. ``users_file``: None: no users. ``anonymous``: may read. ``history_s``, and
     ``history_values`` of all nodes together. ``lock``: a file for this name, which no other program must have."""
 

@@ -93,7 +93,7 @@ class Octets(Buffer):
 
 
 def guard() -> None:
-    """Put the bounds into asyncua, once for the process. Raises DpError where this asyncua has other parts."""
+    """Put the bounds into asyncua, once for the process. Raises DpError if this asyncua has other parts."""
     if getattr(ua_binary.extensionobject_from_binary, "guarded", False):
         return
     missing = [

@@ -70,7 +70,7 @@ class BoundedHistory:
             self.dropped += 1
 
     def clear(self) -> None:
-        """Forget all, where the clock was set: times before and after do not fit together."""
+        """Forget all, if the clock was set: times before and after do not fit together."""
         self._of.clear()
         self._order.clear()
 
@@ -85,9 +85,9 @@ class BoundedHistory:
         self, node: ua.NodeId, start: datetime | None, end: datetime | None, most: int = 0, *,
         bounds: bool = False, point: int | None = None,
     ) -> tuple[list[ua.DataValue], int | None]:  # fmt: skip
-        """Raw values between ``start`` and ``end``, both of them included (Part 11, 6.4.3): backwards where ``start``
+        """Raw values between ``start`` and ``end``, both of them included (Part 11, 6.4.3): backwards if ``start``
         is behind ``end`` or is not given. ``most``: 0: as many as fit in an answer. ``bounds``: the values right before
-        and behind, too. The second result is the ``point`` at which to go on, None where all was read."""
+        and behind, too. The second result is the ``point`` at which to go on, None if all was read."""
         backwards = start is None or (end is not None and start > end)
         low, high = (end, start) if backwards and start is not None else (start, end)
         values: Sequence[_Kept] = self._of.get(node) or ()

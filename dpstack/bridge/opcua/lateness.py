@@ -35,7 +35,7 @@ class Lateness:
 
 
 def seconds_of(time: datetime | None) -> float | None:
-    """A time of OPC UA in s since 1970; None where it has none (null is the begin of 1601)."""
+    """A time of OPC UA in s since 1970; None if it has none (null is the begin of 1601)."""
     if time is None or time.year < 1970:
         return None
     return (time if time.tzinfo is not None else time.replace(tzinfo=UTC)).timestamp()

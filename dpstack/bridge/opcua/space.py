@@ -192,7 +192,7 @@ class Space:
         return changed, bool(gone or new)
 
     async def write(self, node: Node, reading: Reading, wall: Callable[[float], datetime]) -> ua.DataValue | None:
-        """Write the value of ``node``; returns it, None where there is no such node."""
+        """Write the value of ``node``; returns it, None if there is no such node."""
         id_ = self.node(node.id)
         if self.values.get(id_) is None:
             return None

@@ -210,13 +210,13 @@ def _is_news(old: ua.DataValue | None, new: ua.DataValue, given: DataChangeFilte
             return True
         if not isinstance(before, (int, float)) or not isinstance(after, (int, float)):
             return True
-        return not abs(after - before) <= given.DeadbandValue  # true where one of them is NaN
+        return not abs(after - before) <= given.DeadbandValue  # true if one of them is NaN
     is_timed = trigger == ua.DataChangeTrigger.StatusValueTimestamp and not has_deadband
     return is_timed and (old.SourceTimestamp, old.SourcePicoseconds) != (new.SourceTimestamp, new.SourcePicoseconds)
 
 
 def judged_filter(given: Any, *, is_event: bool) -> tuple[Any, int | None]:
-    """The filter of a monitored item, None where there is none, and the status code that refuses it."""
+    """The filter of a monitored item, None if there is none, and the status code that refuses it."""
     if given is None or (isinstance(given, ua.ExtensionObject) and given.TypeId.Identifier == 0):
         return None, int(ua.StatusCodes.BadEventFilterInvalid) if is_event else None
     if is_event:

@@ -58,7 +58,7 @@ class Users:
         self._waiting: dict[str, tuple[asyncio.Lock, int]] = {}
 
     async def verify(self, name: str, password: str, address: str) -> Account | None:
-        """The account ``name`` where ``password`` is right; None: wrong, or too many passwords of ``address`` wait."""
+        """The account ``name`` if ``password`` is right; None: wrong, or too many passwords of ``address`` wait."""
         turn, waiting = self._waiting.get(address, (asyncio.Lock(), 0))
         if waiting >= _MOST_WAITING or len(password) > _LONGEST_PASSWORD:
             return None
@@ -96,7 +96,7 @@ def hash_password(password: str) -> str:
 
 
 def is_right(password: str, hashed: str) -> bool:
-    """Whether ``password`` is that of ``hashed``. Raises ValueError where that is no hash of ours."""
+    """Whether ``password`` is that of ``hashed``. Raises ValueError if that is no hash of ours."""
     cost, block, parallel, salt, key = _parts(hashed)
     return hmac.compare_digest(_scrypt(password, salt, cost, block, parallel), key)
 
@@ -132,7 +132,7 @@ _NOBODY: Final = (
 def read_users(path: Path) -> dict[str, Account]:
     """The users of a file with lines ``NAME read|control HASH``. Empty lines and those with ``#`` count as none.
 
-    Raises ConfigError where others can read the file, it does not belong to this user, or a line is none. No message
+    Raises ConfigError if others can read the file, it does not belong to this user, or a line is none. No message
     holds a hash.
     """
     try:

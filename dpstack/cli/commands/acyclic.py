@@ -42,7 +42,7 @@ _FILES: Final = (
     Spec(COMPARE, "FILE [SLOT] [OBJECT]", "where the device differs from such a file", "pump.toml"),
 )
 _WORDS: Final = (*WORDS, TRANSPORT, *_FILES)
-#: the way out where another station has the master's address, or another master the slave
+#: the way out if another station has the master's address, or another master the slave
 _BESIDE: Final = "; or ask beside that master with --class 2, where the slave has it"
 
 
@@ -80,7 +80,7 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 where the slave refuses or does not answer."""
+    """Exit code 1 if the slave refuses or does not answer."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
     if args.address is not None and args.master == 1:
         raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
@@ -136,7 +136,7 @@ class _Request(NamedTuple):
     own: int | None
 
     def answer(self) -> Mapping[str, Any]:
-        """The answer to the order. Raises BusError where a signal ended the command first."""
+        """The answer to the order. Raises BusError if a signal ended the command first."""
         with progress_bar(f"{self.order.word} of {self.slave.name}") as progress:
             return run_to_result(self._carry_out(progress), f"{self.word} was done")
 

@@ -94,7 +94,7 @@ def execute(args: argparse.Namespace) -> int:
 
 
 def script(shell: str) -> str:
-    """The completion script for ``shell``, one of :data:`SHELLS`. Raises UsageError where shtab is not installed."""
+    """The completion script for ``shell``, one of :data:`SHELLS`. Raises UsageError if shtab is not installed."""
     require("shtab", "dpstack completion", "completion")
     import shtab
 

@@ -207,7 +207,7 @@ async def _demo(config: Config, args: argparse.Namespace) -> int:
 @contextlib.asynccontextmanager
 async def _page(stage: _Stage, args: argparse.Namespace, stop: StopSignal) -> AsyncIterator[None]:
     """Within, a web server shows the plant: a process of its own, which joins the demo through its control socket. The
-    demo ends where that cannot be."""
+    demo ends if that cannot be."""
 
     def note(line: str) -> None:
         found = json.loads(line)

@@ -80,7 +80,7 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 where an order fails or a compare finds a difference."""
+    """Exit code 1 if an order fails or a compare finds a difference."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
     command = _Command(args, config, _slave_of(config, args.name), _orders(args))
     _check_orders(command.slave, command.orders, simulated=config.virtual)
@@ -208,7 +208,7 @@ class OneDrive:
         return False
 
     async def _stop(self) -> None:
-        """By its ramp, where it still can."""
+        """By its ramp, if it still can."""
         if self._bus.searching or not self._bus.is_open:
             return
         drive = self.drive
@@ -314,7 +314,7 @@ class _Plugin:
         return declared_parameters(self._core)
 
     def check(self, order: ParsedCommand) -> None:
-        """Raises UsageError where the plugin refuses the order before it sends anything."""
+        """Raises UsageError if the plugin refuses the order before it sends anything."""
         core = self._core
         events: list[dict[str, object]] = []
         with contextlib.suppress(Exception):  # a defect of the plugin is raised where the order is carried out
@@ -342,7 +342,7 @@ class _Orders:
     code: int = 0
 
     async def are_done(self, stop: StopSignal) -> bool:
-        """Carry out all orders; False, after a warning, where a signal ended that. The first failure is raised."""
+        """Carry out all orders; False, after a warning, if a signal ended that. The first failure is raised."""
         if await stop.or_done(self._all()):
             return True
         output.warn(f"ended before {self.word} was done" if self.word else "ended before the first order")

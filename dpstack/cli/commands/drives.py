@@ -18,7 +18,7 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 where a plugin cannot be loaded."""
+    """Exit code 1 if a plugin cannot be loaded."""
     drives, devices, broken = _drives(), _devices(), registry.broken()
     if args.json:
         unusable = [{"name": name, "reason": why} for name, why in broken.items()]
@@ -39,7 +39,7 @@ def execute(args: argparse.Namespace) -> int:
 
 
 def _drives() -> list[dict[str, Any]]:
-    """``ident`` is null where no manual gives the number."""
+    """``ident`` is null if no manual gives the number."""
     places, origins, files = registry.places(), registry.origins(), bundled()
     return [
         {

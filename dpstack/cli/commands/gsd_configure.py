@@ -78,7 +78,7 @@ class _Dialogue:
         """Ask until ``read`` accepts the answer (it raises GsdError otherwise); an empty answer is ``default``.
 
         ``search`` gets the text of an answer ``/text`` or ``?text``, then the question comes again. Raises UsageError
-        where the input has ended and there is no default.
+        if the input has ended and there is no default.
         """
         while True:
             line = "" if self._ended else self._line(prompt)
@@ -211,7 +211,7 @@ class _Dialogue:
         return find_module(device, names[0])
 
     def _list_modules(self, part: str) -> None:
-        """Print the modules whose name, info text or number contains ``part``; all where it is empty."""
+        """Print the modules whose name, info text or number contains ``part``; all if it is empty."""
         modules = [module for module in self._device.modules if not is_fixed(self._device, module)]
         numbers = ["" if module.reference is None else str(module.reference) for module in modules]
         texts = [f"{module.name} {module.info} {n}" for module, n in zip(modules, numbers, strict=True)]
@@ -248,7 +248,7 @@ class _Dialogue:
 
 
 def _existing(path: str | None) -> Config | None:
-    """The configuration at ``path``; None where there is none, or where it is empty. Raises ConfigError."""
+    """The configuration at ``path``; None if there is none, or if it is empty. Raises ConfigError."""
     if path is None:
         return None
     if not os.path.exists(path) or (os.path.isfile(path) and not os.path.getsize(path)):
@@ -295,7 +295,7 @@ def _value(field: PrmField, answer: str) -> int | None:
 
 
 def _written(field: PrmField, value: int) -> int | str:
-    """``value`` as the table has it: its text where no other value has that text too."""
+    """``value`` as the table has it: its text if no other value has that text too."""
     text = field.parameter.texts.get(value)
     if text is None or sum(folded(text) == folded(other) for other in field.parameter.choices.values()) > 1:
         return value

@@ -30,7 +30,7 @@ def show_comparison(
     *,
     json: bool,
 ) -> int:
-    """The comparison ``found``, otherwise as :func:`show_dump`. Exit code 1 where a parameter differs."""
+    """The comparison ``found``, otherwise as :func:`show_dump`. Exit code 1 if a parameter differs."""
     if json:
         output.json_line({**head, "same": found.same, "differences": differences, "skipped": skipped})
     else:

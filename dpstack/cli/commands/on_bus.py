@@ -154,7 +154,7 @@ def warn_of_simulation(config: Config) -> None:
 
 
 def refuse_application_watchdog(config: Config, command: str) -> None:
-    """Raises ConfigError where ``config`` has an application watchdog: ``command`` never calls ``alive()``."""
+    """Raises ConfigError if ``config`` has an application watchdog: ``command`` never calls ``alive()``."""
     if config.bus.application_watchdog_ms:
         raise config.source.error(
             ("bus", "application_watchdog_ms"),

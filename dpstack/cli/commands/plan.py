@@ -108,7 +108,7 @@ def _all_rates(config: Config, needs: Needs, *, json: bool, octets: bool) -> int
 
 
 def _simulate(config: Config, plan: Plan, seconds: float) -> SimulatedPlan | None:
-    """The figures measured until the end or until a signal; None where no bus can run by this plan, and where the
+    """The figures measured until the end or until a signal; None if no bus can run by this plan, and if the
     measurement did not begin."""
     if plan.refusals:
         return None
@@ -155,7 +155,7 @@ def _rotation_text(plan: Plan, case: Case) -> str:
 
 
 def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
-    """The plan with the slowest rate for each verdict on the cycle, null where there is none."""
+    """The plan with the slowest rate for each verdict on the cycle, null if there is none."""
     cycle = data.get("cycle")
     if isinstance(cycle, dict):
         cycle["slowest_baud"] = {verdict.value: baud for verdict, baud in needs.items()}

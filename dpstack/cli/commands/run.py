@@ -215,7 +215,7 @@ async def _connectors(bus: Bus, stop: StopSignal) -> AsyncIterator[None]:
 def _screen(
     bus: Bus, stop: StopSignal, reporter: Reporter, suspension: Suspension, args: argparse.Namespace
 ) -> contextlib.AbstractAsyncContextManager[None]:
-    """The live screen of the run, where ``args`` want it and standard output is a terminal."""
+    """The live screen of the run, if ``args`` want it and standard output is a terminal."""
     if args.json or args.plain or not output.redraws():
         return contextlib.nullcontext()
     from dpstack.cli.terminal.live_screen import live_screen  # here, as it needs a terminal
@@ -255,7 +255,7 @@ def _ctl_name(bus: Bus, control: ControlServer) -> str:
 
 
 def _service_state(bus: Bus, args: argparse.Namespace) -> BusState:
-    """The state of ``bus`` for the service manager. The counters stand still where a bus process is dead or stopped."""
+    """The state of ``bus`` for the service manager. The counters stand still if a bus process is dead or stopped."""
     if not bus.is_open:
         return BusState(ready=False, beat=0, status="looks for the baud rate" if bus.searching else "opens the port")
     tokens, mode = core_of(bus).view.link.tokens, bus.mode.name.lower()

@@ -108,7 +108,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 where the file cannot be written, or the port is lost for good."""
+    """Exit code 1 if the file cannot be written, or the port is lost for good."""
     _check(args)
     if args.linktype == PROFIBUS_DL:
         output.warn(_OCTETS_ONLY)
@@ -180,7 +180,7 @@ class _Capture:
             await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _listen(self) -> None:
-        """Listen to the port; where a program that held it ends, wait until one is there again."""
+        """Listen to the port; if a program that held it ends, wait until one is there again."""
         baud = None if self._args.baud == AUTO else self._args.baud
         await keep_listening(
             lambda own: Listening(self._args.port, baud, self._on_transmission, self._on_event, own=own),
@@ -330,7 +330,7 @@ class _Capture:
         return ns_to_s(t_ns - self._began)
 
     async def _close(self) -> DpError | None:
-        """Complete the file. Returns the error where it cannot be written."""
+        """Complete the file. Returns the error if it cannot be written."""
         if self._file is None:
             return None
         if self._too_slow:
@@ -391,7 +391,7 @@ class _Capture:
 
 
 class _Heard(NamedTuple):
-    """A transmission; ``explained`` where the screen or the filter needs it; ``gap``: what is missing before it."""
+    """A transmission; ``explained`` if the screen or the filter needs it; ``gap``: what is missing before it."""
 
     one: Transmission
     explained: Explained | None

@@ -33,7 +33,7 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 where a transmission is no telegram, or the file cannot be read to its end."""
+    """Exit code 1 if a transmission is no telegram, or the file cannot be read to its end."""
     bad = 0
     at_once = len(args.source) == 1 and is_growing(args.source[0])  # somebody may be watching
     buses = _Buses(names_of(args))

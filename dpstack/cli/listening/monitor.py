@@ -47,7 +47,7 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 where the verdict on the bus is critical, the file cannot be read to its end, or the port failed."""
+    """Exit code 1 if the verdict on the bus is critical, the file cannot be read to its end, or the port failed."""
     if (args.file is None) == (args.port is None):
         raise UsageError("monitor: give either a capture file or --port, for instance --port /dev/ttyUSB0")
     live = args.file is None

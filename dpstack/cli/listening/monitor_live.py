@@ -82,7 +82,7 @@ class LiveMonitor:
         return {**port_lines(line.port), "Listened": f"on the port itself, which wrote nothing; {_CONVERTER}"}
 
     async def _work(self) -> None:
-        """Listen until the time is over. Raises PortError where the port cannot be listened to any more."""
+        """Listen until the time is over. Raises PortError if the port cannot be listened to any more."""
         listening = asyncio.ensure_future(self._listen())
         watching = [asyncio.ensure_future(self._tick())]
         if self._view is not None:
@@ -125,7 +125,7 @@ class LiveMonitor:
             self._monitor.gap(time_ns(), text)
 
     async def _listen(self) -> None:
-        """Listen to the port; where a program that held it ends, wait until one is there again."""
+        """Listen to the port; if a program that held it ends, wait until one is there again."""
         baud = None if self._args.baud == AUTO else self._args.baud
         await keep_listening(
             lambda own: Listening(self._args.port, baud, self._add, self._on_event, own=own),

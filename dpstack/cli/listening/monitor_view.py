@@ -190,7 +190,7 @@ def _height(console: Any, parts: Sequence[Any]) -> int:
 
 
 def _fitting(stations: Mapping[str, Mapping[str, Any]], console: Any, room: int) -> Any:
-    """The table of the stations in at most ``room`` lines; where they do not fit, the best ones are left out."""
+    """The table of the stations in at most ``room`` lines; if they do not fit, the best ones are left out."""
     from dpstack.cli.terminal import drawing
 
     narrow = console.width < _NARROW

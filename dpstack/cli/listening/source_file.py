@@ -30,7 +30,7 @@ def transmissions_of(
 ) -> Iterator[Transmission]:
     """The transmissions in the file ``name``, or in standard input, see :func:`read_transmissions`.
 
-    Raises UsageError where it cannot be opened; a device is refused, because opening a port switches its lines.
+    Raises UsageError if it cannot be opened; a device is refused, because opening a port switches its lines.
     """
     to_close = None if name == STDIN else _opened(name)
     try:

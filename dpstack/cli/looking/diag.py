@@ -43,7 +43,7 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 where there is a finding, or no answer."""
+    """Exit code 1 if there is a finding, or no answer."""
     config, station = _target(args)
     slave = None if config is None else config.find(station)
     address = slave.address if slave is not None else _address(station, config)
@@ -78,7 +78,7 @@ def _address(station: str, config: Config | None) -> int:
 
 
 class _Request(NamedTuple):
-    """The reading of the station ``address``. ``config``: None where only the port is known."""
+    """The reading of the station ``address``. ``config``: None if only the port is known."""
 
     args: argparse.Namespace
     config: Config | None

@@ -44,7 +44,7 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 where the broker was never reached, or a segment is dead, silent or critical at the end."""
+    """Exit code 1 if the broker was never reached, or a segment is dead, silent or critical at the end."""
     options.require("aiomqtt", "dpstack fleet", "mqtt")
     try:
         from dpstack.bridge.mqtt.fleet import Fleet

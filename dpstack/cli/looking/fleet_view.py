@@ -115,7 +115,7 @@ class FleetView:
                 live.update(self.picture(), refresh=True)
 
     def picture(self) -> Any:
-        """The table at this moment, no higher than the terminal: the worst segments where there is no room for all."""
+        """The table at this moment, no higher than the terminal: the worst segments if there is no room for all."""
         from rich.console import Console, Group
 
         from dpstack.cli.terminal import drawing
@@ -168,7 +168,7 @@ class FleetView:
         del lines[room:]
         if shown < len(self._fleet) and len(lines) < room:
             text = _left_out(len(self._fleet) - shown)
-            # the reason is left out where it does not fit
+            # the reason is left out if it does not fit
             text = text if len(text) <= width else text.partition(":")[0]
             lines.append(drawing.shown(shortened(text, width), "bold"))
         return lines
@@ -256,7 +256,7 @@ def _time(seconds: float) -> str:
 
 
 def _clock(seconds: float) -> str:
-    """The time of day on this computer, in s since 1970; with the day where it is another one."""
+    """The time of day on this computer, in s since 1970; with the day if it is another one."""
     when = datetime.fromtimestamp(seconds).astimezone()
     today = datetime.fromtimestamp(time()).astimezone().date()
     return when.strftime("%H:%M:%S" if when.date() == today else "%Y-%m-%d %H:%M:%S")

@@ -88,7 +88,7 @@ def execute(args: argparse.Namespace) -> int:
 
 
 def _source(args: argparse.Namespace) -> tuple[Source, Path | None]:
-    """The source, and the path of the configuration where there is one."""
+    """The source, and the path of the configuration if there is one."""
     if args.replay is not None:
         if args.join is not None or args.control:
             raise UsageError("web: --replay shows a recording in place of a bus: leave out --join and --control")

@@ -95,7 +95,7 @@ def show(stories: Mapping[int, Story]) -> None:
     """Write the causes of each story."""
     if not stories:
         return
-    from dpstack.why.story import story_lines  # here, as it is needed only where a slave is missing
+    from dpstack.why.story import story_lines  # here, as it is needed only if a slave is missing
 
     for story in stories.values():
         for line in story_lines(story.as_dict(), columns(), steps=False):
@@ -103,7 +103,7 @@ def show(stories: Mapping[int, Story]) -> None:
 
 
 def as_json(stories: Mapping[int, Story]) -> dict[str, Any]:
-    """The key ``why`` of the summary, by address; empty where no slave is missing."""
+    """The key ``why`` of the summary, by address; empty if no slave is missing."""
     return {"why": {str(address): story.as_dict() for address, story in stories.items()}} if stories else {}
 
 

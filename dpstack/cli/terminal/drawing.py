@@ -50,7 +50,7 @@ def rich_table(
 ) -> Group:
     """A table as rich draws it, at most ``width`` characters wide (None: the terminal's); ``styles``: of the rows.
 
-    Where it is too narrow, cells are wrapped between words; where that is not enough, the columns of each row stand in
+    If it is too narrow, cells are wrapped between words; if that is not enough, the columns of each row stand in
     two or more lines, as in the heading. No word of up to 24 characters is cut, and so no number is.
     """
     cells = [[shown(str(cell)) for cell in row] for row in rows]
@@ -73,7 +73,7 @@ def _lines(row: Sequence[Text], count: int) -> Iterator[Sequence[Text]]:
 
 
 def _widths(rows: Sequence[Sequence[Text]], room: int) -> list[int]:
-    """Of the columns that stand beside each other: all of them where ``room`` characters are enough."""
+    """Of the columns that stand beside each other: all of them if ``room`` characters are enough."""
     columns = len(rows[0])
     natural = [max(row[at].cell_len for row in rows) for at in range(columns)]
     least = [max(_least(row[at].plain, heading=row is rows[0]) for row in rows) for at in range(columns)]
@@ -101,7 +101,7 @@ Shown = Callable[[str, int, int], None]
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Shown]:
-    """A progress bar on stderr, removed at the end; nothing where that is no terminal. Any thread may call it."""
+    """A progress bar on stderr, removed at the end; nothing if that is no terminal. Any thread may call it."""
     if not sys.stderr.isatty():  # a disabled Progress of older versions of rich writes an empty line at its end
         yield lambda what, done, of: None
         return

@@ -30,7 +30,7 @@ _HINT: Final = "for a live screen instead of these lines: pip install 'dpstack[s
 
 
 def terminal_for_screen() -> Terminal | None:
-    """The terminal of this program, where a live screen can be drawn on it; None: plain lines."""
+    """The terminal of this program, if a live screen can be drawn on it; None: plain lines."""
     if not output.redraws() or (sys.stdout.encoding or "").lower().replace("-", "") != "utf8":
         return None
     try:
@@ -149,7 +149,7 @@ class LiveScreen:
                 print(line, file=sys.stderr, flush=True)
 
     def _terminal_lost(self) -> None:
-        """The terminal's end is the ordered end, as SIGHUP is; not where that is ignored (nohup)."""
+        """The terminal's end is the ordered end, as SIGHUP is; not if that is ignored (nohup)."""
         if not output.hangup_is_ignored():
             self._stop.stop()
 
@@ -210,7 +210,7 @@ class _HeldLines(io.TextIOBase):
 
 @contextlib.asynccontextmanager
 async def live_screen(bus: Bus, stop: StopSignal, reporter: Reporter, suspension: Suspension) -> AsyncIterator[None]:
-    """Within, the screen is up, where the terminal can show it."""
+    """Within, the screen is up, if the terminal can show it."""
     terminal = terminal_for_screen()
     if terminal is None:
         yield

@@ -136,7 +136,7 @@ def run_unhurried(work: Coroutine[object, object, int], *, json: bool) -> int:
 def reader_watched() -> Iterator[None]:
     """Within, standard output counts as lost as soon as the reader of its pipe has gone, not at the next write.
 
-    Needs a running loop. No effect where standard output is no pipe, or the system is not Linux.
+    Needs a running loop. No effect if standard output is no pipe, or the system is not Linux.
     """
     fd, loop = _descriptor(sys.stdout), asyncio.get_running_loop()
     if sys.platform != "linux" or fd is None or not stat.S_ISFIFO(os.fstat(fd).st_mode):

@@ -65,7 +65,7 @@ def nowhere(fd: int) -> None:
 def lose(error: OSError) -> None:
     """Record that nothing can be written to standard output any more.
 
-    A lost terminal counts as its SIGHUP: where that is ignored (nohup), the program goes on without output.
+    A lost terminal counts as its SIGHUP: if that is ignored (nohup), the program goes on without output.
     """
     if error.errno == errno.EIO and hangup_is_ignored():
         return

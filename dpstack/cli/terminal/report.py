@@ -110,7 +110,7 @@ class Reporter:
         return ns_to_s(event.t_ns - core_of(self._bus).started_ns)
 
     def _for_people(self, event: Event) -> None:
-        """Write a line for the event; for diagnoses and drives only where something is new."""
+        """Write a line for the event; for diagnoses and drives only if something is new."""
         match event:
             case MasterStopped():
                 return
@@ -223,7 +223,7 @@ def _style(event: Event) -> str:
 
 
 def _diagnoses(slaves: Iterable[SlaveStats]) -> None:
-    """Write diagnoses, faults and notices of slaves and drives, where there are any."""
+    """Write diagnoses, faults and notices of slaves and drives, if there are any."""
     rows: list[tuple[object, ...]] = []
     for s in slaves:
         found = [("diagnosis", s.conspicuous)] if s.conspicuous else []
@@ -257,7 +257,7 @@ def _list(found: object) -> list[Any]:
 
 
 def _process_data(slaves: Iterable[SlaveStats]) -> None:
-    """Write the last process data, marked where they are not those of now."""
+    """Write the last process data, marked if they are not those of now."""
     octets = []
     for s in slaves:
         inputs = _marked(s.inputs, "" if s.inputs_valid else " (not valid)")

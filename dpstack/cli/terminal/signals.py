@@ -124,7 +124,7 @@ class StopSignal:
 
 
 def run_to_result(work: Coroutine[object, object, _T], before: str) -> _T:
-    """Run ``work``. Returns its result. Raises BusError ("ended before ...") where a signal ended it first."""
+    """Run ``work``. Returns its result. Raises BusError ("ended before ...") if a signal ended it first."""
 
     async def run() -> _T:
         with StopSignal() as stop:
@@ -167,5 +167,5 @@ def _others() -> list[int]:
 
 
 def _hangup() -> list[signal.Signals]:
-    """SIGHUP, the terminal's end; not where it is ignored (nohup), nor on systems without it."""
+    """SIGHUP, the terminal's end; not if it is ignored (nohup), nor on systems without it."""
     return [] if output.hangup_is_ignored() else [signal.SIGHUP]

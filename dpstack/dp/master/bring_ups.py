@@ -1,6 +1,6 @@
 """Record of the last bring-ups of one slave: each request besides the cycle with its answer, and the losses.
 
-The master writes it only where a service is asked, and for the first and the last Data_Exchange: an exchange in between
+The master writes it only if a service is asked, and for the first and the last Data_Exchange: an exchange in between
 costs nothing. It is bounded: :data:`MOST_BRING_UPS` bring-ups of :data:`MOST_STEPS` steps, :data:`MOST_LOSSES` losses.
 """
 
@@ -21,7 +21,7 @@ from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Kind, Resp, Telegram
 MOST_BRING_UPS: Final = 2
 MOST_STEPS: Final = 20
 MOST_LOSSES: Final = 8
-#: the first steps of a bring-up, which are kept where it has more than :data:`MOST_STEPS`
+#: the first steps of a bring-up, which are kept if it has more than :data:`MOST_STEPS`
 _FIRST_STEPS: Final = 12
 _MOST_IDENTS: Final = 4
 DATA_EXCHANGE: Final = "Data_Exchange"

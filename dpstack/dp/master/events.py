@@ -45,14 +45,14 @@ class FaultKind(Enum):
 class Fault:
     """A fault of a slave: what happened (``message``, one line), and what to do (``remedy``).
 
-    ``actual``: the identifier octets that the slave says to have, where they differ from the configuration; else empty.
+    ``actual``: the identifier octets that the slave says to have, if they differ from the configuration; else empty.
     """
 
     #: kind of the fault
     kind: FaultKind
     #: what happened, one line
     message: str
-    #: what to do; empty where nothing helps
+    #: what to do; empty if nothing helps
     remedy: str
     actual: bytes = field(default=b"", repr=False)
 
@@ -131,7 +131,7 @@ class ModeChanged(Event):
 
 
 class MasterStopped(Event):
-    """The master has ended. ``cleared``: safe values and Clear were sent; False where it had no token to send them."""
+    """The master has ended. ``cleared``: safe values and Clear were sent; False if it had no token to send them."""
 
     cleared: bool = True
 

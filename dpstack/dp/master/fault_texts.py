@@ -32,7 +32,7 @@ class CfgFault(Fault):
     perhaps: bool = False
 
     def compared(self, actual: bytes | None) -> Fault:
-        """The fault with the ``actual`` octets of Get_Cfg, None where the slave gave none."""
+        """The fault with the ``actual`` octets of Get_Cfg, None if the slave gave none."""
         wanted = self.setup.config
         differs = actual is not None and not agree(actual, wanted)
         if self.perhaps and not differs:
@@ -201,7 +201,7 @@ _NOT_SUPPORTED: Final = Fault(
 
 
 def refusal(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:
-    """The fault where ``diagnosis`` refuses Set_Prm, whose octets were ``sent``, or Chk_Cfg."""
+    """The fault if ``diagnosis`` refuses Set_Prm, whose octets were ``sent``, or Chk_Cfg."""
     if diagnosis.prm_fault:
         return prm_fault(setup, diagnosis, sent)
     return _NOT_SUPPORTED if diagnosis.not_supported else cfg_fault(setup)
@@ -210,7 +210,7 @@ def refusal(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:
 def prm_fault(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:
     """Set_Prm refused. ``sent`` are the octets of Set_Prm.
 
-    Modules have parameters of their own, so a wrong module is a usual reason. Get_Cfg shows it where the configuration
+    Modules have parameters of their own, so a wrong module is a usual reason. Get_Cfg shows it if the configuration
     has several octets.
     """
     said = f", it adds {diagnosis.ext.hex(' ')}" if diagnosis.ext else ""
@@ -319,7 +319,7 @@ _DROPPED: Final = "some devices drop what they cannot accept: check ident, lengt
 
 
 def left(diagnosis: Diagnosis, status: str) -> Fault:
-    """Fell out of data exchange by itself. ``status``: how it refused Data_Exchange, "" where it did not."""
+    """Fell out of data exchange by itself. ``status``: how it refused Data_Exchange, "" if it did not."""
     if status and not diagnosis.prm_req:
         return refused("Data_Exchange", status)
     return Fault(

@@ -4,7 +4,7 @@ With a fixed cycle the grid begins with the first request of the first round wit
 first token held at or after its grid time; until then the token goes round. After a delay the grid stays: a round that
 is late by up to half a cycle begins late, and the master leaves out a round that is later. So two rounds never begin
 less than half a cycle apart (but for a token and the idle time between the decision and the first bit). The master also
-leaves out a late round that fits into a cycle but would make the next one late too: where rounds take nearly the whole
+leaves out a late round that fits into a cycle but would make the next one late too: if rounds take nearly the whole
 cycle, no delay could be made good. While the master goes to a lower mode, and while no slave is in data exchange,
 rounds run free.
 """

@@ -182,7 +182,7 @@ class OutputsWatch:
     # --- judging ------------------------------------------------------------------------------------------------
 
     def look(self, now: int) -> None:
-        """Force the master to Clear where the outputs are too old to be sent; moves :attr:`look_at`."""
+        """Force the master to Clear if the outputs are too old to be sent; moves :attr:`look_at`."""
         self.look_at = self.alive_until
         if not self._watching:
             return

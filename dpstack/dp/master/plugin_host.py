@@ -48,7 +48,7 @@ class PluginHost:
         return image.next_outputs
 
     def watch(self, now: int) -> None:
-        """In Clear: show the plugin the inputs, where it wants to see them (see :class:`CyclicPlugin`)."""
+        """In Clear: show the plugin the inputs, if it wants to see them (see :class:`CyclicPlugin`)."""
         image = self._image
         plugin = image.plugin
         watch = getattr(plugin, "watch", None)
@@ -73,7 +73,7 @@ class PluginHost:
             self._call(plugin, now, plugin.lost, now)
 
     def moved(self) -> str | None:
-        """Where the slave is that stopped answering, if the plugin has given it another address."""
+        """The place of a slave that stopped answering, if the plugin has given it another address."""
         plugin = self._image.plugin
         if plugin is None or self.fault is not None:
             return None

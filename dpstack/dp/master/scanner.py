@@ -87,7 +87,7 @@ class Found(Struct, frozen=True, kw_only=True):
         return ", ".join(words)
 
     def as_dict(self) -> dict[str, object]:
-        """As in the JSON of ``scan``: null if a key does not apply or is not known; ``config`` (hex) where it is
+        """As in the JSON of ``scan``: null if a key does not apply or is not known; ``config`` (hex) if it is
         known."""
         known = {} if self.config is None else {"config": self.config.hex(" ").upper()}
         return {

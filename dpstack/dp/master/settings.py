@@ -24,7 +24,7 @@ class MasterSettings(Struct, frozen=True, kw_only=True):
     ``data_control_ns``. ``safe_after_stall``: to Clear before anything is sent after a time in which a slave was not
     asked for longer than its watchdog. ``application_watchdog_ns``: to Clear when
     :class:`~dpstack.dp.master.commands.Alive` did not come for so long in Operate; 0 is off. ``read_only``: the master
-    stays in Stop, where nothing is sent to slaves.
+    stays in Stop, which sends nothing to slaves.
 
     ``cycle_ns``: the rounds begin on a grid of this length, best effort (0: free running). ``cycle_freeze``,
     ``cycle_sync``: groups (1..8) that every cycle sends FREEZE and SYNC to.
@@ -61,7 +61,7 @@ class MasterContext:
         self.changed: set[int] = set()
         #: called as a round begins: outputs that it puts into the process image go out in that round
         self.on_begin: Callable[[], None] = lambda: None
-        #: gives the addresses of the masters in the token ring, None where they are not known
+        #: gives the addresses of the masters in the token ring, None if they are not known
         self.ring: Callable[[], Collection[int] | None] = lambda: None
 
     def reach(self, mode: Mode) -> None:

@@ -153,7 +153,7 @@ class SlaveHandler:
         """Handle the answer to Data_Exchange: copy good data into the image, judge everything else."""
         if isinstance(outcome, Telegram):
             status = outcome.fc & 0x0F
-            # SC (fc = -1) and an empty LE = 3 answer are legal where there are no inputs
+            # SC (fc = -1) and an empty LE = 3 answer are legal if there are no inputs
             # (docs/reference/protocol.md#le-3)
             image = self.image
             if status in DATA_STATUS if image.input_len else (outcome.fc < 0 or status in EMPTY_STATUS):

@@ -81,7 +81,7 @@ class SlaveReports:
         self.fault: Fault | None = None
         self.diagnosis: Diagnosis | None = None
         self.ident = setup.ident
-        #: number of the first exchange with DH since the last diagnosis was read, 0 where there was none
+        #: number of the first exchange with DH since the last diagnosis was read, 0 if there was none
         self.flagged = 0
         self.observer = NO_ALARMS
         self._setup = setup

@@ -45,7 +45,7 @@ _REFUSALS: Final = "docs/reference/decisions/master.md#refusals"
 
 
 class Row(NamedTuple):
-    """A row of the table: the next state and where the rule comes from."""
+    """A row of the table: the next state and if the rule comes from."""
 
     next: S
     clause: str
@@ -95,7 +95,7 @@ _RULES: Final[tuple[tuple[tuple[S, ...], Trigger, S, str], ...]] = (
 
 
 def table(rules: Sequence[tuple[tuple[S, ...], Trigger, S, str]]) -> dict[tuple[S, Trigger], Row]:
-    """A row for each of the states of a rule, in the order of the states. Raises ValueError where a pair has two."""
+    """A row for each of the states of a rule, in the order of the states. Raises ValueError if a pair has two."""
     rows: dict[tuple[S, Trigger], Row] = {}
     for state in S:
         for states, trigger, to, clause in rules:

@@ -58,7 +58,7 @@ class Redundancy(NamedTuple):
 
     @classmethod
     def of(cls, specifier: int, data: bytes) -> Redundancy | None:
-        """Read specifier and data of a status; None where the data are too short."""
+        """Read specifier and data of a status; None if the data are too short."""
         if len(data) < _LEAST:
             return None
         return cls(specifier >> 3, PrmFunction(data[0]), RedState(data[1]), RedState(data[2]))
@@ -191,7 +191,7 @@ class Alarm(Struct, frozen=True):
         return f"{text}, wants to be acknowledged by the user too" if self.add_ack else text
 
     def build(self) -> bytes:
-        """The block with its header. Raises PduError where a value does not fit."""
+        """The block with its header. Raises PduError if a value does not fit."""
         if not 0 <= self.type < 127:
             raise PduError(f"{self.type:d} is no type of an alarm: 1..6, 32..126")
         return _build(self, self.sequence, self.add_ack)
@@ -230,13 +230,13 @@ class Status(Struct, frozen=True):
 
     @property
     def full_text(self) -> str:
-        """:attr:`text` with its data, where they are not in it."""
+        """:attr:`text` with its data, if they are not in it."""
         decoded = self.type == StatusType.MODULES or self.redundancy is not None
         return self.text if decoded else self.text + _hex(self.data)
 
     @property
     def redundancy(self) -> Redundancy | None:
-        """The contents of a PrmCmdAck or Red_State; None for all others, and where the data are too short."""
+        """The contents of a PrmCmdAck or Red_State; None for all others, and if the data are too short."""
         if self.type not in (StatusType.PRM_CMD_ACK, StatusType.RED_STATE):
             return None
         return Redundancy.of(self.reserved << 2 | self.specifier, self.data)
@@ -249,7 +249,7 @@ class Status(Struct, frozen=True):
         return tuple(ModuleState(octet >> shift & 3) for octet in self.data for shift in (0, 2, 4, 6))
 
     def build(self) -> bytes:
-        """The block with its header. Raises PduError where a value does not fit."""
+        """The block with its header. Raises PduError if a value does not fit."""
         return _build(self, self.reserved >> 1, bool(self.reserved & 1))
 
 

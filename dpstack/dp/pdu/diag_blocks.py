@@ -20,7 +20,7 @@ from dpstack.text import octets_text
 _DEVICE, _IDENTIFIER, _CHANNEL, _REVISION = range(4)
 _CHANNEL_LEN: Final = 3
 
-#: the slot of the first module, which the wire calls 0, where no GSD file says Modul_Offset (DP-V1: slot 0 is the
+#: the slot of the first module, which the wire calls 0, if no GSD file says Modul_Offset (DP-V1: slot 0 is the
 #: station itself)
 FIRST_SLOT: Final = 1
 
@@ -77,7 +77,7 @@ class ChannelBlock(Block, frozen=True):
     error: int
 
     def place(self, module_name: str = "", first_slot: int = FIRST_SLOT) -> str:
-        """Which channel of which slot, for people, with the name of its module where that is known."""
+        """Which channel of which slot, for people, with the name of its module if that is known."""
         direction = {(True, False): "input ", (False, True): "output ", (True, True): "in/output "}
         kind = direction.get((self.input, self.output), "")
         name = f" ({module_name})" if module_name else ""
@@ -163,14 +163,14 @@ class UserDiag(Struct, frozen=True):
 
     @classmethod
     def of(cls, *blocks: Block, fault: bool | None = None, stat: bool = False, overflow: bool = False) -> UserDiag:
-        """From ``blocks``, in their order; ``fault`` None: where there are blocks."""
+        """From ``blocks``, in their order; ``fault`` None: if there are blocks."""
         ext = b"".join(block.octets for block in blocks)
         return cls(ext, bool(blocks) if fault is None else fault, stat, overflow)
 
     def limited(self, room: int) -> UserDiag:
         """The same in at most ``room`` octets of ``ext``: blocks that do not fit are left out, with ``overflow``.
 
-        Octets that are no blocks are cut where the room ends.
+        Octets that are no blocks are cut if the room ends.
         """
         if len(self.ext) <= room:
             return self

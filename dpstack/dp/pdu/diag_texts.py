@@ -29,7 +29,7 @@ def conspicuous_text(
     diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: bool = False, exchanging: bool
 ) -> str:
     """A summary of ``diagnosis`` for people in one line: its conspicuous flags, then its blocks as :func:`block_texts`
-    has them, without alarms and status messages (they have lines of their own). Empty where there is nothing."""
+    has them, without alarms and status messages (they have lines of their own). Empty if there is nothing."""
     said = texts_of(diagnosis.blocks, texts, dpv1=dpv1, messages=False)
     flags = (
         flag.name if said and flag.name == "ext_diag" else f"{flag.name} ({flag.text})"

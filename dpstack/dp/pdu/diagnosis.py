@@ -65,7 +65,7 @@ class Diagnosis(Struct, frozen=True):
         return cls(status1, status2, status3, None if master == NO_MASTER else master, ident, octets[FIXED_LEN:])
 
     def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
+        """The octets. Raises PduError if a value does not fit."""
         if len(self.ext) > MAX_LEN - FIXED_LEN:
             raise PduError(f"Slave_Diag: {len(self.ext)} octets of extended diagnosis, 238 are possible")
         master = NO_MASTER if self.master is None else self.master

@@ -46,7 +46,7 @@ class Dpv1(Struct, frozen=True, kw_only=True):
     1..7 2, 4, 8, 12, 16, 24, 32 in all. ``blocks``: appended, and Prm_Structure is set; with ``structured`` [GSD:
     Prm_Block_Structure_req] it is without them, too. ``c1_response_timeout_ns``: in which the slave answers Read and
     Write, 0: not known; ``c1_max_data_len``: octets of the longest record, 0..240.
-    ``extra_alarm_sap``: alarms are acknowledged at SAP 50, not 51. ``required_alarms``: kinds that are enabled where
+    ``extra_alarm_sap``: alarms are acknowledged at SAP 50, not 51. ``required_alarms``: kinds that are enabled if
     ``alarms`` is None, beside those that the parameters enable. Raises ConfigError.
     """
 

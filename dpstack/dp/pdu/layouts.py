@@ -115,7 +115,7 @@ class Pdu(Struct, frozen=True):
     LAYOUT: ClassVar[Layout[Any]]
 
     def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
+        """The octets. Raises PduError if a value does not fit."""
         return self.LAYOUT.build(self)
 
     @classmethod
@@ -131,7 +131,7 @@ def bits(count: int) -> LayoutField:
 
 
 def load() -> None:
-    """Load construct now, where the first use of a layout would come at a time in which there are 10 ms for nothing."""
+    """Load construct now, if the first use of a layout would come at a time in which there are 10 ms for nothing."""
     _construct()
 
 

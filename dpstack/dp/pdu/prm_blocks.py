@@ -163,7 +163,7 @@ class PrmBlock(Struct, frozen=True):
 
     @classmethod
     def of(cls, content: Content, slot: int = 0, *, kind: int | None = None, specifier: int = 0) -> PrmBlock:
-        """A block of ``content``; ``kind``: of a table without entries. Raises PduError where a value does not fit."""
+        """A block of ``content``; ``kind``: of a table without entries. Raises PduError if a value does not fit."""
         number = _type_of(content) if kind is None else kind
         if isinstance(content, DxbTable):
             layout = TABLES[number]
@@ -217,7 +217,7 @@ def _type_of(content: Content) -> int:
 def parse_blocks(octets: bytes, first: int = 1) -> tuple[PrmBlock, ...]:
     """The blocks that ``octets`` are; ``first``: the number of their first octet, for messages.
 
-    Raises PduError naming block and octet where a length cannot be.
+    Raises PduError naming block and octet if a length cannot be.
     """
     found: list[PrmBlock] = []
     at = 0

@@ -61,7 +61,7 @@ class SetPrm(Struct, frozen=True):
     group_mask: int = 0
 
     def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
+        """The octets. Raises PduError if a value does not fit."""
         if len(self.user_prm) > MAX_USER_PRM:
             raise PduError(f"Set_Prm: {len(self.user_prm)} octets of user parameters, {MAX_USER_PRM} are possible")
         if self.watchdog is not None and not all(1 <= factor <= 255 for factor in self.watchdog):
@@ -106,7 +106,7 @@ class GlobalControl(Struct, frozen=True):
     group_mask: int = 0
 
     def build(self) -> bytes:
-        """The two octets. Raises PduError where the mask does not fit."""
+        """The two octets. Raises PduError if the mask does not fit."""
         return _build_control(self)
 
     @classmethod
@@ -150,7 +150,7 @@ class SetSlaveAdd(Pdu, frozen=True):
     rem_slave_data: bytes = b""
 
     def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
+        """The octets. Raises PduError if a value does not fit."""
         if not 0 <= self.address <= MAX_STATION:
             raise PduError(f"Set_Slave_Add: {self.address} is no address for a slave, {MAX_STATION} is the highest")
         if len(self.rem_slave_data) > MAX_REM_SLAVE_DATA:

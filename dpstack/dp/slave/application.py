@@ -40,7 +40,7 @@ class SlaveApp(SlaveCore):
     """A ``Responder`` around ``device``; ``address`` is for messages, until a station is built around it.
 
     ``address_fixed``: an earlier Set_Slave_Add came with No_Add_Chg, so that the address may not be changed any more.
-    Raises ConfigError where ident number or configurations of the device cannot be.
+    Raises ConfigError if ident number or configurations of the device cannot be.
     """
 
     def __init__(self, device: DpV0Device, *, address: int | None = None, address_fixed: bool = False) -> None:

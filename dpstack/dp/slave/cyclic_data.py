@@ -18,7 +18,7 @@ class CyclicData:
     """Outputs and inputs of one stay in data exchange.
 
     ``outputs`` are what the device has, ``inputs`` what the master reads; before the first exchange the device's safe
-    outputs and zeros. Raises ValueError where the safe outputs have another length than the configuration's. Outputs
+    outputs and zeros. Raises ValueError if the safe outputs have another length than the configuration's. Outputs
     are valid from the first Data_Exchange on (masters that never send Operate exist:
     docs/reference/protocol.md#global_control). A Global_Control Clear holds until one without Clear_Data, an empty
     frame until a full one. ``plain``: none of Clear, SYNC, FREEZE. ``void``: the outputs are not valid (Clear, or an
@@ -53,7 +53,7 @@ class CyclicData:
     def take(self, inputs: bytes, *, hold: bool) -> None:
         """Answer with ``inputs`` of the device from now on; ``hold``: FREEZE holds the earlier ones.
 
-        Raises TypeError and ValueError where they cannot go out on the wire.
+        Raises TypeError and ValueError if they cannot go out on the wire.
         """
         if type(inputs) is not bytes or len(inputs) != self.input_len:
             raise wrong_inputs(inputs, self.input_len)

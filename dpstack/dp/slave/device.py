@@ -55,7 +55,7 @@ class DpV0Device:
     due_at: int = NEVER
 
     def services(self, report: Report) -> tuple[SlaveService, ...]:
-        """Its services beyond DP-V0; their events go to ``report``. Raises ConfigError where they cannot be."""
+        """Its services beyond DP-V0; their events go to ``report``. Raises ConfigError if they cannot be."""
         return ()
 
     def check_prm(self, user_prm: bytes) -> str | None:

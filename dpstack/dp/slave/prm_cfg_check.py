@@ -60,7 +60,7 @@ def _dpv1_status(prm: SetPrm) -> int:
 
 
 def real_cfg(device: DpV0Device, config: bytes) -> bytes:
-    """The device's own configuration where ``config`` wants no comparison
+    """The device's own configuration if ``config`` wants no comparison
     (docs/reference/protocol.md#special-identifiers), else ``config``."""
     if config in device.configs:
         return config
@@ -81,7 +81,7 @@ def judge_cfg(device: DpV0Device, config: bytes) -> tuple[int, int] | Refusal:
 
 
 def check_device(device: DpV0Device) -> None:
-    """Raise ConfigError where ``device`` could never be on a bus."""
+    """Raise ConfigError if ``device`` could never be on a bus."""
     if not 0 <= device.ident <= 0xFFFF:
         raise ConfigError(f"device {device.name}: ident {device.ident:#x} does not fit two octets")
     if not device.configs or any(len(config) > MAX_DATA for config in device.configs):

@@ -6,7 +6,7 @@ neither hang nor stop the bus.
 
 The diagnosis of a slave application: its fault bits, and whether the master has read the rest.
 
-Blocks stand in this order: alarm, status message, then what the device itself says, which is cut where there is no room
+Blocks stand in this order: alarm, status message, then what the device itself says, which is cut if there is no room
 (Max_Diag_Data_Len).
 """
 
@@ -33,8 +33,8 @@ from dpstack.units import NEVER, NOW
 class DiagState:
     """Fault bits of one slave application, and what its owner has read of the application's own diagnosis.
 
-    ``user`` asks the device, None where it never has anything to report; ``messages``: alarms and status messages,
-    None where it has none. ``silent``: neither of them, there is never anything to fetch.
+    ``user`` asks the device, None if it never has anything to report; ``messages``: alarms and status messages,
+    None if it has none. ``silent``: neither of them, there is never anything to fetch.
     """
 
     def __init__(self, device: DpV0Device, messages: DiagMessages | None = None) -> None:
@@ -347,7 +347,7 @@ class DeviceClock:
         return NOW
 
     def tick(self, now: int) -> int | None:
-        """Let the device catch up with ``now``; the address at which it restarts by itself, None where it does not.
+        """Let the device catch up with ``now``; the address at which it restarts by itself, None if it does not.
 
         Raises what the device raises, and RuntimeError when it never catches up.
         """

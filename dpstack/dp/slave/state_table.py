@@ -1,7 +1,7 @@
 """The states of a DP slave as tables: access to each service, and the transitions, with the clause of each row.
 
 Facts: docs/reference/protocol.md#slave-states, docs/reference/protocol.md#services-by-state; the manuals named here:
-docs/reference/protocol.md#sources. Decisions where the sources leave something open:
+docs/reference/protocol.md#sources. Decisions on points that the sources leave open:
 docs/reference/decisions/slave.md#states-of-a-slave.
 """
 
@@ -102,7 +102,7 @@ class AppTrigger(Enum):
 
 
 class AppRow(NamedTuple):
-    """A row: the next state, and where the rule comes from."""
+    """A row: the next state, and if the rule comes from."""
 
     next: SlaveAppState
     clause: str

@@ -2,7 +2,7 @@
 
 An alarm is open from the diagnosis that brings it until the slave takes its acknowledgement. Alarm_Ack goes to SAP 51
 between Read and Write, or to SAP 50 with Extra_Alarm_SAP. Facts: docs/reference/protocol.md#alarms,
-docs/reference/protocol.md#alarm_ack. Decisions where the sources leave something open:
+docs/reference/protocol.md#alarm_ack. Decisions on points that the sources leave open:
 docs/reference/decisions/alarms.md#alarms-at-the-master.
 
 Acknowledged alarms that are in the diagnosis again: still the old alarm, or a new one with equal octets?
@@ -426,7 +426,7 @@ class AlarmHandler(DiagObserver):
         self._reports.event(AlarmDone, now, number=known.number, outcome=outcome)
 
     def _make_room(self, now: int) -> None:
-        """Read the diagnosis again where there is room for an alarm that was dropped."""
+        """Read the diagnosis again if there is room for an alarm that was dropped."""
         if self._dropped and len(self._open) + len(self._book.untaken) < MAX_OPEN:
             self._dropped = False
             self._want_diagnosis(now)

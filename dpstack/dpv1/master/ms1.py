@@ -5,7 +5,7 @@ The request is one SRD. The slave answers in it at once, or acknowledges and is 
 Read without any answer is repeated, a Write is not: the slave may have carried it out, and the outcome says so.
 
 Alarm_Ack is in :mod:`dpstack.dpv1.master.alarm_handler`, the polling in :mod:`dpstack.dpv1.master.srd_polling`.
-Decisions where the sources leave something open: docs/reference/decisions/services.md#ms1-at-the-master.
+Decisions on points that the sources leave open: docs/reference/decisions/services.md#ms1-at-the-master.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Ms1Job(Job):
 
     @property
     def timeout_ns(self) -> int:
-        """The time for waiting and service together, where no program sets it."""
+        """The time for waiting and service together, if no program sets it."""
         return service_timeout(self._limit_ns)
 
     # --- requests and polls -------------------------------------------------------------------------------------

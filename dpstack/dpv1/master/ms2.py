@@ -5,12 +5,12 @@ They take nothing away from the slave's own master, and need none. Every connect
 (Felser: its only SAP for MS2); the slave's server SAP tells several of them apart. The order of requests:
 :mod:`dpstack.dp.acyclic.queue`; the telegrams: :mod:`dpstack.dpv1.master.ms2_connection`.
 
-Decisions where the sources leave something open: docs/reference/decisions/ms2.md#connections-at-the-master.
+Decisions on points that the sources leave open: docs/reference/decisions/ms2.md#connections-at-the-master.
 
 Initiate: the resource manager (SAP 49) gives out a server SAP, polls of that one bring the slave's answer
 (docs/reference/protocol.md#ms2).
 
-Decisions where the sources leave something open: docs/reference/decisions/ms2.md#initiate-at-the-master.
+Decisions on points that the sources leave open: docs/reference/decisions/ms2.md#initiate-at-the-master.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Class 2 connections of a master: their state, and the jobs over them: services, Idle, and Abort at the end.
 
 Each job is one entry of the acyclic queue. Initiate is in :mod:`dpstack.dpv1.master.ms2`, the polling in
-:mod:`dpstack.dpv1.master.srd_polling`. Decisions where the sources leave something open:
+:mod:`dpstack.dpv1.master.srd_polling`. Decisions on points that the sources leave open:
 docs/reference/decisions/ms2.md#connections-at-the-master.
 """
 
@@ -103,7 +103,7 @@ class Connections(Provider):
         self.closing = False
 
     def end(self, connection: MasterConnection, reason: str, abort: Abort | None, now: int) -> None:
-        """End it, from either side; where the slave may hold anything it gets ``abort``. More than once is no error,
+        """End it, from either side; if the slave may hold anything it gets ``abort``. More than once is no error,
         the first reason stands."""
         if connection.phase is Phase.ENDING:
             return
@@ -135,7 +135,7 @@ class Connections(Provider):
         self.report_closed(now)
 
     def report_closed(self, now: int) -> None:
-        """Emit ConnectionsClosed after the last one, where all are being closed."""
+        """Emit ConnectionsClosed after the last one, if all are being closed."""
         if self.closing and not self.connections:
             self.closing = False
             self.queue.report(ConnectionsClosed(t_ns=now))
@@ -219,7 +219,7 @@ class ConnectionJob(Job):
             reply = yield from self._poll_idle(polling) if idle else polling.poll()
 
     def _poll_idle(self, polling: Polling) -> Steps[Reply]:
-        """Poll for the answer to Idle. Where one of both may have been lost, and polls say for a third of the time
+        """Poll for the answer to Idle. If one of both may have been lost, and polls say for a third of the time
         that there is nothing, Idle is sent again: a slave that has it ignores the second (VPC3+)."""
         connection = self.connection
         lost = not isinstance(polling.answer, Telegram)
@@ -389,7 +389,7 @@ class AbortJob(ConnectionJob):
         return ""
 
     def steps(self) -> Steps[Outcome]:
-        """Fetch the server SAP where it is not known yet, then send Abort until it is acknowledged."""
+        """Fetch the server SAP if it is not known yet, then send Abort until it is acknowledged."""
         if self.connection.server_sap is None:
             yield from self._fetch_sap()
         if self.connection.server_sap is not None:

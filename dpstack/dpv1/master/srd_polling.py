@@ -1,7 +1,7 @@
 """Polling of a slave for one service of DP-V1, at MS1 or over a class 2 connection, and the check of its answer.
 
 The master sends SRDs with the request until the slave takes it, then empty ones until the answer is there
-(docs/reference/protocol.md#ms1, docs/reference/protocol.md#ms2). Decisions where the sources leave something open:
+(docs/reference/protocol.md#ms1, docs/reference/protocol.md#ms2). Decisions on points that the sources leave open:
 docs/reference/decisions/services.md#polling.
 
 The jobs decide what silence means: :mod:`dpstack.dpv1.master.ms1`, :mod:`dpstack.dpv1.master.ms2_connection`,

@@ -28,7 +28,7 @@ class ErrorClass(IntEnum):
 
 
 class Code(IntEnum):
-    """Error_Code_1 of DP-V1 where the standard gives it a meaning. Its name is its text."""
+    """Error_Code_1 of DP-V1 if the standard gives it a meaning. Its name is its text."""
 
     READ_ERROR = 0xA0
     WRITE_ERROR = 0xA1
@@ -90,7 +90,7 @@ def code_text(code_1: int) -> str:
 
 
 def remedy(code_1: int) -> str:
-    """The remedy for an Error_Code_1; empty where there is no general one."""
+    """The remedy for an Error_Code_1; empty if there is no general one."""
     return _REMEDIES.get(code_1, "")
 
 

@@ -33,7 +33,7 @@ class _ImRecord(Pdu, frozen=True):
 
     @classmethod
     def parse(cls, octets: bytes) -> Self:
-        """Read ``octets``; those after the 64 are ignored. Raises PduError where there are fewer."""
+        """Read ``octets``; those after the 64 are ignored. Raises PduError if there are fewer."""
         record: Self = cls.LAYOUT.parse(octets[:IM_LEN])
         return record
 
@@ -42,7 +42,7 @@ class Im0(_ImRecord, frozen=True, kw_only=True):
     """I&M0: what the device is; read-only.
 
     ``software_revision``: ``V1.2.3`` (V released, R revision, P prototype, U under test, T test device; 0..255 each);
-    read from a device the letter is what stands there, in hex where it is none.
+    read from a device the letter is what stands there, in hex if it is none.
     ``supported``: bit n for I&Mn, bit 0 profile specific. ``version``: of I&M itself.
     """
 
@@ -66,7 +66,7 @@ class Im0(_ImRecord, frozen=True, kw_only=True):
 
 
 class Im1(_ImRecord, frozen=True):
-    """I&M1: what the device is for in the plant (up to 32 characters), and where it is (up to 22)."""
+    """I&M1: what the device is for in the plant (up to 32 characters), and if it is (up to 22)."""
 
     #: the purpose of the device in the plant, up to 32 characters
     tag_function: str = ""
@@ -135,7 +135,7 @@ _IM_CALL: Final[Layout[dict[str, Any]]] = Layout(
 
 
 def parse_answer(octets: bytes, number: int) -> Im:
-    """I&M ``number`` as it is read from index 255. Raises PduError where it is another one, or too short."""
+    """I&M ``number`` as it is read from index 255. Raises PduError if it is another one, or too short."""
     fi_index, data = parse_call(octets)
     if fi_index != _FIRST + number:
         raise PduError(f"I&M call: octets 3-4 are {fi_index}, I&M{number} is {_FIRST + number}")

@@ -34,7 +34,7 @@ _NET_ADDRESS: Final = 8
 
 class Address(Struct, frozen=True):
     """One end of a connection: Application Process Instance and Access Level; ``net``: 6 octets of network address and
-    the MAC address, where the end is not on this bus (address type 1), else empty (type 0)."""
+    the MAC address, if the end is not on this bus (address type 1), else empty (type 0)."""
 
     api: int = 0
     scl: int = 0
@@ -46,7 +46,7 @@ class Address(Struct, frozen=True):
         return int(bool(self.net))
 
     def build(self) -> bytes:
-        """The octets, without type and length. Raises PduError where a value is no octet."""
+        """The octets, without type and length. Raises PduError if a value is no octet."""
         try:
             return bytes((self.api, self.scl)) + self.net
         except ValueError:
@@ -100,7 +100,7 @@ class Initiate(Pdu, frozen=True, kw_only=True):
     destination: Address = Address()
 
     def build(self) -> bytes:
-        """The octets: a request has at least 20, a response 16. Raises PduError where a value does not fit."""
+        """The octets: a request has at least 20, a response 16. Raises PduError if a value does not fit."""
         source, destination = self.source.build(), self.destination.build()
         return self.LAYOUT.build(
             self,

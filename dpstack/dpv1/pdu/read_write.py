@@ -46,7 +46,7 @@ class Function(IntEnum):
 FUNCTIONS: Final[frozenset[int]] = frozenset(Function)
 
 
-#: Read, Write and Data_Transport, requests and positive responses: four octets, and the data where there are any
+#: Read, Write and Data_Transport, requests and positive responses: four octets, and the data if there are any
 RECORD: Final = Layout(
     "DP-V1 service",
     SimpleNamespace,
@@ -88,7 +88,7 @@ class _WithLength(_Service, frozen=True):
     data: ClassVar = b""
 
     def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
+        """The octets. Raises PduError if a value does not fit."""
         return self._octets(self.length)
 
 
@@ -96,7 +96,7 @@ class _WithData(_Service, frozen=True):
     data: bytes
 
     def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
+        """The octets. Raises PduError if a value does not fit."""
         return self._octets(len(self.data))
 
 

@@ -3,7 +3,7 @@
 The diagnosis holds one alarm at a time and one status message beside it. Each stays until the slave's own master has
 fetched it; then the next takes its place. An alarm is over when it is acknowledged.
 
-Facts: docs/reference/protocol.md#alarms. Decisions where the sources leave something open:
+Facts: docs/reference/protocol.md#alarms. Decisions on points that the sources leave open:
 docs/reference/decisions/alarms.md#alarms-at-the-slave.
 """
 
@@ -31,7 +31,7 @@ MAX_WAITING: Final = 32
 class AlarmSupport:
     """The alarms of a slave: ``kinds``, keys of :data:`~dpstack.dp.pdu.dpv1_status.ALARMS` [Diagnostic_Alarm_supp ...].
 
-    ``sequence``: in sequence mode so many at a time, 2..32, or 0 where it has type mode only
+    ``sequence``: in sequence mode so many at a time, 2..32, or 0 if it has type mode only
     [Alarm_Sequence_Mode_Count]; ``extra_sap``: Alarm_Ack comes over SAP 50 too [Extra_Alarm_SAP_supp].
     Raises ConfigError.
     """
@@ -111,8 +111,8 @@ class AlarmServer:
     # --- the application ----------------------------------------------------------------------------------------
 
     def alarm(self, alarm: Alarm) -> Raised:
-        """Raise ``alarm``; its sequence number is given here. Raises AlarmError where it cannot go out now, PduError
-        where it cannot be."""
+        """Raise ``alarm``; its sequence number is given here. Raises AlarmError if it cannot go out now, PduError
+        if it cannot be."""
         self._check_room(alarm.build())
         kind = kind_of(alarm.type)
         what = f"slave {self._name}: {alarm.text}"
@@ -143,7 +143,7 @@ class AlarmServer:
             self._advance()
 
     def status(self, status: Status) -> None:
-        """Send a status once. Raises AlarmError where it cannot go out now, PduError where it cannot be."""
+        """Send a status once. Raises AlarmError if it cannot go out now, PduError if it cannot be."""
         if status.type not in VENDOR and status.type not in StatusType.__members__.values():
             raise PduError(f"there is no status of type {status.type:d}: 1..3, 30, 31, 32..126")
         self._check_room(status.build())

@@ -234,7 +234,7 @@ class SlaveDescription:
         return None
 
     def blocks(self, user_prm: bytes) -> tuple[PrmBlock, ...]:
-        """The structured parameters behind DPV1_Status; none where Prm_Structure is not set. Raises PduError."""
+        """The structured parameters behind DPV1_Status; none if Prm_Structure is not set. Raises PduError."""
         if not self.dpv1:
             return ()
         if len(user_prm) < DPV1_STATUS_LEN or not user_prm[2] & PRM_STRUCTURE:
@@ -246,7 +246,7 @@ class SlaveDescription:
         return parse_blocks(user_prm[DPV1_STATUS_LEN:], _FIRST_BLOCK)
 
     def check_cfg(self, config: bytes) -> str | None:
-        """A reason to refuse the identifier octets of Chk_Cfg, or None. Raises ConfigError where they are none."""
+        """A reason to refuse the identifier octets of Chk_Cfg, or None. Raises ConfigError if they are none."""
         if self.configs:
             if config in self.configs:
                 return None

@@ -35,10 +35,10 @@ def slave_description(
     """The slave of the type ``device``.
 
     ``chosen``: what is plugged into it, and nothing else is accepted then, nor user parameters of another length than
-    these modules have (blocks may follow where the file has them). None: a compact station accepts any one of its
+    these modules have (blocks may follow if the file has them). None: a compact station accepts any one of its
     modules, a modular one any row of them and of empty slots within its
     limits, behind its fixed presets, both up to Max_User_Prm_Data_Len octets of user parameters; modules that the file
-    breaks off in, or whose identifier octets contradict themselves, are left out. ``ident`` where the file has none;
+    breaks off in, or whose identifier octets contradict themselves, are left out. ``ident`` if the file has none;
     ``user_prm``: octets of user parameters, if they are not those of the ``chosen`` modules. Raises ConfigError.
     """
     gsd = device.dpv1
@@ -107,7 +107,7 @@ def _parameters(device: Device, block: PrmBlock) -> tuple[SlaveParameter, ...]:
 def _alarms(device: Device) -> dict[str, Any]:
     """Its alarms; an impossible count of alarms at a time becomes 0 (no sequence mode) or the largest possible one.
 
-    Nothing where the file leaves its diagnosis no room for one.
+    Nothing if the file leaves its diagnosis no room for one.
     """
     if _within(device.max_diag_data_len, MAX_LEN) < FIXED_LEN + HEAD:
         return {}

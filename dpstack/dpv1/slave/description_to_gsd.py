@@ -27,7 +27,7 @@ from dpstack.gsd.settings import RATES
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import octets_text, shortened
 
-#: MaxTsdr in bit times where the description says none: the standard's values for all slaves
+#: MaxTsdr in bit times if the description says none: the standard's values for all slaves
 _MAX_TSDR: Final = {500_000: 100, 1_500_000: 150, 3_000_000: 250, 6_000_000: 450, 12_000_000: 800}
 _MAX_TSDR_BELOW: Final = 60
 #: the spelling of a rate in keywords
@@ -105,7 +105,7 @@ def gsd_octets(slave: SlaveDescription) -> bytes:
 
 
 def _text(text: str, what: str, most: int = _LONGEST_TEXT) -> str:
-    """``text`` without blanks around it. Raises ConfigError where a GSD file cannot hold it."""
+    """``text`` without blanks around it. Raises ConfigError if a GSD file cannot hold it."""
     text = text.strip()
     shown = shortened(text, 40)
     if not text.isprintable() or '"' in text:
@@ -174,7 +174,7 @@ def _module(module: SlaveModule) -> SlaveModule:
 
 
 def _parameter(one: SlaveParameter) -> SlaveParameter:
-    """Raises ConfigError where its values do not fit its type."""
+    """Raises ConfigError if its values do not fit its type."""
     kind = prm_type_of(one.type)
     assert kind is not None
     low, high = kind.limits

@@ -2,7 +2,7 @@
 
 MS1 of a slave: the master sends a request, a record answers now or later, the master polls for the answer.
 
-Decisions where the sources leave something open: docs/reference/decisions/services.md#ms1-at-the-slave.
+Decisions on points that the sources leave open: docs/reference/decisions/services.md#ms1-at-the-slave.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class AlarmAcknowledged(SlaveAppEvent):
 
 
 class Ms1Server(SlaveService):
-    """MS1 of one slave application: ``records`` and ``alarms``, None where the device has none; without both the SAP is
+    """MS1 of one slave application: ``records`` and ``alarms``, None if the device has none; without both the SAP is
     closed."""
 
     def __init__(self, records: Records | None, report: Report, alarms: AlarmServer | None = None) -> None:
@@ -132,7 +132,7 @@ def _reply(answer: bytes | None) -> Reply:
 class Device(AcyclicDevice):
     """A device as its author writes it: subclass it, override what differs.
 
-    ``alarm_server``: its alarms, None where the device has none.
+    ``alarm_server``: its alarms, None if the device has none.
     """
 
     alarm_server: AlarmServer | None = None

@@ -28,10 +28,10 @@ class HeldInputs:
 
 
 class MirrorDevice(Device):
-    """Inputs are the outputs, cut or filled up with zeros where the lengths differ. Any user parameters are accepted,
+    """Inputs are the outputs, cut or filled up with zeros if the lengths differ. Any user parameters are accepted,
     and any address by Set_Slave_Add.
 
-    ``config``: the identifier octets it accepts; ``held``: its inputs from outside. Raises ConfigError where they are
+    ``config``: the identifier octets it accepts; ``held``: its inputs from outside. Raises ConfigError if they are
     none.
     """
 

@@ -3,7 +3,7 @@
 Facts: docs/reference/protocol.md#ms2, docs/reference/protocol.md#idle, docs/reference/protocol.md#abort; the documents
 "VPC3+", "ProSoft" and "Felser": docs/reference/protocol.md#sources.
 
-Decisions where they leave something open: docs/reference/decisions/ms2.md#connections-at-the-slave.
+Decisions on points that they leave open: docs/reference/decisions/ms2.md#connections-at-the-slave.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Act(Enum):
 
 
 class Row(NamedTuple):
-    """A row: what is done, and where the rule comes from."""
+    """A row: what is done, and if the rule comes from."""
 
     act: Act
     source: str

@@ -57,7 +57,7 @@ class RecordRequest:
 
     def answer(self, data: bytes = b"") -> None:
         """Answer positively. ``data``: of a Read, cut to the length that was asked for, or of a Data_Transport. Raises
-        PduError where they are longer than any record."""
+        PduError if they are longer than any record."""
         service = self.service
         if len(data) > MAX_RECORD:
             raise PduError(f"{len(data)} octets of data, {MAX_RECORD} are possible in one {service.UNIT}")
@@ -110,7 +110,7 @@ Transport = Callable[[RecordRequest], None]
 class AcyclicDevice(DpV0Device):
     """The part of a device that its acyclic services reach.
 
-    ``records``: what Read and Write reach, None where it has none. ``ms2``: connections of class 2, 0..49;
+    ``records``: what Read and Write reach, None if it has none. ``ms2``: connections of class 2, 0..49;
     ``transport`` serves their Data_Transport, ``ms2_max_len``: octets of data in one of their services, up to 240;
     ``ms2_max_initiate``: octets of the longest Initiate, 20..244; ``ms2_at_once``: it answers in the request itself
     what it knows by then, not when polled.

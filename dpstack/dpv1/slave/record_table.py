@@ -85,7 +85,7 @@ class ImRecords:
         self._called: WeakKeyDictionary[Asker, dict[int, int]] = WeakKeyDictionary()
 
     def of(self, slot: int = 0) -> tuple[Im, ...]:
-        """Those of ``slot`` as they stand now, by number; none where it has none."""
+        """Those of ``slot`` as they stand now, by number; none if it has none."""
         found = self._found(slot)
         return tuple(found[number] for number in sorted(found))
 

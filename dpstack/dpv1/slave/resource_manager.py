@@ -2,7 +2,7 @@
 
 Initiate comes to SAP 49 and is acknowledged; polled there, the resource manager names the server SAP, and the response
 to Initiate, or an Abort, is fetched at that one (Felser; VPC3+). Open in every state of the slave, for any master:
-class 2 needs no parameters (docs/reference/protocol.md#ms2). Decisions where the sources leave something open:
+class 2 needs no parameters (docs/reference/protocol.md#ms2). Decisions on points that the sources leave open:
 docs/reference/decisions/ms2.md#the-resource-manager-of-a-slave.
 
 A class 2 connection at the slave, from Initiate to its end. Its table of states: ms2_states.
@@ -284,7 +284,7 @@ _TRIGGERS: Final[Mapping[int, Ms2Trigger]] = {
 
 
 def _trigger_of(octets: bytes) -> tuple[Ms2Trigger, str]:
-    """The trigger that a request is, and the reason for people where it ends the connection."""
+    """The trigger that a request is, and the reason for people if it ends the connection."""
     function = octets[0]
     if function not in FUNCTIONS:
         return Ms2Trigger.UNREADABLE, f"octet 1: no service 0x{function:02X}"
@@ -323,7 +323,7 @@ class ServedConnection(Struct, frozen=True):
 
 
 def check_ms2(who: str, connections: int, max_len: int, max_initiate: int) -> None:
-    """Raise ConfigError where the settings ``ms2``, ``ms2_max_len`` and ``ms2_max_initiate`` of a slave cannot be."""
+    """Raise ConfigError if the settings ``ms2``, ``ms2_max_len`` and ``ms2_max_initiate`` of a slave cannot be."""
     if not 0 <= connections <= MAX_CONNECTIONS:
         raise ConfigError(f"{who}: ms2 = {connections}: 0 to {MAX_CONNECTIONS} class 2 connections are possible")
     if not 0 < max_len <= MAX_RECORD:
@@ -335,7 +335,7 @@ def check_ms2(who: str, connections: int, max_len: int, max_initiate: int) -> No
 class Ms2Server(SlaveService):
     """The connections of one slave application: as many as ``device.ms2`` says, 0 for a slave without MS2.
 
-    With ``device.ms2_at_once`` the request itself gets the answer where it is known by then, not the poll after it;
+    With ``device.ms2_at_once`` the request itself gets the answer if it is known by then, not the poll after it;
     both are legal (docs/reference/protocol.md#ms1).
     """
 

@@ -66,11 +66,11 @@ class DpSlave(Sealed, Device):
     ``on_cycle`` gets the outputs in the length of the configuration in use and ``elapsed``, the ns since data exchange
     began; it returns the inputs in their length. It is called in every Data_Exchange, at SYNC and FREEZE, and
     **with the safe outputs** as soon as the real ones end: at Clear, an empty frame, the watchdog, any way out of data
-    exchange. ``safe``: these octets, default zeros; only where all configurations have that length. ``config``: the
+    exchange. ``safe``: these octets, default zeros; only if all configurations have that length. ``config``: the
     answer to Get_Cfg until a master has configured the slave: the modules that are plugged in.
 
     ``on_prm(user_prm)`` judges user parameters: it returns a reason to refuse them, or None; ``on_blocks(blocks)`` does
-    so with the structured ones of a DP-V1 slave (empty where there are none; wrong lengths are refused before).
+    so with the structured ones of a DP-V1 slave (empty if there are none; wrong lengths are refused before).
     ``on_address`` keeps the address of Set_Slave_Add; without it the slave has its old one after a restart.
     ``on_leave(reason)`` is called with the reason why data exchange ended. An exception of any of them takes this slave
     out of data exchange, with safe outputs and Stat_Diag, until it is restarted; nothing else is disturbed.
@@ -185,7 +185,7 @@ class DpSlave(Sealed, Device):
         return self.im_of(0)
 
     def im_of(self, slot: int) -> tuple[Im, ...]:
-        """I&M of ``slot`` as it stands now, by number; empty where it has none."""
+        """I&M of ``slot`` as it stands now, by number; empty if it has none."""
         return () if self._im is None else self._im.of(slot)
 
     def serve_records(self, others: Records | None) -> None:
@@ -242,7 +242,7 @@ class DpSlave(Sealed, Device):
         self._call("on_initiate", master, wanted)
 
     def _call(self, name: str, *args: object) -> Any:
-        """Call the user's function ``name``, where there is one; :attr:`inside` is True meanwhile."""
+        """Call the user's function ``name``, if there is one; :attr:`inside` is True meanwhile."""
         function = self._calls.get(name)
         if function is None:
             return None

@@ -2,7 +2,7 @@
 
 The driver uses the expected time for two purposes. It collects garbage between a request and its answer. And it saves
 wake-ups: a port delivers an answer in pieces, six of them for 21 octets at 500 kbit/s, and each piece wakes the driver.
-Where earlier answers to requests with the same header had the same length and came in several pieces at nearly the same
+If earlier answers to requests with the same header had the same length and came in several pieces at nearly the same
 time, the driver sleeps until the next answer should be complete, and reads it with one call. The operating system keeps
 the octets meanwhile. The deadlines of the protocol machine do not change, so the driver never notices a missing answer
 later than without this sleep.
@@ -27,7 +27,7 @@ _MEAN_SHIFT: Final = 3
 _LEAST_PIECES: Final = 2
 #: After this many answers of equal length the driver expects the end of the next one at the earliest time among them.
 _EQUAL_ANSWERS: Final = 4
-#: These answers end so much sooner or later than the soonest of them at most. Where they came at any time within 5 ms,
+#: These answers end so much sooner or later than the soonest of them at most. If they came at any time within 5 ms,
 #: the next one was read 0.2 to 0.5 ms late on average.
 _REGULAR_NS: Final = 250 * NS_PER_US
 #: After this many expected answers the driver learns the time anew: while it sleeps it cannot notice that answers have
@@ -45,7 +45,7 @@ _SHORTEST_SLEEP_NS: Final = 500 * NS_PER_US
 _LEAD_NS: Final = 20 * NS_PER_US
 _MOST_LEAD_NS: Final = 150 * NS_PER_US
 _LEAD_STEP_NS: Final = NS_PER_US // 2
-#: Where the rest of an answer ends sooner than this after a wake-up that found it incomplete, the earliest time is
+#: If the rest of an answer ends sooner than this after a wake-up that found it incomplete, the earliest time is
 #: raised, by one eighth of the wait for the rest.
 _NEARLY_NS: Final = 25 * NS_PER_US
 _RAISE_SHIFT: Final = 3

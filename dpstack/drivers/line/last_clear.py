@@ -71,7 +71,7 @@ class LastClear:
 
 
 def why_not_alone(port: Port, station: ActiveStation) -> str:
-    """Why ``station`` may not send without asking for the token; empty where it is alone in the ring and nobody else
+    """Why ``station`` may not send without asking for the token; empty if it is alone in the ring and nobody else
     sends. Listens for T_TO."""
     others = sorted(station.las - {station.address})
     if not station.in_ring:

@@ -147,7 +147,7 @@ class LineRuntime(ABC):
 
     @property
     def paced(self) -> bool:
-        """True where octets take their time on a wire."""
+        """True if octets take their time on a wire."""
         return self._port.paced
 
     @property
@@ -226,7 +226,7 @@ class LineRuntime(ABC):
         """Run in ``loop`` on the port just opened. Raises as open() does; the port is closed then."""
         try:
             if self._machine.baud != self._port.baud:
-                self._port.set_baud(self._port.baud)  # raises where the port cannot change its rate
+                self._port.set_baud(self._port.baud)  # raises if the port cannot change its rate
                 follow(self._port, self._machine)
                 self._wire_ns = wire_times(self._port)
         except DpError:
@@ -348,7 +348,7 @@ class LineRuntime(ABC):
             self._fail(exc)
 
     def _nap(self, deadline: int, now: int) -> int:
-        """Sleep up to shortly before ``deadline`` where that pays. Returns the time."""
+        """Sleep up to shortly before ``deadline`` if that pays. Returns the time."""
         lead = self._nap_lead
         end = deadline - lead.ns
         if end - now < _SHORTEST_NAP_NS or self._timer is None:
@@ -537,7 +537,7 @@ class LineRuntime(ABC):
             self._dispatch([self._notice(f"still without its port: {refusal}", Severity.WARNING)])
 
     def _reopened(self, attempts: ReopenAttempts) -> None:
-        """The lost port is open again; it is closed where the driver was closed meanwhile."""
+        """The lost port is open again; it is closed if the driver was closed meanwhile."""
         if self._at is None:
             self._port.close()
         if attempts is not self._attempts:
@@ -550,7 +550,7 @@ class LineRuntime(ABC):
         self._command_machine(LineUp())
 
     def _look_at_port(self, events: list[Event]) -> None:
-        """Where slaves fell silent, another program may have the port."""
+        """If slaves fell silent, another program may have the port."""
         lost = any(isinstance(event, SlaveStateChanged) and event.state is SlaveState.OFFLINE for event in events)
         if lost and self._at is not None and self._attempts is None:
             self._watch.look(self._at)

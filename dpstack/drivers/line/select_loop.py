@@ -91,7 +91,7 @@ class SelectLoop:
     def __init__(self, *, report: Report | None = None, budget: Budget | None = None) -> None:
         self.report = _print if report is None else report
         self.budget = Budget() if budget is None else budget
-        #: expected time of the next octets (ns), NEVER where it is unknown; for ``on_idle``
+        #: expected time of the next octets (ns), NEVER if it is unknown; for ``on_idle``
         self.expected_at = NEVER
         #: The loop does not wake up for the quiet descriptor (:meth:`set_quiet`) before this time (ns), and calls its
         #: reader then, whether there are octets or not. 0: it wakes up for all octets. A loop that is awake for another

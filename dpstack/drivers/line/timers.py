@@ -40,7 +40,7 @@ class Timer(Protocol):
         """Replace the deadline by ``at`` (CLOCK_MONOTONIC, ns)."""
 
     def nap(self, until: int) -> None:
-        """Let the thread sleep until ``until`` (CLOCK_MONOTONIC, ns); returns at once where no precise sleep is to be
+        """Let the thread sleep until ``until`` (CLOCK_MONOTONIC, ns); returns at once if no precise sleep is to be
         had. The loop does nothing meanwhile."""
 
     def close(self) -> None: ...

@@ -5,7 +5,7 @@
 it
 - ``channel``: The application's end of the socket: start and end of the bus process, orders and their answers, news
 - ``client``: The process driver, in the application: runtime and snapshots of a bus in a process of its own
-- ``early_start``: Start of a bus process, where possible before its configuration is known
+- ``early_start``: Start of a bus process, if possible before its configuration is known
 - ``messages``: Messages between bus process and application: JSON with a length in front; socket buffers of both ends
 - ``plugins``: Drive plugins by name (``package.module:name``): a bus process imports them, because it cannot receive
   objects

@@ -50,7 +50,7 @@ _HEARTBEAT: Final = 20 * NS_PER_MS
 #: after this many heartbeats come the counters, changes without an event, the octets of a tap, and news held back for
 #: an application that did not read
 _BEATS_TO_NEWS: Final = 5
-#: interval of the statuses of the drives, where the rounds are not watched and no event comes
+#: interval of the statuses of the drives, if the rounds are not watched and no event comes
 _DRIVES_NS: Final = 10 * NS_PER_MS
 #: after a SIGTERM the bus process waits this long for the application to begin the end
 _GRACE: Final = 200 * NS_PER_MS
@@ -256,7 +256,7 @@ class Host:
 
     def _publish_for(self, events: list[Event]) -> None:
         """Publish inputs and outputs as they are at ``events``: anew for their slaves, as an event of one slave says
-        nothing of the others; for all slaves where an event is not of one slave."""
+        nothing of the others; for all slaves if an event is not of one slave."""
         master, images = self._master, self._published_images
         for event in events:
             if not isinstance(event, SlaveEvent) or event.address not in images:

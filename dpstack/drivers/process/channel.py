@@ -60,7 +60,7 @@ _END_S: Final = 3.0
 _LOOK_S: Final = 0.005
 #: chunks that are read before an order counts as unanswered: more than a bus process keeps for a slow reader
 _CHUNKS: Final = 16
-#: the end of a bus takes longer by at most this where the bus process hangs: four orders, and its own end
+#: the end of a bus takes longer by at most this if the bus process hangs: four orders, and its own end
 CLOSE_LIMIT_S: Final = (ANSWER_NS + 3 * _AGAIN_NS) / NS_PER_S + 2 * _END_S
 
 
@@ -316,7 +316,7 @@ class Channel:
         return OrderDropped(f"{who} did not take the order within {limit} (it is stopped, or hangs): it was dropped")
 
     def _on_readable(self) -> bool:
-        """Read news of the bus process; False where there are no more."""
+        """Read news of the bus process; False if there are no more."""
         octets = None if self._sock is None else received(self._sock)
         if octets is None:
             return False
@@ -382,7 +382,7 @@ class Channel:
         self._when_ended(self._is_gone)
 
     def settle(self) -> None:
-        """End every order now where the bus process has hung up unasked, and report how it ended."""
+        """End every order now if the bus process has hung up unasked, and report how it ended."""
         if self._has_hung_up and self._gone is None:
             self._is_gone()
 
@@ -414,6 +414,6 @@ class Channel:
 
 
 def not_started(error: OSError) -> BusError:
-    """The error where the system has no descriptors, memory or processes left for a bus process."""
+    """The error if the system has no descriptors, memory or processes left for a bus process."""
     why = error.strerror or str(error)
     return BusError(f'the bus process cannot be started ({why}): raise that limit, or take driver = "asyncio"')

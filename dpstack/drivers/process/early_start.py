@@ -1,4 +1,4 @@
-"""Start of a bus process, where possible before its configuration is known: both programs import side by side.
+"""Start of a bus process, if possible before its configuration is known: both programs import side by side.
 
 The early one waits for its set-up at most :data:`WAIT_S`, then it ends. It has opened no port by then, so it may be
 ended at any time. This module imports nothing of dpstack: else the imports would not be side by side.
@@ -67,7 +67,7 @@ def started(sock: int, memory: int) -> subprocess.Popen[bytes]:
 def begin() -> None:
     """Start a bus process for the first bus of this program, if its imports are still to come.
 
-    Nothing is raised: where it cannot be started, the opening of the bus says why. Only in the main thread: the system
+    Nothing is raised: if it cannot be started, the opening of the bus says why. Only in the main thread: the system
     ends the bus process together with the thread that started it.
     """
     global _begun

@@ -133,7 +133,7 @@ class News(Struct):
 
 
 class Question(Struct):
-    """An order with a number that its answer carries. The bus process drops it where it does not take it before
+    """An order with a number that its answer carries. The bus process drops it if it does not take it before
     ``until_ns`` (CLOCK_MONOTONIC)."""
 
     number: Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
@@ -204,7 +204,7 @@ _received: Final = memoryview(bytearray(_CHUNK))
 
 
 def received(sock: socket.socket) -> bytes | None:
-    """The octets that ``sock`` has now: None where there are none yet, empty where the other process has hung up."""
+    """The octets that ``sock`` has now: None if there are none yet, empty if the other process has hung up."""
     try:
         return bytes(_received[: sock.recv_into(_received)])
     except BlockingIOError:

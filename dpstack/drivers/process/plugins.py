@@ -62,7 +62,7 @@ def load_all(group: str) -> None:
     attaches one says why."""
     layouts.load()
     if group:
-        from importlib import metadata  # here, as it is not needed where no drive can be added
+        from importlib import metadata  # here, as it is not needed if no drive can be added
 
         for place in sorted(point.value for point in metadata.entry_points(group=group)):
             with contextlib.suppress(ConfigError):

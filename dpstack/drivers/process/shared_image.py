@@ -57,7 +57,7 @@ class Picture(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """The application's outputs of one slave. The bus process drops them where it does not take them before
+    """The application's outputs of one slave. The bus process drops them if it does not take them before
     ``until_ns`` (CLOCK_MONOTONIC), another time for each assignment."""
 
     until_ns: int
@@ -165,7 +165,7 @@ class SharedImage:
         memory.release()
 
     def take_outputs(self) -> dict[int, Outputs] | None:
-        """The application's outputs by address where there is a new picture of them. For the bus process. Raises
+        """The application's outputs by address if there is a new picture of them. For the bus process. Raises
         BusError as :meth:`Area.read_new`."""
         self.words[Word.OUTPUTS_TAKEN] = self.outputs.newest
         return self.outputs.read_new()
@@ -182,7 +182,7 @@ def make_memory(empty: int | None = None) -> int:
 
     Raises OSError, and closes ``empty`` then.
 
-    All of its pages exist: where the system has none left, the error is here, and not SIGBUS at a later store.
+    All of its pages exist: if the system has none left, the error is here, and not SIGBUS at a later store.
     """
     fd = os.memfd_create("dpstack", os.MFD_CLOEXEC) if empty is None else empty
     try:

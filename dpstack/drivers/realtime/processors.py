@@ -40,7 +40,7 @@ class AwakeProcessors:
         return self._fd is not None
 
     def hold(self, wanted: bool) -> None:
-        """Begin or end the request; cheap where nothing changes. Does not raise."""
+        """Begin or end the request; cheap if nothing changes. Does not raise."""
         if wanted is self._wanted:
             return
         self._wanted = wanted
@@ -59,7 +59,7 @@ class AwakeProcessors:
 
 
 def run_on(processors: Sequence[int], sysfs: Path = Path("/sys")) -> None:
-    """Let this process run on these processors only. Raises ConfigError where one is missing or not permitted."""
+    """Let this process run on these processors only. Raises ConfigError if one is missing or not permitted."""
     wanted = set(processors)
     there = listed(sysfs / "devices/system/cpu/online")
     if there and not wanted <= there:
@@ -110,7 +110,7 @@ def isolated(sysfs: Path) -> set[int]:
 
 
 def slowest_wake_up_us(sysfs: Path) -> int | None:
-    """The longest wake-up time of the sleep states of processor 0, in us; None where none are known."""
+    """The longest wake-up time of the sleep states of processor 0, in us; None if none are known."""
     times = []
     for path in sorted((sysfs / "devices/system/cpu/cpu0/cpuidle").glob("state*/latency")):
         with contextlib.suppress(OSError, ValueError):
@@ -127,7 +127,7 @@ class Interrupts(NamedTuple):
 
 
 def interrupts_of(tty: str, sysfs: Path, proc: Path) -> Interrupts | None:
-    """The interrupts of the USB controller of ``tty`` (a path or a link); None where it has none, or they are not
+    """The interrupts of the USB controller of ``tty`` (a path or a link); None if it has none, or they are not
     known."""
     device = (sysfs / "class/tty" / os.path.basename(os.path.realpath(tty)) / "device").resolve()
     bus = next((folder for folder in device.parents if _USB_BUS.fullmatch(folder.name)), None)

@@ -273,7 +273,7 @@ def _never() -> bool:
 
 
 def refuse_running_loop(called: str, program: Awaitable[object] | None = None) -> None:
-    """Raises UsageError where an event loop runs in this thread already: ``called`` needs its own. Closes ``program``,
+    """Raises UsageError if an event loop runs in this thread already: ``called`` needs its own. Closes ``program``,
     which nobody will await; None: ``called`` takes none."""
     try:
         running = asyncio.get_running_loop()

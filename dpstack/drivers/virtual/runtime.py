@@ -196,7 +196,7 @@ class _Clockwork:
         self.loop = loop
         self._world = world
         self._users: list[VirtualRuntime] = []
-        self._pace: Pace | None = None  # where bus time is paced by real time
+        self._pace: Pace | None = None  # if bus time is paced by real time
         self.failed = False
         self._timer: asyncio.TimerHandle | None = None
         self._resting = False  # the timer is a long one

@@ -2,7 +2,7 @@
 
 Rules that decide whether a telegram is the answer, the most certain first:
 
-* Another sender, SAPs that are not those of the request exchanged, data where the service has none: no answer, counted.
+* Another sender, SAPs that are not those of the request exchanged, data if the service has none: no answer, counted.
 * SC has no addresses. It is the answer to a service that can be acknowledged, and only while the station waits.
 * Exact lines: a telegram that begins before min T_SDR after the request is no answer.
 * An earlier exchange that ended without answer, or with a repetition, may have a late answer. The station keeps back
@@ -44,7 +44,7 @@ class Exchange(Awaiting):
 
     fcb: FrameCount
     admission: Admission
-    #: the user of the last request; None where it is detached
+    #: the user of the last request; None if it is detached
     user: LinkUser | None = None
     request: Request = NO_REQUEST
     #: called with the time of its last bit when the GAP poll is sent (:class:`~dpstack.fdl.active.use_token.GapPoll`)

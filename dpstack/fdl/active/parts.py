@@ -51,7 +51,7 @@ class ActiveLine(Line):
         self.busy_until = now + longest_ns
 
     def telegram_ended(self, now: int, lasted_ns: int = 0) -> None:
-        """A whole telegram ended at ``now``. ``lasted_ns``: its duration, where the port is exact and has no edges."""
+        """A whole telegram ended at ``now``. ``lasted_ns``: its duration, if the port is exact and has no edges."""
         if now > self.idle_since:
             self.idle_since = now
         if self._edge_seen:

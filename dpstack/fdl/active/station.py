@@ -308,7 +308,7 @@ class ActiveStation:
     def command(self, command: object, now: int) -> None:
         """GoOnline, GoOffline, AttachUser, DetachUser, LineDown, LineUp, InDoubt; all else goes to the users.
 
-        Raises UsageError where no user takes it.
+        Raises UsageError if no user takes it.
         """
         row = self._machine.row
         match command:

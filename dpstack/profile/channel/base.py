@@ -68,7 +68,7 @@ class ParameterChannel(abc.ABC):
 
     @property
     def octets(self) -> bytes:
-        """The octets to send in front of the process data; empty where the channel is not part of them."""
+        """The octets to send in front of the process data; empty if the channel is not part of them."""
         return b""
 
     @property
@@ -92,7 +92,7 @@ class ParameterChannel(abc.ABC):
 
     def fields(self, octets: bytes, *, order: bool, find: FindSpec) -> dict[str, object]:
         """The channel's octets of another master's ``order``, or of the drive's reply, for a program that only
-        listens: plain JSON data, empty where there is no order. ``text``: all of it in a few words.
+        listens: plain JSON data, empty if there is no order. ``text``: all of it in a few words.
         """
         return {}
 
@@ -105,7 +105,7 @@ class ParameterChannel(abc.ABC):
 
     @abc.abstractmethod
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
-        """Write one parameter; ``value`` in its unit, or the integer on the wire where its scale is unknown."""
+        """Write one parameter; ``value`` in its unit, or the integer on the wire if its scale is unknown."""
 
     def read_raw(self, key: ParamKey, deadline: int) -> Steps[int]:
         """Read one parameter: the integer on the wire."""
@@ -147,7 +147,7 @@ def find_parameter(key: ParamKey, table: ParamTable, most: int) -> tuple[ParamSp
 
 
 def check_write(spec: ParamSpec | None, label: str, value: float) -> int | None:
-    """The integer of ``value``; None for an unknown parameter. Raises CommandError where it cannot be written."""
+    """The integer of ``value``; None for an unknown parameter. Raises CommandError if it cannot be written."""
     if spec is None:
         return None
     if spec.read_only:

@@ -298,9 +298,9 @@ class PkwChannel:
 
 
 class ParamRef(NamedTuple):
-    """A parameter in PKW: PNU, IND's high octet, array orders or plain ones, its specification where it is known.
+    """A parameter in PKW: PNU, IND's high octet, array orders or plain ones, its specification if it is known.
 
-    ``data_set`` for messages, None where the drive has none or the parameter exists once.
+    ``data_set`` for messages, None if the drive has none or the parameter exists once.
     """
 
     #: parameter number on the wire, 0..2047
@@ -399,7 +399,7 @@ class PkwAccess(PkwChannel, ParameterChannel):
 
 
 def _outcome(ref: ParamRef, reply: Pkw, written: float = 0) -> dict[str, object]:
-    """The id of the reply decides its size, a word or a double word, also where the table has the other type.
+    """The id of the reply decides its size, a word or a double word, also if the table has the other type.
     ``written``: the value of a write; a negative one says that a parameter of unknown type has a sign."""
     spec = ref.spec
     bits = 32 if reply.id in (ReplyId.LONG, ReplyId.ARRAY_LONG) else 16
@@ -425,7 +425,7 @@ class PkwServer:
 
     With ``zero_between`` an order is carried out once and its reply held until the order is 0. Without it an order
     acts when it changes, and a read (ids in ``reads``) returns the present value in every call. ``refuse`` is called
-    once for each new order: the negative reply to it, None where it is carried out.
+    once for each new order: the negative reply to it, None if it is carried out.
     """
 
     def __init__(

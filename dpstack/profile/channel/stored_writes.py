@@ -26,7 +26,7 @@ class StoredWrites:
         self._full_at: dict[Hashable, int] = {}  # the time at which BURST writes are possible again
 
     def admit(self, parameter: Hashable, label: str, now: int, spec: ParamSpec | None = None) -> None:
-        """Count a write of ``parameter`` at ``now`` (ns). Raises CommandError where there were too many.
+        """Count a write of ``parameter`` at ``now`` (ns). Raises CommandError if there were too many.
 
         ``label`` names the parameter in the message. A volatile ``spec`` has no limit.
         """

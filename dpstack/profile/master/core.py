@@ -52,7 +52,7 @@ _TIMEOUTS: Final = {
 }
 #: of the reference, for a drive that has no bit for it
 _CLOSE: Final = 0.01
-#: of the reference: how far the actual speed may be from the set point where the drive's bit says that it is reached.
+#: of the reference: how far the actual speed may be from the set point if the drive's bit says that it is reached.
 #: More than the rounding of any drive; a wrong scale or source of the set point is off by more at most set points
 _BELIEVED: Final = 0.02
 
@@ -177,7 +177,7 @@ class DriveCore:
         )
         self._rotation_ns = 0  # from one call of cyclic() to the next
         self._called_at: int | None = None
-        #: parameter channel; None where the telegram has none, or the drive has no parameters
+        #: parameter channel; None if the telegram has none, or the drive has no parameters
         self.access: ParameterChannel | None = None
         if telegram.channel and self.parameter_table is not None:
             self.access = self.open_channel()
@@ -367,7 +367,7 @@ class DriveCore:
     def read_inputs(self, inputs: bytes, control: int | None) -> DriveStatus:
         """The status in ``inputs`` of the telegram's length, for a program that only listens: no order begins.
 
-        ``control``: the control word that another master sent last, None where it is not known.
+        ``control``: the control word that another master sent last, None if it is not known.
         """
         self.online = True
         self.words = self.unpack(inputs, self.offset)
@@ -387,7 +387,7 @@ class DriveCore:
     # -- for jobs and plugins -------------------------------------------------------------------------------------
 
     def may_turn(self) -> str | None:
-        """Why the motor may turn, or be about to, for people; None where it stands and nothing starts it."""
+        """Why the motor may turn, or be about to, for people; None if it stands and nothing starts it."""
         if self.goal is Goal.RUN or self._orders.runs("start"):
             return "a start was ordered"
         if self.state in MOVING:
@@ -436,7 +436,7 @@ class DriveCore:
         return "" if spec is None else spec.acts
 
     def applier_of(self, key: ParamKey) -> str | None:
-        """The name of the parameter where a write of it makes others count, else None."""
+        """The name of the parameter if a write of it makes others count, else None."""
         spec, table = self._spec(key), self.parameter_table
         return spec.name if spec is not None and table is not None and spec.name in table.applies else None
 
@@ -542,7 +542,7 @@ class DriveCore:
     # -- hooks for a plugin -------------------------------------------------------------------------------------
 
     def cannot(self, op: str) -> str | None:
-        """Why an order that moves the drive can never be carried out as things are configured; None where it can."""
+        """Why an order that moves the drive can never be carried out as things are configured; None if it can."""
         return None
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
@@ -563,7 +563,7 @@ class DriveCore:
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
         """The reverse of :meth:`encode`, for a program that only listens: the control word, and the set point of the
-        reference; None where ``process`` does not have them.
+        reference; None if ``process`` does not have them.
         """
         words = struct.unpack_from(f">{len(process) // 2}H", process)
         return words[0] if words else None, self.scale.decode(words[1]) if len(words) > 1 else None
@@ -585,12 +585,12 @@ class DriveCore:
         return self.scale.encode(fraction)
 
     def remote(self, word: int) -> bool | None:
-        """Whether the drive follows the bus by its status word; None where no bit tells it."""
+        """Whether the drive follows the bus by its status word; None if no bit tells it."""
         status = self.table.status
         return status.is_set(word, "remote") if "remote" in status.bits else None
 
     def word(self, name: str) -> int | None:
-        """The word of the process data called ``name`` in ``inputs``; None where the telegram does not reach it."""
+        """The word of the process data called ``name`` in ``inputs``; None if the telegram does not reach it."""
         place = self._places.get(name)
         return None if place is None else self.words[place]
 
@@ -666,7 +666,7 @@ class DriveCore:
         yield from ()
 
     def before_acknowledge(self, deadline: int) -> Steps[None]:
-        """Before an acknowledgement: raise CommandError where the drive would take its bit for something else."""
+        """Before an acknowledgement: raise CommandError if the drive would take its bit for something else."""
         yield from ()
 
     def halted(self, deadline: int) -> Steps[None]:
@@ -846,8 +846,8 @@ def _acknowledge(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
 
 
 def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[dict[str, object]]:
-    """The drive says that it has reached its reference, and its actual speed (where it tells one) agrees within 2 % of
-    the reference. With ``tolerance``, or where the drive has no bit for it: by its speed alone.
+    """The drive says that it has reached its reference, and its actual speed (if it tells one) agrees within 2 % of
+    the reference. With ``tolerance``, or if the drive has no bit for it: by its speed alone.
     """
     yield from _online(core, deadline)
     if tolerance is None and "reached" not in core.table.status.bits:
@@ -885,7 +885,7 @@ def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[d
 
 
 def _settled(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
-    """Wait until the inputs belong to the present outputs, and a fault has its name where the drive tells one."""
+    """Wait until the inputs belong to the present outputs, and a fault has its name if the drive tells one."""
     yield from _online(core, deadline)
     yield from settled(core, lambda: False, deadline)
     if core.raw_state in FAULTED:

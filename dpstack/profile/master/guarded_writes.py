@@ -83,6 +83,6 @@ def _write(
 
 
 def refuse_while_turning(core: MayTurn, what: str, why: str) -> None:
-    """Raises CommandError where the motor may turn."""
+    """Raises CommandError if the motor may turn."""
     if (turning := core.may_turn()) is not None:
         raise CommandError("usage", f"{what}: {turning}, and {why}; stop() it first, then do it at standstill")

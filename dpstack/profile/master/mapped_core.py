@@ -61,13 +61,13 @@ class MappedCore(DriveCore, Generic[M]):
     One rule for a change of maps (docs/reference/drives.md#maps), by the codes in ``map_codes`` and the column ``acts``
     of the drive's table: at standstill only; control word and set point go to their safe values first; the drive's
     output map is emptied before the octets become those of the new one; then the new codes are written, read back
-    and compared. Where the codes act from the drive's power-on, ``start`` and set points are refused from the write on,
+    and compared. If the codes act from the drive's power-on, ``start`` and set points are refused from the write on,
     until the drive has the maps of the options.
     """
 
     #: the orders of :data:`MAP_OPS` that the plugin takes
     own_ops: tuple[str, ...] = MAP_OPS
-    #: remedy where the telegram has no parameter channel, for people
+    #: remedy if the telegram has no parameter channel, for people
     channel_hint: str = ""
     #: the options with the map of the inputs and of the outputs
     map_options: tuple[str, str] = ("map_inputs", "map_outputs")
@@ -121,7 +121,7 @@ class MappedCore(DriveCore, Generic[M]):
         return inputs, outputs
 
     def refuse_zeros(self) -> None:
-        """For a map that counts from the first cycle on. Raises ConfigError where a parameter has no value."""
+        """For a map that counts from the first cycle on. Raises ConfigError if a parameter has no value."""
         if missing := self.missing():
             raise ConfigError(
                 f"{self.title}: {self.map_options[1]}: {', '.join(missing)} would be written with 0 from the first "
@@ -264,17 +264,17 @@ class MappedCore(DriveCore, Generic[M]):
         return None
 
     def present_maps(self) -> tuple[M, M]:
-        """The maps that ``write_map`` writes where none is given."""
+        """The maps that ``write_map`` writes if none is given."""
         assert self.inputs_map is not None
         assert self.outputs_map is not None
         return self.inputs_map, self.outputs_map
 
     def check_maps(self, inputs: M, outputs: M) -> str | None:
-        """Why the drive would refuse the two maps together; None where it accepts them."""
+        """Why the drive would refuse the two maps together; None if it accepts them."""
         return None
 
     def cannot_write(self, inputs: M, outputs: M) -> str | None:
-        """Why maps that the drive accepts cannot be written by this plugin; None where they can."""
+        """Why maps that the drive accepts cannot be written by this plugin; None if they can."""
         return None
 
     def known(self, deadline: int) -> Steps[None]:
@@ -287,7 +287,7 @@ class MappedCore(DriveCore, Generic[M]):
         return False
 
     def verify_maps(self, inputs: M, outputs: M, deadline: int) -> Steps[None]:
-        """Read the maps that were written. Raises CommandError where they are others."""
+        """Read the maps that were written. Raises CommandError if they are others."""
         found = yield from self.read_maps(deadline)
         if not self.are_maps(found, inputs, outputs):
             raise CommandError(
@@ -311,7 +311,7 @@ class MappedCore(DriveCore, Generic[M]):
         return name
 
     def written_by(self, key: int) -> str | None:
-        """The orders that write an output, which ``output`` therefore does not; None where none does."""
+        """The orders that write an output, which ``output`` therefore does not; None if none does."""
         return None
 
     # -- maps in the drive ----------------------------------------------------------------------------------------
@@ -416,7 +416,7 @@ class MappedCore(DriveCore, Generic[M]):
     def _write(self, inputs: str | None, outputs: str | None, deadline: int) -> Steps[dict[str, object]]:
         """The job of ``write_map``; None: the present map stays.
 
-        A parameter needs a value: the user's, its present one, or that of the drive, where it can be read.
+        A parameter needs a value: the user's, its present one, or that of the drive, if it can be read.
         """
         new_inputs, new_outputs = self.present_maps()
         values: dict[int, int] = {}
@@ -455,7 +455,7 @@ class MappedCore(DriveCore, Generic[M]):
             return (yield from self.change_maps(inputs, outputs, values, deadline))
 
     def change_maps(self, inputs: M, outputs: M, values: dict[int, int], deadline: int) -> Steps[dict[str, object]]:
-        """Change the maps of a drive at standstill; what is no parameter begins with 0 where no value is given."""
+        """Change the maps of a drive at standstill; what is no parameter begins with 0 if no value is given."""
         access = self.access
         assert access is not None
         for field in self._without_value(outputs, values):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 
 class NewAddress:
-    """``parameter``: the name of the parameter that holds the station address, "" where the drive has none; ``label``:
+    """``parameter``: the name of the parameter that holds the station address, "" if the drive has none; ``label``:
     it for people.
 
     ``acts``: when a new one takes effect, for people; "": at once, with the write. ``trigger``: the name of a parameter

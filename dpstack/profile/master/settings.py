@@ -27,9 +27,9 @@ _NO_ANSWER: Final = "the drive has not yet answered"
 class Setting(Struct, frozen=True, kw_only=True):
     """A setting of the drive that a plugin relies on.
 
-    ``wanted``: the expected setting, for people (``F03 = 60 Hz``). ``keys``: the parameters that tell it, none where
+    ``wanted``: the expected setting, for people (``F03 = 60 Hz``). ``keys``: the parameters that tell it, none if
     the status word or a learned map does. ``differs`` gets their values in this order and returns a text that says what
-    the drive has and what to set, or None where it is as expected. ``refuse``: ``start()`` is refused while it differs,
+    the drive has and what to set, or None if it is as expected. ``refuse``: ``start()`` is refused while it differs,
     because scale or source of the set point is another one; otherwise the text is a notice.
     """
 
@@ -142,7 +142,7 @@ class SettingsCheck:
             core.spawn("settings", self._compare(self._turn))
 
     def in_clear(self) -> Steps[dict[str, object]] | None:
-        """The comparison in Clear, for the caller to step; None where nothing can be read there, which is reported."""
+        """The comparison in Clear, for the caller to step; None if nothing can be read there, which is reported."""
         core = self._core
         settings = core.all_settings()
         if not settings or not self._enabled:
@@ -165,7 +165,7 @@ class SettingsCheck:
     def known(self, deadline: int) -> Steps[None]:
         """Before a start: read again, as a keypad passes no plugin, and wait for the result.
 
-        Raises CommandError where the drive cannot be started as it is set. Without an answer in time an earlier result
+        Raises CommandError if the drive cannot be started as it is set. Without an answer in time an earlier result
         of this stay counts.
         """
         core = self._core

@@ -20,7 +20,7 @@ CHECK_SETTINGS: Final = "check_settings"
 
 
 def config_number(what: str, value: object) -> float:
-    """``value`` where it is a number up to :data:`LARGEST`. Raises ConfigError, whose text begins with ``what``."""
+    """``value`` if it is a number up to :data:`LARGEST`. Raises ConfigError, whose text begins with ``what``."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigError(f"{what} must be a number, not {value!r}")
     if abs(value) > LARGEST:
@@ -61,7 +61,7 @@ class TelegramSpec(Struct, frozen=True, kw_only=True):
 class TelegramFamily(NamedTuple):
     """Telegrams too many to list, made on request.
 
-    ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None where they are none.
+    ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None if they are none.
     """
 
     named: Callable[[str], TelegramSpec]
@@ -101,7 +101,7 @@ class DriveType:
         raise ConfigError(f"{self.name} has no telegram {name!r}; it has {', '.join(self.telegrams)}")
 
     def telegrams_of(self, config: bytes) -> tuple[TelegramSpec, ...]:
-        """The telegrams with these identifier octets; none where the drive does not know them."""
+        """The telegrams with these identifier octets; none if the drive does not know them."""
         found = tuple(spec for spec in self.telegrams.values() if spec.config == config)
         if not found and self.family is not None and (made := self.family.of_config(config)) is not None:
             return (made,)

@@ -36,7 +36,7 @@ class CommandError(Exception):
         self.kind = kind
         #: the failure for people
         self.text = text
-        #: error number of the drive; None where the drive did not give one
+        #: error number of the drive; None if the drive did not give one
         self.number = number
 
 

@@ -15,7 +15,7 @@ SUBINDEX: Final = "subindex"
 
 
 class ErrorText(NamedTuple):
-    """``info``: meaning of the additional information, "" where the sources name none."""
+    """``info``: meaning of the additional information, "" if the sources name none."""
 
     text: str
     info: str = ""
@@ -81,7 +81,7 @@ MAKERS_FROM: Final = 0x65
 def error_text(number: int, info: int | None = None, makers: Mapping[int, str] | None = None) -> str:
     """For people: ``error 2, low or high limit exceeded (subindex 3)``.
 
-    ``makers``: texts of the drive's own; None where its maker is not known.
+    ``makers``: texts of the drive's own; None if its maker is not known.
     """
     own = {} if makers is None else makers
     row = ErrorText(own[number]) if number in own else _ROWS.get(number)

@@ -20,7 +20,7 @@ _TOLERANCE: Final = 1e-6
 def count_of(what: str, value: float, per_unit: float, unit: str = "") -> int:
     """The integer on the wire of ``value``, where 1 in ``unit`` is ``per_unit``; ``value`` must be finite.
 
-    Raises ValueError with the step and the two nearest values where ``value`` lies between two of them: a value is
+    Raises ValueError with the step and the two nearest values if ``value`` lies between two of them: a value is
     never rounded without the caller's knowledge.
     """
     exact = value * per_unit
@@ -60,7 +60,7 @@ POWER_ON: Final = "power-on"
 class ParamSpec:
     """A parameter. ``low``, ``high`` and ``factory`` are in ``unit``; on the wire stands value x 10^decimals.
 
-    ``per_unit`` instead of ``decimals`` where that is no power of ten. ``index``: a fixed subindex that belongs to the
+    ``per_unit`` instead of ``decimals`` if that is no power of ten. ``index``: a fixed subindex that belongs to the
     number. ``by_name``: people know it by its name. ``per_set``: exists once in every data set. ``read_only``.
     ``text``: a string, which the parameter channel cannot carry. ``made_up``: limits or factory value are ours.
     ``volatile``: the drive never stores it in its EEPROM. ``use``: what it is to the plugin. ``acts``: when a write
@@ -85,7 +85,7 @@ class ParamSpec:
     long: bool = False
     #: decimals: the wire carries value x 10^decimals
     decimals: int = 0
-    #: counts on the wire that make 1 in ``unit``, where that is no power of ten
+    #: counts on the wire that make 1 in ``unit``, if that is no power of ten
     per_unit: float = 0
     #: unit of the value; empty for a plain number
     unit: str = ""
@@ -100,7 +100,7 @@ class ParamSpec:
     acts: str = ""
 
     def to_raw(self, value: float) -> int:
-        """The integer on the wire. Raises ValueError with the limits, or with the step where it lies between two."""
+        """The integer on the wire. Raises ValueError with the limits, or with the step if it lies between two."""
         if not (math.isfinite(value) and self.low <= value <= self.high):
             unit = f" {self.unit}" if self.unit else ""
             raise ValueError(f"{self.label}: {value:g}{unit} is outside {self.low:g}..{self.high:g}{unit}")
@@ -116,7 +116,7 @@ class ParamSpec:
         return self.per_unit or float(10**self.decimals)
 
     def to_value(self, raw: int) -> int | float:
-        """The value in ``unit`` of an integer on the wire: an int where there are no decimals."""
+        """The value in ``unit`` of an integer on the wire: an int if there are no decimals."""
         if self.per_unit not in (0, 1):
             return raw / self.per_unit
         return raw / 10**self.decimals if self.decimals else raw
@@ -132,11 +132,11 @@ class ParamSpec:
         return raw & (_LONG if self.long else _WORD)
 
     def from_pwe(self, pwe: int) -> int:
-        """The integer in PWE; signed where the parameter can be negative."""
+        """The integer in PWE; signed if the parameter can be negative."""
         return self.from_wire(pwe, 32 if self.long else 16)
 
     def from_wire(self, raw: int, bits: int) -> int:
-        """The low ``bits`` as the drive sent them, whatever its type is here; signed where it can be negative."""
+        """The low ``bits`` as the drive sent them, whatever its type is here; signed if it can be negative."""
         half = 1 << bits - 1
         raw &= (half << 1) - 1
         return (raw ^ half) - half if self.low < 0 else raw
@@ -181,7 +181,7 @@ class ParamTable:
         return found
 
     def hint(self, name: str) -> str:
-        """The names that a user may have meant, for the end of a message; empty where none is near."""
+        """The names that a user may have meant, for the end of a message; empty if none is near."""
         near = " or ".join(difflib.get_close_matches(name.lower(), self._by_name, n=3))
         return f"; did you mean {near}?" if near else ""
 
@@ -191,7 +191,7 @@ class ListedParam:
     """An entry of the parameter list; ``name``, ``data_set`` and ``index`` are the arguments of the read.
 
     ``number`` and ``subindex`` are what the table declares. ``why_not``: why it cannot be read, for people.
-    ``per_unit``: counts on the wire that make 1 in ``unit``, 0 where it is not known.
+    ``per_unit``: counts on the wire that make 1 in ``unit``, 0 if it is not known.
     """
 
     #: name for the read
@@ -202,7 +202,7 @@ class ListedParam:
     title: str
     #: subindex in the table of the plugin; 0 for none
     subindex: int = 0
-    #: data set for the read; None where the drive has none
+    #: data set for the read; None if the drive has none
     data_set: int | None = None
     #: index for the read; None for a plain parameter
     index: int | None = None

@@ -24,8 +24,8 @@ class DriveStatus:
     """State and values of a drive, from its last inputs and the master's own last command.
 
     ``speed``, ``setpoint``: of the reference (1.0 = 100 %); ``current`` and ``torque``: of the rated current. What
-    the telegram does not carry is None. ``reached``: as the drive tells it; where it has no bit for it, running within
-    1 % of the reference around the set point. ``remote``: the drive follows the bus; None where no bit tells it.
+    the telegram does not carry is None. ``reached``: as the drive tells it; if it has no bit for it, running within
+    1 % of the reference around the set point. ``remote``: the drive follows the bus; None if no bit tells it.
     ``words``: the process data as received. ``bits``: names of the status bits set. ``settings``: how the drive's
     settings compare with those that its plugin relies on; ``settings_texts``: what differs, was not checked, or was
     written and does not yet act. ``speed`` and ``frequency_hz`` are None while the drive has another scale.
@@ -39,14 +39,14 @@ class DriveStatus:
     remote: bool | None
     #: set point as a part of the reference (1.0 = 100 %)
     setpoint: float
-    #: actual speed as a part of the reference (1.0 = 100 %); None where the telegram does not carry it, or the drive
+    #: actual speed as a part of the reference (1.0 = 100 %); None if the telegram does not carry it, or the drive
     #: has another scale
     speed: float | None
     #: ``speed`` in Hz, by the drive's reference; None as ``speed``
     frequency_hz: float | None
-    #: actual current as a part of the rated current; None where the telegram does not carry it
+    #: actual current as a part of the rated current; None if the telegram does not carry it
     current: float | None = None
-    #: actual torque as a part of the rated torque; None where the telegram does not carry it
+    #: actual torque as a part of the rated torque; None if the telegram does not carry it
     torque: float | None = None
     #: names of the warnings that stand
     warnings: tuple[str, ...] = ()

@@ -29,7 +29,7 @@ class Word(Struct, frozen=True):
         return value
 
     def is_set(self, value: int, name: str) -> bool:
-        """Whether the named bit is set in ``value``; False where the word has no such bit."""
+        """Whether the named bit is set in ``value``; False if the word has no such bit."""
         return name in self.bits and bool(value >> self.bits[name] & 1)
 
     def names(self, value: int) -> tuple[str, ...]:

@@ -45,7 +45,7 @@ _WIDTH: Final = 4
 #: between two Reads for the response: short first, then twice as long each time
 _FIRST_PAUSE: Final = 2 * NS_PER_MS
 _LONGEST_PAUSE: Final = 50 * NS_PER_MS
-#: time-out of one request where the drive does not give one (PNU 974)
+#: time-out of one request if the drive does not give one (PNU 974)
 PATIENCE_NS: Final = 2 * NS_PER_S
 
 #: attempts at a Write of a read request without any answer; a change is sent once, as twice may have an effect
@@ -119,7 +119,7 @@ class ParameterClient:
     def change(
         self, items: Sequence[tuple[Address, Values]], deadline: int = NEVER, progress: Progress | None = None
     ) -> Transport[list[Result]]:
-        """Write; a result for each, Values of format Zero where the drive took it. Raises CommandError, ValueError."""
+        """Write; a result for each, Values of format Zero if the drive took it. Raises CommandError, ValueError."""
         for address, values in items:
             if address.elements and len(values.raws) != address.elements:
                 raise ValueError(f"{address}: {len(values.raws)} values for {address.elements} elements")
@@ -157,9 +157,9 @@ class ParameterClient:
             raise CommandError("parameter", str(error)) from None
 
     def _smaller(self, piece: Item, result: Result, *, alone: bool) -> tuple[Item, ...]:
-        """The pieces to ask for where the response is too long (0x15), or the request has too many parameters.
+        """The pieces to ask for if the response is too long (0x15), or the request has too many parameters.
 
-        They are the piece alone, then its halves where that is too long.
+        They are the piece alone, then its halves if that is too long.
         """
         if (
             not isinstance(result, ErrorValue)
@@ -171,7 +171,7 @@ class ParameterClient:
         return (_halves(piece) or ()) if alone else (piece,)
 
     def _batch(self, ident: RequestId, now: list[Item], deadline: int) -> Transport[list[Result] | None]:
-        """The results of one request; None where it is too long for the drive."""
+        """The results of one request; None if it is too long for the drive."""
         values = tuple(one.values for one in now if one.values is not None)
         request = Request(self._next(), ident, self.object, tuple(one.address for one in now), values)
         octets = request.build()
@@ -208,7 +208,7 @@ class ParameterClient:
     # -- one request --------------------------------------------------------------------------------------------------
 
     def exchange(self, request: Request, octets: bytes, deadline: int = NEVER) -> Transport[Response | None]:
-        """The response to ``request`` (built: ``octets``); None where the request is too long for the drive.
+        """The response to ``request`` (built: ``octets``); None if the request is too long for the drive.
 
         Raises CommandError: ``timeout`` after ``deadline`` (ns) or the drive's patience, ``parameter`` for a refusal.
         """
@@ -252,7 +252,7 @@ class ParameterClient:
         return max(2 * self.limits.latency_ns, PATIENCE_NS)
 
     def _written(self, octets: bytes, deadline: int, attempts: int, *, several: bool = False) -> Transport[int | None]:
-        """When the drive accepted the request; None where it is too long, or has too many parameters (``several``)."""
+        """When the drive accepted the request; None if it is too long, or has too many parameters (``several``)."""
         until: int | None = None
         pause = _FIRST_PAUSE
         while True:
@@ -288,7 +288,7 @@ class ParameterClient:
         if refused.code not in AGAIN:
             text = f"{self._place}: the drive refuses {what}: {refused}"
             if refused.code in ABSENT:
-                if refused.code:  # where there is none the text says itself what to do
+                if refused.code:  # if there is none the text says itself what to do
                     text += (
                         "; it has no PROFIdrive parameters there; its manual says whether it has some, in which slot"
                     )
@@ -372,7 +372,7 @@ def _part(piece: Item, at: int, count: int) -> Item:
 
 
 def _halves(piece: Item) -> tuple[Item, Item] | None:
-    """A piece of an array in two; None where it is one value."""
+    """A piece of an array in two; None if it is one value."""
     address, values = piece.address, piece.values
     if address.elements < 2 or (values is not None and len(values.raws) < 2):
         return None
@@ -394,7 +394,7 @@ def _batch_size(waiting: Sequence[Item], limits: Limits) -> int:
 def _joined(count: int, answers: Iterable[tuple[Item, Result]]) -> list[Result]:
     """The result of each of ``count`` items, joined from those of its pieces in the order of subindexes.
 
-    An item with a piece that failed has failed. Raises PduError where the pieces of one came in different formats.
+    An item with a piece that failed has failed. Raises PduError if the pieces of one came in different formats.
     """
     found: list[Result | None] = [None] * count
     for piece, result in answers:

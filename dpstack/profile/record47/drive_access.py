@@ -1,6 +1,6 @@
 """Parameter access of a drive plugin over record 47: parameters by name, scaled values, checks before sending.
 
-The cyclic channel of the telegram is used where the drive has no record 47.
+The cyclic channel of the telegram is used if the drive has no record 47.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _LOST: Final = frozenset({ServiceFailure.LINE, ServiceFailure.CLOSED, ServiceFai
 
 
 class Place(NamedTuple):
-    """A parameter in record 47, with its specification where it is known. ``format`` None: the drive answers it.
+    """A parameter in record 47, with its specification if it is known. ``format`` None: the drive answers it.
 
-    ``number`` and ``data_set`` for messages; ``data_set`` None where the drive has none or the parameter exists once.
+    ``number`` and ``data_set`` for messages; ``data_set`` None if the drive has none or the parameter exists once.
     """
 
     address: Address
@@ -97,7 +97,7 @@ def plain_places(table: ParamTable, drive: str) -> Placed:
 class AcyclicAccess(ParameterChannel):
     """Parameters over record 47; jobs queue.
 
-    ``records``: queue of its services. ``cyclic``: the parameter channel of the telegram, None where it has none. Once
+    ``records``: queue of its services. ``cyclic``: the parameter channel of the telegram, None if it has none. Once
     the drive has refused record 47 as such, ``cyclic`` is used until the drive comes back.
     """
 
@@ -151,7 +151,7 @@ class AcyclicAccess(ParameterChannel):
         return self._choose(self._write(key, value, deadline), lambda cyclic: cyclic.write(key, value, deadline))
 
     def _choose(self, acyclic: Steps[T], over_cyclic: Callable[[ParameterChannel], Steps[T]]) -> Steps[T]:
-        """Over record 47, or by the cyclic channel where the drive has no record 47."""
+        """Over record 47, or by the cyclic channel if the drive has no record 47."""
         cyclic = self.cyclic
         if cyclic is None or not self._absent:
             try:
@@ -267,7 +267,7 @@ def _check_refused(place: Place, result: Result) -> None:
 
 
 def answer_of(outcome: Outcome) -> bytes | Refused | Silent:
-    """The answer to a service, for a transport. Raises CommandError where the bus or the slave is lost."""
+    """The answer to a service, for a transport. Raises CommandError if the bus or the slave is lost."""
     if outcome.failure is None:
         return outcome.data
     if outcome.codes is not None and outcome.codes[0] == Decode.DPV1:

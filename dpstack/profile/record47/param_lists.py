@@ -107,7 +107,7 @@ class Description(NamedTuple):
 
 
 class ReadParameter(NamedTuple):
-    """A parameter of the drive's own list: its description where it has one, its values or the error."""
+    """A parameter of the drive's own list: its description if it has one, its values or the error."""
 
     pnu: int
     description: Description | None
@@ -115,9 +115,9 @@ class ReadParameter(NamedTuple):
 
     @property
     def format(self) -> Format | None:
-        """The format of its values; None where it was refused.
+        """The format of its values; None if it was refused.
 
-        It is the described one where the answer has plain bytes, words or double words, else the answer's.
+        It is the described one if the answer has plain bytes, words or double words, else the answer's.
         """
         if isinstance(self.result, ErrorValue):
             return None
@@ -128,7 +128,7 @@ class ReadParameter(NamedTuple):
 
     @property
     def values(self) -> tuple[Value, ...]:
-        """The values for people; none where it was refused."""
+        """The values for people; none if it was refused."""
         form = self.format
         if form is None or isinstance(self.result, ErrorValue):
             return ()
@@ -157,7 +157,7 @@ def read_limits(client: ParameterClient, deadline: int = NEVER) -> Transport[Lim
 def defined(client: ParameterClient, deadline: int = NEVER) -> Transport[list[int]]:
     """The numbers in 980 to 989 without these themselves, each once, in the drive's order.
 
-    Raises CommandError where it has no such list.
+    Raises CommandError if it has no such list.
     """
     pending, seen = [FIRST_LIST], {FIRST_LIST}
     found: dict[int, None] = {}
@@ -173,7 +173,7 @@ def defined(client: ParameterClient, deadline: int = NEVER) -> Transport[list[in
 
 
 def _list(client: ParameterClient, pnu: int, deadline: int) -> Transport[list[int]]:
-    """Read a list up to its 0, or to its end where it has none."""
+    """Read a list up to its 0, or to its end if it has none."""
     found: list[int] = []
     (listing,) = yield from describe(client, [pnu], deadline)
     length = listing.elements if listing is not None and listing.array else None
@@ -205,7 +205,7 @@ def _list(client: ParameterClient, pnu: int, deadline: int) -> Transport[list[in
 def describe(
     client: ParameterClient, pnus: Sequence[int], deadline: int = NEVER, progress: Progress | None = None
 ) -> Transport[list[Description | None]]:
-    """The descriptions, None where the drive has none. Raises CommandError."""
+    """The descriptions, None if the drive has none. Raises CommandError."""
     items = [Item(Address(pnu, 0, 1, Attribute.DESCRIPTION), width=DESCRIPTION_LEN) for pnu in pnus]
     found = yield from client.read(items, deadline, progress)
     described: list[Description | None] = []
@@ -272,7 +272,7 @@ def read_out(
     described: bool = True,
     describing: Progress | None = None,
 ) -> Transport[list[ReadParameter]]:
-    """Every parameter of the drive's list with its values, arrays whole (also where nothing is described).
+    """Every parameter of the drive's list with its values, arrays whole (also if nothing is described).
 
     Raises CommandError.
 

@@ -209,7 +209,7 @@ class _Place(NamedTuple):
 
 
 def _format_number(spec: ParamSpec) -> int:
-    """The format of a parameter: 16 or 32 bits, signed where it can be negative."""
+    """The format of a parameter: 16 or 32 bits, signed if it can be negative."""
     if spec.long:
         return formats.INTEGER32 if spec.low < 0 else formats.UNSIGNED32
     return formats.INTEGER16 if spec.low < 0 else formats.UNSIGNED16
@@ -218,7 +218,7 @@ def _format_number(spec: ParamSpec) -> int:
 class StoreParameters(ParameterModel):
     """The parameters of ``store``, with the drive's ``limits`` (974) and the lists of its parameters (980 to 989).
 
-    ``live``: the actual integer where it is not stored; ``locked``: error 11 hex now; ``changed``: called after a
+    ``live``: the actual integer if it is not stored; ``locked``: error 11 hex now; ``changed``: called after a
     write; ``texts``: names of the values of a parameter from 0 on, by its number.
     """
 

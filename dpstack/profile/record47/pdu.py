@@ -89,7 +89,7 @@ class Address(NamedTuple):
     attribute: int = Attribute.VALUE
 
     def build(self) -> bytes:
-        """Attribute, elements, number, subindex. Raises ValueError where one does not fit."""
+        """Attribute, elements, number, subindex. Raises ValueError if one does not fit."""
         try:
             return _ADDRESS.pack(self.attribute, self.elements, self.pnu, self.subindex)
         except struct.error:
@@ -114,7 +114,7 @@ class Values(NamedTuple):
         return VALUE_HEADER_LEN + _even(len(format_of(self.format).pack(self.raws)))
 
     def build(self) -> bytes:
-        """Format, count, values. Raises ValueError where one does not fit."""
+        """Format, count, values. Raises ValueError if one does not fit."""
         form = format_of(self.format)
         octets = form.pack(self.raws)
         count = len(octets) // form.octets if form.octets else 0
@@ -124,7 +124,7 @@ class Values(NamedTuple):
 
 
 class ErrorValue(NamedTuple):
-    """The error of one parameter. ``info``: additional information where the drive gives any."""
+    """The error of one parameter. ``info``: additional information if the drive gives any."""
 
     number: int
     info: int | None = None
@@ -149,7 +149,7 @@ class Request(Struct, frozen=True):
     values: tuple[Values, ...] = ()
 
     def build(self) -> bytes:
-        """The octets. Raises ValueError where something does not fit."""
+        """The octets. Raises ValueError if something does not fit."""
         if self.id == RequestId.CHANGE and len(self.values) != len(self.addresses):
             raise ValueError(f"{len(self.values)} groups of values for {len(self.addresses)} parameters")
         head = bytes((self.reference, self.id, self.object, len(self.addresses)))

@@ -137,7 +137,7 @@ class DriveDevice(Device):
         self.motor.load = load
 
     def acknowledge(self) -> None:
-        """Acknowledge the fault at the keypad. Raises ValueError where none stands, or the drive locks it."""
+        """Acknowledge the fault at the keypad. Raises ValueError if none stands, or the drive locks it."""
         if not self.faulted:
             raise ValueError("no fault stands")
         self.reset_fault()
@@ -154,19 +154,19 @@ class DriveDevice(Device):
         self.contacts_on = self.contacts_on | {found} if on else self.contacts_on - {found}
 
     def set_point(self, hertz: float) -> None:
-        """The internal set point. Raises ValueError where the drive has none here."""
+        """The internal set point. Raises ValueError if the drive has none here."""
         raise ValueError(f"{self.profile.name} has no internal set point here")
 
     def jog(self, direction: int) -> None:
-        """Jog terminals: 1 forward, -1 reverse, 0 off. Raises ValueError where the drive has none."""
+        """Jog terminals: 1 forward, -1 reverse, 0 off. Raises ValueError if the drive has none."""
         raise ValueError(f"{self.profile.name} has no jog terminals here")
 
     def link(self, on: bool) -> None:
-        """The link between the bus option and the inverter. Raises ValueError where it has none."""
+        """The link between the bus option and the inverter. Raises ValueError if it has none."""
         raise ValueError(f"{self.profile.name} has no link here that can break")
 
     def mains(self, on: bool) -> None:
-        """The inverter's power under an option that stays on the bus. Raises ValueError where both have one supply."""
+        """The inverter's power under an option that stays on the bus. Raises ValueError if both have one supply."""
         raise ValueError(f"{self.profile.name} has one supply for all of it: power-off and power-on")
 
     def refuse(self, error: str, times: int = 1) -> None:
@@ -200,11 +200,11 @@ class DriveDevice(Device):
         return None if number is None else (ReplyId.ERROR, number)
 
     def has_alarms(self, *kinds: str) -> None:
-        """Let it raise alarms of these ``kinds``, one of each at a time, where its master enables them."""
+        """Let it raise alarms of these ``kinds``, one of each at a time, if its master enables them."""
         self.alarm_server = AlarmServer(AlarmSupport(frozenset(kinds)), self.max_diag_len - FIXED_LEN, self.name)
 
     def diagnosis_alarm(self, slot: int, appears: bool, data: bytes = b"") -> None:
-        """Raise a diagnosis alarm: a fault of ``slot`` appears, or the last one is gone. Does nothing where its master
+        """Raise a diagnosis alarm: a fault of ``slot`` appears, or the last one is gone. Does nothing if its master
         accepts no alarm now.
         """
         if self.alarm_server is not None:

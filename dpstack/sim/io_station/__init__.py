@@ -9,7 +9,7 @@ from dpstack.sim.io_station.station import IDENT, IoStation
 
 #: the GSD file, as ``package:file name``
 GSD = "dpstack.sim.io_station:io-station.gsd"
-#: its name where a GSD file is named
+#: its name if a GSD file is named
 NAME = "io-station"
 
 __all__ = ["GSD", "IDENT", "MODULES", "NAME", "IoModule", "IoStation"]

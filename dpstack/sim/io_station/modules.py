@@ -14,7 +14,7 @@ _BIT, _WORD = 1, 5
 class IoModule(NamedTuple):
     """A type of module. ``config``: its identifier octet; ``inputs``, ``outputs`` in octets; ``channels``.
 
-    ``prm``: its parameter octet as delivered, None where it has none; ``mask``: the bits that have a meaning.
+    ``prm``: its parameter octet as delivered, None if it has none; ``mask``: the bits that have a meaning.
     ``size``: of a channel, as in channel related diagnosis.
     """
 

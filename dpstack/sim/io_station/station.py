@@ -2,7 +2,7 @@
 
 It reports: identifier related diagnosis for every slot with a fault, channel related diagnosis for every broken wire
 (modules count from 0 there, slots from 1); a module status whenever a slot's state changes, and when data exchange
-begins with a fault; and these alarms, where the master enabled them:
+begins with a fault; and these alarms, if the master enabled them:
 
 | alarm | when | specifier | data |
 |---|---|---|---|
@@ -368,7 +368,7 @@ class IoStation(DpSlave):
         return left_out
 
     def _report(self) -> None:
-        """Update the diagnosis, and send the module status where it has changed."""
+        """Update the diagnosis, and send the module status if it has changed."""
         states = tuple(ModuleState.OK if place is None else place.state for place in self.slots)
         faulty = [number for number, state in enumerate(states) if state]
         broken = [

@@ -100,12 +100,12 @@ class DemagCore(MappedCore[OutMap]):
     """PZD2 reports the frequency; in PPO1 and PPO3 bits 12-14 fetch warning and fault words through it when needed.
 
     The words of the option ``control`` are sent only while 412 is known to be that of the option in the active data
-    set: by reading 249 and 412 where the telegram has a parameter channel, otherwise by the status word. In every other
+    set: by reading 249 and 412 if the telegram has a parameter channel, otherwise by the status word. In every other
     mode the control word is 0. ``state-machine``: 412 = 1. ``remote-contacts``: 412 = 2, bits 0 to 7 are S1IND to
     S8IND; the sign of the speed chooses S2 or S3, the set point is its amount; there is no quick stop and no
     acknowledgement.
 
-    Options: ``reference_hz`` (390, or 375 where 390 is 0), ``control``, ``set_412``: start() may set 412 in RAM itself;
+    Options: ``reference_hz`` (390, or 375 if 390 is 0), ``control``, ``set_412``: start() may set 412 in RAM itself;
     ``map_outputs``: what PZD3 to PZD6 of PPO2 and PPO4 mean (:mod:`~dpstack_drives.demag.outpzd`), and
     ``scaling_current``.
 

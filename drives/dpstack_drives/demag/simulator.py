@@ -41,7 +41,7 @@ _START: Final = _S2 | _S3
 _CHOICE: Final = _S4 | _S5
 #: S1IND to S8IND
 _ALL: Final = 0x00FF
-#: closed where the drive is ready: the release of mode 1
+#: closed if the drive is ready: the release of mode 1
 _WIRED: Final = frozenset({"S1", "S2"})
 
 
@@ -67,7 +67,7 @@ class DemagDevice(DriveDevice):
 
     ``application``: of the configurations that 392 depends on (``vf``, ``speed``, ``torque``).
 
-    Contacts: S1 releases, S2 and S3 start (clockwise, anticlockwise), S4 and S5 are the bits of the data set where 414
+    Contacts: S1 releases, S2 and S3 start (clockwise, anticlockwise), S4 and S5 are the bits of the data set if 414
     is 0; in mode 2 the control word has their places, S1 beside the hardware's.
 
     Readings: modes of 412 above 2 leave the drive off; S2 and S3 start by an edge; S4 and S5 count from data set 1 in
@@ -137,7 +137,7 @@ class DemagDevice(DriveDevice):
 
     @property
     def active_set(self) -> int:
-        """414, or by the contacts where that is 0."""
+        """414, or by the contacts if that is 0."""
         contacts = self._inputs_on
         return int(self.store.value("data_set_selection")) or 1 + bool(contacts & _S4) + 2 * bool(contacts & _S5)
 
@@ -194,7 +194,7 @@ class DemagDevice(DriveDevice):
     def source(self, number: int) -> bool | float:
         """The value that one of the sources 750 to 761 gives to the functions of the drive now (11.2.5).
 
-        Raises ValueError where there is none: without PPO2 or PPO4 there are no sources.
+        Raises ValueError if there is none: without PPO2 or PPO4 there are no sources.
         """
         words = self._words
         if self.telegram.outputs != 12:
@@ -211,7 +211,7 @@ class DemagDevice(DriveDevice):
                 self.pending_trip = t.FAULT_MODULE
 
     def mains(self, on: bool) -> None:
-        """The mains of the inverter (4.1). Raises ValueError where the inverter feeds the module, too."""
+        """The mains of the inverter (4.1). Raises ValueError if the inverter feeds the module, too."""
         if not self._own_supply:
             raise ValueError(
                 f"the inverter feeds the module of {self.name}: power-off takes both; "
@@ -225,7 +225,7 @@ class DemagDevice(DriveDevice):
 
     @property
     def injected(self) -> tuple[str, ...]:
-        """The conditions of every drive, and the mains of the inverter. S1 is the release where it was wired."""
+        """The conditions of every drive, and the mains of the inverter. S1 is the release if it was wired."""
         other = "contact S1 off" if "S1" in self.contacts_wired else "release off"
         found = tuple(text for text in super().injected if text != other)
         return found + (("mains off",) if self.unpowered else ())
@@ -396,7 +396,7 @@ class DemagDevice(DriveDevice):
             self._still_since = now
 
     def _reference(self, active: int) -> float:
-        """The frequency of 100 % in Hz: 390, or 375 where that is 0."""
+        """The frequency of 100 % in Hz: 390, or 375 if that is 0."""
         return self.store.value("profibus_reference", active) or self.store.value("rated_frequency", active)
 
     def _combined(self, line: float, settings: _Settings) -> float:

@@ -13,7 +13,7 @@ AUTO: Final = -1
 
 
 class OptionCard:
-    """``live``: the present value of a PNU or an assignment, None where it is the stored one.
+    """``live``: the present value of a PNU or an assignment, None if it is the stored one.
 
     Readings: the channel answers error 17 without the inverter's power; a write of a function code that is out of its
     range, or that can only be read, is ignored when it comes by PCD.
@@ -36,7 +36,7 @@ class OptionCard:
     # -- address (2.3) --------------------------------------------------------------------------------------------
 
     def installed(self, address: int, baud: int | None) -> None:
-        """Set up at this address: by the switches where they reach, by o31 where they are 00."""
+        """Set up at this address: by the switches if they reach, by o31 if they are 00."""
         self.address = address
         self.baud = t.BAUD_INDEX.get(baud or 0, 0)
         if self.switches == AUTO:
@@ -46,7 +46,7 @@ class OptionCard:
 
     @property
     def own_address(self) -> int | None:
-        """From power-on; None where o31 is out of range."""
+        """From power-on; None if o31 is out of range."""
         address = self.switches or int(self.store.value("o31"))
         return address if address <= t.MOST_ADDRESS else None
 

@@ -41,7 +41,7 @@ class PcdWord(Struct, frozen=True):
         return t.code_of(self.key)
 
     def encode(self, value: float) -> int:
-        """In its unit where the format is known, else the integer on the wire. Raises ValueError."""
+        """In its unit if the format is known, else the integer on the wire. Raises ValueError."""
         if self.key == t.S06 and int(value) & t.S06_IGNORED:
             raise ValueError("S06: bits 0 and 1 (run forward, reverse) are ignored here: start() and speed do that")
         spec = t.spec_at(self.key)
@@ -52,7 +52,7 @@ class PcdWord(Struct, frozen=True):
         return int(value) & 0xFFFF
 
     def decode(self, raw: int) -> int | float:
-        """In its unit where the format is known."""
+        """In its unit if the format is known."""
         spec = t.spec_at(self.key)
         return raw if spec is None else spec.to_value(raw)
 
@@ -71,7 +71,7 @@ class PcdMap(Struct, frozen=True):
 
 
 def parse(text: str, *, outputs: bool) -> PcdMap:
-    """``F26 M16 - 0806``: function codes or their hex digits. Raises ValueError where the drive would ignore one."""
+    """``F26 M16 - 0806``: function codes or their hex digits. Raises ValueError if the drive would ignore one."""
     words = text.replace(",", " ").split()
     if len(words) > COUNT:
         raise ValueError(f"{len(words)} words, there are {COUNT} (PCD1 to PCD4)")

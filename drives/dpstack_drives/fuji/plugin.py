@@ -93,7 +93,7 @@ class FujiCore(MappedCore[PcdMap]):
         return _REVERSE if self._by_bit and self.setpoint < 0 else 0
 
     def fault_texts(self) -> tuple[str, ...] | None:
-        """By name where there is a parameter channel; STW alone does not tell."""
+        """By name if there is a parameter channel; STW alone does not tell."""
         if (alarm := self._alarm.value) is not None:
             return (alarm,)
         if self.access is not None:
@@ -175,7 +175,7 @@ class FujiCore(MappedCore[PcdMap]):
         return (*one.entries, *(0,) * (pcd.COUNT - len(one.entries)))
 
     def read_by(self, field: process_data_map.MappedField) -> ParamKey | None:
-        """Its function code, where the group is known."""
+        """Its function code, if the group is known."""
         return ParamKey(field.name) if t.address(field.name) is not None else None
 
     def called(self, name: str | int) -> str | int:
@@ -187,7 +187,7 @@ class FujiCore(MappedCore[PcdMap]):
         return bool(self.status_word & _REMOTE)
 
     def _ask(self, deadline: int) -> Steps[str]:
-        """PNU 947, and M16 where that stands for two alarms."""
+        """PNU 947, and M16 if that stands for two alarms."""
         assert self.access is not None
         found = t.alarms(malfunction := (yield from self.access.read_raw(ParamKey(t.PNU_ALARMS, index=1), deadline)))
         if len(found) > 1:

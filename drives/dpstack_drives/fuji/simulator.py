@@ -116,11 +116,11 @@ class FujiDevice(DriveDevice):
 
     @property
     def own_address(self) -> int | None:
-        """SW1 and SW2, o31 where they are 00 (docs/reference/drives/fuji.md#address)."""
+        """SW1 and SW2, o31 if they are 00 (docs/reference/drives/fuji.md#address)."""
         return self.option.own_address
 
     def advance(self, now: int) -> None:
-        """Er4 where the option was off for about a second under a live inverter
+        """Er4 if the option was off for about a second under a live inverter
         (docs/reference/drives/fuji.md#supplies)."""
         since, self._off_since = self._off_since, None
         if since is not None and now - since >= round(t.OPTION_OFF_S * NS_PER_S):
@@ -156,7 +156,7 @@ class FujiDevice(DriveDevice):
                 self._loss = (now, False, False)
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
-        """Obey CTW where y98 allows it, move the motor, report."""
+        """Obey CTW if y98 allows it, move the motor, report."""
         if not self.released:
             return self._unpowered()
         source = self._source()

@@ -109,7 +109,7 @@ def address(code: str) -> tuple[int, int] | None:
 
 
 def code_of(assignment: int) -> str:
-    """``F26`` of 041A; the hex digits where there is no such group."""
+    """``F26`` of 041A; the hex digits if there is no such group."""
     group = next((name for name, number in GROUPS.items() if number == assignment >> 8), None)
     return f"{assignment:04X}" if group is None else f"{group}{assignment & 0xFF:02}"
 
@@ -286,5 +286,5 @@ PARAMETERS: Final = ParamTable(
 
 
 def spec_at(assignment: int) -> ParamSpec | None:
-    """The function code with this assignment, where it is known."""
+    """The function code with this assignment, if it is known."""
     return PARAMETERS.get((assignment >> 8) + GROUP_OFFSET, assignment & 0xFF)

@@ -50,7 +50,7 @@ class ImoCore(MappedCore[PzdMap]):
 
     Options: ``reference_hz`` (what 100 % is), ``max_hz`` (the inverter's maximum frequency; 0: ``reference_hz``),
     ``reference_rpm`` and ``rated_current`` (0: not known), ``motor`` 1 or 2, ``heartbeat`` (CW bit 15 set, its echo
-    watched), ``map_inputs`` and ``map_outputs``: the maps that ``write_map`` writes where none is given, and
+    watched), ``map_inputs`` and ``map_outputs``: the maps that ``write_map`` writes if none is given, and
     ``start()`` with ``set_map``; ``fault_names`` (``4=OC1 ...``), ``baud_index``;
     ``frequency_source`` and ``maximum_parameter``: parameters of the inverter whose settings the plugin relies on
     (readings: they are not in the card's manual).
@@ -107,7 +107,7 @@ class ImoCore(MappedCore[PzdMap]):
     def received(self) -> None:
         """At the beginning the drive is asked what stands in its process data.
 
-        A command to inch ends where it cannot be obeyed: it must not come true later by surprise.
+        A command to inch ends if it cannot be obeyed: it must not come true later by surprise.
         """
         if self.raw_state in FAULTED or self.obstacle() is not None:
             self.table = t.TABLE
@@ -149,7 +149,7 @@ class ImoCore(MappedCore[PzdMap]):
         return self.pack(control, *words)
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
-        """CW, and the set frequency where the map of the options has it; the direction is in CW."""
+        """CW, and the set frequency if the map of the options has it; the direction is in CW."""
         control, _ = super().decode(process)
         at = None if self.outputs_map is None else self.outputs_map.place(pzd.SET_FREQUENCY)
         if control is None or at is None or len(process) < 2 * at + 4:
@@ -170,7 +170,7 @@ class ImoCore(MappedCore[PzdMap]):
         return self._fixed | self._chosen
 
     def measured(self) -> tuple[float | None, float | None, float | None]:
-        """Frequency (or rpm), current and torque where they are in the map; the sign is that of SW."""
+        """Frequency (or rpm), current and torque if they are in the map; the sign is that of SW."""
         fields = () if self.inputs_map is None else self.inputs_map.fields
         values = process_data_map.decoded(fields, self.words[1:])
         speed: float | None = None
@@ -188,7 +188,7 @@ class ImoCore(MappedCore[PzdMap]):
         )
 
     def fault_texts(self) -> tuple[str, ...] | None:
-        """By the fault code where it is in the map; its names are in the inverter's manual."""
+        """By the fault code if it is in the map; its names are in the inverter's manual."""
         at = None if self.inputs_map is None else self.inputs_map.place(pzd.FAULT_CODE)
         if at is not None:
             code = self.words[1 + at]
@@ -352,7 +352,7 @@ class ImoCore(MappedCore[PzdMap]):
         return {}
 
     def known(self, deadline: int) -> Steps[None]:
-        """Wait for the maps, ask again where that failed."""
+        """Wait for the maps, ask again if that failed."""
         while self._learning:
             if self.now >= deadline:
                 raise CommandError("timeout", "the drive has not yet told what its process data are (P15.02 to P15.23)")

@@ -154,7 +154,7 @@ class PzdMap(Struct, frozen=True):
         return " ".join(words).rstrip(f" {_EMPTY}")
 
     def place(self, number: int) -> int | None:
-        """The word behind CW or SW (0 is PZD2) that has the function; None where none has it."""
+        """The word behind CW or SW (0 is PZD2) that has the function; None if none has it."""
         return self.numbers.index(number) if number in self.numbers else None
 
     @property

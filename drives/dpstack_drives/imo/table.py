@@ -57,7 +57,7 @@ _NINE_MBIT: Final = 9
 
 
 def check_rate(index: float) -> None:
-    """Raises ValueError where PROFIBUS has no such rate."""
+    """Raises ValueError if PROFIBUS has no such rate."""
     if index == _NINE_MBIT:
         raise ValueError(
             "baud_index 9 is 9 Mbit/s in the card's table, a rate that PROFIBUS does not have; take 8 or 10"
@@ -118,7 +118,7 @@ CONTROL: Final = Word(
 )
 #: bits that a program may set beside the commands
 SETTABLE: Final = ("torque_control", "clear_energy", "pre_excitation", "dc_brake")
-#: table 2-7. Bits 13-14 are a number, :class:`Source`; bit 14 is set where the bus commands
+#: table 2-7. Bits 13-14 are a number, :class:`Source`; bit 14 is set if the bus commands
 STATUS: Final = Word(
     "SW",
     {"bus_voltage": 8, "motor_2": 9, "synchronous": 11, "overload": 12, "terminals": 13, "remote": 14, "heartbeat": 15},
@@ -206,7 +206,7 @@ def address(name: str) -> int | None:
 
 
 def parameter(text: str, option: str) -> int | None:
-    """The address of the function code in an option, None where there is none. Raises ValueError."""
+    """The address of the function code in an option, None if there is none. Raises ValueError."""
     if not text.strip():
         return None
     found = address(text)
@@ -302,7 +302,7 @@ PARAMETERS: Final = ParamTable(
 
 
 def known(number: int) -> ParamSpec | None:
-    """The parameter at an address, where the manual of the card has it."""
+    """The parameter at an address, if the manual of the card has it."""
     spec = PARAMETERS.get(number)
     return None if spec is None or spec.made_up else spec
 

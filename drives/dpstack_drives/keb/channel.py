@@ -45,12 +45,12 @@ class Target(Struct, frozen=True):
 
     @property
     def scale(self) -> tuple[int, str]:
-        """Counts per unit, and the unit, where the manual shows them."""
+        """Counts per unit, and the unit, if the manual shows them."""
         return t.SCALES.get(self.index, (1, ""))
 
 
 def _count(label: str, value: float, scale: float, unit: str) -> int:
-    """The integer on the wire. Raises CommandError where the value lies between two."""
+    """The integer on the wire. Raises CommandError if the value lies between two."""
     try:
         return count_of(label, value, scale, unit)
     except ValueError as error:
@@ -195,7 +195,7 @@ class KebChannel(ParameterChannel):
         return _outcome(target, (yield from self.get(target, deadline)))
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
-        """Write one parameter; the integer on the wire where the manual shows no scale."""
+        """Write one parameter; the integer on the wire if the manual shows no scale."""
         target = find(key)
         scale, unit = target.scale
         raw = int(value) if scale == 1 else _count(target.label, value, scale, unit)

@@ -25,8 +25,8 @@ _LENGTH: Final = 1
 class Direction:
     """The map of one direction: the records as written, those that power-on restores, and the map of the inverter.
 
-    Switching off (a change of a record, of both blocks where it is the length; a bit of the enable that becomes 0) acts
-    at once. Switching on acts at power-on, or where ``at_once`` is true with the enable: then the map goes to the
+    Switching off (a change of a record, of both blocks if it is the length; a bit of the enable that becomes 0) acts
+    at once. Switching on acts at power-on, or if ``at_once`` is true with the enable: then the map goes to the
     inverter. ``active``: the map that the inverter has, as (octet, value) for each block; ``moving``: the values of it
     that go to or come from the inverter.
     """
@@ -37,7 +37,7 @@ class Direction:
         self.power_on()
 
     def map(self) -> PdMap | None:
-        """As the records have it; None where they make no sense."""
+        """As the records have it; None if they make no sense."""
         try:
             return PdMap.from_records(*self.records)
         except ValueError:
@@ -94,7 +94,7 @@ class Operator:
 
     ``com_cycle_us``: SelComCycle of the cyclic mode, 0 = off. ``at_once``: a map acts with its enable, not at power-on.
     Readings: in the cyclic mode all process data go with every grid; inputs that are switched off stay as they were
-    read last, and are 0 after power-on and where a new map does not reach; the first outputs after the enable count as
+    read last, and are 0 after power-on and if a new map does not reach; the first outputs after the enable count as
     changed. An enable that acts at power-on is answered with 8/0/0034 whether it is confirmed or not; one that acts at
     once is confirmed, or answered with 6/5/0000.
     """
@@ -139,7 +139,7 @@ class Operator:
     # -- parameters of its own ------------------------------------------------------------------------------------
 
     def access(self, index: int, subindex: int, raw: int | None) -> int | None:
-        """Read (``raw`` None) or write a record or an enable; None where the index is neither. Raises RefusedError."""
+        """Read (``raw`` None) or write a record or an enable; None if the index is neither. Raises RefusedError."""
         if index in self._records:
             direction, block = self._records[index]
             return self._record(direction, block, subindex, raw)

@@ -46,7 +46,7 @@ class Entry(Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """``sy.50 (2032h)`` where the group is known."""
+        """``sy.50 (2032h)`` if the group is known."""
         return t.name_of(self.index)
 
     def encode(self, value: float) -> int:
@@ -109,7 +109,7 @@ class PdMap(Struct, frozen=True):
             at += entry.octets
 
     def place(self, index: int) -> int | None:
-        """The octet at which a parameter begins, None where it is not mapped."""
+        """The octet at which a parameter begins, None if it is not mapped."""
         return next((at for at, entry in self.places() if entry.index == index), None)
 
     def block(self, number: int) -> tuple[Entry, ...]:
@@ -138,7 +138,7 @@ class PdMap(Struct, frozen=True):
 
 
 def check(inputs: PdMap, outputs: PdMap) -> str | None:
-    """Why a drive would not confirm its enable for these maps; None where they are right
+    """Why a drive would not confirm its enable for these maps; None if they are right
     (docs/reference/drives/keb-f5.md#process-data-map)."""
     for name, one in (("inputs", inputs), ("outputs", outputs)):
         if one.octets > _LONGEST:

@@ -113,12 +113,12 @@ class KebCore(MappedCore[PdMap]):
     # -- process data ---------------------------------------------------------------------------------------------
 
     def status_of(self, process: bytes) -> int:
-        """sy.51 where the map has it."""
+        """sy.51 if the map has it."""
         at = self.inputs_map.place(t.STATUS_WORD)
         return 0 if at is None else int.from_bytes(process[at : at + 2], "big")
 
     def encode(self, control: int, setpoint: int) -> bytes:
-        """sy.50 and sy.52 where the map has them, the user's values for the others."""
+        """sy.50 and sy.52 if the map has them, the user's values for the others."""
         values = dict(self.values)
         if self._bits:
             values[t.CONTROL_WORD] = control
@@ -135,7 +135,7 @@ class KebCore(MappedCore[PdMap]):
         return configured if self.held else super().safe(configured)
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
-        """sy.50 and sy.52 where the map has them and their meaning is known."""
+        """sy.50 and sy.52 if the map has them and their meaning is known."""
         found = {
             index: int.from_bytes(process[at : at + 2], "big")
             for index in (t.CONTROL_WORD, t.SET_SPEED)
@@ -167,7 +167,7 @@ class KebCore(MappedCore[PdMap]):
         return 1 << self._bits["reverse"] if reverse and self.goal is not Goal.IDLE else 0
 
     def measured(self) -> tuple[float | None, float | None, float | None]:
-        """sy.53 where the map has it and its unit is known."""
+        """sy.53 if the map has it and its unit is known."""
         at = self.inputs_map.place(t.ACTUAL_SPEED)
         if at is None or not self._rpm_per_count:
             return None, None, None
@@ -251,7 +251,7 @@ class KebCore(MappedCore[PdMap]):
         return PdMap.parse(text)
 
     def option_map(self, text: str, *, outputs: bool) -> PdMap:
-        """As much of the default map as the telegram takes where the option is empty."""
+        """As much of the default map as the telegram takes if the option is empty."""
         octets = self.telegram.outputs if outputs else self.telegram.inputs
         if not text.strip():
             return (pdmap.DEFAULT_OUTPUTS if outputs else pdmap.DEFAULT_INPUTS).cut(octets)

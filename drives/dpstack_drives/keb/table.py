@@ -83,7 +83,7 @@ def _index(name: str, groups: dict[str, int]) -> int | None:
 
 
 def why_not_read(spec: ParamSpec) -> str | None:
-    """Why a parameter of the table cannot be read by its name; None where it can."""
+    """Why a parameter of the table cannot be read by its name; None if it can."""
     if index_of(spec.name) is not None:
         return None
     return "the address of its group is not in the manual: read it by its index (0x2000 + the address)"
@@ -95,7 +95,7 @@ def looks_like_name(name: str) -> bool:
 
 
 def name_of(index: int) -> str:
-    """``oP.3 (2303h)`` where the group is known."""
+    """``oP.3 (2303h)`` if the group is known."""
     group = next((text for text, high in GROUPS.items() if high == index >> 8), None)
     return f"{index:04X}h" if group is None else f"{group}.{index & 0xFF:02} ({index:04X}h)"
 
@@ -273,7 +273,7 @@ BLOCK2_INPUTS, BLOCK2_OUTPUTS = "5FE0 5FE1", "5FE2 5FE3"
 
 
 def record_and_enable(text: str) -> tuple[int, int] | None:
-    """Two indexes in hex, of block 2's record and enable; None where there is no text. Raises ValueError."""
+    """Two indexes in hex, of block 2's record and enable; None if there is no text. Raises ValueError."""
     words = text.split()
     if not words:
         return None

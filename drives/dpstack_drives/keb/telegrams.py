@@ -44,7 +44,7 @@ class Modules(NamedTuple):
         return bytes(([PCH] if self.channel else []) + process)
 
     def excess(self) -> str | None:
-        """The rule of the printed GSD that the modules break; None where they break none."""
+        """The rule of the printed GSD that the modules break; None if they break none."""
         modules = self.channel + len(self.outputs) + len(self.inputs)
         channel = 8 if self.channel else 0
         if modules > MAX_MODULES:
@@ -54,7 +54,7 @@ class Modules(NamedTuple):
         return None
 
     def impossible(self) -> str | None:
-        """The limit of every operator that the modules exceed; None where they exceed none."""
+        """The limit of every operator that the modules exceed; None if they exceed none."""
         if not self.channel and not self.outputs and not self.inputs:
             return "it has no modules"
         if any(not 1 <= n <= _MOST for n in (*self.outputs, *self.inputs)):
@@ -64,7 +64,7 @@ class Modules(NamedTuple):
         return None
 
     def spec(self) -> TelegramSpec:
-        """The telegram; ``made_up`` where it goes beyond the printed GSD."""
+        """The telegram; ``made_up`` if it goes beyond the printed GSD."""
         more = self.excess() is not None
         sizes = "/".join("+".join(map(str, modules)) or "0" for modules in (self.outputs, self.inputs))
         name = "PCH" if sizes == "0/0" else ("PCH+" if self.channel else "") + sizes
@@ -102,7 +102,7 @@ def _sizes(text: str | None) -> tuple[int, ...]:
 
 
 def of_config(config: bytes) -> TelegramSpec | None:
-    """The telegram with these identifier octets; None where they are none. Outputs and inputs in either order."""
+    """The telegram with these identifier octets; None if they are none. Outputs and inputs in either order."""
     channel = config[:1] == bytes([PCH])
     rest = config[1:] if channel else config
     outputs = tuple(octet - _OUT + 1 for octet in rest if _OUT <= octet < _OUT + _MOST)

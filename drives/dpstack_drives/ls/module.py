@@ -20,7 +20,7 @@ _TRIP_COUNTER_END: Final = 0x10000
 
 
 class Module:
-    """Answers orders. ``live``: the present value of a PNU or an address, None where it is the stored one.
+    """Answers orders. ``live``: the present value of a PNU or an address, None if it is the stored one.
 
     ``changed`` is called with the address of every parameter written.
     """
@@ -89,7 +89,7 @@ class Module:
         return self.store.raw(spec) if live is None else live
 
     def write(self, spec: ParamSpec, raw: int) -> int | None:
-        """Over PKW or record 47: the error number, None where it was written."""
+        """Over PKW or record 47: the error number, None if it was written."""
         where = spec.number << 8 | spec.index if spec.index else spec.number
         if (error := spec.write_error(raw)) is not None:
             return error

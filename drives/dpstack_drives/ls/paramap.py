@@ -30,7 +30,7 @@ def parse(text: str) -> tuple[int, ...]:
 
 
 def check(entries: tuple[int, ...], most: int, *, written: bool) -> str | None:
-    """Why a map cannot be; None where it can. ``written``: the words are written to the drive."""
+    """Why a map cannot be; None if it can. ``written``: the words are written to the drive."""
     if len(entries) > most:
         return f"{len(entries)} addresses, the telegram has room for {most}"
     for place, where in enumerate(entries):
@@ -61,7 +61,7 @@ class ParaWord(Struct, frozen=True):
         return t.code_of(self.key)
 
     def encode(self, value: float) -> int:
-        """In its unit where that is known, else the integer on the wire. Raises ValueError."""
+        """In its unit if that is known, else the integer on the wire. Raises ValueError."""
         spec = t.spec_at(self.key)
         if spec is not None:
             return spec.to_raw(value)
@@ -70,7 +70,7 @@ class ParaWord(Struct, frozen=True):
         return int(value)
 
     def decode(self, raw: int) -> int | float:
-        """In its unit where that is known."""
+        """In its unit if that is known."""
         spec = t.spec_at(self.key)
         return raw if spec is None else spec.to_value(raw)
 

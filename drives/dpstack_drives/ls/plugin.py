@@ -119,7 +119,7 @@ class LsCore(MappedCore[ParaMap]):
         return min(max(octets // 2 - self.inputs_at, 0), telegrams.MOST)
 
     def option_map(self, text: str, *, outputs: bool) -> ParaMap:
-        """As much of the drive's default map as the telegram takes where the option is empty."""
+        """As much of the drive's default map as the telegram takes if the option is empty."""
         room = self.room(outputs=outputs)
         if not text.strip():
             return ParaMap((paramap.DEFAULT_CONTROL if outputs else paramap.DEFAULT_STATUS)[:room])
@@ -150,7 +150,7 @@ class LsCore(MappedCore[ParaMap]):
     # -- process data ---------------------------------------------------------------------------------------------
 
     def status_of(self, process: bytes) -> int:
-        """ZSW1 or the LS status word, or 000Eh where Para Status has it; with bit 16 while ACT is not 0."""
+        """ZSW1 or the LS status word, or 000Eh if Para Status has it; with bit 16 while ACT is not 0."""
         if self._io:
             return self._mapped(t.RUN_STATUS) or 0
         word = self.words[0]
@@ -273,7 +273,7 @@ class LsCore(MappedCore[ParaMap]):
         return None
 
     def prepare(self, deadline: int) -> Steps[None]:
-        """Where the drive does not obey, read which source has the control. Raises CommandError that names it."""
+        """If the drive does not obey, read which source has the control. Raises CommandError that names it."""
         yield from super().prepare(deadline)
         if self.goal is not Goal.RUN:
             return
@@ -335,7 +335,7 @@ class LsCore(MappedCore[ParaMap]):
         )
 
     def _value(self, key: ParamKey, deadline: int) -> Steps[object]:
-        """A parameter's value, None where the drive does not know it."""
+        """A parameter's value, None if the drive does not know it."""
         assert self.access is not None
         try:
             outcome = yield from self.access.read(key, deadline)

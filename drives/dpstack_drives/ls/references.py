@@ -25,7 +25,7 @@ LISTED: Final = listing(
 def resolve(key: ParamKey, drive: str) -> tuple[ParamRef, int | None]:
     """The reference and, for a drive parameter, its address. Raises CommandError.
 
-    A number is a PNU where it is one of the module's (chapter 7), otherwise an address; ``0x03C5`` is always one.
+    A number is a PNU if it is one of the module's (chapter 7), otherwise an address; ``0x03C5`` is always one.
     """
     name, index = key.name, key.place
     if key.ram:

@@ -85,7 +85,7 @@ class Rest:
 def motor_status(motor: Motor, store: ParamStore, *, direction: int, jog: bool) -> int:
     """The bits of the LS status word (5.3.2) that show the motor.
 
-    Readings: the brake opens from Ad-44 on where OU-31 is 35; jog is the terminals'.
+    Readings: the brake opens from Ad-44 on if OU-31 is 35; jog is the terminals'.
     """
     turning = motor.frequency or direction
     gap = abs(motor.setpoint) - abs(motor.frequency)

@@ -183,7 +183,7 @@ def address(text: str) -> int | None:
 
 
 def code_of(number: int) -> str:
-    """``dr-03`` for 1103h, ``000A`` where it is no parameter of the keypad."""
+    """``dr-03`` for 1103h, ``000A`` if it is no parameter of the keypad."""
     for name, group in GROUPS.items():
         if 0x1000 + group * 0x100 <= number <= 0x1000 + group * 0x100 + 99:
             return f"{name}-{number & 0xFF:02}"

@@ -72,7 +72,7 @@ def named(name: str) -> TelegramSpec:
 
 
 def of_config(config: bytes) -> TelegramSpec | None:
-    """The vendor telegram with these identifier octets; None where they are none."""
+    """The vendor telegram with these identifier octets; None if they are none."""
     if len(config) != 2 or not (0 <= config[0] - _OUT < MOST and 0 <= config[1] - _IN < MOST):
         return None
     return vendor(config[0] - _OUT + 1, config[1] - _IN + 1)
