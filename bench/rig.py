@@ -43,7 +43,7 @@ _SPOILT: Final = 0.2
 
 
 class MasterFailedError(RuntimeError):
-    """A master did not bring its slaves up, or ended before it was told to; the text says which one and why."""
+    """A master did not bring its slaves up, or ended before its order; the text says which one and why."""
 
 
 class NotAvailableError(Exception):
@@ -280,7 +280,7 @@ class Bench:
         self._wire.order(order)
         answer = self._wire.line(30.0)
         if not answer:
-            raise RuntimeError("the wire ended before it was told to")
+            raise RuntimeError("the wire ended before its order")
         return answer
 
     def _sum(self, of: Callable[[int], int]) -> int:

@@ -211,7 +211,7 @@ def counted(process: Process) -> dict[str, Any]:
     process.order("end")
     answer = process.line(30.0)
     if not answer:
-        raise RuntimeError("the segment ended before it was told to")
+        raise RuntimeError("the segment ended before its order")
     data: dict[str, Any] = json.loads(answer)
     return data
 

@@ -88,7 +88,7 @@ def _measure(kind: str, slaves: int, baud: int, where: Processors) -> dict[str, 
 
 
 def parts_of(running: Bench) -> dict[str, float]:
-    """The parts in ms. Raises RuntimeError when the master does not tell of its slaves."""
+    """The parts in ms. Raises RuntimeError if the master does not report its slaves."""
     facts = running.facts
     events = cast(list[tuple[str, int, str]], facts["events"])
     states = [t for name, t, text in events if name == "SlaveStateChanged" and "data_exchange" in text]

@@ -55,7 +55,7 @@ def instance(what: str, value: object, kind: type, example: str, error: type[Exc
 
 
 def is_number(value: object) -> bool:
-    """Whether ``value`` is a number of any library; True and False are none."""
+    """Whether ``value`` is a number of any library; True and False are no numbers."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 

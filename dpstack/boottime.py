@@ -9,7 +9,7 @@ from functools import partial
 from dpstack.units import NS_PER_S
 
 if hasattr(time, "CLOCK_BOOTTIME"):
-    #: CLOCK_BOOTTIME in ns, which goes on while the computer sleeps; CLOCK_MONOTONIC if there is none. Called in
+    #: CLOCK_BOOTTIME in ns, which goes on while the computer sleeps; CLOCK_MONOTONIC if none exists. Called in
     #: each step of a line, so without a Python function around it.
     boottime_ns: Callable[[], int] = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
 else:

@@ -163,11 +163,12 @@ class AcyclicError(SlaveError):
         #: the three codes as answered: Error_Decode, Error_Code_1, Error_Code_2
         self.codes = codes
         #: Error_Decode; 0x80 for the codes of DP-V1
-        self.error_decode: int = codes[0]
+        self.error_decode: int
         #: Error_Code_1, class and code in one octet; 0xB5 is "state conflict"
-        self.code_1: int = codes[1]
+        self.code_1: int
         #: Error_Code_2, the device's own
-        self.code_2: int = codes[2]
+        self.code_2: int
+        self.error_decode, self.code_1, self.code_2 = codes
 
     def about(self, what: str) -> AcyclicError:
         """The same error with ``what``, the purpose of the service, in front of its text."""

@@ -29,5 +29,5 @@ def test_a_slave_that_deviates_in_another_way_each_time_fills_no_log() -> None:
         reports.remark(f"answers Slave_Diag with {number % 500} octets", number)
     texts = [event.message for event in told if isinstance(event, SlaveRemark)]
     assert len(texts) == len(set(texts)) == 20
-    assert texts[-1] == "answers Slave_Diag with 19 octets; further deviations are not told"
+    assert texts[-1] == "answers Slave_Diag with 19 octets; further deviations are not reported"
     assert texts[-2] == "answers Slave_Diag with 18 octets"

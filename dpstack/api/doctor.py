@@ -225,7 +225,7 @@ def _latency(path: str, before_ms: int, can: Abilities) -> Check:
 def _rates(path: str, can: Abilities, adapter: Adapter) -> Iterator[Check]:
     driver = adapter.kernel_driver
     if not driver.tells_rate and can.rates:
-        text = f"accepts every rate, and its driver {driver.name} cannot tell which the adapter makes"
+        text = f"accepts every rate, and its driver {driver.name} does not say which of them the adapter makes"
         todo = f"look into its manual, or measure: dpstack doctor --measure --port {path}"
         yield Check(path, Grade.NOTE, text, todo)
         return

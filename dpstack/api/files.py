@@ -35,7 +35,7 @@ _KINDS: Final = (
 
 
 def read_file(path: str | Path, most: int) -> bytes:
-    """The octets of an ordinary file, at most ``most`` + 1 of them, so that the caller can tell a longer file.
+    """The octets of an ordinary file, at most ``most`` + 1 of them, so that the caller can recognise a longer file.
 
     Raises OSError, also for a directory, a pipe, a socket or a device, which it does not open; ValueError for an
     impossible path.

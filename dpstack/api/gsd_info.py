@@ -114,7 +114,7 @@ ENDINGS: Final = frozenset(f".gs{language}" for language in "degfips")
 
 
 def gsd_files(folder: Path) -> list[Path]:
-    """The GSD files in ``folder`` and the folders in it, by name. Raises ConfigError if there are none."""
+    """The GSD files in ``folder`` and the folders in it, by name. Raises ConfigError if none exist."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: this is no folder; give the folder of the plant's GSD files")
     found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())

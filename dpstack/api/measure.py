@@ -24,14 +24,14 @@ from dpstack.units import BAUD_RATES, BITS_PER_CHAR, NS_PER_S, NS_PER_US
 #: start delimiters of FDL telegrams and the short acknowledgement; FF, which ttys double where they mark octets
 _NEVER_SENT: Final = frozenset(bytes.fromhex("10 68 A2 DC E5 FF"))
 _OCTETS: Final = bytes(octet for octet in range(256) if octet not in _NEVER_SENT)
-#: a turn-around is measured with so many octets: a Data_Exchange with 12 octets of data
+#: a turn-around is measured with this many octets: a Data_Exchange with 12 octets of data
 _SHORT: Final = 21
-#: two blocks whose times differ by so long on the line show the rate that is made
+#: two blocks whose times differ by this long on the line show the rate that is made
 _BLOCK_NS: Final = NS_PER_S // 4
 _ROUNDS: Final = 1_000
-#: a loop that gives nothing back within this time, and the time of a whole block, is none
+#: a loop that gives nothing back within this time, and the time of a whole block, is no loop
 _LOST_S: Final = 0.25
-#: before anything is sent, the line is listened to for so long at each of these rates
+#: before anything is sent, the line is listened to for this long at each of these rates
 _LISTEN_S: Final = 0.3
 _LISTEN_RATES: Final = (9_600, 187_500, 1_500_000)
 

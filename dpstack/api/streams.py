@@ -27,7 +27,7 @@ DEPTH: Final = 1000
 
 OnEvent = Callable[[Event], None]
 
-#: The application gets the state changes, faults and diagnoses of a slave one by one, up to so many at once and so
+#: The application gets the state changes, faults and diagnoses of a slave one by one, up to this many at once and so
 #: many a second.
 _BURST: Final = 40
 _PER_S: Final = 5
@@ -175,10 +175,10 @@ class SlaveFlapping(SlaveEvent):
         if self.drive:
             return (
                 f"{self.who}: {self.count} changes of the drive's state, faults or warnings "
-                "are not told one by one; look at the drive"
+                "are not reported one by one; look at the drive"
             )
         return (
-            f"{self.who} flaps: {self.count} changes of its state or diagnosis are not told "
+            f"{self.who} flaps: {self.count} changes of its state or diagnosis are not reported "
             f"one by one; look at its connector, its supply and its watchdog time"
         )
 

@@ -177,8 +177,8 @@ def _waits_for_itself(function: Callable[..., object]) -> UsageError:
 def _is_in_coroutine() -> bool:
     """Whether the caller is a coroutine, or a callback, of the event loop that runs in this thread.
 
-    A cell of Jupyter, or of another shell that runs in an event loop, is none: it is a module, or it is called by the
-    kernel (a widget).
+    A cell of Jupyter, or of another shell that runs in an event loop, is neither: it is a module, or the kernel calls
+    it (a widget).
     """
     frame: Any = sys._getframe()
     while frame is not None:

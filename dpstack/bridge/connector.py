@@ -71,14 +71,14 @@ class Connector(ABC):
 
     @abstractmethod
     def take(self, changes: Sequence[Change]) -> None:
-        """Take changes of the tree. Never waits; its memory is bounded, and what it drops it counts and tells.
+        """Take changes of the tree. Never waits; its memory is bounded, and what it drops it counts and reports.
 
         It runs in the loop that may also drive a bus: it keeps what it needs and leaves the work to :meth:`serve`.
         """
 
     @abstractmethod
     async def serve(self) -> None:
-        """Serve until cancelled. A broker or client that is gone is told once and tried again.
+        """Serve until cancelled. The loss of a broker or client is reported once, and it is tried again.
 
         The cancellation is the end of the run, behind the last :meth:`take`: what is still to be sent then (the death
         of the bus, a farewell) may take :data:`~dpstack.bridge.gateway.END_S` in all. Raises DpError for a

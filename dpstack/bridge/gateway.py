@@ -36,7 +36,7 @@ _LOG: Final = logging.getLogger("dpstack.bridge")
 class Gateway:
     """Feeds ``connectors`` from ``items``, the live stream of a running bus or a recorded one.
 
-    Nothing that a connector does reaches another connector or the bus: one that raises ends alone, and is told.
+    Nothing that a connector does reaches another connector or the bus: one that raises ends alone, and is reported.
     ``tell``: takes remarks, each with its severity. ``tree``: that of the connectors. ``now``: the clock of the
     computer in s since 1970, which may be set; times of the tree count by the clock of the stream. ``on_loss``: called
     with each connector that ends by a fault or by itself, before the end of all.
@@ -85,7 +85,7 @@ class Gateway:
                 and all(connector.is_built for connector in self._connectors)
             )
 
-        while not is_built():  # noqa: ASYNC110  neither the tree nor the connectors tell it
+        while not is_built():  # noqa: ASYNC110  neither the tree nor the connectors report it
             await asyncio.sleep(_LOOK_S)
 
     async def run(self) -> None:

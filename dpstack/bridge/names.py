@@ -37,7 +37,7 @@ class NameRule:
         return is_plain(letter) and letter not in self.reserved and not _is_noncharacter(letter)
 
     def key(self, name: str) -> str:
-        """The part of a name by which the connector tells it from another."""
+        """The part of a name by which the connector distinguishes it from another."""
         return name.casefold() if self.fold else name
 
 

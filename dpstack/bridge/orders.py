@@ -354,7 +354,7 @@ class Orders:
         return result
 
     def _remark(self, result: OrderResult) -> None:
-        """Orders that are refused come from outside, at any rate: they are told once a second."""
+        """Orders that are refused come from outside, at any rate: they are reported once a second."""
         if self._tell is None:
             return
         if result.result == "done":

@@ -1,4 +1,4 @@
-"""Cuts a stream of octets into transmissions: whole telegrams, and the octets between them that are none.
+"""Cuts a stream of octets into transmissions: whole telegrams, and the octets between them.
 
 Real ports show neither idle times nor gaps between characters, so a telegram ends where its length says so. Within the
 length that a damaged telegram claims, only telegrams with a check sequence count: an octet E5 among its data is no
@@ -192,6 +192,6 @@ def _places(places: list[int]) -> str:
 
 
 def split(octets: bytes) -> list[bytes]:
-    """The telegrams in ``octets`` one by one, and between them the octets that are none."""
+    """The telegrams in ``octets`` one by one, and between them the octets of no telegram."""
     cutter = Cutter(_ANY_BAUD, 0)
     return [piece.octets for piece in (*cutter.feed(octets, 0), *cutter.give_up())]

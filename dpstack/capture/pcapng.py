@@ -248,7 +248,7 @@ class Reader:
         return size
 
     def _first(self) -> None:
-        """The head of the first block, which tells what kind of file this is."""
+        """The head of the first block, which shows what kind of file this is."""
         self._fill(12)
         head = self._held[:4]
         if head == _SECTION.to_bytes(4, "little"):
@@ -261,7 +261,7 @@ class Reader:
         raise self._wrong("this is no pcapng file" if head else "the file is empty")
 
     def _next(self) -> int:
-        """The size of the next block whose type is known: all of it is held, its type is in ``_kind``. 0: there is none
+        """The size of the next block whose type is known: all of it is held, its type is in ``_kind``. 0 without one
         any more."""
         size: int
         while True:

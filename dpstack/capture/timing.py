@@ -36,7 +36,7 @@ class LineTiming:
 
     @classmethod
     def parse(cls, description: str) -> LineTiming:
-        """The timing that ``description`` of an interface tells; else ("file", None)."""
+        """The timing that ``description`` of an interface gives; else ("file", None)."""
         found = _TEXT.search(description)
         if found is None:
             return cls(FILE, None)

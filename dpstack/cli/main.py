@@ -24,7 +24,7 @@ _COMMANDS = {
     "run": "the soft master, operating at once",
     "sim": "the slaves of a configuration, one simulated drive, or one device of a GSD file, on one port",
     "segment": "a virtual RS-485 segment: ptys joined as one bus, that any program may open",
-    "ctl": "tells a running run, sim or segment what to do; without COMMAND: what it knows",
+    "ctl": "gives orders to a running run, sim or segment; without COMMAND: lists them",
     "drive": "one drive by hand: through the run that holds the port, "
     "otherwise as master in the foreground until Ctrl-C",
     "acyclic": "records of a slave (DP-V1): through the run that holds the port, otherwise as master in the foreground",

@@ -79,7 +79,7 @@ class Names:
 
     ``recognise``: names for an ident number and the identifier octets of Chk_Cfg (empty while they are unknown), None
     if no GSD file has them. ``record``: the fields of record 47, of a request (True) or a response, with the names
-    of a drive's parameters; empty if the octets are none.
+    of a drive's parameters; empty if the octets are no record.
     """
 
     slaves: Mapping[int, SlaveNames] = field(default_factory=dict)

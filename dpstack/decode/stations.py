@@ -175,7 +175,7 @@ class Station:
             }
 
     def configuration(self, data: bytes, found: Fields) -> None:
-        """The names of modules, and the parameters in the Set_Prm before, if only the modules tell them."""
+        """The names of modules, and the parameters in the Set_Prm before, if only the modules give them."""
         self.configured(data)
         self._add_parameters(found)
         if self.names.source:
@@ -211,7 +211,7 @@ class Stations:
         self._stations: dict[int, Station] = {}
 
     def name_of(self, address: int) -> str:
-        """The name in the configuration, empty if there is none."""
+        """The name in the configuration, empty without one."""
         found = self._names.slaves.get(address)
         return "" if found is None else found.name
 

@@ -34,8 +34,8 @@ _NO_FIELDS: Final[Fields] = {}
 
 @dataclass(slots=True, eq=False)
 class Explained:
-    """One transmission. ``telegram`` is None if the octets are none, ``error`` says why, and also what is wrong in
-    the data unit of a whole telegram. ``fields`` may be shared with other telegrams of the same content: do not change
+    """One transmission. ``telegram`` is None if the octets make none, ``error`` says why, and also what is wrong in the
+    data unit of a whole telegram. ``fields`` may be shared with other telegrams of the same content: do not change
     them. ``sender``, ``receiver``: names of the stations, empty if they have none."""
 
     #: number of the transmission, from 1

@@ -15,9 +15,9 @@ from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.trace import WireEntry
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_bits
 
-#: a wire log shows so many octets of a transmission in full
+#: a wire log shows this many octets of a transmission in full
 SHOWN_OCTETS: Final = 32
-#: so many telegrams in a row without anything new are one line
+#: this many telegrams in a row without anything new are one line
 _FOLDED_FROM: Final = 3
 #: values of a running drive, which change from telegram to telegram
 _MEASURED: Final = frozenset({"speed", "current", "torque", "frequency_hz", "map", "text"})
@@ -83,7 +83,7 @@ class _Line(NamedTuple):
 
 
 class _Changes:
-    """Tells whether a telegram differs from the one before of the same sort between the same stations."""
+    """Says whether a telegram differs from the one before of the same sort between the same stations."""
 
     def __init__(self) -> None:
         self._last: dict[_Place, object] = {}

@@ -275,7 +275,7 @@ class FieldMap(Collection[str]):
 
 
 class NamedValues(dict[str, Value]):
-    """Values of fields by name. A name that is none raises UsageError with the nearest one, instead of KeyError."""
+    """Values of fields by name. An unknown name raises UsageError with the nearest one, instead of KeyError."""
 
     def __missing__(self, name: object) -> Value:
         import difflib  # here, as it is for mistakes

@@ -10,10 +10,10 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 #: how long a slave works at a service at most, if its GSD file has no C1_Response_Timeout or C2_Response_Timeout
 RESPONSE_TIMEOUT: Final = NS_PER_S
-#: a service that takes the slave all its time has so much more
+#: a service that takes the slave all its time has this much more
 _MARGIN: Final = NS_PER_S
 
-#: so many polls follow one another in each token hold; these pauses come before the later ones, the last pause for ever
+#: polls that follow one another in each token hold; these pauses come before the later ones, the last pause for ever
 _EAGER: Final = 4
 _PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
 

@@ -171,7 +171,7 @@ class Runtime(Protocol):
 
     @property
     def pid(self) -> int | None:
-        """The process id of the bus process; None without one, and while there is none."""
+        """The process id of the bus process; None without one, and before it runs."""
 
     @property
     def paced(self) -> bool:

@@ -110,13 +110,13 @@ class View(Protocol):
     def bus(self) -> BusSnapshot: ...
 
     def slave(self, address: int) -> SlaveSnapshot:
-        """The slave at ``address``; offline if there is none."""
+        """The slave at ``address``; offline without one."""
 
     def image(self, setup: SlaveParams) -> ImageSnapshot:
         """Inputs and outputs of the slave with ``setup``; zeros and its first outputs if it is not there."""
 
     async def history(self, address: int) -> History:
-        """The last bring-ups of the slave at ``address``, empty if there is none; a bus process is asked for it.
+        """The last bring-ups of the slave at ``address``, empty without one; a bus process is asked for it.
 
         Raises OrderDropped, BusError.
         """

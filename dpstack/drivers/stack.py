@@ -26,7 +26,7 @@ from dpstack.fdl.livelist import LiveList, live_allowance
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS, NS_PER_S
 
-#: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
+#: a read-only bus asks the whole live list and the diagnosis of each slave anew this often
 _LIST_PERIOD: Final = 10 * NS_PER_S
 _DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
 

@@ -86,7 +86,7 @@ class Block:
         self.findings.warning(statement.line, message, statement.column)
 
     def number(self, statement: Statement) -> int | None:
-        """The value of ``statement`` as one number; None if it is none."""
+        """The value of ``statement`` as one number; None for anything else."""
         found = without_remark(statement, number)
         warn_of_remark(self.findings, statement)
         return found

@@ -215,7 +215,7 @@ def configuration_like(
     """The configuration with the identifier octets ``config``, or else with ``lengths`` (input octets, output octets).
 
     It is the preset or one module behind the fixed presets. ``own_prm`` as for :func:`plug`. Raises GsdError if
-    there is none, or more than one.
+    no such module exists, or more than one.
     """
     preset, fixed = default_modules(device), fixed_modules(device)
     rows = [preset] if preset else []
@@ -239,7 +239,7 @@ def configuration_like(
 
 def modules_of_config(device: Device, config: bytes) -> tuple[Module | None, ...] | None:
     """The modules whose identifier octets are ``config``, in slot order, None for an empty slot. Modules with the same
-    octets cannot be told apart: the first one in the file counts. None if some octets are those of no module.
+    octets cannot be distinguished: the first one in the file counts. None if some octets are those of no module.
     """
     best = read_modules(device, config, most=1)[0][0]
     if best.unknown:

@@ -36,7 +36,7 @@ class DiagTexts:
         return tuple(text for diagnosis in self._sources(module) for text in diagnosis.texts)
 
     def module_name(self, module: int) -> str:
-        """The name of a module by its index in the configuration; empty for an empty slot and if there is none."""
+        """The name of a module by its index in the configuration; empty for an empty slot and if none exists."""
         found = self._module(module)
         return "" if found is None else found.name
 

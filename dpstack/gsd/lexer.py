@@ -94,7 +94,7 @@ def _int(text: str) -> int:
 
 
 def numbers(text: str) -> list[int] | None:
-    """Numbers with commas (or only blanks) between; None if one of them is none. Empty text: an empty list."""
+    """Numbers with commas (or only blanks) between; None if one of them is no number. Empty text: an empty list."""
     try:
         return [_COMMON[part] for part in text.split(",")]
     except KeyError:
@@ -109,7 +109,7 @@ def numbers(text: str) -> list[int] | None:
 
 
 def ranges(text: str) -> Ranges | None:
-    """``0-3``, ``0,1,5``, ``-32768-32767``, ``24 - 24``, or a mix; None if it is none of these."""
+    """``0-3``, ``0,1,5``, ``-32768-32767``, ``24 - 24``, or a mix; None for anything else of these."""
     found: list[tuple[int, int]] = []
     for part in text.split(","):
         piece = part.strip()

@@ -1,6 +1,6 @@
 """Comparison of the configuration that Chk_Cfg asks for with the slave's own one, module by module.
 
-Modules are told apart by the GSD file if there is one, otherwise by identifiers.
+Modules are distinguished by the GSD file if there is one, otherwise by identifiers.
 """
 
 from __future__ import annotations

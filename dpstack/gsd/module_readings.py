@@ -78,7 +78,7 @@ class _Rows:
         self._allowed = {slot.number: slot.allowed for slot in device.slots if slot.allowed}
         self._fixed = [module for module in device.modules if device.fix_preset_modules and module.preset]
         self._ends = _identifier_ends(config)
-        # behind so many slots each one takes every module: its number decides nothing
+        # behind this many slots each one takes every module: its number decides nothing
         self._last = max([len(self._fixed), *(number - device.first_slot + 1 for number in self._allowed)])
         self._steps: dict[tuple[int, int], list[_Step]] = {}
         for at in range(len(config) - 1, -1, -1):

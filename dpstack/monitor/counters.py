@@ -57,7 +57,7 @@ PASSED_OVER: Final = 2
 TOGETHER_BITS: Final = 10
 #: Global_Control: bit of Clear_Data
 _CLEAR_DATA: Final = 2
-_TOKENS_OF_NOBODY: Final = 2  # so many tokens of one sender may be damaged ones of others
+_TOKENS_OF_NOBODY: Final = 2  # this many tokens of one sender may be damaged ones of others
 _LONGEST: Final = 256
 #: if the source does not say the rate
 _ANY_BAUD: Final = 9600
@@ -141,7 +141,7 @@ class Station:
         return self.damaged >= _UNREADABLE and 2 * self.damaged > self.requests
 
 
-#: A damaged answer alone may be noise behind a poll of an empty address; so many are a station.
+#: A damaged answer alone may be noise behind a poll of an empty address; this many are a station.
 _UNREADABLE: Final = 3
 
 

@@ -27,7 +27,7 @@ _UNKNOWN: Final = KnownDevice()
 @dataclass(slots=True)
 class Devices:
     """Known devices: ``by_address`` from the user's configuration, ``by_ident`` from a folder of GSD files. ``t_sl`` in
-    bit times by baud rate, from the configuration; empty if there is none."""
+    bit times by baud rate, from the configuration; empty without one."""
 
     by_address: dict[int, KnownDevice] = field(default_factory=dict)
     by_ident: dict[int, KnownDevice] = field(default_factory=dict)

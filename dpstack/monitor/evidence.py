@@ -20,11 +20,11 @@ from typing import Final, NamedTuple
 from dpstack.capture.transmission import Transmission
 from dpstack.monitor.counters import Counters
 
-#: So many tokens passed on and answers that fit name a bus (our choice): one by chance names none.
+#: This many tokens passed on and answers that fit name a bus (our choice): one by chance names none.
 ENOUGH: Final = 6
-#: They must be more than so many times what stands against it (our choice).
+#: They must be more than this many times what stands against it (our choice).
 OUTWEIGHS: Final = 4
-#: They must be at least one in so many telegrams (our choice): chance makes some in weeks. A master without tokens that
+#: One in this many telegrams must be such (our choice): chance makes some in weeks. A master without tokens that
 #: polls 45 absent slaves twice, and one that is there, is just above.
 ONE_IN: Final = 100
 

@@ -13,7 +13,7 @@ from dpstack.monitor.counters import Counters, State, Station
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_S
 
-#: seconds with more failures count as seconds with so many
+#: seconds with more failures count as seconds with this many
 _MOST_FAILURES: Final = 100
 #: answers in a minute that make a median
 _ENOUGH_ANSWERS: Final = 100

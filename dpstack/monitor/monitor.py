@@ -98,7 +98,7 @@ class Monitor:
         self._back_ns = 0  # the line was heard again from then on
         self._deaf_ns = 0  # time in which nothing could be heard
         self._named_baud: int | None = None  # PROFIBUS is proven at this rate
-        self._told: dict[int, str] = {}  # the last state told of each station
+        self._told: dict[int, str] = {}  # the last state reported of each station
 
     @property
     def begun_ns(self) -> int:

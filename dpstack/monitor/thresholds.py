@@ -28,9 +28,9 @@ def _limit(default: float, low: float, high: float, unit: str, text: str, source
 class Thresholds:
     """Values beyond which a finding is a warning, or critical. :func:`limits` has the meaning of each."""
 
-    min_seconds: float = _limit(5.0, 0, 1e6, "s", "less than this heard: the verdict is unknown")
-    min_requests: float = _limit(200, 1, 1e9, "requests", "shares of a station count from so many requests on")
-    silence_s: float = _limit(2.0, 0.1, 1e6, "s", "nothing heard for so long at the end: the bus is silent")
+    min_seconds: float = _limit(5.0, 0, 1e6, "s", "less than this received: the verdict is unknown")
+    min_requests: float = _limit(200, 1, 1e9, "requests", "shares of a station count from this number of requests on")
+    silence_s: float = _limit(2.0, 0.1, 1e6, "s", "nothing received for this time at the end: the bus is silent")
     bring_up_s: float = _limit(
         10.0, 0, 1e6, "s", "a slave that is asked and not in data exchange for longer is critical",
         "our choice: as long as our master waits for a slave to become ready",
@@ -50,13 +50,17 @@ class Thresholds:
     late_warning: float = _limit(0.0005, 0, 1, "share", "answers that came after the next telegram had begun")
     damaged_warning: float = _limit(0.0002, 0, 1, "share", "damaged transmissions among all of the bus")
     damaged_critical: float = _limit(0.01, 0, 1, "share", "damaged transmissions among all of the bus")
-    neighbours: float = _limit(10, 1, 1e6, "times", "one station has so many times the retries of all others: it alone")
-    many_stations: float = _limit(3, 2, 126, "stations", "so many stations fail in the same second: they fail at once")
+    neighbours: float = _limit(
+        10, 1, 1e6, "times", "one station has this multiple of the retries of all others: it alone"
+    )
+    many_stations: float = _limit(
+        3, 2, 126, "stations", "this number of stations fail in the same second: they fail at once"
+    )
     bursts: float = _limit(0.1, 0, 1, "share", "half of the failures within this share of the seconds: in bursts")
     drops_warning: float = _limit(1, 1, 1e9, "times", "times that a master dropped out of the token ring")
     drops_critical: float = _limit(3, 1, 1e9, "times", "times that a master dropped out of the token ring")
     tsdr_of_max: float = _limit(
-        1.0, 0, 100, "times", "p99 of T_SDR above so many times the MaxTsdr of its GSD file",
+        1.0, 0, 100, "times", "p99 of T_SDR above this multiple of the MaxTsdr of its GSD file",
         "MaxTsdr_<rate> is the longest T_SDR of the device (GSD specification)",
     )  # fmt: skip
     tsdr_of_t_sl: float = _limit(

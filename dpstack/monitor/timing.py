@@ -20,7 +20,7 @@ RESOLVED: Final = 4
 #: If more than this share of the telegrams arrived together, distances of neighbouring telegrams say nothing (our
 #: choice).
 MOST_BATCHED: Final = 0.1
-#: and the source is no finer than so much of the pieces in which it delivers them
+#: and the source is no finer than this much of the pieces in which it delivers them
 _PIECES: Final = 0.9
 #: the quantiles of a summary
 QUANTILES: Final[Mapping[str, float]] = {"p50": 0.5, "p99": 0.99}
@@ -37,7 +37,7 @@ class Timing:
 
     @classmethod
     def of(cls, line: LineTiming, counters: Counters) -> Timing:
-        """The timing that ``line`` tells, and that shows in the telegrams: an adapter whose latency timer is 16 ms
+        """The timing that ``line`` gives, and that shows in the telegrams: an adapter whose latency timer is 16 ms
         delivers pieces of 16 ms."""
         whole = counters.telegrams + sum(counters.damaged.values())
         batched = counters.together / whole if whole else 0.0

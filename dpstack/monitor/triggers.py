@@ -18,7 +18,7 @@ from dpstack.units import ns_to_s
 
 T = TypeVar("T")
 
-#: memory of what is held before a trigger, in octets; a transmission needs about so many besides its own
+#: memory of what is held before a trigger, in octets; a transmission needs about this many besides its own
 MOST_HELD: Final = 64 << 20
 _OVERHEAD: Final = 250
 #: changes of a station that are triggers, by their names

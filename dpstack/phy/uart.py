@@ -80,7 +80,7 @@ class Receiver:
 
     @property
     def due(self) -> int:
-        """The end in ns of the current character if the line stays mark; NEVER when there is none."""
+        """The end in ns of the current character if the line stays mark; NEVER without one."""
         return self._edge_ns + bits_to_ns(BITS_PER_CHAR, self.baud) if self._sampled else NEVER
 
     def idle(self, now: int) -> list[Character]:
@@ -156,7 +156,7 @@ class Receiver:
 
 
 def _next_edge(levels: bytes, at: int) -> int:
-    """The first bit behind bit ``at`` that is space while the one before it is mark; -1 when there is none."""
+    """The first bit behind bit ``at`` that is space while the one before it is mark; -1 if none exists."""
     return levels.find(_EDGE, at) + 1 or -1
 
 

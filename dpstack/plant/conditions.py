@@ -119,7 +119,7 @@ class ConditionBook:
         return [one for one in changed if one is not None]
 
     def acknowledge(self, id_: str, time: float, by: str = "", comment: str | None = None) -> Condition | None:
-        """Acknowledge a condition; ``comment`` None leaves the one that it has. Returns it; None if there is none,
+        """Acknowledge a condition; ``comment`` None leaves the one that it has. Returns it; None without one,
         or if it is acknowledged already."""
         known = self._known.get(id_)
         if known is None or known.acked:
@@ -127,7 +127,7 @@ class ConditionBook:
         return self._say(replace(known, acked=True), time, by, comment)
 
     def comment(self, id_: str, time: float, by: str, comment: str) -> Condition | None:
-        """Give a condition another comment. Returns it; None if there is none."""
+        """Give a condition another comment. Returns it; None without one."""
         known = self._known.get(id_)
         return None if known is None else self._say(known, time, by, comment)
 

@@ -14,7 +14,7 @@ from dpstack.plant.items import FieldPlant, Plant, SlavePlant
 from dpstack.plant.orders import Argument, DriveOrder, Operation, SetOutputs
 from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, LIMITS, TEXT, TYPES, Value, clean, value_of
 
-#: named values of one slave: its 244 octets of inputs and of outputs have so many bits
+#: named values of one slave: its 244 octets of inputs and of outputs have this many bits
 MOST_FIELDS: Final = 2 * 244 * 8
 #: nodes of a plant; the fields beyond them are left out
 MOST_NODES: Final = 50_000

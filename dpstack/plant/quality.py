@@ -15,7 +15,7 @@ MOST_TEXT: Final = 1024
 _MOST_F32: Final = (2 - 2**-23) * 2.0**127
 #: octets of a value: more than a slave has
 _MOST_OCTETS: Final = 244
-#: the value of a node; None: there is none
+#: the value of a node; None without one
 Value = bool | int | float | str | bytes | None
 
 #: 10.3 - 10.1 is 0.20000000000000107 for a float: a step as large as the dead band lies in it

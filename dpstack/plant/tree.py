@@ -43,7 +43,7 @@ from dpstack.trace import Severity
 SILENT_S: Final = 2.0
 #: s between two changes of a statistic
 STATISTICS_S: Final = 10.0
-#: the smallest delay of the stream rises by so much a second: clocks of two computers differ by less
+#: the smallest delay of the stream rises by this much a second: clocks of two computers differ by less
 _DRIFT: Final = 1e-3
 #: s since 1970 at the end of the year 9999
 _LATEST: Final = 253_402_300_799.0
@@ -192,7 +192,7 @@ class PlantTree:
 
     @property
     def orders(self) -> Mapping[str, OfferedOrder]:
-        """The orders that the plant takes, by name. Two with the same name are none: nobody knows which is meant."""
+        """The orders that the plant takes, by name. Two with the same name are left out: they are ambiguous."""
         return self._orders
 
     @property
@@ -246,7 +246,7 @@ class PlantTree:
     # --- changing it ----------------------------------------------------------------------------------------------
 
     def apply(self, item: Mapping[str, Any], now: float) -> list[Change]:
-        """Take the next item, which came at ``now``. One that is no item changes nothing, and is told once."""
+        """Take the next item, which came at ``now``. An invalid item changes nothing and is reported once."""
         return self.apply_all((item,), now)
 
     def apply_all(self, items: Iterable[Mapping[str, Any]], now: float) -> list[Change]:
@@ -655,7 +655,7 @@ class PlantTree:
         return [one for one in found if one is not None]
 
     def _remark(self, text: str) -> list[Change]:
-        """Tell ``text`` once, and only the first ones."""
+        """Report ``text`` once, and only the first ones."""
         text = shortened(printable(text), 300)
         if text in self._told or len(self._told) >= _MOST_REMARKS:
             return []

@@ -20,7 +20,7 @@ from dpstack.units import baud_text
 
 #: Stands for the simulated bus where the name of a port is wanted.
 VIRTUAL: Final = "virtual"
-#: Called if octets that were delivered in the last so many ns may be damaged, as the port learns only now.
+#: Called if octets that were delivered in the last this many ns may be damaged, as the port learns only now.
 OnDoubt = Callable[[int], None]
 #: Receives the octets read from the line, in order; called from the loop.
 OnData = Callable[[bytes], None]
@@ -67,7 +67,7 @@ class Port(ABC):
 
     delivery: Delivery = Delivery.HOST
     #: what becomes of damaged octets, in words; known once it is open
-    damaged_octets: str = "the port does not tell damaged octets"
+    damaged_octets: str = "the port does not report damaged octets"
     #: writes octets and returns the number of those written; raises BlockingIOError, or one of ``_failures``
     _send: Callable[[bytes], int]
     _failures: tuple[type[Exception], ...] = (OSError,)
@@ -130,7 +130,7 @@ class Port(ABC):
         return None
 
     def damage(self) -> dict[str, int]:
-        """Octets lost since the port was made, by cause, without zeros: damaged ones, as far as the port can tell
+        """Octets lost since the port was made, by cause, without zeros: damaged ones, as far as the port reports
         them from others, and ``discarded``.
         """
         return {"discarded": self.discarded} if self.discarded else {}

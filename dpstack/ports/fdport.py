@@ -14,7 +14,7 @@ CHUNK: Final = 470
 
 #: Chunks that one call of ``read_now`` returns at most (30 KB, 27 ms of the line at 12 Mbit/s).
 _CHUNKS: Final = 64
-#: The octets behind them are thrown away, in blocks, at most so many in one call: a far end that sends without end,
+#: The octets behind them are thrown away, in blocks, at most this many in one call: a far end that sends without end,
 #: faster than this computer can process it, must not block the loop for ever.
 _BLOCK: Final = 65_536
 _BLOCKS: Final = 16

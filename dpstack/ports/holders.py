@@ -67,7 +67,7 @@ def is_dpstack(holder: str) -> bool:
 
 def keep_off(holder: str, usb: str | None = None) -> str:
     """How to keep ``holder``, a text of this module, off the adapter ``usb`` (vendor:product); empty for a program that
-    opens a port only when somebody tells it to."""
+    opens a port only when somebody orders it."""
     how = _KEEP_OFF.get(holder.partition(" (pid")[0])
     if how is None:
         return ""

@@ -123,7 +123,7 @@ def _open(name: str, fd: int, flags: int, *, make: bool) -> int:
 
 
 def _link_target(name: str, fd: int, place: str, *, last: bool) -> str:
-    """Where the symbolic link ``name`` leads. Raises PortError if it is none, or one that is not to be followed."""
+    """Where the symbolic link ``name`` leads. Raises PortError if it is no link, or one that is not to be followed."""
     info = os.stat(name, dir_fd=fd, follow_symlinks=False)
     if last or not stat.S_ISLNK(info.st_mode):
         kind = "a symbolic link" if stat.S_ISLNK(info.st_mode) else "a file"

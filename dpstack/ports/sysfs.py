@@ -65,7 +65,7 @@ class Adapter:
         return self._usb_serial / "latency_timer"
 
     def latency_ms(self) -> int | None:
-        """FTDI's latency timer in ms; None if there is none."""
+        """FTDI's latency timer in ms; None without one."""
         text = _read(self.latency_file)
         return int(text) if text is not None and text.isdecimal() else None
 

@@ -106,7 +106,7 @@ class TtyPort(FdPort):
         """Notices on what the class of the driver lacks."""
         notices = [self.driver.protection] if self.driver.is_weak and not self._listen else []
         if not self.driver.tells_rate:
-            notices.append(f"its driver {self.driver.name} cannot tell which rate the adapter makes")
+            notices.append(f"its driver {self.driver.name} does not say which rate the adapter makes")
         return notices
 
     def _hold_alone(self, fd: int) -> None:
@@ -120,7 +120,7 @@ class TtyPort(FdPort):
             count = "only counts damaged octets" if self.driver.marks is Marks.COUNTED else "marks no damaged octet"
             return f"the port {count}: {self.driver.protection}"
         if not self._unmark:
-            return "the port does not tell damaged octets" if not self._marks else "the port drops damaged octets"
+            return "the port does not report damaged octets" if not self._marks else "the port drops damaged octets"
         if not self._listen:
             return "the port drops octets with a parity or framing error"
         if self._unmarker.packets:

@@ -71,7 +71,7 @@ def low_latency(fd: int, on: bool) -> bool:
 
 def clock_of_uart(fd: int) -> int | None:
     """The rate of a PC's UART at the divisor 1, which divides it by whole numbers; None for others, and for those that
-    do not tell. The rate that such a port reads back is the one it was asked for, whatever the chip makes."""
+    do not say it. The rate that such a port reads back is the one it was asked for, whatever the chip makes."""
     try:
         kind, base = _TYPE_AND_BASE.unpack_from(_query(fd, TIOCGSERIAL, _SERIAL_SIZE))
     except OSError:
@@ -97,7 +97,7 @@ def set_rs485(fd: int, words: tuple[int, ...]) -> None:
 
 
 def try_rs485(fd: int) -> None:
-    """Raises OSError if the driver has no RS-485 mode. Only setting tells (here: what is set already): a port
+    """Raises OSError if the driver has no RS-485 mode. Only setting shows it (here: what is set already): a port
     without the mode answers the question after it with zeros."""
     set_rs485(fd, get_rs485(fd))
 

@@ -27,7 +27,7 @@ from dpstack.text import printable, shortened
 FORMATS: Final = ("svg", "png", "pdf")
 #: in every picture that this module makes
 MARK: Final = "dpstack plot"
-#: traces of one pane, panes, and bands at most; more cannot be told apart
+#: traces of one pane, panes, and bands at most; more cannot be distinguished
 MOST_TRACES: Final = 10
 MOST_PANES: Final = 8
 MOST_BANDS: Final = 24

@@ -30,7 +30,7 @@ JOURNAL: Final = ".part.csv"
 _LONGEST: Final = 1 << 22
 #: characters of a line or a title that a message shows
 _SHOWN: Final = 40
-#: after so many seconds without a row of the same file nothing is known about the time between (not on change)
+#: after this many seconds without a row of the same file nothing is known about the time between (not on change)
 GAP_S: Final = 2.5
 #: largest number: a larger integer of a damaged file can neither be drawn nor compared with a time
 _LARGEST: Final = sys.float_info.max
@@ -64,7 +64,7 @@ class _Head(NamedTuple):
 class Recording:
     """A recording, one file or a rotated set. Entering a loop over :meth:`rows` reads it anew.
 
-    ``path``: a file; if there is none of that name, the parts that ``--rotate`` made of it
+    ``path``: a file; if none exists of that name, the parts that ``--rotate`` made of it
     (``plant_00001_20260131T120000Z.csv``). Raises UsageError for anything that is no recording.
     """
 
@@ -98,7 +98,7 @@ class Recording:
 
 
 def parts_of(path: Path) -> tuple[Path, ...]:
-    """The files of the recording ``path``, the oldest one first. Raises UsageError if there is none."""
+    """The files of the recording ``path``, the oldest one first. Raises UsageError if none exists."""
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: a recording ends in {', '.join(SUFFIXES)}; give a file that run --record wrote")
     try:
@@ -330,7 +330,7 @@ def _whole_line(file: BinaryIO) -> str | None:
 
 
 def _csv_cells(line: str) -> list[str] | None:
-    """The cells of one line; None if it is none."""
+    """The cells of one line; None if the line has no cells."""
     if '"' not in line and "\r" not in line and "\0" not in line:
         return line.removesuffix("\n").split(",")
     try:

@@ -20,7 +20,7 @@ from dpstack.record.rows import END, iso_time
 Item = dict[str, dict[str, Any]]
 #: seconds between two snapshots
 INTERVAL_S: Final = 0.1
-#: so much earlier a row is due, too
+#: this much earlier a row is due, too
 _JITTER_S: Final = 0.005
 #: longer times without a row are not waited for
 _LONGEST_PAUSE_S: Final = 10.0

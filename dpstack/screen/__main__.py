@@ -22,7 +22,7 @@ from dpstack.screen.app import Order, Plant
 from dpstack.screen.process import GONE, LONGEST
 from dpstack.text import printable
 
-#: the terminal is looked at so often (s)
+#: the terminal is looked at this often (s)
 _LOOK_S: Final = 0.5
 #: the descriptor of the terminal
 _TERMINAL: Final = 0
@@ -45,7 +45,7 @@ class TerminalPlant(Plant):
         self.set_interval(_LOOK_S, self._look_at_terminal)
 
     def _settle_signals(self) -> None:
-        """`run` decides about its whole group, and tells this process by its line. Textual has set other handlers."""
+        """`run` decides about its whole group, and informs this process by its line. Textual has set other handlers."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN):
             signal.signal(number, signal.SIG_IGN)
         asyncio.get_running_loop().add_signal_handler(signal.SIGCONT, self._continued)

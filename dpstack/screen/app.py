@@ -38,7 +38,7 @@ The screen shows the bus that this run operates. It never sends anything to the 
 
 up, down, page up, page down, home, end   pick a slave, or move on a page
 enter      all about the slave: values, diagnosis, drive, counters, modules, events
-w          why is the slave not in data exchange: the run asks it and tells the story
+w          why is the slave not in data exchange: the run asks it and shows the reasons
 /          filter: words in address, name, state or remark; an empty filter shows all
 f          only slaves that are not alive or have a remark; f again: all
 e          all events

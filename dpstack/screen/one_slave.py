@@ -28,7 +28,7 @@ def page(view: View, address: str, width: int, story: Mapping[str, Any] | str | 
         return _fit([*lines, [("nothing is known about it yet", "stale")]], width)
     if not view.alive(address):
         age = view.age_s(address)
-        since = "there were none yet" if age is None else f"the inputs are {age:.1f} s old"
+        since = "no inputs came yet" if age is None else f"the inputs are {age:.1f} s old"
         lines.append([("not alive: ", "bad"), (f"its values are not of this moment; {since}", "stale")])
     lines += _troubles(view, address)
     if story is not None:

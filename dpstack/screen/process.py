@@ -35,7 +35,7 @@ _SLAVES: Final = 8
 _LONGEST_ORDER: Final = 1 << 12
 #: s until the screen must have left the terminal, and its process must have ended
 _LEAVE_S: Final = 2.0
-#: signals that a terminal sends to the whole group: `run` decides, and tells the screen
+#: signals that a terminal sends to the whole group: `run` decides, and informs the screen
 _FROM_TERMINALS: Final = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP") if hasattr(signal, name)
 )

@@ -10,9 +10,9 @@ from typing import Any, Final
 from dpstack.plant.items import Item, SlavePlant, SlaveValues, Snapshot, check_item
 from dpstack.plant.state import LiveState
 
-#: without a snapshot for so long (s) nothing counts as fresh: one comes every 0.1 s
+#: without a snapshot for this long (s) nothing counts as fresh: one comes every 0.1 s
 SILENT_S: Final = 2.0
-#: a value is marked as changed for so long (s)
+#: a value is marked as changed for this long (s)
 CHANGED_S: Final = 1.0
 #: marks of changed values that are kept, also if they are older
 _MOST_CHANGED: Final = 10_000

@@ -18,7 +18,7 @@ from dpstack.text import printable
 #: the state is looked at this often (s), and at least four times in the watchdog's time
 _LOOK_S: Final = 1.0
 _LOOKS: Final = 4
-#: while the bus runs but is not ready yet, the manager is asked to wait so much longer (us)
+#: while the bus runs but is not ready yet, the manager is asked to wait this much longer (us)
 _LONGER_US: Final = 60_000_000
 _US_PER_S: Final = 1_000_000
 
@@ -44,7 +44,7 @@ class Manager:
 
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> Manager | None:
-        """The manager that ``environment`` names; None if there is none."""
+        """The manager that ``environment`` names; None without one."""
         address = environment.get("NOTIFY_SOCKET", "")
         if not address.startswith(("/", "@")) or not hasattr(socket, "AF_UNIX"):
             return None

@@ -31,7 +31,7 @@ class _Fault:
 
 
 class Faults:
-    """The faults of one world. ``armed`` is False while there are none, so that a bus without faults costs nothing."""
+    """The faults of one world. ``armed`` is False without any, so that a bus without faults costs nothing."""
 
     def __init__(self, seed: int) -> None:
         self.armed = False

@@ -91,7 +91,7 @@ class Nodes:
         self.ports: list[Node] = []
         #: the rate of all stations if they have the same one and none is a port, else 0
         self.common_rate = 0
-        #: the stations that hear a telegram, and those that are told of its start edge
+        #: the stations that hear a telegram, and those that get its start edge
         self.hearers = Hearers(self, all_addressed=True)
         self.told = Hearers(self, all_addressed=False)
 

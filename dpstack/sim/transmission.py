@@ -17,7 +17,7 @@ from dpstack.phy.uart import flipped
 from dpstack.sim.nodes import Node
 from dpstack.units import BITS_PER_CHAR, NS_PER_S, chars_to_ns
 
-#: the time of so many octets on the wire at a rate, in ns
+#: the time of this many octets on the wire at a rate, in ns
 _duration: Final = lru_cache(4_096)(chars_to_ns)
 
 

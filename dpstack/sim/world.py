@@ -502,11 +502,11 @@ class World:
         self.schedule(at_ns, _ORDERS, _call, callback)
 
     def next_at(self) -> int:
-        """The time of the next event in ns; NEVER when there is none."""
+        """The time of the next event in ns; NEVER without one."""
         return self.heap[0][0]
 
     def step(self) -> None:
-        """Advance to the next event and run it. Raises UsageError when there is none."""
+        """Advance to the next event and run it. Raises UsageError if none exists."""
         if self.heap[0][0] == NEVER:
             raise UsageError("nothing will ever happen in this world: no station waits for a time, nothing is sent")
         self.now, _, call, argument = heappop(self.heap)

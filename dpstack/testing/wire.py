@@ -72,7 +72,7 @@ class Service(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """A slave whose outputs are judged. ``safe``: safe outputs, for people; ``places``: the octets that tell whether
+    """A slave whose outputs are judged. ``safe``: safe outputs, for people; ``places``: the octets that show whether
     outputs are safe, ``accepted``: what these may be."""
 
     name: str
@@ -110,7 +110,7 @@ class Watched:
 
 
 class _Outputs:
-    """The outputs that may act at one slave, as the octets on the line tell.
+    """The outputs that may act at one slave, as the octets on the line show.
 
     Outputs that are not safe count at once; safe ones, Clear and Unlock count when the slave has answered them, or
     answered before them if they have no answer.
@@ -262,7 +262,7 @@ class Wire:
         raise AssertionError(
             f"{_who(watched)} may still act on outputs that are not safe: {octets.hex(' ')} at {ns_to_s(t_ns):.6f} s; "
             f"safe are {watched.safe.hex(' ')}, or Clear, answered by the slave (of a silent slave the wire does not "
-            f"tell whether its watchdog has expired: look at the device's outputs and exchanging)"
+            f"show whether its watchdog has expired: look at the device's outputs and exchanging)"
         )
 
     def assert_exchanged(self, slave: str | int, outputs: bytes | str | None = None, since: float = 0.0) -> None:

@@ -13,7 +13,7 @@ from dpstack.web.source import Source
 
 
 class Tell(Protocol):
-    """Tells all pages and the log; ``pages`` False: the log alone."""
+    """Informs all pages and the log; ``pages`` False: the log alone."""
 
     def __call__(self, text: str, severity: str = "info", *, pages: bool = True, **more: object) -> None: ...
 
@@ -35,7 +35,7 @@ _COMMANDS: Final[dict[str, Callable[[tuple[str, ...]], tuple[str, ...]]]] = {
     **{one: _same(one, NOW) for one in ("set", "outputs", "drive")},
     "write": _write,
 }
-#: starts the run if there is none
+#: starts the run if none exists
 START: Final = "start"
 ORDERS: Final = (*_COMMANDS, START)
 

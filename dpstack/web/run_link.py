@@ -17,7 +17,7 @@ from dpstack.ports.base import VIRTUAL
 #: seconds between two snapshots of the run
 INTERVAL_S: Final = 0.2
 
-#: connects to the run; None if there is none. Blocks; raises DpError
+#: connects to the run; None without one. Blocks; raises DpError
 Find = Callable[[], ControlClient | None]
 
 
@@ -35,7 +35,7 @@ class RunLink:
 
     @classmethod
     async def join(cls, find: Find) -> RunLink | None:
-        """The run that ``find`` finds; None if there is none. Raises DpError, PortError if it has no ``live``."""
+        """The run that ``find`` finds; None without one. Raises DpError, PortError if it has no ``live``."""
         connection = _Connection(find)
         about = await connection.use(lambda client: client.help())
         client = connection.client

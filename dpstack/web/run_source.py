@@ -155,7 +155,7 @@ class RunSource(Source):
 
     @property
     def _reads_only(self) -> bool:
-        """Whether the source starts a run that only reads if there is none."""
+        """Whether the source starts a run that only reads if none exists."""
         return self._file is not None and not self._control and not self._joined_another
 
     async def _follow_link(self, link: RunLink) -> None:
@@ -201,7 +201,7 @@ class RunSource(Source):
             await self._reap()
 
     async def _reap(self) -> None:
-        """Tell of a run that was started and has ended."""
+        """Report a run that was started and has ended."""
         child = self._child
         if child is None or child.code is None:
             return
@@ -231,7 +231,7 @@ class RunSource(Source):
         self._queue.put_nowait(item)
 
     def _note(self, text: str, severity: str = "info") -> None:
-        """Tell pages and log, each text once in a row."""
+        """Inform pages and log, each text once in a row."""
         if text != self._told:
             self._told = text
             self._put(Note(text, severity))
@@ -247,7 +247,7 @@ class RunSource(Source):
             self._queue.put_nowait(error)
 
     async def _watch_file(self) -> None:
-        """Tell when the file of the configuration is no longer the one that the run has read."""
+        """Report when the file of the configuration is no longer the one that the run has read."""
         told: tuple[str | None, str | None, str | None] = (None, None, None)
         while True:
             await asyncio.sleep(_FILE_S)
@@ -258,7 +258,7 @@ class RunSource(Source):
             differs = now != digest
             before, told = told, (file, digest, now)
             if told == before or (not differs and before[:2] != (file, digest)):
-                continue  # told already, or a run that has just begun with this file
+                continue  # reported already, or a run that has just begun with this file
             if now is None:
                 self._note(f"{file} cannot be read any more; the run keeps what it has read", "warning")
             elif differs:

@@ -83,7 +83,7 @@ class GivenItems(Source):
 
 
 class ReplaySource(Source):
-    """The recording ``path``, at the speed at which it was made. Raises UsageError if it is none."""
+    """The recording ``path``, at the speed at which it was made. Raises UsageError if it is no recording."""
 
     kind = "replay"
 

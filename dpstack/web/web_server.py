@@ -54,7 +54,7 @@ _HELLO_S: Final = 10.0
 _MOST_UNDER_WAY: Final = 4
 _RATE: Final = 10.0
 _BURST: Final = 30.0
-#: messages of a page that are none before it is disconnected
+#: invalid messages of a page before it is disconnected
 _MOST_NONSENSE: Final = 20
 _PING_S: Final = 20.0
 #: times beyond it, in s since 1970, are no times (year 4000)
@@ -130,7 +130,7 @@ class WebServer:
         await self._runner.setup()
         loop = asyncio.get_running_loop()
         try:
-            # without ssl: asyncio tells of a connection after its handshake, so their number would have no limit
+            # without ssl: asyncio reports a connection after its handshake, so their number would have no limit
             self._listening = [
                 await loop.create_server(self._accept, sock=one, backlog=_BACKLOG) for one in self._sockets
             ]
@@ -410,7 +410,7 @@ class _Page:
         self.over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def welcome(self) -> None:
-        """Tell the page that the kind of the source has changed, behind the items before that."""
+        """Inform the page that the kind of the source has changed, behind the items before that."""
         self._say(self._welcome())
 
     def _welcome(self) -> str:
@@ -479,7 +479,7 @@ class _Page:
                 self._say(answer(error.id if id is None else id, error=str(error)))
                 self._nonsense += id is None
                 if self._nonsense >= _MOST_NONSENSE:
-                    self._say(encode({"refused": "too many messages that are none"}))
+                    self._say(encode({"refused": "too many invalid messages"}))
                     self.finish()
 
     def _check_rate(self) -> None:

@@ -1,4 +1,4 @@
-"""The fixed list of causes, each with its meaning, how it is told, and the next step; docs/how-to/why.md is made from
+"""The fixed list of causes, each with its meaning, its evidence, and the next step; docs/how-to/why.md is made from
 it."""
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ _ABOUT: Final[dict[Cause, About]] = {
     ),
     Cause.DPV1_MISMATCH: About(
         "master and slave disagree about DP-V1",
-        "Prm_Fault, and DPV1_Enable is set for a slave without DP-V1, or is missing where the slave needs it",
+        "Prm_Fault, and DPV1_Enable is set for a slave without DP-V1, or is missing although the slave needs it",
         "set dpv1 as the GSD file says: dpv1 = false for a slave without it",
     ),
     Cause.ANOTHER_PROGRAM: About(

@@ -37,7 +37,7 @@ _ALL_DAMAGED: Final = 0.85
 _ALWAYS_DAMAGED: Final = 8
 #: damaged octets from which missing answers are explained by them
 _DROPPED: Final = 4
-#: a state is out of date if the last good Data_Exchange is older than so many of the longest times between two
+#: a state is out of date if the last good Data_Exchange is older than this many of the longest times between two
 _STALE: Final = 4
 #: share of the time that a station takes that sends without end, at least
 _JAM_LOAD: Final = 0.4

@@ -28,7 +28,7 @@ _JAMMED: Final = 40
 _ALTERNATING: Final = 2
 #: waiting time after Chk_Cfg from which a slave counts as not ready
 _READY_NS: Final = NS_PER_S
-#: a slave counts as steady after so long, and after so many times the longest time between two of its losses
+#: a slave counts as steady after this long, and after this many times the longest time between two of its losses
 _STEADY_NS: Final = 10 * NS_PER_S
 _STEADY: Final = 3
 #: min T_SDR in Set_Prm that every slave can have
@@ -91,7 +91,7 @@ def _weighed(f: Facts, found: list[Finding]) -> list[Finding]:
 
 
 _OF_BUS: Final = (Cause.NO_TOKEN, Cause.SECOND_MASTER_SAME_ADDRESS, Cause.BUS_JAMMED)
-#: told by the slave itself, or by the device that stands elsewhere: restarts before it say nothing about now
+#: reported by the slave itself, or by the device that stands elsewhere: restarts before it say nothing about now
 _OF_NOW: Final = (
     Cause.WRONG_ADDRESS,
     Cause.IDENT,
@@ -210,7 +210,7 @@ def _out_of_ring(f: Facts, *, jammed: bool) -> Findings:
 #: if all slaves fell silent at once
 _SHARED: Final = "look at all that the slaves share: the cable and the plug at the master, its adapter, their supply"
 
-#: T_TO in slot times of the highest address is 6 + 2 x 126; after so many a silent line is claimed for sure
+#: T_TO in slot times of the highest address is 6 + 2 x 126; after this many a silent line is claimed for sure
 _CLAIMS: Final = 2 * (6 + 2 * 126)
 
 
@@ -459,7 +459,7 @@ def _late(f: Facts) -> Findings:
         bits = f.evidence.line.min_tsdr
         said = [f"{link.early} of its answers began before min T_SDR, which this bus has at {bits} bit times."]
         if bits > min_tsdr:
-            said.append(f"Set_Prm tells the slave min T_SDR {min_tsdr}: it may answer after that time.")
+            said.append(f"Set_Prm gives the slave min T_SDR {min_tsdr}: it may answer after that time.")
         yield Finding(Cause.MIN_TSDR, 0.89, said)
     if is_late(link) and f.superfluous < ENOUGH // 2 and not f.all_damaged:
         said = [f"{late} of its answers came after the slot time of {slot} bit times ({ms_text(f.slot_ns)})."]
@@ -611,7 +611,7 @@ def _modules(f: Facts) -> Findings:
     if not f.cfg_fault and refused:
         begin = ["It never acknowledges Chk_Cfg, and answers Slave_Diag."]
     if compared is None:
-        said = [*begin, "It does not tell its own configuration by Get_Cfg."]
+        said = [*begin, "It does not give its own configuration by Get_Cfg."]
         yield Finding(Cause.MODULE_TYPE, 0.5, said)
         yield Finding(Cause.MODULE_ORDER, 0.35, said)
         yield Finding(Cause.MODULE_MISSING, 0.35, said)

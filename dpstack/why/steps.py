@@ -35,7 +35,7 @@ def bit_text(octet: int, mask: int) -> str:
 
 
 def refused_by(step: Step, evidence: Evidence) -> str:
-    """The octet or status that refuses, as far as the answer tells; empty if it does not refuse."""
+    """The octet or status that refuses, as far as the answer says; empty if it does not refuse."""
     if step.answered in _REFUSALS:
         return f"status {step.answered}"
     diagnosis = step.diagnosis

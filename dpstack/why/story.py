@@ -160,7 +160,7 @@ def glance(found: Found) -> str:
 
 
 def tell(evidence: Evidence) -> Story:
-    """The story that ``evidence`` tells. Never raises for odd evidence."""
+    """The story by ``evidence``. Never raises for odd evidence."""
     found = judge(Facts(evidence))
     shown = [one for one in found if one.confidence >= _LEAST][:_MOST] or found[:1] or [_unknown(evidence)]
     steps = evidence.steps

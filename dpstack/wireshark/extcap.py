@@ -107,7 +107,7 @@ def _programs() -> Iterator[dict[str, Any]]:
 
 
 def _help(path: str) -> dict[str, Any]:
-    """The answer of the program behind a socket. Raises OSError, ValueError if there is none."""
+    """The answer of the program behind a socket. Raises OSError, ValueError if none exists."""
     with socket.socket(socket.AF_UNIX) as connection:
         connection.settimeout(_PATIENCE_S)
         connection.connect(path)

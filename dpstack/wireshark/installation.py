@@ -144,7 +144,7 @@ class Wireshark:
 
 
 def find_wireshark() -> Wireshark:
-    """Ask tshark for its version and folders. Raises DpError if there is none, or it does not answer."""
+    """Ask tshark for its version and folders. Raises DpError if none exists, or it does not answer."""
     tshark = shutil.which("tshark")
     if tshark is None:
         raise DpError(_MISSING)

@@ -173,7 +173,7 @@ def test_the_value_of_a_command(octets: bytes, wanted: DataType, value: object) 
         (metric("x", whole=1), DataType.DOUBLE, "its value is no DOUBLE"),
         (metric("x", boolean=True, datatype=11), DataType.DOUBLE, "its value is a BOOLEAN, the metric is a DOUBLE"),
         (metric("x", boolean=True, datatype=12), DataType.BOOLEAN, "its value is no STRING"),
-        (metric("x", boolean=True, datatype=99), DataType.BOOLEAN, "its type 99 is none that a value can have here"),
+        (metric("x", boolean=True, datatype=99), DataType.BOOLEAN, "its type 99 is not one that a value can have here"),
         (metric("x") + tag(17, b""), DataType.BOOLEAN, "it has no value"),  # a DataSet
     ],
 )

@@ -225,7 +225,7 @@ def test_an_earlier_program_does_not_compare_settings(peer: Peer) -> None:
     peer.answers["status"] = {**DRIVE, "status": status}
     code, out, err = run(["drive", "PLANT", "hoist", "status"])
     assert (code, err) == (0, "")
-    assert "not told" in out
+    assert "not known" in out
 
 
 @pytest.mark.parametrize("bracket", ["[", '{"a":'], ids=["lists", "objects"])

@@ -73,7 +73,7 @@ def test_d7_the_mode_is_read_over_the_channel_before_the_first_contact() -> None
     [
         ("02 40 00 00", "412 is 1: control by the state machine; write 412 = 2 in the active data set"),
         ("00 23 00 00", "set 412 = 2 at the keypad or over PPO1 or PPO2 (factory setting 44); if it is 2, no hardware"),
-        ("02 27 00 00", "does not tell whether 412 is 2"),
+        ("02 27 00 00", "does not show whether 412 is 2"),
     ],
 )
 def test_d7_no_contact_is_closed_while_412_is_not_2(process: str, says: str) -> None:

@@ -153,7 +153,7 @@ def test_a_fault_without_a_fault_code_in_the_map_says_where_to_look() -> None:
 def test_a_drive_that_never_tells_its_map_is_a_time_out_with_a_reason() -> None:
     bench = PluginBench(DRIVE.core("pump"), "00 " * 8 + READY + NOTHING)
     token = bench.order_and_run(400, "start", timeout_s=0.5)
-    assert "not yet told what its process data are (P15.02 to P15.23)" in bench.text(token, "timeout")
+    assert "process data map (P15.02 to P15.23) has not been read yet" in bench.text(token, "timeout")
 
 
 def test_old_outputs_do_not_come_back_with_the_drive() -> None:

@@ -96,7 +96,7 @@ def test_k8_a_fault_whose_number_was_lost_is_asked_again() -> None:
 
 def test_without_a_channel_the_fault_has_no_name() -> None:
     bench = plugin("00 08 00 00")
-    assert bench.core.status().faults == ("without a name: only the parameter channel (PCH+...) tells ru.00",)
+    assert bench.core.status().faults == ("without a name: only the parameter channel (PCH+...) gives ru.00",)
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_reached_by_the_speed_where_no_bit_is_named() -> None:
     assert bench.result(token) is not None
     assert bench.core.status().reached
     blind = plugin("00 20 00 00", status_bits="run=5 fault=3", rpm_per_count=0)
-    assert "does not tell its speed" in blind.misuse("reached")
+    assert "does not report its speed" in blind.misuse("reached")
 
 
 @pytest.mark.parametrize(("telegram", "out"), [("1/4", "00"), ("3/4", "00 12 00"), ("8/4", "00 12 05 DC 00 00 00 00")])

@@ -133,7 +133,7 @@ def test_the_start_says_what_protects_the_data(make: Make, name: str, marks: Mar
 def test_a_rate_that_nobody_can_know_is_reported(make: Make) -> None:
     port = make("cdc_acm")
     port.open_now()
-    assert "its driver cdc_acm cannot tell which rate the adapter makes" in port.notices
+    assert "its driver cdc_acm does not say which rate the adapter makes" in port.notices
     port.close()
 
 

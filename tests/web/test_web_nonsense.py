@@ -174,7 +174,7 @@ async def test_a_page_may_err_twenty_times_and_others_do_not_notice() -> None:
                 assert (await page.until("answer"))["id"] is None
             assert (await page.ask("nothing"))["ok"] is False
             await page.ws.send_str("{")
-            assert (await page.until("refused")) == "too many messages that are none"
+            assert (await page.until("refused")) == "too many invalid messages"
             assert (await page.ws.receive(timeout=HANG_S)).type is aiohttp.WSMsgType.CLOSE
         source.put(delta(1, "set_prm"))
         assert (await other.until("snapshot"))["t"] == 1

@@ -95,7 +95,7 @@ class Bus(Sealed):
     ) -> None:
         await self.close()
 
-    if not TYPE_CHECKING:  # a type checker says that there is none
+    if not TYPE_CHECKING:  # a type checker reports unknown attributes
 
         def __enter__(self) -> None:
             raise UsageError("a bus is entered by `async with`; for plain `with` take dpstack.blocking.open_bus(...)")
@@ -190,7 +190,7 @@ class Bus(Sealed):
 
     @property
     def collision(self) -> str | None:
-        """Text of the address collision with another station; None: there was none."""
+        """Text of the address collision with another station; None without one."""
         return self._core.collision
 
     @property
@@ -395,7 +395,7 @@ class Bus(Sealed):
         ``on_change``: only rounds in which a value has changed by more than its ``dead_band`` (here: of all numbers, in
         their units; the key ``dead_band`` of a field if it is greater). ``rotate``: a new file after a size or a time,
         "100MB" or "1h". It ends with ``await recording.stop()``, with its ``async with`` block, or with the bus.
-        ``paths``, ``rows``, ``lost`` and ``troubles`` tell how far it is.
+        ``paths``, ``rows``, ``lost`` and ``troubles`` show how far it is.
 
         Raises UsageError for a file that is there already or cannot be made, for .parquet without pyarrow, on a bus
         that is not open, and on a read-only one.

@@ -104,7 +104,7 @@ class Parts:
     attach: Callable[[SlaveConfig], Awaitable[DrivePlugin | None]]
     rounds: Rounds
     world: World | None = None
-    #: the simulated slaves; None if there are none
+    #: the simulated slaves; None without any
     bench: VirtualBench | None = None
 
 

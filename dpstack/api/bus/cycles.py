@@ -91,7 +91,7 @@ class Cycle:
     def inputs_as(self, name: str, kind: type[In]) -> In:
         """The inputs of one slave as an object of ``kind``, a class of :class:`dpstack.Inputs`.
 
-        Raises NoInputs while it is not in data exchange (``name in cycle`` tells), UsageError for a name that no slave
+        Raises NoInputs while it is not in data exchange (see ``name in cycle``), UsageError for a name that no slave
         of the bus has, and if the class does not fit the configuration.
         """
         self.values(name)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 #: time of silence (s) that ends the search
 SILENCE_S: Final = 5.0
-#: At most so long (s) it listens at the rate found for evidence of PROFIBUS. At 9600 bit/s a bus has some ten telegrams
+#: Longest time (s) to listen at the rate found for evidence of PROFIBUS. At 9600 bit/s a bus has some ten telegrams
 #: in each of them (our choice).
 NAMING_S: Final = 2.0
 #: time of noise (s), octets without a telegram, that ends the search

@@ -39,8 +39,8 @@ from dpstack.units import NS_PER_US, ns_to_s
 _STEP: Final = 8
 _STEP_VALUES: Final = 500
 _PAUSE_S: Final = 0.002
-#: a snapshot takes one in so many parts of the time at most: that of 125 slaves, or on a busy computer, comes later,
-#: by so many s at most
+#: a snapshot takes one in this many parts of the time at most: that of 125 slaves, or on a busy computer, comes later,
+#: by this many s at most
 _SHARE: Final = 25
 _LONGEST_S: Final = 0.5
 #: counters and rotation times of the bus are read no more often
@@ -76,7 +76,7 @@ class LiveItems:
             self._more.set()
 
     def take(self) -> Item | None:
-        """The next item; None if there is none at this moment."""
+        """The next item; None without one at this moment."""
         item = self._pending.take(snapshots=self._due)
         if item is not None and "snapshot" in item:
             self._due = False
@@ -107,7 +107,7 @@ class LiveStream(AsyncIterator[Item]):
         self._finaliser = None if leave is None else when_dropped(self, leave, items)
 
     def take(self) -> Item | None:
-        """The next item; None if there is none at this moment."""
+        """The next item; None without one at this moment."""
         return self._items.take()
 
     async def wait(self) -> None:

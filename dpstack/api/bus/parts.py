@@ -50,7 +50,7 @@ class BusBase:
         self.unreadable: frozenset[int] = frozenset()
         #: machine time of the start in ns
         self.started_ns = 0
-        #: text of the address collision with another station; None: there was none
+        #: text of the address collision with another station; None without one
         self.collision: str | None = None
         #: the last disturbance of the port by another program
         self.disturbed: PortDisturbed | None = None
@@ -156,7 +156,7 @@ class BusBase:
 
     @property
     def bench(self) -> VirtualBench | None:
-        """The simulated slaves of this bus; None if there are none."""
+        """The simulated slaves of this bus; None without any."""
         return self.parts.bench
 
     # --- slaves and drives ---------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ class BusBase:
         return tuple(self._drives[address] for address in sorted(self._drives))
 
     def find_drive(self, address: int) -> Drive | None:
-        """The drive at ``address``; None if there is none."""
+        """The drive at ``address``; None without one."""
         return self._drives.get(address)
 
     def slave(self, which: str | int) -> Slave:

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 #: rounds that wait for the disk at most: 20 s of a cycle of 1 ms
 MOST_WAITING: Final = 20_000
-#: without a round for so long the values are not valid; then a row a second
+#: without a round for this long the values are not valid; then a row a second
 _SILENT_NS: Final = 500 * NS_PER_MS
 _LOOK_S: Final = 0.25
 _ROW_NS: Final = NS_PER_S
-#: a drive whose inputs and outputs stay the same is read so often
+#: a drive whose inputs and outputs stay the same is read this often
 _DRIVE_NS: Final = 50 * NS_PER_MS
 #: seconds to wait at the end for a disk that does not answer
 _PATIENCE_S: Final = 5.0

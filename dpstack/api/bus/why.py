@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 #: asks the addresses for their stations, with identifier octets
 Scan = Callable[[list[int]], Awaitable[tuple[Found, ...]]]
 
-#: with more requests than this the counters since the start hide a trouble of now: the bus is watched for so long (s)
+#: with more requests than this the counters since the start hide a trouble of now: the bus is watched for this long (s)
 _MANY: Final = 2_000
 _WATCH_S: Final = 0.5
 #: time limit in s of the scan for stations at other addresses, and addresses that it asks in one go
 _SCAN_S: Final = 30.0
 _SCAN_PART: Final = 16
-#: a slave whose answers fail is asked so often at most, until so many good answers came, and for so long
+#: a slave whose answers fail is asked this often at most, until this many good answers came, and for this long
 _PROBES: Final = 6
 _GOOD: Final = 3
 _PROBE_NS: Final = 3 * NS_PER_S

@@ -28,7 +28,7 @@ class Fit(IntEnum):
     """How well the slave's identifier octets fit a candidate. The names in lower case are those of the answers."""
 
     EXACT = 0
-    #: the slave did not tell its configuration
+    #: the slave did not give its configuration
     UNKNOWN = 1
     PARTLY = 2
     NONE = 3
@@ -123,7 +123,7 @@ def chosen_keys(folder: GsdFolder, stations: Iterable[Found]) -> tuple[dict[int,
 def _of_drive(drive: DriveProfile, config: bytes | None) -> Candidate:
     if config is None:
         fitting, fit = tuple(drive.telegrams.values()), Fit.UNKNOWN
-        text = "the ident number is that of this drive; the slave did not tell its telegram"
+        text = "the ident number is that of this drive; the slave did not give its telegram"
     else:
         fitting = drive.telegrams_of(config)
         fit = Fit.EXACT if fitting else Fit.NONE
@@ -149,7 +149,7 @@ def _of_gsd(entry: GsdEntry, device: Device, config: bytes | None) -> Candidate:
     try:
         if config is None:
             fit, modules = Fit.UNKNOWN, default_modules(device)
-            text = "the ident number is that of this file; the slave did not tell its modules"
+            text = "the ident number is that of this file; the slave did not give its modules"
             if modules is not None:
                 keys = _gsd_keys(entry, device, modules)
         else:
@@ -194,7 +194,7 @@ def _text_of(unknown: int, octets: int, *, ambiguous: bool) -> str:
 
 def _of_octets(ident: int, config: bytes) -> Iterator[Candidate]:
     """The way without any description: ident number and identifier octets as they are."""
-    text = "ident number and identifier octets as the slave told them; user parameters are not known"
+    text = "ident number and identifier octets as the slave gave them; user parameters are not known"
     try:
         inputs, outputs = io_lengths(config)
         usable = bool(config) and max(inputs, outputs) <= 244
@@ -204,7 +204,7 @@ def _of_octets(ident: int, config: bytes) -> Iterator[Candidate]:
     yield Candidate(
         kind="octets",
         fit=Fit.EXACT if usable else Fit.NONE,
-        text=text if usable else "the identifier octets that the slave told cannot be a configuration",
+        text=text if usable else "the identifier octets that the slave gave cannot be a configuration",
         keys=keys,
     )
 

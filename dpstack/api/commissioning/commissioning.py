@@ -35,7 +35,7 @@ _MOST_OCTETS: Final = 4_000_000
 #: the name of a configuration that has no file yet
 _NEW: Final = "plant.toml"
 _HEAD: Final = (
-    "# Made by dpstack from the slaves that were found on the bus. A slave does not tell its user parameters:",
+    "# Made by dpstack from the slaves that were found on the bus. Nothing reads the user parameters of a slave:",
     "# compare them with the project of its maker's tool, or with its manual.",
 )
 _IDENT: Final = re.compile(r"0[xX][0-9a-fA-F]{1,4}|[0-9]{1,5}")
@@ -91,7 +91,7 @@ class Commissioning:
 
         ``{"folder", "bad", "stations": [{"address", "ident", "config", "name", "candidates"}]}``. ``name``: a proposal.
         ``candidates``, the best one first: ``{"kind": "drive", "gsd" or "octets", "fit": "exact", "unknown" (the slave
-        did not tell its configuration), "partly" or "none", "text": one sentence about the fit, "gsd": its name in a
+        did not give its configuration), "partly" or "none", "text": one sentence about the fit, "gsd": its name in a
         configuration or null, "drive": name or null, "telegrams": those that fit, "vendor", "model", "revision",
         "unknown_octets": identifier octets of no module, "readings": ways to make them from modules, "ambiguous": true
         if a person has to choose among modules with equal octets, "keys": the keys for :meth:`table` without name
@@ -170,7 +170,7 @@ class Commissioning:
         "text": one sentence}``.
 
         ``plan`` as ``dpstack plan --json`` prints it (``rotation_us``, ``findings``, ``notes`` ...), null with errors
-        and if there is none (no baud rate, "auto"). One error of each table is found, at most 50.
+        and if none exists (no baud rate, "auto"). One error of each table is found, at most 50.
         """
         written = _text(text, "text", blank=True)
         self.folder.refresh()
@@ -218,7 +218,7 @@ class Commissioning:
         try:
             data, lines = read_toml(text)
         except TomlError:
-            return []  # the reader of configurations tells the same
+            return []  # the reader of configurations reports the same
         slaves = data.get("slave")
         errors = []
         for number, slave in enumerate(slaves if isinstance(slaves, list) else []):

@@ -111,7 +111,7 @@ def answer_notes(stations: Iterable[Found], unreadable: Iterable[int]) -> Iterat
         yield f"address {address} answers, but not readably: two stations with one address, or a bad line"
     for found in stations:
         if found.kind is StationType.SLAVE and found.ident is None:
-            yield f"station {found.address} does not tell its diagnosis: it may be no DP slave"
+            yield f"station {found.address} does not answer Slave_Diag: it may be no DP slave"
 
 
 def drive_of(found: Found) -> DriveProfile | None:
@@ -160,7 +160,7 @@ def _why_unusable(found: Found) -> str | None:
     if found.address > MAX_STATION:
         return f"station {found.address} is a slave as delivered: give it an address of its own first"
     if found.ident is None or found.config is None:
-        return f"slave {found.address} did not tell its {'ident number' if found.ident is None else 'configuration'}"
+        return f"slave {found.address} did not give its {'ident number' if found.ident is None else 'configuration'}"
     try:
         inputs, outputs = io_lengths(found.config)
     except ConfigError as error:

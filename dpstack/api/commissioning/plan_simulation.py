@@ -26,11 +26,11 @@ from dpstack.units import NS_PER_US, ns_to_s
 
 __all__ = ["CycleStats"]  # for the command line
 
-#: the measurement begins without the slaves that are missing when none has come up for so many s of bus time, and for
-#: so many of the longest rotations
+#: the measurement begins without the slaves that are missing when none has come up for this many s of bus time, and for
+#: this many of the longest rotations
 _QUIET_S: Final = 2.0
 _QUIET_ROTATIONS: Final = 5
-#: a DP-V1 slave is asked for one record in so many s
+#: a DP-V1 slave is asked for one record in this many s
 _SERVICE_EVERY_S: Final = 1.0
 #: slot and index of the record: I&M0
 _RECORD: Final = (0, 255)

@@ -111,7 +111,7 @@ class Config:
 
     @property
     def port(self) -> str:
-        """The port. Raises ConfigError when there is none."""
+        """The port. Raises ConfigError if none exists."""
         if self.bus.port is None:
             raise self.source.error(
                 ("bus",), "[bus]: no port", 'add port = "/dev/ttyUSB0" (or "virtual", or socket://host:port)'
@@ -120,7 +120,7 @@ class Config:
 
     @property
     def baud(self) -> int:
-        """The baud rate. Raises ConfigError when there is none, and for "auto"."""
+        """The baud rate. Raises ConfigError if none exists, and for "auto"."""
         if self.bus.baud is None:
             raise self.source.error(("bus",), "[bus]: no baud", "add for instance baud = 500000")
         if self.bus.baud == AUTO:
@@ -341,7 +341,7 @@ def _rate_finding(slave: SlaveConfig, baud: int) -> str:
         option = profile.rate_setting.option
         return (
             f"{profile.name} finds no baud rate by itself and hears only {rates}, not {baud_text(baud)}: set it at the "
-            f"drive and tell it by the option {option}, or take another rate"
+            f"drive and give it by the option {option}, or take another rate"
         )
     rates = ", ".join(baud_text(rate) for rate in sorted(slave.baud_rates))
     return f"{profile.name if profile else 'by its GSD file it'} does not know {baud_text(baud)}; it knows {rates}"

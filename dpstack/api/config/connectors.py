@@ -109,7 +109,7 @@ class OpcUaConfig(ConnectorConfig, frozen=True, kw_only=True):
     key: the key (PEM, mode 0600) of `cert`; both or neither. Left out: `opcua/NAME.pem` in the state directory, made at
         the first start
     trust_dir: the directory with the certificates of clients that may connect. Left out: any client, as its user may
-    users_file: the [users](opcua.md#users), mode 0600. Left out: there are none
+    users_file: the [users](opcua.md#users), mode 0600. Left out: no users
     anonymous: `"read"`: a client without a user may read and subscribe; `"no"`: it may not connect
     allow_commands: the [orders](bridge.md#orders) that users may give: `"valves.lamp"`, `"hoist.start"`, `"hoist.*"`
     command_max_age_s: the greatest [age](opcua.md#orders) of an order

@@ -28,7 +28,7 @@ def _alarms(table: Table, key: str, _: Key) -> tuple[str, ...]:
         table.fail(key, f"{key} = {brief(given)}", kinds)
     for name in given:
         if not isinstance(name, str) or name not in ALARMS:
-            table.fail(key, f"{key} holds {name!r}, which is none", kinds)
+            table.fail(key, f"{key} holds {name!r}, which is unknown", kinds)
     return tuple(name for name in ALARMS if name in given)
 
 

@@ -76,7 +76,7 @@ class FieldKeys(TypedDict, total=False):
     scale: the value of one step; not 0. A field that is no number (bool, bytes) has none of these keys. Left out: 1
     offset: the value for the number 0 in the octets. Left out: 0
     unit: the unit of the value, for people, up to 20 characters. Left out: none
-    dead_band: a [recording on change](record.md#on-change) leaves out changes up to so much. Left out: 0, every change
+    dead_band: a [recording on change](record.md#on-change) leaves out changes up to this. Left out: 0, every change
         counts
     """
 

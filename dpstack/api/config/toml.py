@@ -1,4 +1,4 @@
-"""TOML reader with limits and the line of every key (which tomllib does not tell), and the writer of tables.
+"""TOML reader with limits and the line of every key (which tomllib does not give), and the writer of tables.
 
 tomllib takes quadratic time for a key of many parts, recurses with every bracket and lets Python's refusal of very long
 numbers through. One pass over the tokens refuses such texts before tomllib sees them.

@@ -65,7 +65,7 @@ def publish(bus: Bus, **tables: Mapping[str, object]) -> Publishing:
 
     The connectors are those of its configuration file, or of ``tables``: mappings with the keys of the table of that
     name (docs/reference/configuration.md). They run in the event loop of the program, read the live stream, and never
-    delay the bus if it has a process of its own. A connector that fails ends alone; a notice of the bus tells it.
+    delay the bus if it has a process of its own. A connector that fails ends alone; a notice of the bus reports it.
     Leaving the block ends them, which takes 4.5 s at most, and 1 s while the bus is open.
 
     Raises ConfigError here, and UsageError for anything but a bus; on entering UsageError if the package of an extra

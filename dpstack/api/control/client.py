@@ -166,7 +166,7 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
     """Connect to the program that holds ``port``; ``timeout`` in seconds for each answer, None for no limit. "virtual"
     stands for the only run on it; if there are several, each has a name of its own, ``virtual:PID``.
 
-    Raises PortError when there is none, UsageError when there are several; the message lists the programs.
+    Raises PortError if none exists, UsageError when there are several; the message lists the programs.
     """
     posix.check("a control socket")
     with _open_directory() as sockets:

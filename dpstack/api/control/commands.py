@@ -59,7 +59,7 @@ COMMON: Final = (
 #: a stream of items without end, which `dpstack ctl` refuses
 TAP: Final = Spec("tap", "", "the octets on its line, for `dpstack capture` and `dpstack monitor`", "")
 #: likewise, for the live screen and the page
-LIVE: Final = Spec("live", "[SECONDS]", "plant, snapshots every so many seconds (0.1), events", "0.5")
+LIVE: Final = Spec("live", "[SECONDS]", "plant, snapshots every SECONDS (0.1), events", "0.5")
 SLAVES: Final = (
     Spec("trip", "SLAVE CODE", "a fault of the simulated drive, by its code or name", "3 F2100"),
     Spec("warn", "SLAVE MASK", "its warning word in hex, 0 clears it", "3 0080"),
@@ -102,9 +102,7 @@ RUN: Final = (
     Spec("operate", "", "outputs go out", ""),
     Spec("clear", "", "inputs are read, outputs are zero", ""),
     Spec("stop", "", "ends the run in order: safe values, Clear", ""),
-    Spec(
-        "drive", f"[{NOW}] NAME ORDER [ARG]...", "tells a drive what to do, as `dpstack drive` does", "hoist speed 0.5"
-    ),
+    Spec("drive", f"[{NOW}] NAME ORDER [ARG]...", "gives a drive orders, as `dpstack drive` does", "hoist speed 0.5"),
     Spec("acyclic", "SLAVE ORDER [ARG]...", "records of a slave, as `dpstack acyclic` does", "8 read 1 47"),
     Spec("class2", "SLAVE ORDER [ARG]...", "the same over a class 2 connection (MS2)", "8 read 1 47"),
     Spec("diag", "ADDRESS", "diagnosis, configuration, inputs and outputs of any station, read as class 2", "8"),

@@ -156,7 +156,7 @@ class ControlServer:
         self.port = port
         #: its name for `dpstack ctl`: the port, or a name of its own if several programs may have the same port
         self.name = port
-        #: the absolute path of the configuration file; None if there is none
+        #: the absolute path of the configuration file; None without one
         self.config = config
         #: time of creation
         self.started = datetime.now(UTC)
@@ -332,7 +332,7 @@ class ControlServer:
         except OSError as exc:
             return str(exc)
         if not is_trusted(uid):
-            return f"this program is told what to do by {user_name(os.geteuid())} and root only"
+            return f"only {user_name(os.geteuid())} and root may give orders to this program"
         if len(self._clients) < _MOST_CLIENTS:
             return None
         idle = {task: one.idle_since for task, one in self._clients.items() if one.idle_since is not None}

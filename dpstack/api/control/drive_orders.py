@@ -25,7 +25,7 @@ PARAMETERS: Final = "parameters"
 READ_MANY: Final = "read_many"
 
 WORDS: Final = (
-    Spec("status", "", "what the drive tells at this moment", ""),
+    Spec("status", "", "the state of the drive at this moment", ""),
     Spec("start", "", "walks its state machine until it runs, or says what is in the way", ""),
     Spec("stop", "", "ramp down, then off", ""),
     Spec("quick_stop", "", "stop by the quick stop ramp", ""),

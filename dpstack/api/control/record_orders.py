@@ -24,7 +24,7 @@ from dpstack.text import number_or_name
 
 PARAMETERS: Final = "parameters"
 WORDS: Final = (
-    Spec("read", "SLOT INDEX [LENGTH]", "a record, as hex; LENGTH: at most so many octets", "1 47"),
+    Spec("read", "SLOT INDEX [LENGTH]", "a record, as hex; LENGTH: the most octets to read", "1 47"),
     Spec("write", "SLOT INDEX HEX", "all octets of a record", "1 47 00FF"),
     Spec(
         PARAMETERS, "[SLOT] [OBJECT]", "the device's own list of parameters (PROFIdrive, 980 to 989), all values", "1"

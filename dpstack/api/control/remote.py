@@ -244,7 +244,7 @@ async def reading_through_run(port: str, config: Config | None, station: str) ->
 
 
 async def why_through_run(config: Config, slave: int) -> dict[str, Any] | None:
-    """The story that the run with the port and the file of ``config`` tells about ``slave``; None if no run answers
+    """The story of ``slave`` by the run with the port and the file of ``config``; None if no run answers
     for the port. Raises as :func:`through_run`.
     """
     client = await asyncio.to_thread(find_run, config.port, config.file)
@@ -288,7 +288,7 @@ class RemoteDrive(Readable):
         answer = (await self.carry_out(ParsedCommand(READ_MANY, (places, f"timeout={timeout}"), {})))["parameters"]
         if len(answer) != len(parameters):
             raise PortError(
-                f"{self.client.port}: {len(parameters)} parameters were asked for and {len(answer)} were told; is it "
+                f"{self.client.port}: {len(parameters)} parameters were asked for and {len(answer)} came; is it "
                 f"another version of dpstack?"
             )
         return [self._entry(one) for one in answer]

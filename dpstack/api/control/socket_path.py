@@ -84,10 +84,10 @@ def socket_name(name: str) -> str:
 
 
 def peer_uid(connection: socket.socket) -> int | None:
-    """The user of the process at the other end of a Unix socket; None if the system does not tell it."""
+    """The user of the process at the other end of a Unix socket; None if the system does not say it."""
     if _PEERCRED is not None:
         return int(_UCRED.unpack(connection.getsockopt(socket.SOL_SOCKET, _PEERCRED, _UCRED.size))[1])
-    import ctypes  # here, as Linux tells it without
+    import ctypes  # here, as Linux says it without
 
     getpeereid = getattr(_libc(), "getpeereid", None)
     if getpeereid is None:
@@ -105,7 +105,7 @@ def _libc() -> Any:
 
 
 def is_trusted(uid: int | None) -> bool:
-    """Whether to trust processes of user ``uid``: our own user, root, and None (the system does not tell it)."""
+    """Whether to trust processes of user ``uid``: our own user, root, and None (the system does not say it)."""
     return uid is None or uid in (os.geteuid(), 0)
 
 
@@ -168,7 +168,7 @@ class Sockets:
         os.chmod(name, 0o600, dir_fd=self._fd)
 
     def connect(self, name: str, timeout: float | None) -> socket.socket:
-        """A connection to the program behind a socket. Raises OSError if there is none, PortError if the socket
+        """A connection to the program behind a socket. Raises OSError if none exists, PortError if the socket
         or the process behind it belongs to another user.
         """
         info = os.stat(name, dir_fd=self._fd)
@@ -186,7 +186,7 @@ class Sockets:
             if peer is not None and not is_trusted(peer):
                 raise PortError(
                     f"{where}: the program that answers there is not yours, it belongs to {user_name(peer)}; nothing "
-                    f"was told to it: remove that file, and find out who put it there"
+                    f"was sent to it: remove that file, and find out who put it there"
                 )
         except BaseException:
             connection.close()

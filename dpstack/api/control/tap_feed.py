@@ -20,7 +20,7 @@ from dpstack.units import ns_to_s
 
 #: a client gets an empty portion after this time on a silent line: a sign of life
 _SIGN_OF_LIFE_S: Final = 1.0
-#: a client that reads nothing for so many signs of life is disconnected
+#: a client that reads nothing for this many signs of life is disconnected
 _PATIENCE: Final = 60
 #: octets of the entries in a line; many programs read lines of up to 64 KB
 _LONGEST_LINE: Final = 60_000

@@ -185,7 +185,7 @@ class CaptureFile:
         except ValueError as error:  # a path with a zero octet
             raise UsageError(f"{self._path}: {error}; name a file") from None
         except OSError:
-            pass  # there is none, as it should be
+            pass  # nothing has the name, as it should be
         if not os.access(folder, os.W_OK | os.X_OK):
             raise UsageError(f"{self._path}: cannot be written; name a file in a directory of yours")
 

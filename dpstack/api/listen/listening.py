@@ -215,7 +215,7 @@ async def keep_listening(
 
 
 def _program_on(port: str) -> ControlClient | None:
-    """A connection to the program that holds ``port``; None if there is none. Raises UsageError if there are
+    """A connection to the program that holds ``port``; None without one. Raises UsageError if there are
     several."""
     try:
         return connect(port)

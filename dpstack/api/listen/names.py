@@ -139,7 +139,7 @@ class _Recogniser:
             return None
         try:
             return f"the GSD file of {name} that comes with dpstack", read_gsd(name).device
-        except ConfigError:  # a file of that name in this folder, which is none
+        except ConfigError:  # a file of that name in this folder, which is no configuration
             return None
 
 

@@ -84,7 +84,7 @@ class ParameterList(SavedList[SavedParam]):
     """The parameters of one drive. ``drive``: its type; ``complete``: False after a dump that was interrupted."""
 
     PROGRAM = "dpstack drive"
-    COMMENT = "Parameters of a drive; `dpstack drive CONFIG NAME compare FILE` tells where a drive differs."
+    COMMENT = "Parameters of a drive; `dpstack drive CONFIG NAME compare FILE` shows where a drive differs."
     HEAD: ClassVar = {"drive": str, "name": str, "address": int, "time": str, "complete": bool}
     ENTRY = SavedParam
 

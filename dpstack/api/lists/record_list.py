@@ -56,7 +56,7 @@ class ListedValues(ListEntry):
 
     @property
     def text(self) -> str:
-        """The values for people, or the reason why there are none."""
+        """The values for people, or the reason why they are missing."""
         if self.unreadable is not None:
             return f"cannot be read: {self.unreadable}"
         return ", ".join(map(element_text, self.values)) or "no value"
@@ -72,7 +72,7 @@ class RecordList(SavedList[ListedValues]):
     """The parameters of one device, in the order of its own list. ``ident``: its ident number."""
 
     PROGRAM = "dpstack acyclic"
-    COMMENT = "Parameters of a device; `dpstack acyclic CONFIG ADDRESS compare FILE` tells where a device differs."
+    COMMENT = "Parameters of a device; `dpstack acyclic CONFIG ADDRESS compare FILE` shows where a device differs."
     KIND = "record 47"
     HEAD: ClassVar = {"name": str, "address": int, "ident": int, "slot": int, "object": int, "time": str}
     ENTRY = ListedValues

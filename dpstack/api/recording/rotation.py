@@ -12,7 +12,7 @@ from dpstack.text import shortened
 _GIVEN: Final = re.compile(r"(?P<number>[0-9]{1,9}(?:\.[0-9]{1,3})?) ?(?P<unit>[a-z]+)", re.IGNORECASE)
 _OCTETS: Final = {"kb": 1_000, "mb": 1_000_000, "gb": 1_000_000_000}
 _SECONDS: Final = {"min": 60, "h": 3600, "d": 86400}
-#: a file has at least so many octets, or so many seconds
+#: a file has at least this many octets, or this many seconds
 LEAST_OCTETS: Final = 10_000
 LEAST_SECONDS: Final = 60
 _SHOWN: Final = 20

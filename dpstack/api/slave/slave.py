@@ -184,7 +184,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def conspicuous(self) -> str:
-        """The unusual flags and the texts of :attr:`diagnosis` in one line; empty if there are none."""
+        """The unusual flags and the texts of :attr:`diagnosis` in one line; empty without any."""
         diagnosis = self.diagnosis
         return "" if diagnosis is None else self.conspicuous_text(diagnosis, exchanging=self.ready_now)
 

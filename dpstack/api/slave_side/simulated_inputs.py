@@ -35,7 +35,7 @@ PATIENCE_S: Final = 0.1
 _SWITCH_S: Final = 0.000_5
 #: a recording is read on after this time at the earliest, however close its rows are
 _LEAST_STEP_NS: Final = NS_PER_MS
-#: the last row of a recording that begins again lasts so long
+#: the last row of a recording that begins again lasts this long
 _LAST_S: Final = 0.1
 #: the shortest time between two remarks about one source
 QUIET_NS: Final = NS_PER_S

@@ -12,7 +12,7 @@ _USER, _SYSTEM, _START, _RESIDENT = 11, 12, 19, 21
 
 
 class Usage(NamedTuple):
-    """``started``: in s since 1970. None: this computer does not tell."""
+    """``started``: in s since 1970. None: this computer does not say it."""
 
     cpu_s: float
     resident: int
@@ -22,7 +22,7 @@ class Usage(NamedTuple):
 
 
 def usage_of(pid: int) -> Usage | None:
-    """The use of resources by process ``pid``; None if there is none, or no ``/proc``."""
+    """The use of resources by process ``pid``; None without one, or no ``/proc``."""
     folder = _PROC / str(pid)
     try:
         fields = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()

@@ -103,7 +103,7 @@ def _reason(error: OSError) -> str:
 def read_password(env: str, file: Path | None) -> str:
     """The password from the environment variable ``env``, or from the first line of ``file``; empty without both.
 
-    Raises ConfigError if both are given, if there is none, or if others can read the file. No text of it holds
+    Raises ConfigError if both are given, if none exists, or if others can read the file. No text of it holds
     the password.
     """
     if env and file is not None:

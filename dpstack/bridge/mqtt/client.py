@@ -61,9 +61,9 @@ _BIRTHS_PAUSE_S: Final = 2.0
 #: s after another client took the connection over, and the number of sessions ended early that look like it
 _TAKEN_OVER_PAUSE_S: Final = 60.0
 _TAKEN_OVER_AFTER: Final = 4
-#: s in which so many ends of sessions look like it, too
+#: s in which this many ends of sessions look like it, too
 _AGAIN_AND_AGAIN_S: Final = 600.0
-#: a session that lasted so many s was a good one
+#: a session that lasted this many s was a good one
 _GOOD_S: Final = 30.0
 #: s between two round trips by which the broker confirms what was sent; and for those at the end of the run
 _ROUND_S: Final = 2.0
@@ -124,7 +124,7 @@ class MqttConnector(Connector):
         self._last_error = LastError(logging.ERROR)
         #: orders that are carried out, and their number by task
         self._giving: dict[asyncio.Task[None], int] = {}
-        #: messages of the broker that were too many at once; those not told yet, and the time of the next remark
+        #: messages of the broker that were too many at once; those not reported yet, and the time of the next remark
         self._lost = self._lost_untold = 0
         self._lost_remark_due = -math.inf
 
@@ -366,7 +366,7 @@ class MqttConnector(Connector):
     async def _keep_rest(self, keeper: HistoryKeeper, keeping: asyncio.Task[None]) -> None:
         """At the end of the run: what was not delivered goes to the disk."""
         if keeping.done():
-            return  # it has ended by a fault, and told it
+            return  # it has ended by a fault, and reported it
         keeping.cancel()
         await asyncio.gather(keeping, return_exceptions=True)
         await keeper.finish(_LAST_WRITE_S)
@@ -418,7 +418,7 @@ class MqttConnector(Connector):
         self._wake.set()
 
     def _count_lost(self, client: aiomqtt.Client, *, is_end: bool = False) -> None:
-        """Count the messages for which there was no room, and tell them, not too often; ``is_end``: now."""
+        """Count the messages for which there was no room, and report them, not too often; ``is_end``: now."""
         inbox = client._queue
         assert isinstance(inbox, Inbox)
         lost, inbox.lost = inbox.lost, 0

@@ -95,7 +95,7 @@ def make_client(
     properties.SessionExpiryInterval = 0
     properties.ReceiveMaximum = MOST_WAITING
     properties.MaximumPacketSize = MOST_PACKET
-    # its own log is for its authors; errors are told
+    # its own log is for its authors; errors are reported
     logger = logging.Logger("dpstack mqtt", logging.ERROR)
     logger.addHandler(errors)
     client = LimitedClient(

@@ -99,7 +99,7 @@ class EdgeNode(PlantNode):
         # the primary host
         self._host_time: float | None = None
         self._host_online = False
-        #: s until the births, from the next look at the clock on; and the time by ``clock`` before which there are none
+        #: s until the births, from the next look at the clock on; and the time by ``clock`` before which none goes out
         self._pause_s = 0.0
         self._births_from = -math.inf
         # commands
@@ -558,7 +558,7 @@ class EdgeNode(PlantNode):
         self._show_result(wish.name, result, reason, wall)
 
     def _wish(self, device: str | None, given: Given, time_ms: int | None, *, retained: bool) -> OrderWish:
-        """The order that a metric of a command means. Raises ValueError with the reason if there is none."""
+        """The order that a metric of a command means. Raises ValueError with the reason if none exists."""
         if retained:
             raise ValueError("the broker had kept this command: nobody knows how old it is")
         key, order = self._order_given(device, given)
@@ -628,7 +628,7 @@ _SHOWN_BY: Final = {"speed": "setpoint"}
 
 
 def _metric_names(nodes: Sequence[Node]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Names of metrics by id of the node: the path of the node, each level valid; and the changed ones, told."""
+    """Names of metrics by id of the node: the path of the node, each level valid; the changed ones are reported."""
     names: dict[str, str] = {}
     changed: list[str] = []
     folders: dict[tuple[str, ...], list[Node]] = {}

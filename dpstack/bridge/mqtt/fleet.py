@@ -284,7 +284,7 @@ def _seen(status: Status) -> tuple[object, ...]:
 
 
 def _session_of(payload: bytes) -> object:
-    """The bdSeq of an NDEATH; None if there is none."""
+    """The bdSeq of an NDEATH; None without one."""
     try:
         metrics = read_command(payload).metrics
     except ValueError:

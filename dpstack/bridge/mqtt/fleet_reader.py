@@ -114,7 +114,7 @@ class FleetReader:
             await asyncio.sleep(spread(retry_s(self._again_s, failed), random.random))
 
     def _tell(self, text: str) -> None:
-        """Tell a remark; one that is the same as the last one is left out."""
+        """Report a remark; one that is the same as the last one is left out."""
         if text != self._last_told:
             self._last_told = text
             self._told(text)

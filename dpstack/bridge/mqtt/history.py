@@ -214,7 +214,7 @@ class History:
         offset_ms: int,
         clock: float,
     ) -> tuple[str | None, list[Sample]] | None:
-        """The values of the next message, all of one device; None: there is none now.
+        """The values of the next message, all of one device; None without one now.
 
         ``find``: the metric of an entry in the present births. ``waiting``: devices without a birth: their values stay
         on the disk.

@@ -1,7 +1,7 @@
 """Moves values that could not be delivered between the memory and the disk, in a thread of its own.
 
-A disk that is slow, full, read-only or damaged delays nobody: the newest values wait in memory meanwhile, it is told
-once, and one that has failed is tried again.
+A disk that is slow, full, read-only or damaged delays nobody: the newest values wait in memory meanwhile, a remark
+reports it once, and one that has failed is tried again.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 #: s between two looks whether something waits for the disk: a SIGKILL or loss of power costs the values of so long
 PERIOD_S: Final = 1.0
-#: s after which a disk that does not answer is told
+#: s after which a disk that does not answer is reported
 _SLOW_S: Final = 30.0
 #: s until a disk that has failed is tried again
 _RETRY_S: Final = 30.0
@@ -102,7 +102,7 @@ class HistoryKeeper:
             self._tell_losses()
 
     async def finish(self, limit_s: float) -> None:
-        """Write what waits, at the end of the run, within ``limit_s``. Tells what is lost."""
+        """Write what waits, at the end of the run, within ``limit_s``. Reports what is lost."""
         try:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(limit_s):
@@ -127,7 +127,7 @@ class HistoryKeeper:
 
     @contextlib.contextmanager
     def _watched(self) -> Iterator[None]:
-        """Tell it if the disk does not answer for long, for instance that of a server that is gone; and the values
+        """Report a disk that does not answer for long, for instance that of a server that is gone; and the values
         that are lost meanwhile."""
         loop = asyncio.get_running_loop()
         timer: asyncio.TimerHandle
@@ -215,7 +215,7 @@ class HistoryKeeper:
             raise DamagedHistoryError(printable(f"{type(error).__name__}: {error}")) from error
 
     async def _fail(self, error: HistoryError) -> None:
-        """Tell it, and do without the file for a while. A damaged file is moved aside."""
+        """Report it, and do without the file for a while. A damaged file is moved aside."""
         if self._file is not None:
             self._count(self._file)
             await self._call(self._file.close)

@@ -362,7 +362,7 @@ class JsonNode(PlantNode):
         self._add_result(wish.name, wish.made_at, result, reason, wall)
 
     def _wish(self, slave: str, name: str, payload: bytes, *, retained: bool) -> OrderWish:
-        """The order that a message means. Raises ValueError with the reason if there is none."""
+        """The order that a message means. Raises ValueError with the reason if none exists."""
         if retained:
             raise ValueError("the broker had kept this order: nobody knows how old it is")
         order = self._orders.get((slave, name))

@@ -13,7 +13,7 @@ from paho.mqtt.client import Client
 
 from dpstack.bridge.mqtt.payload import MOST_OCTETS
 
-#: octets of a packet; the broker is told so
+#: octets of a packet; CONNECT gives the broker this limit
 MOST_PACKET: Final = 2 * MOST_OCTETS
 #: octets that are read in a second; s in which they are counted together
 MOST_A_SECOND: Final = 2 << 20

@@ -218,7 +218,7 @@ def value_given(given: Given, wanted: DataType) -> bool | int | float | str | by
     try:
         type_ = wanted if given.datatype is None else DataType(given.datatype)
     except ValueError:
-        raise ValueError(f"its type {given.datatype} is none that a value can have here") from None
+        raise ValueError(f"its type {given.datatype} is not one that a value can have here") from None
     if isinstance(value, int) and not isinstance(value, bool) and type_ in _WHOLE:
         if type_ in _SIGNED:
             value = _signed(value, _width(value, type_, is_named=given.datatype is not None))

@@ -138,7 +138,7 @@ class NodeOptions:
 
 class PlantNode(ABC):
     """A plant on a broker, without network and clock. ``counts_sessions``: the number of a session is part of what it
-    sends, so one that was lost must be told. ``lost_results``: number of the results of orders that were dropped, as
+    sends, so a lost one must be reported. ``lost_results``: number of the results of orders that were dropped, as
     too many waited."""
 
     counts_sessions: ClassVar[bool]
@@ -192,7 +192,7 @@ class PlantNode(ABC):
         """The result of an order of :meth:`receive`: ``done``, or ``refused`` with the reason."""
 
     def _slave_names(self, rule: NameRule) -> dict[int, str]:
-        """The names of all slaves by ``rule``; those that had to be changed are told."""
+        """The names of all slaves by ``rule``; those that had to be changed are reported."""
         found = unique_names(rule, [(f"slave {address}", one.name) for address, one in self._tree.slaves.items()])
         for text in found.changed:
             self._tell(text)

@@ -75,7 +75,7 @@ class SessionFile:
         self._release()
 
     def _read(self) -> int | None:
-        """The number in the file; -1 without a file, None if there is none in it."""
+        """The number in the file; -1 without a file, None if the file has no number."""
         try:
             fd = os.open(_NAME, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW, dir_fd=self._fd)
         except FileNotFoundError:

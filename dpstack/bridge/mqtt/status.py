@@ -161,13 +161,13 @@ class StatusSource:
 
 def read_status(octets: bytes) -> Status:
     """The status in a payload, whoever sent it. Keys that are not known are left out. Raises ValueError with the
-    reason if it is none."""
+    reason if it is invalid."""
     given = read_object(octets, MOST_OCTETS)
     if given.get("version") != VERSION:
         raise ValueError(f"this program knows version {VERSION} of a status")
     state, verdict = given.get("state"), given.get("verdict")
     if state not in (RUNNING, ENDED, FAILED) or verdict not in VERDICTS:
-        raise ValueError("state or verdict is none that a status has")
+        raise ValueError("state or verdict is not one that a status has")
     lost = [_lost_slave(one) for one in _list(given, "lost")]
     versions = given.get("versions")
     if not isinstance(versions, dict):

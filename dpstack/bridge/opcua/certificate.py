@@ -23,7 +23,7 @@ from dpstack.errors import ConfigError
 
 #: a plant computer is often set up once and left; the clients trust this very certificate
 _DAYS: Final = 3650
-#: days before its end from which on that is told
+#: days before its end from which on that is reported
 _DAYS_BEFORE: Final = 60
 _BITS: Final = 2048
 _MOST_TRUSTED: Final = 1000

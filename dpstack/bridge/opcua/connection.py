@@ -86,7 +86,7 @@ class Processor(UaProcessor):
         return str((self.name or ("",))[0])
 
     def cut_off(self, why: str) -> None:
-        """Close the connection without a farewell; counted and told."""
+        """Close the connection without a farewell; counted and reported."""
         if not self._transport.is_closing():
             self.iserver.losses.cut_off(self.address, why)
         self._transport.abort()
@@ -128,7 +128,7 @@ class Processor(UaProcessor):
             raise ServiceError(_S.BadTcpMessageTooLarge)
         result = await super().process(header, body)
         if kind == ua.MessageType.Hello:
-            # a client of asyncua takes what it was told for a limit of answers, too: so it was told more
+            # a client of asyncua takes the limit that it was given for one of answers, too: so it was given more
             self._limits.max_message_size = MOST_REQUEST
             self._limits.max_chunk_count = MOST_REQUEST // _CHUNK + 1
         return result

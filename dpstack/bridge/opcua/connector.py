@@ -121,7 +121,7 @@ class OpcUaConnector(Connector):
         self._structure = True
         self.is_built = False
         self._left_out = 0
-        #: it was told that the history has too little room
+        #: a remark has said that the history has too little room
         self._told_history = False
         self._lock = -1
         self._told_names: set[str] = set()
@@ -209,7 +209,7 @@ class OpcUaConnector(Connector):
         """Fill the address space before the first client is served: one that is quick would find half a plant."""
         loop = asyncio.get_running_loop()
         until = loop.time() + _PLANT_S
-        while self.tree.plant is None and loop.time() < until:  # noqa: ASYNC110  the tree tells nobody
+        while self.tree.plant is None and loop.time() < until:  # noqa: ASYNC110  the tree calls nobody
             await asyncio.sleep(WRITE_S)
         await self.write_changes()
 
@@ -238,7 +238,7 @@ class OpcUaConnector(Connector):
             self._server.method_service.stop()
 
     def _judge_certificate(self, cert: x509.Certificate, host: str) -> None:
-        """Tell what its clients will soon refuse: at the start, and every day."""
+        """Report what its clients will soon refuse: at the start, and every day."""
         self._judged, self._judge_at = (cert, host), self._now() + timedelta(days=1)
         for text in own_remarks(cert, self.settings.cert, self.settings.key, host, self._now()):
             self.tell(text, Severity.WARNING)

@@ -30,7 +30,7 @@ from dpstack.bridge.opcua.users import Account, Users
 MOST_CONNECTIONS: Final = 32
 MOST_SESSIONS: Final = 16
 MOST_SUBSCRIPTIONS: Final = 64
-#: monitored items of all sessions: of values, each with a queue of so many; of events, each with room for a refresh
+#: monitored items of all sessions: of values, each with a queue of this many; of events, each with room for a refresh
 MOST_ITEMS: Final = 20_000
 MOST_QUEUE: Final = 10
 MOST_EVENT_ITEMS: Final = 16

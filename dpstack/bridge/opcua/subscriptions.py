@@ -31,7 +31,7 @@ _REFRESHES: Final = frozenset(
 
 
 class Losses:
-    """Clients that were cut off, and notifications that were dropped, until :meth:`news` tells them."""
+    """Clients that were cut off, and notifications that were dropped, until :meth:`news` reports them."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -51,7 +51,7 @@ class Losses:
         return new
 
     def news(self) -> str:
-        """One line about what happened since the last one, at most one a minute; empty: nothing to tell."""
+        """One line about what happened since the last one, at most one a minute; empty: nothing to report."""
         new = self.dropped - self._told_dropped
         now = time.monotonic()
         if not (new or self._cut) or now < self._told_at + _REMARK_S:
@@ -216,7 +216,7 @@ def _is_news(old: ua.DataValue | None, new: ua.DataValue, given: DataChangeFilte
 
 
 def judged_filter(given: Any, *, is_event: bool) -> tuple[Any, int | None]:
-    """The filter of a monitored item, None if there is none, and the status code that refuses it."""
+    """The filter of a monitored item, None without one, and the status code that refuses it."""
     if given is None or (isinstance(given, ua.ExtensionObject) and given.TypeId.Identifier == 0):
         return None, int(ua.StatusCodes.BadEventFilterInvalid) if is_event else None
     if is_event:

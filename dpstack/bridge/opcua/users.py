@@ -132,7 +132,7 @@ _NOBODY: Final = (
 def read_users(path: Path) -> dict[str, Account]:
     """The users of a file with lines ``NAME read|control HASH``. Empty lines and those with ``#`` count as none.
 
-    Raises ConfigError if others can read the file, it does not belong to this user, or a line is none. No message
+    Raises ConfigError if others can read the file, it does not belong to this user, or a line is invalid. No message
     holds a hash.
     """
     try:

@@ -3,7 +3,7 @@
 - ``acyclic``: ``dpstack acyclic``: DP-V1 records and I&M of one slave
 - ``address``: ``dpstack address``: gives a slave another station address
 - ``completion``: ``dpstack completion``: the completion scripts of bash, zsh and fish
-- ``ctl``: ``dpstack ctl``: tells a running program what to do
+- ``ctl``: ``dpstack ctl``: gives orders to a running program
 - ``demo``: ``dpstack demo``: every known drive, simulated, under one master
 - ``demo_stories``: The programs that ``dpstack demo`` runs, one for each known drive
 - ``doctor``: ``dpstack doctor``: checks of adapters, permissions, latency and real-time rights

@@ -131,7 +131,7 @@ def completion_of(action: argparse.Action) -> str | tuple[str, ...]:
 
 
 def _complete(action: Any) -> None:
-    """Tell shtab how to complete the value of ``action``."""
+    """Show shtab how to complete the value of ``action``."""
     import shtab
 
     if action.nargs == 0 or isinstance(action, argparse._SubParsersAction):

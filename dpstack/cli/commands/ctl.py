@@ -1,4 +1,4 @@
-"""``dpstack ctl``: tells a running program what to do."""
+"""``dpstack ctl``: gives orders to a running program."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ _BAUD = 500_000
 _MASTER = 2
 #: bus time after which a story that is not at its end has failed, in s
 _PATIENCE_S = 120.0
-#: measured and planned rotation may differ by so much
+#: measured and planned rotation may differ by this much
 _TOLERANCE = 0.02
 _REFRESH_S = 0.1
 #: pause in s before a drive runs again
@@ -52,7 +52,7 @@ _BAR = 6
 
 def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack demo --seconds 20\n         dpstack demo --web"
-    parser.value("--seconds", "S", "go on for so long at least", type=options.seconds)
+    parser.value("--seconds", "S", "go on for S seconds at least", type=options.seconds)
     parser.value("--baud", "B", f"the rate (default {_BAUD})", type=options.baud, default=_BAUD)
     parser.flag("--fast", "as fast as this computer can, not in real time")
     parser.flag("--web", "serve a page that shows the plant in the browser, and go on until Ctrl-C")

@@ -61,7 +61,7 @@ async def imo(drive: Drive, tell: Tell, trip: Trip) -> None:
     tell(f"P15.02 to P15.23 as delivered carry {found['outputs'] or 'nothing'}: no set frequency")
     _expect(drive, found["outputs"] == "", f"its map is {found['outputs']}")
     found = await drive.write_map(outputs="set_frequency", inputs="frequency current torque fault_code", timeout=60)
-    tell(f"PZD2 written: {found['outputs']}; it tells {found['inputs']}")
+    tell(f"PZD2 written: {found['outputs']}; it reports {found['inputs']}")
     await _run(drive, tell, 0.5)
     await _trip(drive, tell, trip, "OL1")
     await _run(drive, tell, -0.3)

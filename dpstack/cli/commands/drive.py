@@ -75,7 +75,7 @@ def add_to(parser: Parser) -> None:
     parser.flag("--ram", "write: do not store it in the EEPROM")
     parser.value("--timeout", "S", "for each order that takes its time", type=options.seconds)
     parser.flag("--all", "compare: what is read only, too", dest="read_only")
-    parser.value("--seconds", "S", "in the foreground: end after so long", type=options.seconds)
+    parser.value("--seconds", "S", "in the foreground: end after S seconds", type=options.seconds)
     parser.run_by(execute)
 
 
@@ -423,7 +423,7 @@ def _show_status(answer: Mapping[str, Any]) -> None:
         if status[name] is not None:
             rows[name] = f"{status[name]:.2%} of the rated one"
     rows |= {
-        "the bus has the control": {True: "yes", False: "no"}.get(status["remote"], "the drive does not tell"),
+        "the bus has the control": {True: "yes", False: "no"}.get(status["remote"], "the drive does not say"),
         "faults": ", ".join(status["faults"]) or "none",
         "warnings": ", ".join(status["warnings"]) or "none",
         "status bits": ", ".join(status["bits"]) or "none",
@@ -435,7 +435,7 @@ def _show_status(answer: Mapping[str, Any]) -> None:
 
 def _settings_text(status: Mapping[str, Any]) -> str:
     """A run of an earlier version sends no ``settings``."""
-    state = str(status.get("settings", "not told")).replace("_", " ")
+    state = str(status.get("settings", "not known")).replace("_", " ")
     return "; ".join([state, *status.get("settings_texts", ())])
 
 

@@ -140,7 +140,7 @@ _DAMAGED: Final = "damaged"
 _UNREADABLE: Final = "unreadable"
 #: worst finding of a file -> text of the summary
 _JUDGEMENTS: Final = {
-    "sound": "with nothing to tell",
+    "sound": "without a finding",
     "info": "with remarks only",
     "warning": "with warnings",
     _DAMAGED: "damaged",

@@ -248,7 +248,7 @@ class _Dialogue:
 
 
 def _existing(path: str | None) -> Config | None:
-    """The configuration at ``path``; None if there is none, or if it is empty. Raises ConfigError."""
+    """The configuration at ``path``; None without one, or if it is empty. Raises ConfigError."""
     if path is None:
         return None
     if not os.path.exists(path) or (os.path.isfile(path) and not os.path.getsize(path)):

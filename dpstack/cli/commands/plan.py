@@ -40,7 +40,7 @@ def add_to(parser: Parser) -> None:
     parser.epilog = "example: dpstack plan plant.toml --baud all --cycle-ms 4"
     parser.value("config", "CONFIG", "configuration file")
     parser.value("--baud", "B|all", "another rate, or all of them", type=options.baud_or("all"))
-    parser.value("--cycle-ms", "X", "judge this cycle, and tell which rate it needs", type=options.milliseconds)
+    parser.value("--cycle-ms", "X", "judge this cycle, and name the rate that it needs", type=options.milliseconds)
     parser.flag("--octets", "the octets of Set_Prm and Chk_Cfg of each slave, as they will be sent")
     parser.value(
         "--simulate",
@@ -155,7 +155,7 @@ def _rotation_text(plan: Plan, case: Case) -> str:
 
 
 def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
-    """The plan with the slowest rate for each verdict on the cycle, null if there is none."""
+    """The plan with the slowest rate for each verdict on the cycle, null without one."""
     cycle = data.get("cycle")
     if isinstance(cycle, dict):
         cycle["slowest_baud"] = {verdict.value: baud for verdict, baud in needs.items()}

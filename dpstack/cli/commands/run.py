@@ -45,8 +45,8 @@ def add_to(parser: Parser) -> None:
     # optional, because --outputs may stand before it
     parser.value("config", "CONFIG", "configuration file", nargs="?")
     options.add_other_port(parser)
-    parser.value("--seconds", "S", "end after so many seconds in the ring", type=options.seconds)
-    parser.value("--rotations", "N", "end after so many rotations in Operate (or Clear)", type=options.count)
+    parser.value("--seconds", "S", "end after S seconds in the ring", type=options.seconds)
+    parser.value("--rotations", "N", "end after N rotations in Operate (or Clear)", type=options.count)
     parser.value("--driver", None, "what keeps the bus going", choices=("auto", "asyncio", "process"))
     parser.value("--address", "N", "another station address of the master, 0..125", type=options.address)
     parser.value(
@@ -69,7 +69,7 @@ def add_to(parser: Parser) -> None:
         "--record", "FILE", "keep named values, states and drive quantities, a new file: .csv, .jsonl or .parquet"
     )
     parser.flag("--on-change", "with --record: only rows in which a value has left its dead band")
-    parser.value("--rotate", "SIZE|TIME", "with --record: a new file after so much (100MB, 1GB) or so long (30min, 1h)")
+    parser.value("--rotate", "SIZE|TIME", "with --record: a new file after this size (100MB, 1GB) or time (30min, 1h)")
     parser.value("--log", "FILE", "write events with wall clock, JSON if it ends in .jsonl; 10 MB, then a new file")
     parser.flag("--plain", "plain lines on a terminal, too, instead of the live screen")
     parser.value("--report", "FILE.html", "write an acceptance report of what was on the bus, a new file")

@@ -33,7 +33,7 @@ def execute(args: argparse.Namespace) -> int:
     on_bus.check_port(args)
     if args.gsd is not None and not args.config:
         raise UsageError("scan: --gsd finds modules for a configuration file: add --config, or leave --gsd out")
-    # a folder that is none is told before the bus is asked
+    # a path that is not a folder is reported before the bus is scanned
     folder = None if args.gsd is None else GsdFolder(args.gsd, beside=".")
     result = run_to_result(_scan(args), "the live list was complete")
     chosen, notes = ({}, []) if folder is None else chosen_keys(folder, result.stations)

@@ -35,7 +35,7 @@ def add_to(parser: Parser) -> None:
         default=0.0,
     )
     parser.value("--seed", "N", "of the noise", type=int, default=0)
-    parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
+    parser.value("--seconds", "S", "end after S seconds", type=options.seconds)
     parser.run_by(execute)
 
 

@@ -50,7 +50,7 @@ def add_to(parser: Parser) -> None:
     parser.value("--scenario", "FILE", "faults and inputs in time: a TOML file of steps")
     parser.value("--log", "FILE", "write events with wall clock, JSON if it ends in .jsonl; 10 MB, then a new file")
     parser.flag("--allow-code", "load and call the functions that the configuration names (key simulate)")
-    parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
+    parser.value("--seconds", "S", "end after S seconds", type=options.seconds)
     parser.run_by(execute)
 
 

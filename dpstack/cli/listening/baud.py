@@ -17,7 +17,7 @@ def add_to(parser: Parser) -> None:
     parser.value(
         "--timeout",
         "S",
-        f"give up after so many seconds (default {SILENCE_S:g})",
+        f"give up after S seconds (default {SILENCE_S:g})",
         type=options.seconds,
         default=SILENCE_S,
     )

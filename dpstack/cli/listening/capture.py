@@ -84,7 +84,7 @@ def add_to(parser: Parser) -> None:
     )
     parser.value("--before", "S", f"seconds to keep before a trigger (default {_BEFORE_S:g})", type=_period)
     parser.value("--after", "S", f"seconds to keep after a trigger (default {_AFTER_S:g})", type=_period)
-    parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
+    parser.value("--seconds", "S", "end after S seconds", type=options.seconds)
     parser.run_by(execute)
 
 

@@ -41,7 +41,7 @@ def add_to(parser: Parser) -> None:
     parser.value("--config", "CONFIG", "configuration file: names of the slaves, their GSD files, T_SL")
     parser.value("--gsd", "DIR", "folder of GSD files: models and diagnosis texts by ident number")
     parser.value("--thresholds", "FILE", "TOML file with other thresholds, see docs/how-to/monitor.md")
-    parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
+    parser.value("--seconds", "S", "end after S seconds", type=options.seconds)
     parser.value("--report", "FILE.html", "write an acceptance report, a new file; see docs/how-to/monitor.md")
     parser.run_by(execute)
 

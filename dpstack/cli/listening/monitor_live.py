@@ -115,7 +115,7 @@ class LiveMonitor:
             self._look_at_port()
 
     def _look_at_port(self) -> None:
-        """Tell octets that the port has lost since the last look."""
+        """Report octets that the port has lost since the last look."""
         if self._listening is None:
             return
         before, self._port_damage = self._port_damage, self._listening.damage()

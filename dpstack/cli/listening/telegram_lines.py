@@ -33,7 +33,7 @@ def add_names(parser: Parser) -> None:
 
 def names_of(args: argparse.Namespace) -> Names:
     """The names that the options of :func:`add_names` say; else those of drives that are known here, read when a
-    station tells its ident number. Raises ConfigError."""
+    station gives its ident number. Raises ConfigError."""
     if args.config is None and not args.gsd:
         return Names({}, _recognise, _record)
     from dpstack.api.config.config import load_config

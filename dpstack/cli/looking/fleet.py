@@ -39,7 +39,7 @@ def add_to(parser: Parser) -> None:
     parser.value("--password-env", "NAME", "environment variable that has the password", default="")
     parser.value("--password-file", "FILE", "file that has the password in its first line, mode 0600", type=Path)
     parser.value("--rebirth", "GROUP/NODE|all", "ask this gateway, or all that are known, for all births, once")
-    parser.value("--seconds", "S", "end after so many seconds", type=options.seconds)
+    parser.value("--seconds", "S", "end after S seconds", type=options.seconds)
     parser.run_by(execute)
 
 

@@ -67,7 +67,7 @@ async def _ask(config: Config, slave: SlaveConfig, address: int | None) -> Mappi
 
 
 async def _ask_beside(config: Config, slave: SlaveConfig, address: int | None) -> Story:
-    """The story of a class 2 look at the bus, beside the other masters. If the ring cannot be joined, it tells that.
+    """The story of a class 2 look at the bus, beside the other masters. If the ring cannot be joined, it says so.
 
     ``address``: of the asking station, None: the lowest one that is not heard and not in the configuration.
     """

@@ -1,6 +1,6 @@
 """Likely causes of slaves that are not in data exchange, in the output of ``dpstack run``.
 
-They are told from what the master has seen; nothing is asked of a slave, and the end of the run waits for nothing.
+They follow from what the master has seen; nothing is asked of a slave, and the end of the run waits for nothing.
 """
 
 from __future__ import annotations

@@ -182,7 +182,7 @@ class LiveScreen:
 
 
 class _HeldLines(io.TextIOBase):
-    """Takes the place of a standard stream: keeps whole lines, the last ones, and tells each."""
+    """Takes the place of a standard stream: keeps whole lines, the last ones, and hands on each."""
 
     def __init__(self, told: Callable[[str], None]) -> None:
         self._told = told

@@ -177,7 +177,7 @@ class Reporter:
         columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "late", "bad")
         output.table("Slaves", columns, [_slave_row(s) for s in slaves])
         _diagnoses(slaves)
-        if not settings.read_only:  # else there is none
+        if not settings.read_only:  # else the master has no mode
             _process_data(slaves)
         output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s, {_traffic(stats)}")
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):

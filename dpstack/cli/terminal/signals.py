@@ -25,9 +25,9 @@ from dpstack.errors import BusError
 _T = TypeVar("_T")
 #: exit code of a command that was hurried, or left at once
 INTERRUPTED: Final = 130
-#: signals within so many seconds of the first are the same one
+#: signals within this many seconds of the first are the same one
 _SAME_S: Final = 1.0
-#: and within so many of the second, from programs that send every signal twice
+#: and within this many of the second, from programs that send every signal twice
 _SAME_AGAIN_S: Final = 0.1
 #: after this time (s) a hurried end is abandoned
 _HURRIED_S: Final = 1.0

@@ -76,11 +76,11 @@ class Provider:
     queue: Acyclic
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
-        """Token, job and time-out in ns of ``order``; None when it is none for this provider. Raises UsageError."""
+        """Token, job and time-out in ns of ``order``; None for an order of another provider. Raises UsageError."""
         return None
 
     def command(self, order: object, now: int) -> bool:
-        """Carry out an order that needs no job; False when it is none for this provider. Raises UsageError."""
+        """Carry out an order that needs no job; False for an order of another provider. Raises UsageError."""
         return False
 
     def queue_jobs(self, now: int) -> None:

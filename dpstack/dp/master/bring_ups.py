@@ -57,7 +57,7 @@ class Step(Struct, frozen=True):
 
 class BringUp(Struct, frozen=True):
     """Steps of one bring-up, and of the data exchange after it. ``left_out``: steps between the first and the last ones
-    that were not kept. ``exchanging_ns``: time of the first good Data_Exchange, 0: there was none."""
+    that were not kept. ``exchanging_ns``: time of the first good Data_Exchange, 0 without one."""
 
     steps: tuple[Step, ...]
     left_out: int = 0

@@ -232,7 +232,7 @@ def cfg_fault(setup: SlaveParams) -> CfgFault:
         "refuses the configuration (Cfg_Fault)",
         "check the parameters that choose its telegram",
         setup=setup,
-        unanswered="compare config or telegram with its GSD file (it does not tell its own by Get_Cfg)",
+        unanswered="compare config or telegram with its GSD file (it does not give its own by Get_Cfg)",
     )
 
 

@@ -113,7 +113,7 @@ class CycleStats(Struct):
 
 #: why a cycle did not begin when it was due, and a text for people
 Cause = tuple[MissReason, str]
-#: after so long without a report the master reports a miss at once; else it sums up the misses of this time
+#: after this long without a report the master reports a miss at once; else it sums up the misses of this time
 _REPORT_EVERY: Final = NS_PER_S
 #: the grid begins with the first bit of its first round
 _OPEN: Final = -1

@@ -28,7 +28,7 @@ from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SSAP_MS0, Req
 from dpstack.units import NS_PER_MS
 
-#: Safe values stand at least so long, because drives look at their outputs only every 4 to 32 ms, and Clear's zeros
+#: Safe values stand at least this long, because drives look at their outputs only every 4 to 32 ms, and Clear's zeros
 #: mean nothing to some of them: docs/reference/decisions/master.md#safe-values-on-the-way-out
 SAFE_HOLD: Final = 50 * NS_PER_MS
 

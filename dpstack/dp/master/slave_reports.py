@@ -18,7 +18,7 @@ from dpstack.report_once import Novelty, ReportOnce
 from dpstack.trace import Event
 
 _MAX_REMARKS: Final = 20
-_NO_MORE: Final = "; further deviations are not told"
+_NO_MORE: Final = "; further deviations are not reported"
 
 
 class AlarmCounts(Struct, frozen=True, kw_only=True):
@@ -59,7 +59,7 @@ class DiagObserver:
 
     def read(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
         """Read a diagnosis of the slave in data exchange, after ``exchanges`` exchanges; ``flagged_at``: the number of
-        the first exchange with DH, 0: there was none."""
+        the first exchange with DH, 0 without one."""
 
     def closed(self, now: int) -> None:
         """Data exchange ended."""
@@ -81,7 +81,7 @@ class SlaveReports:
         self.fault: Fault | None = None
         self.diagnosis: Diagnosis | None = None
         self.ident = setup.ident
-        #: number of the first exchange with DH since the last diagnosis was read, 0 if there was none
+        #: number of the first exchange with DH since the last diagnosis was read, 0 without one
         self.flagged = 0
         self.observer = NO_ALARMS
         self._setup = setup

@@ -31,7 +31,7 @@ _DATA: Final = (int(Resp.DL), int(Resp.DH))
 
 
 class OddAnswers:
-    """Counts answers to Data_Exchange without good data since the last good one; ``none``: there was none."""
+    """Counts answers to Data_Exchange without good data since the last good one; ``none``: no good one yet."""
 
     def __init__(self) -> None:
         self.clear()

@@ -66,7 +66,7 @@ FLAGS: Final = (
         "reads the real identifiers by Get_Cfg and names the octet that differs",
     ),
     Flag(
-        1, 0x08, "ext_diag", _S, _T, _T, "has something to tell in its extended diagnosis", "look at the device",
+        1, 0x08, "ext_diag", _S, _T, _T, "has something to report in its extended diagnosis", "look at the device",
         "decodes the blocks; without this bit they are status messages, not errors",
     ),
     Flag(

@@ -21,7 +21,7 @@ SET_PRM_LEN: Final = 7
 #: Octets for the device itself that fit after the four fixed ones of Set_Slave_Add.
 MAX_REM_SLAVE_DATA: Final = 240
 
-#: so many Global_Controls are cached, parsed and built
+#: this many Global_Controls are cached, parsed and built
 _KEPT_CONTROLS: Final = 64
 #: The watchdog factors while the watchdog is off: the smallest legal ones, because some slaves check them anyway.
 _NO_WATCHDOG: Final = (1, 1)

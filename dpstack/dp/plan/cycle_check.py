@@ -103,7 +103,7 @@ def least_ns(figures: Figures) -> dict[CycleVerdict, int]:
 
 
 def slowest_rates(at_rates: Iterable[Figures], cycle_ns: int) -> dict[CycleVerdict, int | None]:
-    """The slowest baud rate at which ``cycle_ns`` is judged so or better, None if there is none.
+    """The slowest baud rate at which ``cycle_ns`` is judged so or better, None without one.
 
     ``at_rates``: the bus at each rate that all its slaves know, from slow to fast.
     """

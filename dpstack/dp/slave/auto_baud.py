@@ -30,7 +30,7 @@ from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NOW, baud_text
 
 #: BAUD_CONTROL gives up after T_TO of a station that is no master: the standard counts 130 as its address
-#: (docs/reference/protocol.md#t_to). A master that is alive is never silent for so long; the chips have a register for
+#: (docs/reference/protocol.md#t_to). A live master is never silent for this long; the chips have a register for
 #: it.
 _NO_MASTER: Final = 130
 
@@ -46,7 +46,7 @@ class BaudState(Enum):
 class Searching(abc.ABC):
     """A machine around ``listener``, which listens at one rate after the other until one is found.
 
-    ``watched`` tells whether a watchdog runs behind it. ``lost`` is called with the time when the rate is lost.
+    ``watched`` says whether a watchdog runs behind it. ``lost`` is called with the time when the rate is lost.
     ``rates`` in bit/s. ``slack_ns`` is how late the port may deliver,
     ``settle_ns`` see :class:`AutoBaud`.
     """
@@ -260,7 +260,7 @@ class PortBaudChanged(Event):
 class SearchingPort(Searching):
     """The machine of one port around ``line``: deaf to the bus until the rate is found, among ``rates`` in bit/s.
 
-    ``watched`` tells whether the watchdog of any of the slaves runs. ``lost`` is called with the time when the rate is
+    ``watched`` says whether the watchdog of any of the slaves runs. ``lost`` is called with the time when the rate is
     lost and searched again. ``slack_ns``, ``settle_ns``: see :class:`Searching`.
     """
 

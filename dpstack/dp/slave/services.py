@@ -194,7 +194,7 @@ def _set_slave_add(core: SlaveCore, request: Telegram, now: int) -> Reply | None
 
 
 def _data_reply(octets: bytes) -> Reply:
-    """Data, or NR if there are none (docs/reference/protocol.md#function-code)."""
+    """Data, or NR if none exist (docs/reference/protocol.md#function-code)."""
     return Reply(_DL, octets) if octets else Reply(Resp.NR)
 
 

@@ -113,7 +113,7 @@ class Settling:
         return self._keeps
 
     def doubtful(self, key: Key, octets: bytes) -> bool:
-        """True if nothing but :meth:`still` tells a new alarm from the acknowledged one."""
+        """True if nothing but :meth:`still` distinguishes a new alarm from the acknowledged one."""
         settled = self._settled.get(key)
         return settled is not None and settled.octets == octets and settled.asked is None
 

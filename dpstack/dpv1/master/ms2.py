@@ -2,7 +2,7 @@
 SAP that it gives out, ended by Abort (docs/reference/protocol.md#ms2).
 
 They take nothing away from the slave's own master, and need none. Every connection of a master asks from SSAP 50
-(Felser: its only SAP for MS2); the slave's server SAP tells several of them apart. The order of requests:
+(Felser: its only SAP for MS2); the slave's server SAP distinguishes several of them. The order of requests:
 :mod:`dpstack.dp.acyclic.queue`; the telegrams: :mod:`dpstack.dpv1.master.ms2_connection`.
 
 Decisions on points that the sources leave open: docs/reference/decisions/ms2.md#connections-at-the-master.
@@ -110,7 +110,7 @@ class InitiateJob(ConnectionJob):
                     return self._unmanaged(reply, polling.answer)
 
     def _repeat(self, polling: Polling) -> Steps[Reply]:
-        """After an Initiate without an answer: a poll tells whether the slave took it; if not it goes out again.
+        """After an Initiate without an answer: a poll shows whether the slave took it; if not it goes out again.
 
         Never before a poll is answered: a slave that only answers late would open a second connection, or refuse it.
         """

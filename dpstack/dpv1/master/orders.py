@@ -231,7 +231,7 @@ class AlarmRaised(SlaveEvent):
 
 
 class AlarmDone(SlaveEvent):
-    """The one end of the alarm ``number``: the slave took its acknowledgement, or why there is none."""
+    """The one end of the alarm ``number``: the slave took its acknowledgement, or why it got none."""
 
     MUST_ARRIVE = True
 

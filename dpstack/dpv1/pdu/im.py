@@ -42,7 +42,7 @@ class Im0(_ImRecord, frozen=True, kw_only=True):
     """I&M0: what the device is; read-only.
 
     ``software_revision``: ``V1.2.3`` (V released, R revision, P prototype, U under test, T test device; 0..255 each);
-    read from a device the letter is what stands there, in hex if it is none.
+    read from a device the letter is what stands there, in hex if it is not printable.
     ``supported``: bit n for I&Mn, bit 0 profile specific. ``version``: of I&M itself.
     """
 

@@ -97,7 +97,7 @@ class AlarmServer:
         self._room = room
         self._name = name
         self._enabled = frozenset[str]()
-        #: so many at a time in sequence mode, 0: type mode
+        #: this many at a time in sequence mode, 0: type mode
         self.limit = 0
         self._waiting: deque[Raised] = deque()
         self._statuses: deque[Status] = deque()

@@ -246,7 +246,7 @@ class SlaveDescription:
         return parse_blocks(user_prm[DPV1_STATUS_LEN:], _FIRST_BLOCK)
 
     def check_cfg(self, config: bytes) -> str | None:
-        """A reason to refuse the identifier octets of Chk_Cfg, or None. Raises ConfigError if they are none."""
+        """A reason to refuse the identifier octets of Chk_Cfg, or None. Raises ConfigError if they are invalid."""
         if self.configs:
             if config in self.configs:
                 return None

@@ -70,7 +70,7 @@ class DpSlave(Sealed, Device):
     answer to Get_Cfg until a master has configured the slave: the modules that are plugged in.
 
     ``on_prm(user_prm)`` judges user parameters: it returns a reason to refuse them, or None; ``on_blocks(blocks)`` does
-    so with the structured ones of a DP-V1 slave (empty if there are none; wrong lengths are refused before).
+    so with the structured ones of a DP-V1 slave (empty without any; wrong lengths are refused before).
     ``on_address`` keeps the address of Set_Slave_Add; without it the slave has its old one after a restart.
     ``on_leave(reason)`` is called with the reason why data exchange ended. An exception of any of them takes this slave
     out of data exchange, with safe outputs and Stat_Diag, until it is restarted; nothing else is disturbed.

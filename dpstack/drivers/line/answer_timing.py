@@ -27,14 +27,14 @@ _MEAN_SHIFT: Final = 3
 _LEAST_PIECES: Final = 2
 #: After this many answers of equal length the driver expects the end of the next one at the earliest time among them.
 _EQUAL_ANSWERS: Final = 4
-#: These answers end so much sooner or later than the soonest of them at most. If they came at any time within 5 ms,
+#: These answers end this much sooner or later than the soonest of them at most. If they came at any time within 5 ms,
 #: the next one was read 0.2 to 0.5 ms late on average.
 _REGULAR_NS: Final = 250 * NS_PER_US
 #: After this many expected answers the driver learns the time anew: while it sleeps it cannot notice that answers have
 #: become faster.
 _RELEARN_AFTER: Final = 250
-#: Wake-ups that were saved, at most so many, may be lost again by answers that come at irregular times. Then the driver
-#: does not sleep through so many answers to requests with this header.
+#: At most this many wake-ups that were saved may be lost again by answers that come at irregular times. Then the driver
+#: does not sleep through this many answers to requests with this header.
 _MOST_SAVED: Final = 4
 _LISTEN_FOR: Final = 40
 #: The driver does not sleep through a shorter time: it would read the answer some 15 us later than with a wake-up for

@@ -112,7 +112,7 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
 
     def _read_after_sleep(self) -> None:
         """The answer should be there. A complete one leads to the next request, and often to the next sleep: only
-        if it does not, the loop is told to wake up for octets again, which costs a system call both ways."""
+        if it does not, the loop is set to wake up for octets again, which costs a system call both ways."""
         self._armed = NEVER  # before the step, which may arm it again
         self._sleep_until = 0
         try:

@@ -18,11 +18,11 @@ from typing import Final
 _MISSES: Final = 3
 #: Octets that prove an echo. A short acknowledgement (1 octet) may follow another one; a token (3) proves it.
 _PROOF: Final = 3
-#: An answer may begin with so many octets of its request: SD2, twice its length, SD2. More of them are an echo.
+#: An answer may begin with this many octets of its request: SD2, twice its length, SD2. More of them are an echo.
 _ALIKE: Final = 4
 #: octets of a token
 _TOKEN: Final = 3
-#: Largest number of telegrams whose echo is outstanding. With so many in a row that never came back the echo is gone.
+#: Largest number of telegrams whose echo is outstanding. With this many in a row that never came back the echo is gone.
 _MOST: Final = 16
 
 

@@ -36,7 +36,7 @@ from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ms_text
 #: The driver waits that long within a step: a turn of the loop costs 8 us more in the bus process, 40 us and seven
 #: system calls in asyncio. T_ID1 at 500 kbit/s is 74 us. Shorter than any slot time.
 STEP_WAIT_NS: Final = 75 * NS_PER_US
-#: The timer is set so much before a deadline, the rest is spun (a timerfd is 20 to 40 us late).
+#: The timer is set this much before a deadline, the rest is spun (a timerfd is 20 to 40 us late).
 _EARLY_NS: Final = 20 * NS_PER_US
 #: Within a step the driver naps and spins the rest. A nap takes as much processor time as it is late (16 us in a
 #: virtual machine, 25 us less than spinning through T_ID1 at 500 kbit/s); a shorter one saves nothing.

@@ -11,7 +11,7 @@ from dpstack.stats import Histogram
 
 #: Called with the derived patience and the time in ns.
 Tune = Callable[[Patience, int], None]
-#: The patience is derived from p99.9 of at least so many answers, and anew after every 10000.
+#: The patience is derived from p99.9 of at least this many answers, and anew after every 10000.
 FIRST: Final = 1_000
 _EVERY: Final = 10_000
 

@@ -261,7 +261,7 @@ class ProcessRuntime:
     # --- drives -------------------------------------------------------------------------------
 
     def drive_status(self, address: int) -> object | None:
-        """The last status of the drive plugin of a slave as plain data; None if there is none."""
+        """The last status of the drive plugin of a slave as plain data; None without one."""
         if not self._channel.is_open or self._image is None:
             return None
         self._drives = self._read(self._image.drives, self._drives)

@@ -204,7 +204,7 @@ _received: Final = memoryview(bytearray(_CHUNK))
 
 
 def received(sock: socket.socket) -> bytes | None:
-    """The octets that ``sock`` has now: None if there are none yet, empty if the other process has hung up."""
+    """The octets that ``sock`` has now: None without any yet, empty if the other process has hung up."""
     try:
         return bytes(_received[: sock.recv_into(_received)])
     except BlockingIOError:

@@ -41,7 +41,7 @@ from dpstack.text import traceback_text
 
 _PR_SET_PDEATHSIG: Final = 1
 _CHUNK: Final = 65_536
-#: the ordered end is tried so often in a loop that an exception ended
+#: the ordered end is tried this often in a loop that an exception ended
 _TRIES: Final = 3
 
 
@@ -95,7 +95,7 @@ def main(arguments: list[str]) -> int:
 
 def _terminated(loop: SelectLoop, hosts: list[Host], number: int) -> None:
     if hosts:
-        hosts[0].end_soon(f"it was told to end ({signal_name(number)})")
+        hosts[0].end_soon(f"it was ordered to end ({signal_name(number)})")
     else:
         loop.stop()
 

@@ -42,7 +42,7 @@ SIZE: Final = _HEAD + _PLACES * (_INPUTS + _OUTPUTS + _COUNTERS + _DRIVES)
 #: where each area and the words have their numbers in the head
 _INPUTS_AT, _OUTPUTS_AT, _COUNTERS_AT, _WORDS_AT, _DRIVES_AT = 0, 64, 128, 192, 256
 
-#: a reader tries so often
+#: a reader tries this often
 _TRIES: Final = 4
 #: words of the head that an area has: its number, then length and CRC of each place
 _WORDS: Final = 1 + 2 * _PLACES

@@ -18,7 +18,7 @@ SPIN_AT_ONCE_NS: Final = 100 * NS_PER_US
 #: Spinning may take 27 % of the time, and 30 ms more at once: at most 30 % of any second.
 _NS_PER_SPUN_NS: Final = 100 / 27
 _CREDIT_NS: Final = int(30 * NS_PER_MS * _NS_PER_SPUN_NS)
-#: Sleep is at least 8 % of the time: each ns of sleep allows so many ns awake.
+#: Sleep is at least 8 % of the time: each ns of sleep allows this many ns awake.
 _NS_PER_SLEPT_NS: Final = 12.5
 #: A shorter sleep does not count: the call itself takes as long.
 _NO_SLEEP_NS: Final = 5 * NS_PER_US

@@ -13,7 +13,7 @@ from typing import Final
 
 from dpstack.units import NS_PER_US
 
-#: A young collection is due when so many more objects were made than freed.
+#: A young collection is due when this many more objects were made than freed.
 _YOUNG: Final = 700
 #: Collections of a generation after which the next older one is due.
 _EVERY: Final = 10

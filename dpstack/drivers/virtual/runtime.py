@@ -140,7 +140,7 @@ class VirtualRuntime(ActsAtOnce):
 
     def tap(self, tap: Tap | None) -> None:
         """A station that only listens copies the octets of the simulated wire while this runtime is open. Without a
-        tap there is none."""
+        tap nothing is copied."""
         self._tap = tap
         ear, self._ear = self._ear, None
         if ear is not None:

@@ -74,7 +74,7 @@ class Ring:
     def observe(self, sa: int, da: int) -> bool:
         """A token from ``sa`` to ``da``: both are in the ring, no station between them is. True when the LAS changed.
 
-        TS stays a member; :meth:`skips` tells whether the token passed it over.
+        TS stays a member; :meth:`skips` says whether the token passed it over.
         """
         if sa == da and not self._believes_alone(sa):
             return self.add(sa)

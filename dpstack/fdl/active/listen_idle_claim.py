@@ -14,7 +14,7 @@ from dpstack.fdl.events import AddressCollision, TokenLost
 from dpstack.fdl.telegram import UNANSWERED, Kind, Resp, StationType, Telegram
 from dpstack.units import NEVER
 
-#: After a collision this station stays silent for so many T_TO since its address was heard last.
+#: After a collision this station stays silent for this many T_TO since its address was heard last.
 _BACK_OFF_T_TO: Final = 10
 _TYPE_SHIFT: Final = 4
 

@@ -18,7 +18,7 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
 from dpstack.units import BITS_PER_CHAR, NEVER
 
-#: T_TO is longer by so many times the slack of a known station
+#: T_TO is longer by this many times the slack of a known station
 _SLACK_IN_T_TO: Final = 2
 #: repetitions of a token get this share of the slack of the first pass (but at least the slack of unknown stations)
 _AGAIN: Final = 4
@@ -64,7 +64,7 @@ class ActiveLine(Line):
     def octets_ended(self, now: int, first_at: int, stall_at: int, exact: bool) -> None:
         """Octets ended at ``now``. ``first_at``: first bit of the telegram that they begin, -1 if they continue one.
 
-        ``stall_at``: time at which an unfinished telegram stalls; 0: there is none.
+        ``stall_at``: time at which an unfinished telegram stalls; 0 without one.
         """
         # receiving while sending implies sent; only on an exact line it is a collision
         if now > self.idle_since or not exact:

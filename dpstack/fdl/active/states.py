@@ -201,7 +201,7 @@ def _rows() -> list[Row]:
 
 TABLE: Final[tuple[Row, ...]] = tuple(_rows())
 
-#: a method of one of the state classes, called with a telegram (NONE if the input is none) and the time
+#: a method of one of the state classes, called with a telegram (NONE for another input) and the time
 Handler = Callable[[Telegram, int], None]
 Rows = dict[State, tuple[Handler, ...]]
 

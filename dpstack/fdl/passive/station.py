@@ -237,7 +237,7 @@ class PassiveStation(PassiveReceiver):
             self.drop()
 
     def answer_at(self) -> int:
-        """Earliest start of the answer that waits, in ns; NEVER when there is none."""
+        """Earliest start of the answer that waits, in ns; NEVER without one."""
         return NEVER if self._tx is None else self.line.idle_since + self._t_sdr_ns
 
     def take_tx(self, now: int) -> bytes | None:

@@ -273,7 +273,7 @@ class DriveCore:
 
     def watch(self, inputs: bytes, now: int) -> None:
         """Called in Clear before each Data_Exchange, where no outputs go out: report what would refuse a start, as far
-        as the status word tells it, or record 47, which needs no outputs.
+        as the status word shows it, or record 47, which needs no outputs.
         """
         self.now = now
         if len(inputs) != self.telegram.input_octets:
@@ -585,7 +585,7 @@ class DriveCore:
         return self.scale.encode(fraction)
 
     def remote(self, word: int) -> bool | None:
-        """Whether the drive follows the bus by its status word; None if no bit tells it."""
+        """Whether the drive follows the bus by its status word; None if no bit says it."""
         status = self.table.status
         return status.is_set(word, "remote") if "remote" in status.bits else None
 
@@ -779,7 +779,7 @@ def _start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
         yield from core.prepare(deadline)
         yield from core.settings_check.known(deadline)
         if core.held:
-            why = f"the drive has not yet told its process data map: {core.held_hint}; give start more time"
+            why = f"the drive's process data map has not been read yet: {core.held_hint}; give start more time"
             raise CommandError("timeout", why)
         # a status word that says running already may be older than our last stop
         trust = core.now + (core.settle_ns if core.raw_state in MOVING else 0)
@@ -846,14 +846,14 @@ def _acknowledge(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
 
 
 def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[dict[str, object]]:
-    """The drive says that it has reached its reference, and its actual speed (if it tells one) agrees within 2 % of
+    """The drive says that it has reached its reference, and its actual speed (if it sends one) agrees within 2 % of
     the reference. With ``tolerance``, or if the drive has no bit for it: by its speed alone.
     """
     yield from _online(core, deadline)
     if tolerance is None and "reached" not in core.table.status.bits:
         tolerance = _CLOSE
     if tolerance is not None and core.measured()[0] is None:
-        raise CommandError("usage", "the drive does not tell its speed, so nobody knows when it is reached")
+        raise CommandError("usage", "the drive does not report its speed, so nobody knows when it is reached")
     while True:
         if core.raw_state in FAULTED:
             raise CommandError("fault", (yield from _fault_text(core, deadline)))
@@ -885,7 +885,7 @@ def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[d
 
 
 def _settled(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
-    """Wait until the inputs belong to the present outputs, and a fault has its name if the drive tells one."""
+    """Wait until the inputs belong to the present outputs, and a fault has its name if the drive gives one."""
     yield from _online(core, deadline)
     yield from settled(core, lambda: False, deadline)
     if core.raw_state in FAULTED:
@@ -928,7 +928,7 @@ def _online(core: DriveCore, deadline: int) -> Steps[None]:
 
 
 def _fault_text(core: DriveCore, deadline: int) -> Steps[str]:
-    """The fault's text; some drives tell its number only some cycles later."""
+    """The fault's text; some drives send its number only some cycles later."""
     until = min(core.now + 4 * core.settle_ns, deadline)
     while core.raw_state in FAULTED and core.fault_texts() is None and core.now < until:
         yield

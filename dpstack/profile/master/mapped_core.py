@@ -303,7 +303,7 @@ class MappedCore(DriveCore, Generic[M]):
         """A change of maps failed half way."""
 
     def read_by(self, field: MappedField) -> ParamKey | None:
-        """The parameter behind an output; None: it is none that can be read."""
+        """The parameter behind an output; None: it cannot be read."""
         return None
 
     def called(self, name: str | int) -> str | int:

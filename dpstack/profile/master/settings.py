@@ -27,7 +27,7 @@ _NO_ANSWER: Final = "the drive has not yet answered"
 class Setting(Struct, frozen=True, kw_only=True):
     """A setting of the drive that a plugin relies on.
 
-    ``wanted``: the expected setting, for people (``F03 = 60 Hz``). ``keys``: the parameters that tell it, none if
+    ``wanted``: the expected setting, for people (``F03 = 60 Hz``). ``keys``: the parameters that show it, none if
     the status word or a learned map does. ``differs`` gets their values in this order and returns a text that says what
     the drive has and what to set, or None if it is as expected. ``refuse``: ``start()`` is refused while it differs,
     because scale or source of the set point is another one; otherwise the text is a notice.

@@ -61,7 +61,7 @@ class TelegramSpec(Struct, frozen=True, kw_only=True):
 class TelegramFamily(NamedTuple):
     """Telegrams too many to list, made on request.
 
-    ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None if they are none.
+    ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None for octets of another kind.
     """
 
     named: Callable[[str], TelegramSpec]

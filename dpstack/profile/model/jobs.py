@@ -1,6 +1,6 @@
 """Jobs of the application that take several cycles, written as generators that are resumed once a cycle.
 
-And the orders of one drive that are under way, with the events that tell of them.
+And the orders of one drive that are under way, with the events about them.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class MappedField(Protocol):
 
 
 class DataMap(Protocol):
-    """Fields in their order; as text the way users write them, empty if there are none."""
+    """Fields in their order; as text the way users write them, empty without any."""
 
     @property
     def fields(self) -> Sequence[MappedField | None]:
@@ -99,7 +99,7 @@ def find(fields: Sequence[MappedField | None], name: str | int) -> MappedField |
 
 
 def pack(fields: Sequence[MappedField | None], values: Mapping[int, int], words: int) -> list[int]:
-    """So many words of the integers by key; 0 if there is none, and what does not fit is left out."""
+    """So many words of the integers by key; 0 without one, and what does not fit is left out."""
     found = [0] * words
     for at, field in places(fields):
         raw = values.get(field.key, 0)

@@ -90,7 +90,7 @@ class ControlTable(Struct, frozen=True, kw_only=True):
 
     ``run``: the control word that leads on from each state towards RUNNING. ``steady``: the words of the other
     goals. ``released_mask``: bits of one's own control word that must all be set for RUNNING to mean running;
-    without them ``releasing`` states read as STOPPING (a status word alone cannot tell).
+    without them ``releasing`` states read as STOPPING (a status word alone does not show it).
     Bits of ``status`` by name, as far as the drive has them: ``reached``, ``remote``, ``warning``.
     """
 

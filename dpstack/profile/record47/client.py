@@ -288,7 +288,7 @@ class ParameterClient:
         if refused.code not in AGAIN:
             text = f"{self._place}: the drive refuses {what}: {refused}"
             if refused.code in ABSENT:
-                if refused.code:  # if there is none the text says itself what to do
+                if refused.code:  # if none exists the text says itself what to do
                     text += (
                         "; it has no PROFIdrive parameters there; its manual says whether it has some, in which slot"
                     )
@@ -301,7 +301,7 @@ class ParameterClient:
         return f"record {INDEX} of slot {self.slot}"
 
     def _fitting(self, request: Request, octets: bytes) -> tuple[Response | None, str]:
-        """The response, or why ``octets`` are none to ``request``. The object is not checked: some drives answer 1."""
+        """The response, or why ``octets`` answer no ``request``. The object is not checked: some drives answer 1."""
         try:
             response = Response.parse(octets)
         except PduError as error:

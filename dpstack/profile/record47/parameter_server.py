@@ -60,11 +60,11 @@ class ParameterModel(ABC):
         """None when all values are written; else none is."""
 
     def describe(self, address: Address) -> Result:
-        """The description, or one element of it; without an own method: there is none."""
+        """The description, or one element of it; without an own method: refused."""
         return ErrorValue(errors.NO_DESCRIPTION)
 
     def text(self, address: Address) -> Result:
-        """Texts of 16 characters; without an own method: there are none."""
+        """Texts of 16 characters; without an own method: refused."""
         return ErrorValue(errors.NO_TEXT)
 
 

@@ -208,7 +208,7 @@ class DemagCore(MappedCore[OutMap]):
         return listing(t.PARAMETERS, data_sets=range(1, t.SETS + 1))
 
     def obstacle(self) -> str | None:
-        """Bit 9 tells whether the bus controls the drive at all, and 412 how."""
+        """Bit 9 says whether the bus controls the drive at all, and 412 how."""
         wanted = self._wanted_mode
         if self._mode not in (None, wanted):
             return self._wrong_mode()
@@ -302,7 +302,7 @@ class DemagCore(MappedCore[OutMap]):
             )
         raise CommandError(
             "fault",
-            f"the status word ({self.status_word:04X}) does not tell whether 412 is {wanted}, and {where}: "
+            f"the status word ({self.status_word:04X}) does not show whether 412 is {wanted}, and {where}: "
             f"set 412 = {wanted} at the keypad or over PPO1 or PPO2",
         )
 
@@ -381,7 +381,7 @@ class DemagCore(MappedCore[OutMap]):
             self.spawn("watch", self._watch())
 
     def why_left(self) -> Steps[str | None]:
-        """Another data set, and another 412 in it, is a reason that only the parameter channel tells."""
+        """Another data set, and another 412 in it, is a reason that only the parameter channel shows."""
         obstacle = self.obstacle()
         if self.access is not None:
             try:
@@ -393,7 +393,7 @@ class DemagCore(MappedCore[OutMap]):
         return obstacle
 
     def halted(self, deadline: int) -> Steps[None]:
-        """Back to the control word 0, in which the status word tells the mode."""
+        """Back to the control word 0, in which the status word shows the mode."""
         self.set_goal(Goal.IDLE)
         yield from settled(self, lambda: self._shown_mode() is not None, deadline)
 
@@ -544,13 +544,13 @@ class DemagCore(MappedCore[OutMap]):
         return {"value": self._trace.lines(self.last_outputs, self.last_inputs)}
 
     def parse_map(self, text: str, *, outputs: bool) -> OutMap:
-        """The meaning of PZD3 to PZD6 is set in the drive; the option tells it to the plugin."""
+        """The meaning of PZD3 to PZD6 is set in the drive; the option gives it to the plugin."""
         if text.strip() and not self._wide:
             raise ValueError(f"{self.telegram.name} has no PZD3 to PZD6; take PPO2 or PPO4")
         return outpzd.parse(text, self.reference_hz, self._scaling_current)
 
     def written(self, ref: ParamRef) -> None:
-        """About a million EEPROM writes are possible (11.1.4): tell the user who spends them in a loop."""
+        """About a million EEPROM writes are possible (11.1.4): warn the user who spends them in a loop."""
         if ref.pnu in (412, 414):
             self._mode_at = self.now - _MODE_AGE  # known no longer
         if ref.ind < t.RAM_ONLY:

@@ -194,7 +194,7 @@ class DemagDevice(DriveDevice):
     def source(self, number: int) -> bool | float:
         """The value that one of the sources 750 to 761 gives to the functions of the drive now (11.2.5).
 
-        Raises ValueError if there is none: without PPO2 or PPO4 there are no sources.
+        Raises ValueError if none exists: without PPO2 or PPO4 there are no sources.
         """
         words = self._words
         if self.telegram.outputs != 12:

@@ -93,7 +93,7 @@ class FujiCore(MappedCore[PcdMap]):
         return _REVERSE if self._by_bit and self.setpoint < 0 else 0
 
     def fault_texts(self) -> tuple[str, ...] | None:
-        """By name if there is a parameter channel; STW alone does not tell."""
+        """By name if there is a parameter channel; STW alone does not say it."""
         if (alarm := self._alarm.value) is not None:
             return (alarm,)
         if self.access is not None:

@@ -99,7 +99,7 @@ _CODE: Final = re.compile(r"([A-Za-z])(\d{1,3})")
 
 
 def address(code: str) -> tuple[int, int] | None:
-    """PNU and subindex of a function code such as ``F26``; None when it is none. Groups in either case."""
+    """PNU and subindex of a function code such as ``F26``; None for anything else. Groups in either case."""
     match = _CODE.fullmatch(code.strip())
     if match is None:
         return None

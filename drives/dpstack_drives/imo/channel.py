@@ -2,7 +2,7 @@
 PKW4 the value; both ends.
 
 Source: tables 2-9 to 2-11. Readings: the response repeats the address, as in the manual's example; a request acts when
-it changes, and what a read tells is the momentary value; response 4, which stands in the table of acceptance only, is
+it changes, and a read gives the momentary value; response 4, which stands in the table of acceptance only, is
 that the master has no rights (CW bit 8 is 0).
 """
 

@@ -355,7 +355,7 @@ class ImoCore(MappedCore[PzdMap]):
         """Wait for the maps, ask again if that failed."""
         while self._learning:
             if self.now >= deadline:
-                raise CommandError("timeout", "the drive has not yet told what its process data are (P15.02 to P15.23)")
+                raise CommandError("timeout", "the drive's process data map (P15.02 to P15.23) has not been read yet")
             yield
         if self.inputs_map is None or self.outputs_map is None:
             yield from self._learn(deadline)

@@ -281,7 +281,7 @@ class ImoDevice(DriveDevice):
             case 25:
                 return status
             case _:
-                return 0.0  # speed of a line, analog and pulse inputs: there are none
+                return 0.0  # speed of a line, analog and pulse inputs: the simulation has none of them
 
     # -- parameters -----------------------------------------------------------------------------------------------
 

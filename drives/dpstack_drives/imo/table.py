@@ -195,7 +195,7 @@ _NAME: Final = re.compile(r"[Pp](\d{1,2})\.(\d{1,3})")
 
 
 def address(name: str) -> int | None:
-    """PKW2 of a function code such as ``P15.02``: group x 256 + number (a reading); None when it is none.
+    """PKW2 of a function code such as ``P15.02``: group x 256 + number (a reading); None for anything else.
 
     The printed range 0..247 cannot reach group 15; address 10, the frequency set by keypad, is number 10 of group 0.
     """
@@ -206,7 +206,7 @@ def address(name: str) -> int | None:
 
 
 def parameter(text: str, option: str) -> int | None:
-    """The address of the function code in an option, None if there is none. Raises ValueError."""
+    """The address of the function code in an option, None without one. Raises ValueError."""
     if not text.strip():
         return None
     found = address(text)

@@ -47,7 +47,7 @@ DRIVE: Final = DriveProfile(
     },
     device_options={
         "control_bits": OptionSpec(default=t.CONTROL_BITS, text="what the bits of sy.50 do (made up)"),
-        "status_bits": OptionSpec(default=t.STATUS_BITS, text="what the bits of sy.51 tell (made up)"),
+        "status_bits": OptionSpec(default=t.STATUS_BITS, text="meaning of the bits of sy.51 (made up)"),
         "rpm_per_count": OptionSpec(default=1.0, low=0.001, high=1000, text="the unit of sy.52 and sy.53 (made up)"),
         "reference_rpm": OptionSpec(default=1500.0, low=1, high=100_000, text="rated motor speed"),
         "block2_inputs": OptionSpec(default=t.BLOCK2_INPUTS, text="record and enable of block 2 (made up)"),

@@ -67,7 +67,7 @@ class KebCore(MappedCore[PdMap]):
     ``block2_outputs``: indexes of record and enable of block 2; ``pd_in_cycle_ms``.
 
     A value at another place of the map is another parameter. So the process data are 0, as in Clear, from the beginning
-    of data exchange until the drive has told its map (sy.16 to sy.31, sy.58 to sy.73) and its enables and they agree
+    of data exchange until the plugin has read its map (sy.16 to sy.31, sy.58 to sy.73) and its enables and they agree
     with the options, and from ``write_map`` until the new map is in force.
 
     Jobs of its own: those of a :class:`MappedCore`; values are integers as they stand on the wire. Without
@@ -189,7 +189,7 @@ class KebCore(MappedCore[PdMap]):
             return (f"inverter state ru.00 = {state}" + (f" {name}" if name else ""),)
         if self.access is not None:
             return None
-        return ("without a name: only the parameter channel (PCH+...) tells ru.00",)
+        return ("without a name: only the parameter channel (PCH+...) gives ru.00",)
 
     def cannot(self, op: str) -> str | None:
         """Orders that the options and the map have no bits for."""
@@ -328,7 +328,7 @@ class KebCore(MappedCore[PdMap]):
         """Write both records, enable them, and see whether the drive confirms the enable.
 
         From the first record on the drive takes no outputs; they are zeros from here on. The enable acts at once, or it
-        is answered by an error that tells it acts after power-on; which one is not in the manual, so any that is not
+        is answered by an error that says it acts after power-on; which one is not in the manual, so any that is not
         about the access itself is taken for it, and the enable read back decides. Without the error the map counts when
         the inverter shows it.
         """
@@ -426,7 +426,7 @@ def _absolute(rotation: float) -> str | None:
 
 
 def _active(option: str, own: PdMap, firsts: Sequence[int]) -> list[Setting]:
-    """The active map is that of the option, block by block; the drive does not tell words from longs.
+    """The active map is that of the option, block by block; the drive does not distinguish words from longs.
 
     A value in another's place would be written into another parameter, or taken for status word or speed: refused.
     """

@@ -116,7 +116,7 @@ class KebDevice(DriveDevice):
         return None
 
     def enter(self, config: bytes, now: int) -> None:
-        """Data exchange begins; up to now there was none, and the watchdog has to see that."""
+        """Data exchange begins; the watchdog has to see that none came up to now."""
         self.advance(now)
         self._exchanged = True
         self._clear = False

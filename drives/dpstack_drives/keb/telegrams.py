@@ -102,7 +102,7 @@ def _sizes(text: str | None) -> tuple[int, ...]:
 
 
 def of_config(config: bytes) -> TelegramSpec | None:
-    """The telegram with these identifier octets; None if they are none. Outputs and inputs in either order."""
+    """The telegram with these identifier octets; None for other octets. Outputs and inputs in either order."""
     channel = config[:1] == bytes([PCH])
     rest = config[1:] if channel else config
     outputs = tuple(octet - _OUT + 1 for octet in rest if _OUT <= octet < _OUT + _MOST)

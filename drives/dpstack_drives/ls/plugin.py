@@ -287,7 +287,7 @@ class LsCore(MappedCore[ParaMap]):
                 raise CommandError("fault", f"dr-06 is {source}: {why}")
         if self._profile != t.PROFIDRIVE and self.table.status.is_set(self.status_word, "keypad"):
             raise CommandError("fault", why)
-        # otherwise it may only be slow: the time-out tells the same
+        # otherwise it may only be slow: the time-out says the same
 
     def settings(self) -> Sequence[Setting]:
         """Profile, scale and source of the set point, the order of octets, and the maps."""

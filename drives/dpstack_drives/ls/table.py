@@ -173,7 +173,7 @@ _HEX: Final = re.compile(r"0[xh]([0-9a-f]{1,4})")
 
 
 def address(text: str) -> int | None:
-    """The address of ``dr-03``, ``COM-31``, ``0x000A`` or ``0h000A``; None when it is none. Any case."""
+    """The address of ``dr-03``, ``COM-31``, ``0x000A`` or ``0h000A``; None for anything else. Any case."""
     wanted = text.strip().lower()
     if (match := _HEX.fullmatch(wanted)) is not None:
         return int(match[1], 16)

@@ -2,7 +2,7 @@
 vendor's own.
 
 ``VENDOR OUTPUTS/INPUTS`` has 1..8 words each way, which Para Control (COM-51..) and Para Status (COM-31..) fill. ST1,
-PPO3 and VENDOR 2/2 are alike by length: their identifier octets tell them apart. All identifier octets are made up,
+PPO3 and VENDOR 2/2 are alike by length: their identifier octets distinguish them. All identifier octets are made up,
 as the manual prints no GSD file. The manual's "8 words at most" and PPO5's 14 contradict: what is configured counts.
 """
 
@@ -72,7 +72,7 @@ def named(name: str) -> TelegramSpec:
 
 
 def of_config(config: bytes) -> TelegramSpec | None:
-    """The vendor telegram with these identifier octets; None if they are none."""
+    """The vendor telegram with these identifier octets; None for octets of another kind."""
     if len(config) != 2 or not (0 <= config[0] - _OUT < MOST and 0 <= config[1] - _IN < MOST):
         return None
     return vendor(config[0] - _OUT + 1, config[1] - _IN + 1)

@@ -279,7 +279,7 @@ def test_a_program_of_another_user_behind_our_socket_is_told_nothing(
                 connect("COM3")
             assert str(caught.value) == (
                 f"{path}: the program that answers there is not yours, it belongs to {user_name(MALLORY)}; nothing was "
-                "told to it: remove that file, and find out who put it there"
+                "sent to it: remove that file, and find out who put it there"
             )
             assert posing.stdout.readline() == "b''\n"
 
@@ -305,7 +305,7 @@ async def test_an_order_of_another_user_is_refused(runtime: Path, monkeypatch: p
             told = json.loads(await asyncio.to_thread(order))
         finally:
             os.close(fd)
-    assert told["error"] == f"this program is told what to do by {user_name(os.geteuid())} and root only"
+    assert told["error"] == f"only {user_name(os.geteuid())} and root may give orders to this program"
     assert asked == []
 
 

@@ -24,7 +24,7 @@ from dpstack.profile import DriveDevice
 pytestmark = pytest.mark.virtual_time
 
 TEXT = """\
-# Parameters of a drive; `dpstack drive CONFIG NAME compare FILE` tells where a drive differs.
+# Parameters of a drive; `dpstack drive CONFIG NAME compare FILE` shows where a drive differs.
 format = 1
 drive = "demag-dedrive"
 name = "hoist"

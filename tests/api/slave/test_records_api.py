@@ -290,9 +290,9 @@ ALARMS = "it is a list of these: pull_plug, process, diagnostic, manufacturer, s
     [
         ("1", " = 1 is an integer; it must be a table of its keys, true or false"),
         ("{ alarm = 1 }", ": unknown key 'alarm'; did you mean 'alarms'?"),
-        ('{ alarms = ["fire"] }', f": alarms holds 'fire', which is none; {ALARMS}"),
-        ('{ alarms = ["process", "pull"] }', f": alarms holds 'pull', which is none; {ALARMS}"),
-        ('{ alarms = [["process"]] }', f": alarms holds ['process'], which is none; {ALARMS}"),
+        ('{ alarms = ["fire"] }', f": alarms holds 'fire', which is unknown; {ALARMS}"),
+        ('{ alarms = ["process", "pull"] }', f": alarms holds 'pull', which is unknown; {ALARMS}"),
+        ('{ alarms = [["process"]] }', f": alarms holds ['process'], which is unknown; {ALARMS}"),
         (
             "{ alarm_mode = 8 }",
             ": alarm_mode = 8 is outside 0..7; 0: one of each kind at a time, 1..7: 2, 4, 8 ... 32 in all",

@@ -130,7 +130,7 @@ def open_bus(device: Device, config: Config, on_event: OnEvent | None = None) ->
 
 
 FILE = """\
-# Parameters of a device; `dpstack acyclic CONFIG ADDRESS compare FILE` tells where a device differs.
+# Parameters of a device; `dpstack acyclic CONFIG ADDRESS compare FILE` shows where a device differs.
 format = 1
 kind = "record 47"
 name = "pump"

@@ -223,7 +223,7 @@ def test_an_unknown_chip_and_another_system(computer: Computer, tmp_path: Path) 
     assert checks[4].text == "USB 1111:2222, an unknown chip, driver cdc_acm"
     notes = told(checks, Grade.NOTE)
     assert [text for text, _ in notes] == [
-        "accepts every rate, and its driver cdc_acm cannot tell which the adapter makes",
+        "accepts every rate, and its driver cdc_acm does not say which of them the adapter makes",
         kernel_driver("cdc_acm", usb=True).protection,
     ]
     assert "FTDI (ftdi_sio)" in notes[1][1]

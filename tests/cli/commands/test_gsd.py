@@ -306,7 +306,7 @@ def test_check_of_a_directory_ends_with_a_summary(small: str, tmp_path: Path, cl
     out = cli.out("gsd", "check", str(tmp_path), code=1).splitlines()
     assert out[0].startswith(f"{inner}/CUT.GSE:4:1: error: Module 'x' never ends")
     assert out[1].startswith(f"{inner}/warned.gsg:1:1: warning: no baud rate is declared")
-    assert out[2:] == ["3 files: 1 with nothing to tell, 1 with warnings, 1 damaged"]
+    assert out[2:] == ["3 files: 1 without a finding, 1 with warnings, 1 damaged"]
     *files, summary = cli.jsons("gsd", "check", str(tmp_path), code=1)
     assert [file["file"] for file in files] == [f"{inner}/CUT.GSE", f"{inner}/warned.gsg", small]
     assert summary == {
@@ -336,7 +336,7 @@ def test_check_of_a_directory_goes_on_after_a_file_that_cannot_be_read(
     monkeypatch.setattr("dpstack.cli.commands.gsd.check_gsd", refused)
     assert cli.out("gsd", "check", str(tmp_path), code=1).splitlines() == [
         f"{tmp_path}/a.gsd: Permission denied; give the path of a GSD file",
-        "2 files: 1 with nothing to tell, 1 unreadable",
+        "2 files: 1 without a finding, 1 unreadable",
     ]
 
 

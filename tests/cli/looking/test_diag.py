@@ -115,7 +115,7 @@ def test_station_of_octets_beside_its_master(field_bus: Field, plant: Path, cli:
         "  dpstack I/O station, ident 0x10D5",
         "  data_exchange, master 6",
         "diagnosis: ext_diag, wd_on",
-        "  has something to tell in its extended diagnosis: look at the device",
+        "  has something to report in its extended diagnosis: look at the device",
         "  watches its master",
         "  slots with a diagnosis: 2 (2 AI)",
         "  slot 2 (2 AI), input channel 0 (word): line break",

@@ -234,7 +234,7 @@ def test_a_drive_that_flickers_is_no_flood(capsys: Out) -> None:
     virtual(program())
     out = capsys.readouterr().out
     assert 40 <= out.count("drive 4 (fan): ready") < 60
-    assert "changes of the drive's state, faults or warnings are not told one by one" in out
+    assert "changes of the drive's state, faults or warnings are not reported one by one" in out
 
 
 def test_a_slave_that_refuses_tells_its_fault_once_however_often_it_is_asked(capsys: Out) -> None:

@@ -164,7 +164,7 @@ def rig() -> Iterator[Rig]:
 
 def test_sigterm_to_both_leaves_the_end_to_the_application(rig: Rig) -> None:
     """As a service manager sends it: the end that the application has begun goes on, and is no failure."""
-    rig.host.end_soon("it was told to end (SIGTERM)")
+    rig.host.end_soon("it was ordered to end (SIGTERM)")
     for number, order in enumerate((Shutdown(), m.TakeOutputs()), 1):
         rig.sock.send(m.framed(m.Question(number, m.named(order))))
     rig.loop.call_at(time.monotonic_ns() + 400_000_000, rig.loop.stop)

@@ -133,7 +133,7 @@ async def test_sigterm_ends_the_bus_process_in_order() -> None:
         for of_a_terminal in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):  # the application's
             os.kill(process_of(bus), of_a_terminal)
         os.kill(process_of(bus), signal.SIGTERM)
-        with pytest.raises(BusError, match=r"has ended: it was told to end \(SIGTERM\); outputs were set to their"):
+        with pytest.raises(BusError, match=r"has ended: it was ordered to end \(SIGTERM\); outputs were set to their"):
             await bus.rotated(None, 20)
         await until(lambda: there.slaves[4].outputs in AFTER, "safe values")
         await until(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
@@ -166,10 +166,10 @@ async def test_an_event_handler_gets_the_reason_of_the_end_of_the_bus_process() 
         async with bus:
             await bus.ready(60)
             os.kill(process_of(bus), signal.SIGTERM)
-            with pytest.raises(BusError, match=r"has ended: it was told to end \(SIGTERM\)"):
+            with pytest.raises(BusError, match=r"has ended: it was ordered to end \(SIGTERM\)"):
                 await bus.rotated(None, 20)
     assert len(failed) == 1
-    assert "told to end (SIGTERM)" in failed[0]
+    assert "ordered to end (SIGTERM)" in failed[0]
 
 
 async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_reported(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,7 +38,7 @@ def taken(row: dict[str, Any]) -> set[int] | None:
     (text,) = [text for text in texts(row) if re.match(r"takes |accepts every rate", text)]
     if text == "takes every rate of PROFIBUS":
         return set(BAUD_RATES)
-    if text.startswith("accepts every rate, and its driver cdc_acm cannot tell"):
+    if text.startswith("accepts every rate, and its driver cdc_acm does not say"):
         return None
     return {_BY_TEXT[name] for name in text.removeprefix("takes ").partition("; not ")[0].split(", ")}
 
