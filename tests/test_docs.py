@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
+import io
 import json
 import logging
 import re
 import runpy
 import shlex
+import tokenize
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -64,6 +67,13 @@ _OLD_CITATION = re.compile(
     r"protocol facts|\bsection [A-J]\b(?! of)|\b[Rr]ows? [DKILF]\d+|\bspec p\.? ?\d|check list|"
     r"\((?:[A-D]\d|J|section [A-J])(?:, (?:[A-D]\d|J))*\)"
 )
+#: words that a reader has to guess: "reported" or "invalid", "no ... exists" and "if" say what is meant
+_GUESSED = re.compile(
+    r"(?<![`_])\btold\b(?![`_])|\b(?:is|are|was|were)[\s#:]+none\b(?! of)|"
+    r"\b(?:None|empty|also|only|except|but)[\s#:]+where\b"
+)
+#: texts that have such words and mean them
+_MEANT = ("deadlines. The default is none: virtual time",)
 FIRST_PLANT = ROOT / "docs" / "tutorial" / "first-plant.md"
 _ARCHITECTURE = ROOT / "docs" / "development" / "architecture.md"
 SOURCES = sorted(
@@ -369,6 +379,51 @@ def test_a_citation_of_nothing_is_found() -> None:
         "docs/nothing.md#",
     ]
     assert _OLD_CITATION.findall("(protocol facts B6), row D17 (C3, J)") == ["protocol facts", "row D17", "(C3, J)"]
+
+
+def guessed(text: str) -> list[str]:
+    """The words of ``text`` that a reader has to guess, with the words around them."""
+    found = (text[max(match.start() - 30, 0) : match.end() + 30] for match in _GUESSED.finditer(text))
+    return [" ".join(one.split()) for one in found if not any(meant in one for meant in _MEANT)]
+
+
+def prose(source: str) -> Iterator[str]:
+    """The docstrings and the comments of a program."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.value.value
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    yield "\n".join(token.string for token in tokens if token.type == tokenize.COMMENT)
+
+
+def test_pages_say_reported_invalid_and_if() -> None:
+    found = {
+        str(page.relative_to(ROOT)): guessed(_CODE.sub("", page.read_text(encoding="utf-8")))
+        for page in PAGES
+        if page.name != "CHANGELOG.md"
+    }
+    assert {page: words for page, words in found.items() if words} == {}
+
+
+@pytest.mark.parametrize("room", ["dpstack", "drives"])
+def test_docstrings_and_comments_say_reported_invalid_and_if(room: str) -> None:
+    found = {}
+    for path in (ROOT / room).rglob("*.py"):
+        source = path.read_text(encoding="utf-8")
+        if _GUESSED.search(source):  # in a message or a name, perhaps
+            found[str(path.relative_to(ROOT))] = [words for text in prose(source) for words in guessed(text)]
+    assert {path: words for path, words in found.items() if words} == {}
+
+
+def test_words_to_guess_are_found() -> None:
+    assert guessed("An item that is none changes nothing, and is\ntold once.") == [
+        "An item that is none changes nothing, and is told",
+        "none changes nothing, and is told once.",
+    ]
+    assert guessed("It is none of them; ``told`` is a name. None\n    where nobody knows") == [
+        "of them; ``told`` is a name. None where nobody knows"
+    ]
+    assert list(prose('"""A page."""\nname = "told"  #: a line')) == ["A page.", "#: a line"]
 
 
 def test_every_command_and_option_is_documented() -> None:

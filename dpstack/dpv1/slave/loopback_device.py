@@ -32,7 +32,7 @@ class MirrorDevice(Device):
     and any address by Set_Slave_Add.
 
     ``config``: the identifier octets it accepts; ``held``: its inputs from outside. Raises ConfigError if they are
-    none.
+    invalid.
     """
 
     set_slave_add = True
