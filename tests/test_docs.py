@@ -25,6 +25,8 @@ import dpstack
 import dpstack.profile
 from bench.__main__ import BENCHMARKS
 from dpstack.api.config.config import load_config, parse_config
+from dpstack.api.config.connectors import CONNECTORS
+from dpstack.api.connectors.kinds import KINDS
 from dpstack.api.control.scenario import parse_scenario
 from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.listen.plant_files import load_thresholds
@@ -469,10 +471,10 @@ def test_every_path_of_the_walk_through_the_code_is_there() -> None:
 
 
 def test_every_control_command_is_documented() -> None:
-    from dpstack.api.control.commands import KINDS
+    from dpstack.api.control.commands import KINDS as COMMANDS
 
     text = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
-    names = {spec.name for specs in KINDS.values() for spec in specs}
+    names = {spec.name for specs in COMMANDS.values() for spec in specs}
     assert [name for name in sorted(names) if not re.search(rf"`{name}[ `]", text)] == []
 
 
@@ -555,6 +557,25 @@ def test_the_walk_names_files_that_exist() -> None:
     named = re.findall(r"`([\w/.-]+(?:\.py|/))`", _ARCHITECTURE.read_text(encoding="utf-8"))
     assert len(named) > 80
     assert [name for name in named if not _file(name).exists() and name != "__init__.py"] == []
+
+
+def test_each_connector_has_what_the_list_for_a_further_one_asks() -> None:
+    """Table, package, kind, extra, row of the imports, section of the configuration, tests."""
+    steps = _ARCHITECTURE.read_text(encoding="utf-8").partition("## A further connector")[2].partition("\n## ")[0]
+    assert re.findall(r"^\d\. \*\*(\w+)", steps, re.MULTILINE) == [
+        "Table", "Package", "Kinds", "Extra", "Names", "Orders", "Docs", "Tests",
+    ]  # fmt: skip
+    assert list(KINDS) == list(CONNECTORS)
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    pages = (ROOT / "docs" / "reference" / "configuration.md").read_text(encoding="utf-8")
+    imports = (ROOT / "tests" / "test_imports.py").read_text(encoding="utf-8")
+    for name, kind in KINDS.items():
+        assert kind.module.startswith(f"dpstack.bridge.{name}.")
+        assert extras[name]
+        assert name in extras["test"][0]
+        assert f'"bridge/{name}"' in imports
+        assert re.search(rf"^#+ .*\[{name}\]", pages, re.MULTILINE), name
+        assert (ROOT / "tests" / f"bridge_{name}").is_dir()
 
 
 def test_the_walk_finds_what_a_newcomer_asks_for() -> None:
