@@ -64,7 +64,8 @@ def _show(
     if args.config:
         output.toml(config_skeleton(result, args.port, chosen))
     else:
-        title = f"{len(result.stations)} stations at {baud_text(result.baud)}, asked by {result.address}"
+        count = len(result.stations)
+        title = f"{count} station{'s' * (count != 1)} at {baud_text(result.baud)}, asked by {result.address}"
         columns = ("address", "type", "ident", "state", "master", "device")
         output.table(title, columns, [_row(found) for found in result.stations])
         waiting = [(found.address, cause_dict(found)["cause"]) for found in result.stations if cause_dict(found)]
