@@ -193,10 +193,7 @@ class AcyclicError(SlaveError):
 
 
 class ConnectionEnded(SlaveError):
-    """A service over a class 2 connection that is over; the text says who ended it and why. Open a new one.
-
-    ``abort``: subnet, instance and reason of the Abort that ended it (``dpstack.dpv1.pdu.ms2``); None without any.
-    """
+    """A service over a class 2 connection that is over; the text says who ended it and why. Open a new one."""
 
     def __init__(self, address: int, message: str, *, abort: tuple[int, int, int] | None = None) -> None:
         super().__init__(address, message)
@@ -212,8 +209,7 @@ class RecordRefused(DpError):
     """A function that serves records raises it to refuse a request: ``code_1`` is Error_Code_1, class and code.
 
     0xB0 invalid index, 0xB2 invalid slot, 0xB5 state conflict, 0xB6 access denied ...
-    (``dpstack.dpv1.pdu.error_codes.Code``); ``code_2``: one's own. Both are octets; raises UsageError for anything
-    else.
+    (``dpstack.dpv1.pdu.error_codes.Code``). Both are octets; raises UsageError for anything else.
     """
 
     def __init__(self, code_1: int, code_2: int = 0) -> None:

@@ -42,9 +42,8 @@ class Event(Struct, metaclass=_EventMeta, frozen=True):
     """Something happened at ``t_ns`` (the machine's time). Layers derive their own events from this one.
 
     A derived class is immutable, with keyword arguments, by itself. It has a ``TEMPLATE`` of its :attr:`text`, in which
-    ``{e.name}`` stands for an attribute of the event, or ``_text()`` if the words depend on the attributes.
-    ``MUST_ARRIVE``: see :attr:`must_arrive`; ``SEVERITY``: see :attr:`severity`. Two events are equal if all
-    attributes but ``wall_ns`` are.
+    ``{e.name}`` stands for an attribute of the event, or ``_text()`` if the words depend on the attributes. Two events
+    are equal if all attributes but ``wall_ns`` are.
     """
 
     #: pattern of :attr:`text`; ``{e.name}`` stands for an attribute of the event

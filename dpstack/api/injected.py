@@ -13,7 +13,7 @@ SIMULATION: Final = "simulation"
 class Injected(Event):
     """A command of ``dpstack ctl`` to a simulated slave or to the segment.
 
-    ``address`` and ``name``: of the slave; None for the segment. ``args``: as typed.
+    ``args``: as typed.
     """
 
     #: the command
@@ -41,7 +41,7 @@ class ScenarioEvent(Event):
     """A step of a scenario. ``step``: its number in the file, from 1; 0: the scenario itself, without a slave.
 
     ``state``: "begin", "end", "failed" (``detail`` says why), "again" (the scenario begins anew), "over". ``do``: the
-    kind of the step; ``detail``: in words; ``lasts_s``: seconds until its end, None without one.
+    kind of the step; ``lasts_s``: seconds until its end, None without one.
     """
 
     step: int

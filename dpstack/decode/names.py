@@ -40,10 +40,9 @@ class ModuleName(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SlaveNames:
-    """Names of one slave. ``source``: where they come from, for people. ``ident`` None: any.
+    """Names of one slave. ``ident`` None: any.
 
-    ``inputs``, ``outputs``: names of process data; ``modules`` in slot order from ``first_slot`` on; ``prm``: its user
-    parameters; ``texts``: of a diagnosis; ``drive`` makes the reader of its words, None if it is no drive.
+    ``modules`` in slot order from ``first_slot`` on; ``drive`` makes the reader of its words, None if it is no drive.
     """
 
     #: name of the slave

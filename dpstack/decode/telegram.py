@@ -36,7 +36,8 @@ _NO_FIELDS: Final[Fields] = {}
 class Explained:
     """One transmission. ``telegram`` is None if the octets make none, ``error`` says why, and also what is wrong in the
     data unit of a whole telegram. ``fields`` may be shared with other telegrams of the same content: do not change
-    them. ``sender``, ``receiver``: names of the stations, empty if they have none."""
+    them.
+    """
 
     #: number of the transmission, from 1
     number: int

@@ -167,7 +167,7 @@ class Runtime(Protocol):
 
     @property
     def port_name(self) -> str:
-        """What the port is called in messages and JSON."""
+        """Name of the port in messages and JSON."""
 
     @property
     def pid(self) -> int | None:

@@ -22,10 +22,7 @@ from dpstack.stats import Histogram
 
 
 class SlaveSnapshot(Struct, frozen=True):
-    """One slave as its master handles it. ``watchdog_ns``: the one in effect, 0 when off.
-
-    ``alarms``: None for a slave that is not parameterised for DP-V1.
-    """
+    """One slave as its master handles it. ``watchdog_ns``: the one in effect, 0 when off."""
 
     #: state in which the master has the slave
     state: SlaveState = SlaveState.OFFLINE
@@ -52,8 +49,7 @@ class ImageSnapshot(NamedTuple):
 
 
 class BusSnapshot(Struct, frozen=True):
-    """Master and station. ``synced`` and ``frozen``: addresses held by SYNC and FREEZE. ``claimed``: the station made
-    the token itself. ``las``: the list of active stations. ``patience``: slack for late answers.
+    """Master and station. ``claimed``: the station made the token itself. ``las``: the list of active stations.
 
     ``found``: on a watched read-only bus the stations by address, else None; ``found_all``: the scanner has asked every
     address once.

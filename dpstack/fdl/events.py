@@ -105,10 +105,7 @@ def le3_notice(source: str, sender: int, now: int) -> Notice:
 
 
 class DoesNotFit(Event):
-    """A request that fits between no two cycles is sent after its wait; reported once for each service.
-
-    ``takes_ns``: its longest duration; ``slack_ns``: the port's slack in each of its slot times.
-    """
+    """A request that fits between no two cycles is sent after its wait; reported once for each service."""
 
     SEVERITY = Severity.WARNING
 

@@ -28,11 +28,7 @@ def alarm_kinds(keywords: Iterable[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class DpV1:
-    """The DP-V1 keywords. Lengths in octets, time-outs in 10 ms; ``alarms``: those supported, ``required``: those
-    that the master has to enable.
-
-    ``c1_read_write_required``: only a master with MS1 can use the device; ``c2_...``: only one with MS2 (class 2).
-    """
+    """The DP-V1 keywords. Lengths in octets, time-outs in 10 ms."""
 
     #: DPV1_Slave
     slave: bool = False

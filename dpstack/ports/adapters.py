@@ -43,7 +43,7 @@ class AdapterInfo(Struct, frozen=True, kw_only=True):
         return {**told, "marks": known.marks.value, "hamming_distance": known.distance, "max_baud": known.most}
 
     def class_lines(self) -> list[str]:
-        """What its driver can do, one line each: damaged octets, rates, delay, RS-485."""
+        """Abilities of its driver, one line each: damaged octets, rates, delay, RS-485."""
         known = self.kernel_driver
         if known is None:
             return []

@@ -57,7 +57,7 @@ class Adapter:
 
     @property
     def kernel_driver(self) -> KernelDriver:
-        """What its driver can do."""
+        """Abilities of its driver."""
         return kernel_driver(self.driver, usb=self.usb is not None)
 
     @property

@@ -63,12 +63,11 @@ DeviceFactory = Callable[["DriveProfile", TelegramSpec, Options, Mapping[str, ob
 class DriveProfile(DriveType):
     """A drive: found by the entry point group ``dpstack.drives`` under ``name``.
 
-    ``max_tsdr``: bit times by baud rate, empty if the manual gives none. ``on_loss``: what the drive does when its
-    master stops. ``notes``: what a user should know. ``simulated_options``: options of the core that no manual gives,
-    as the simulated drive has them. ``ready``: parameters of the simulated drive that differ from delivery if it is
-    set up for the bus (option :data:`READY`); ``left_open``: those of them that a plant without that option leaves as
-    delivered. ``gsd``: a GSD file of ours made from the manual's facts (not the
-    vendor's), as ``package:file name``. ``rate_setting``: the drive works only at the rate that it is set to.
+    ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know. ``simulated_options``:
+    options of the core that no manual gives, as the simulated drive has them. ``ready``: parameters of the simulated
+    drive that differ from delivery if it is set up for the bus (option :data:`READY`); ``left_open``: those of them
+    that a plant without that option leaves as delivered. ``gsd``: a GSD file of ours made from the manual's facts (not
+    the vendor's), as ``package:file name``.
     """
 
     #: maker and type for people

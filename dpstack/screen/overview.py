@@ -106,7 +106,7 @@ def bars(classes: Sequence[Sequence[float]], room: int) -> str:
 
 
 def notices(view: View, *, paused: str = "", note: str = "") -> list[Piece]:
-    """What keeps the page from being the plant of this moment, and the master from letting outputs out."""
+    """Reasons why the page is not the plant of this moment, and why the master holds outputs back."""
     state, found = view.state, []
     bus = state.bus
     if paused:

@@ -174,7 +174,7 @@ class SimulatedDevice:
 class SimulatedBus:
     """Simulated slaves, and a master in Operate, on a line in virtual time. The fixture ``dpstack_bus`` makes it.
 
-    ``wire``: what went over the line; ``world``: the line itself; ``events``: the last 1,000 events of the master.
+    ``world``: the line itself; ``events``: the last 1,000 events of the master.
     """
 
     def __init__(
@@ -364,10 +364,7 @@ def _changes(events: Iterable[Event]) -> list[Event]:
 
 
 class BusFactory:
-    """Makes simulated buses for one test, all in the same virtual time. The fixture ``dpstack_bus``.
-
-    ``buses``: those made so far.
-    """
+    """Makes simulated buses for one test, all in the same virtual time. The fixture ``dpstack_bus``."""
 
     def __init__(self, time: VirtualTime) -> None:
         self._time = time

@@ -54,11 +54,7 @@ class Likely:
 
 @dataclass(frozen=True, slots=True)
 class Story:
-    """Why a slave is, or is not, in data exchange. ``source``: "run", or "class2" if another station looked.
-
-    ``state``: of the slave, as the JSON lines have it. ``steps``: as ``why --json`` has them, the last bring-up.
-    ``causes``: the likeliest first; at least one.
-    """
+    """Why a slave is, or is not, in data exchange."""
 
     #: name of the slave
     slave: str

@@ -46,10 +46,7 @@ _ADVICE: Final = (
 class BaudReport(Struct, frozen=True, kw_only=True):
     """Result of a search. ``baud`` in bit/s, None when no telegram was recognised; ``seconds`` of listening.
 
-    ``telegrams``: received in a row, without odd octets between them. ``confidence``: "checked" (telegrams with check
-    sum) or "token" (the same token three times). ``missing``: "silence" or "noise". ``text``: the result for people.
-    ``profibus``: tokens and answers at this rate show that it is PROFIBUS (docs/reference/protocol.md#is-it-profibus),
-    with the reason in ``evidence``; None: nobody looked.
+    ``confidence``: "checked" (telegrams with check sum) or "token" (the same token three times).
     """
 
     #: baud rate in bit/s; None when no telegram was recognised
@@ -63,7 +60,7 @@ class BaudReport(Struct, frozen=True, kw_only=True):
     missing: str | None = None
     #: result for people
     text: str = ""
-    #: tokens and answers at this rate show that it is PROFIBUS; None: nobody looked
+    #: the telegrams show that it is PROFIBUS (docs/reference/protocol.md#is-it-profibus); None: nobody looked
     profibus: bool | None = None
     #: reason for ``profibus``, for people
     evidence: str = ""

@@ -25,11 +25,9 @@ STALE_NS: Final = NS_PER_S
 class SlaveStats(Struct, frozen=True, kw_only=True):
     """One slave's counters since the start; ``link`` are those of the link layer.
 
-    ``inputs_valid``, ``inputs_age`` (seconds, None: there never were any): see
-    :class:`~dpstack.api.slave.slave.Slave`. ``outputs``: those that the slave gets; ``held``: the application's, while
-    they wait for Operate or for data exchange, else None. ``fields``: its named inputs and the named outputs that it
-    gets, octets as hex; ``held_fields``: those of ``held``; ``units``: the units of those that have one. ``master``:
-    address of its master on a read-only bus, None: not known.
+    ``outputs``: those that the slave gets; ``held``: the application's, while they wait for Operate or for data
+    exchange, else None. ``fields``: its named inputs and the named outputs that it gets, octets as hex;
+    ``held_fields``: those of ``held``; ``master``: address of its master on a read-only bus, None: not known.
     """
 
     #: station address, 0..126
@@ -103,10 +101,8 @@ class BusStats(Struct, frozen=True, kw_only=True):
     """Counters of the whole bus. Rotation times in whole microseconds: ``min``, ``p50``, ``p99``, ``p999``, ``max``.
 
     ``rotation_us``: from the first Data_Exchange of a round to that of the next; ``token_us``: from token receipt to
-    token receipt. ``paced``: False on a port without octet times (pty), if the figures are the computer's. ``bad``:
-    unreadable octets and telegrams by cause (names of DecoderStats); ``uart_...``: octets that the adapter or its
-    driver found damaged. ``stations``: the link layer's counters of every station that it has sent a request;
-    ``link``: those of this station; ``retries`` and ``timeouts``: sums over the stations.
+    token receipt. ``bad``: unreadable octets and telegrams by cause (names of DecoderStats); ``uart_...``: octets that
+    the adapter or its driver found damaged.
 
     ``age``: of the counters in seconds, 0 if the bus runs in this process, some 0.1 s with a bus process. ``stale``:
     the bus does not run, or the counters are older than 1 s.
@@ -114,7 +110,7 @@ class BusStats(Struct, frozen=True, kw_only=True):
 
     #: bus time since the start, in seconds
     seconds: float
-    #: False on a port without octet times (pty), if the figures are the computer's
+    #: False on a port without octet times (pty): the figures are then the computer's
     paced: bool
     #: number of rounds of data exchange
     rotations: int

@@ -207,7 +207,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
 
 
 def _disturbed(bus: BusBase) -> str:
-    """What another program did to the port lately."""
+    """Acts of other programs at the port, the latest ones."""
     event = bus.disturbed
     return event.what if event is not None and bus.runtime.now() - event.t_ns < _LATELY_NS else ""
 

@@ -33,7 +33,7 @@ class SlaveAlarm:
     ``type`` 1 diagnosis, 2 process, 3 pull, 4 plug, 5 status, 6 update, 32..126 the maker's own, ``title`` in words;
     ``slot`` 0..254; ``sequence`` number 0..31; ``data`` up to 59 octets, whose meaning is in the device's manual.
     ``user_ack`` (Add_Ack): the device expects a user action besides the acknowledgement, for instance a Write.
-    ``diagnosis``: the telegram with the alarm, ``texts``: its other blocks. ``t_ns``: bus time.
+    ``t_ns``: bus time.
     """
 
     #: station address of the slave, 0..126

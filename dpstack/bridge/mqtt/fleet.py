@@ -279,7 +279,7 @@ def _was_used(before: int, session: int) -> bool:
 
 
 def _seen(status: Status) -> tuple[object, ...]:
-    """What people see of a status, without its time."""
+    """The part of a status that people see, without its time."""
     return (status.state, status.verdict, status.reasons, status.lost, status.more_lost, status.versions)
 
 

@@ -31,7 +31,7 @@ _FOREGROUND_S: Final = 0.3
 
 
 class Screen(Protocol):
-    """What draws on the terminal, and gives it back for the time in which the program is stopped."""
+    """A user of the terminal that gives it back for the time in which the program is stopped."""
 
     @property
     def up(self) -> bool:

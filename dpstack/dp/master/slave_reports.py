@@ -24,9 +24,7 @@ _NO_MORE: Final = "; further deviations are not reported"
 class AlarmCounts(Struct, frozen=True, kw_only=True):
     """Counts of the alarms of one slave. ``raised``: delivered alarms; ``acknowledged``: accepted acknowledgements.
 
-    ``repeated``: repeated acknowledgements; ``refused``: refused ones. ``too_many``: alarms beyond the agreed number,
-    ``dropped``: those of them without room in the queue. ``not_enabled``: alarms of a type that Set_Prm did not enable,
-    ``malformed``: blocks that are neither alarm nor status; the master delivers neither. ``statuses``: delivered ones.
+    ``repeated``: repeated acknowledgements.
     """
 
     raised: int = 0
@@ -38,9 +36,9 @@ class AlarmCounts(Struct, frozen=True, kw_only=True):
     too_many: int = 0
     #: alarms beyond the agreed number that found no room in the queue
     dropped: int = 0
-    #: alarms of a type that Set_Prm did not enable
+    #: alarms of a type that Set_Prm did not enable; the master does not deliver them
     not_enabled: int = 0
-    #: blocks that are neither alarm nor status
+    #: blocks that are neither alarm nor status; the master does not deliver them
     malformed: int = 0
     #: delivered status messages
     statuses: int = 0

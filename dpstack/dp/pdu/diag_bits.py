@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 
 class SetBy(Enum):
-    """Who sets a bit: the slave itself, or the master in the diagnosis that it keeps for its user."""
+    """The station that sets a bit: the slave itself, or the master in the diagnosis that it keeps for its user."""
 
     SLAVE = "slave"
     MASTER = "master"

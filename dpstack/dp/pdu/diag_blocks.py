@@ -77,7 +77,7 @@ class ChannelBlock(Block, frozen=True):
     error: int
 
     def place(self, module_name: str = "", first_slot: int = FIRST_SLOT) -> str:
-        """Which channel of which slot, for people, with the name of its module if that is known."""
+        """Slot and channel for people, with the name of its module if that is known."""
         direction = {(True, False): "input ", (False, True): "output ", (True, True): "in/output "}
         kind = direction.get((self.input, self.output), "")
         name = f" ({module_name})" if module_name else ""

@@ -57,9 +57,7 @@ class Refusal(NamedTuple):
 
 
 class CyclePlan(Struct, frozen=True):
-    """The judgement of one cycle. ``load``: the part of it that the typical rotation takes; ``findings`` (besides
-    ``refusals``) and ``notes``: one line each.
-    """
+    """The judgement of one cycle."""
 
     #: the fixed cycle in ns
     cycle_ns: int

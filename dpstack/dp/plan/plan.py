@@ -132,12 +132,7 @@ class SlavePlan(Struct, frozen=True, kw_only=True):
 
 
 class Plan(Struct, frozen=True, kw_only=True):
-    """The plan of one bus at one rate. Rotations in bit times.
-
-    ``findings``: values out of bounds, one line each with reason and remedy; empty if everything fits. ``notes``:
-    legal, but worth knowing. ``beside``: the needs of other masters on the bus, empty without any. ``cycle``: the
-    judgement of a fixed cycle, None if the bus runs free.
-    """
+    """The plan of one bus at one rate. Rotations in bit times."""
 
     #: rotation times, hold times and the bus parameters behind them
     figures: Figures

@@ -64,9 +64,8 @@ class Rotation(Struct, frozen=True, kw_only=True):
     """A rotation in bit times. ``slaves``: the time of each slave in its rounds, with T_ID1 after its answer;
     ``together``: the slaves in the fullest round.
 
-    ``data``: of these slaves; ``beside``: services, Global_Control and GAP poll; ``token``: until the next station has
-    the token; ``others``: of other masters; ``waiting``: for Min_Slave_Interval while the token goes round; ``idle``:
-    the most rounds without any slave, one after the other.
+    ``beside``: services, Global_Control and GAP poll; ``token``: until the next station has the token; ``idle``: the
+    most rounds without any slave, one after the other.
 
     ``bits``: from the first Data_Exchange of a round to the first one after that round. In the shortest case the round
     is the emptiest one and no idle round follows; in the others it is the fullest one, and all of them follow.

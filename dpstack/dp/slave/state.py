@@ -199,12 +199,7 @@ class Watchdog:
 
 
 class SlaveCore:
-    """One slave application, as :class:`~dpstack.dp.slave.application.SlaveApp` and its services share it.
-
-    ``master``: address of the master that has locked the slave. ``failure``: the exception of the device, None while it
-    works. ``data``: only in
-    data exchange. ``group``: Group_Ident. ``services``: those of the device, beyond DP-V0.
-    """
+    """One slave application, as :class:`~dpstack.dp.slave.application.SlaveApp` and its services share it."""
 
     def __init__(self, device: DpV0Device, address: int | None, address_fixed: bool) -> None:
         #: the device that it serves

@@ -87,7 +87,8 @@ ResourceManagerRes.LAYOUT = Layout(
 
 class Initiate(Pdu, frozen=True, kw_only=True):
     """The common part of both Initiate PDUs: ``features``, ``profile_features``: two octets each; ``profile_ident``: 0
-    for none; ``source``: the end that sends it."""
+    for none.
+    """
 
     #: Features_Supported, two octets
     features: int = FEATURES

@@ -88,13 +88,10 @@ class SlaveDescription:
     ``dpv1`` [DPV1_Slave]: its user parameters begin with the three DPV1_Status octets; ``alarms``: kinds that it may
     raise, of "pull_plug", "process", "diagnostic", "manufacturer", "status", "update" [Pull_Plug_Alarm_supp ...];
     ``alarm_sequence``: 2..32 of them at a time in sequence mode, 0 for one of each type only
-    [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp]; ``prm_blocks``
-    [Prm_Block_Structure_supp]: of such a slave, structured parameters may follow, otherwise Prm_Structure is refused;
-    ``prm_blocks_required`` [Prm_Block_Structure_req]: without Prm_Structure they are refused;
-    ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
-    services [C2_Max_Data_Len], ``ms2_max_initiate``: octets of an Initiate [Max_Initiate_PDU_Length];
-    ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
-    the master.
+    [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp]; ``prm_blocks`` [Prm_Block_Structure_supp]:
+    of such a slave, structured parameters may follow, otherwise Prm_Structure is refused; ``prm_blocks_required``
+    [Prm_Block_Structure_req]: without Prm_Structure they are refused; ``rates``: baud rate -> MaxTsdr in bit times,
+    empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for the master.
 
     For its GSD file alone: ``vendor`` [Vendor_Name], ``revision`` [Revision]; ``parameters``: its user parameters by
     name; ``diag_texts``: texts for its diagnosis [Unit_Diag_Bit, Channel_Diag ...]. Raises ConfigError.

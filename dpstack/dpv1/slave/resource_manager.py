@@ -70,7 +70,7 @@ class ConnectionOpened(SlaveAppEvent):
 
 
 class ConnectionClosed(SlaveAppEvent):
-    """A connection of class 2 is over and given back; ``services``: how many its master asked for."""
+    """A connection of class 2 is over and given back."""
 
     #: address of the master at the other end
     master: int

@@ -13,7 +13,7 @@ from dpstack.profile.model.params import ParamSpec, ParamTable
 
 
 class ParamKey(Struct, frozen=True):
-    """A parameter as a user names it. ``data_set`` and ``index`` as the drive defines them; ``ram``: not stored."""
+    """A parameter as a user names it. ``data_set`` and ``index`` as the drive defines them."""
 
     #: name or number
     name: str | int

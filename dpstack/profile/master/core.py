@@ -67,8 +67,7 @@ T = TypeVar("T")
 class Lookup(Generic[T]):
     """A request to the drive, ``ask(deadline)``, sent once while ``when()`` is true.
 
-    ``value``: None until the answer. It is repeated after the drive was offline, and after a time-out. An answer from
-    before that does not count.
+    It is repeated after the drive was offline, and after a time-out. An answer from before that does not count.
     """
 
     __slots__ = ("_ask", "_asked", "_turn", "_when", "value")

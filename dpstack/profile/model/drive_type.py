@@ -31,8 +31,7 @@ def config_number(what: str, value: object) -> float:
 class TelegramSpec(Struct, frozen=True, kw_only=True):
     """A telegram of a drive: identifier octets, octets each way, whether a parameter channel leads.
 
-    ``outputs``, ``inputs``: octets of process data behind the parameter channel. ``made_up``: the identifiers are in
-    no manual.
+    ``made_up``: the identifiers are in no manual.
     """
 
     #: name
@@ -70,10 +69,7 @@ class TelegramFamily(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveType:
-    """``family``: telegrams too many to list; ``fail_safe``: empty frames in Clear are understood.
-
-    ``reference_hz``: what 100 % speed is at the factory.
-    """
+    """``family``: telegrams too many to list; ``fail_safe``: empty frames in Clear are understood."""
 
     #: name of the drive, that of its entry point
     name: str

@@ -28,7 +28,7 @@ ErrorKind = Literal["fault", "timeout", "parameter", "usage", "lost"]
 
 
 class CommandError(Exception):
-    """Failure of an order; becomes its result event. ``number``: the drive's error number."""
+    """Failure of an order; becomes its result event."""
 
     def __init__(self, kind: ErrorKind, text: str, number: int | None = None) -> None:
         super().__init__(text)

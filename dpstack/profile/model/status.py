@@ -23,12 +23,11 @@ class SettingsState(StrEnum):
 class DriveStatus:
     """State and values of a drive, from its last inputs and the master's own last command.
 
-    ``speed``, ``setpoint``: of the reference (1.0 = 100 %); ``current`` and ``torque``: of the rated current. What
-    the telegram does not carry is None. ``reached``: as the drive says; if it has no bit for it, running within
-    1 % of the reference around the set point. ``remote``: the drive follows the bus; None if no bit says it.
-    ``words``: the process data as received. ``bits``: names of the status bits set. ``settings``: how the drive's
-    settings compare with those that its plugin relies on; ``settings_texts``: what differs, was not checked, or was
-    written and does not yet act. ``speed`` and ``frequency_hz`` are None while the drive has another scale.
+    What the telegram does not carry is None. ``reached``: as the drive says; if it has no bit for it, running within
+    1 % of the reference around the set point. ``remote``: the drive follows the bus; None if no bit says it. ``bits``:
+    names of the status bits set. ``settings``: how the drive's settings compare with those that its plugin relies on;
+    ``settings_texts``: what differs, was not checked, or was written and does not yet act. ``speed`` and
+    ``frequency_hz`` are None while the drive has another scale.
     """
 
     #: state of the drive; OFFLINE outside data exchange

@@ -42,9 +42,7 @@ class DriveDevice(Device):
 
     Faults and conditions from outside: :meth:`trip`, :meth:`acknowledge`, :meth:`warn`, :meth:`set_load`,
     :meth:`release`, :meth:`contact`, :meth:`set_point`, :meth:`refuse`; they take effect at the next scan.
-    ``address_parameter``: the one in ``store`` that holds the station address. ``parameter_errors``: texts of the
-    errors of an access to a parameter, by number; ``read_errors``, ``write_errors``: those of reads only, of writes
-    only.
+    ``parameter_errors``: texts of the errors of an access to a parameter, by number.
     """
 
     #: the parameters

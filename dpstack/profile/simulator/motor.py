@@ -34,8 +34,8 @@ class Motor:
     """Speed ``speed`` and stator frequency ``frequency`` in per unit of the rated frequency, ``torque`` of the rated.
 
     ``inertia``: seconds from standstill to rated speed at rated torque. ``slip`` at rated torque. ``limit``: torque
-    limit. ``magnetising``: current at no load. ``load``: torque against the motion at any speed. ``accel``,
-    ``decel``: ramps in per unit per second. ``braking``: the DC brake is on.
+    limit. ``magnetising``: current at no load. ``load``: torque against the motion at any speed. ``braking``: the DC
+    brake is on.
     """
 
     inertia: float = 0.1
