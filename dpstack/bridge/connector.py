@@ -89,7 +89,7 @@ class Connector(ABC):
         """Release everything at once, without waiting. Called once at the end, also if :meth:`open` failed."""
 
 
-class Teller:
+class RemarkReporter:
     """Passes remarks on with the name of their connector in front; one that is the same as the last one is left out."""
 
     def __init__(self, name: str, tell: Tell) -> None:

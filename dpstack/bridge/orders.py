@@ -123,7 +123,7 @@ class Orders:
         self._halts: Counter[int] = Counter()
         self._halting: set[asyncio.Task[None]] = set()
         self._remark_at = -_REMARK_S
-        self._untold = 0
+        self._more = 0
         #: orders that came before this time of the loop are refused
         self._recalled_at = -math.inf
 
@@ -185,8 +185,8 @@ class Orders:
             else:
                 await self._carry_in_turn([order], order.typed(argument), age, batch)
         except Exception as error:  # whatever the run does: the sender gets a result
-            return self._told(_refused(name, error))
-        return self._told(OrderResult(name, "done"))
+            return self._reported(_refused(name, error))
+        return self._reported(OrderResult(name, "done"))
 
     async def give_outputs(
         self,
@@ -212,7 +212,7 @@ class Orders:
                     raise _ChangedError
                 values[order.output] = argument
             except Exception as error:
-                results.append(self._told(_refused(_name(wanted), error)))
+                results.append(self._reported(_refused(_name(wanted), error)))
             else:
                 orders.append(order)
                 results.append(None)
@@ -223,7 +223,7 @@ class Orders:
         except Exception as error:
             failed = error
         rest = iter(OrderResult(one.name, "done") if failed is None else _refused(one.name, failed) for one in orders)
-        return [self._told(next(rest)) if one is None else one for one in results]
+        return [self._reported(next(rest)) if one is None else one for one in results]
 
     def _judge(self, wanted: str | OfferedOrder, value: object, age: _Age) -> tuple[OfferedOrder, Argument | None]:
         """An order that comes, and its argument. Raises _RefusedError."""
@@ -349,7 +349,7 @@ class Orders:
         finally:
             self._waiting[slave] -= 1
 
-    def _told(self, result: OrderResult) -> OrderResult:
+    def _reported(self, result: OrderResult) -> OrderResult:
         self._remark(result)
         return result
 
@@ -362,10 +362,10 @@ class Orders:
             return
         now = asyncio.get_running_loop().time()
         if now - self._remark_at < _REMARK_S:
-            self._untold += 1
+            self._more += 1
             return
-        more = f" ({self._untold} more {'was' if self._untold == 1 else 'were'} refused before)" if self._untold else ""
-        self._remark_at, self._untold = now, 0
+        more = f" ({self._more} more {'was' if self._more == 1 else 'were'} refused before)" if self._more else ""
+        self._remark_at, self._more = now, 0
         self._tell(f"order {result.name} refused: {result.reason}{more}", Severity.WARNING)
 
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import pytest
 from api_kit import in_virtual_time
 
-from dpstack.bridge.connector import Connector, Tell, Teller
+from dpstack.bridge.connector import Connector, RemarkReporter, Tell
 from dpstack.bridge.gateway import END_S, MOST_CHANGES, MOST_ITEMS, TICK_S, Gateway
 from dpstack.errors import ConfigError
 from dpstack.plant.conditions import Condition
@@ -136,7 +136,7 @@ class World:
     def __init__(self, *kinds: type[Recorder], wall: float = 1_700_000_000.0) -> None:
         self.told: list[tuple[str, Severity]] = []
         self.tree = PlantTree()
-        self.connectors = [kind(self.tree, Teller(kind.name, self.tell)) for kind in kinds]
+        self.connectors = [kind(self.tree, RemarkReporter(kind.name, self.tell)) for kind in kinds]
         self.items: asyncio.Queue[dict[str, Any] | Exception | None] = asyncio.Queue()
         self.begun = asyncio.get_running_loop().time()
         self.wall = wall
@@ -384,7 +384,7 @@ async def test_a_clock_that_is_set_is_given_out_once() -> None:
 
 def test_a_remark_that_repeats_the_last_one_is_left_out() -> None:
     told: list[str] = []
-    tell = Teller("mqtt", lambda text, _: told.append(text))
+    tell = RemarkReporter("mqtt", lambda text, _: told.append(text))
     for text in ("no answer", "no answer", "connected", "no answer", "\x1b[2J", "x" * 999):
         tell(text, Severity.INFO)
     assert told[:4] == ["mqtt: no answer", "mqtt: connected", "mqtt: no answer", "mqtt: \\x1b[2J"]

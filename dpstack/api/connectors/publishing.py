@@ -24,7 +24,7 @@ from dpstack.api.config.table import Source
 from dpstack.api.connectors.kinds import KINDS, ConnectorKind, Parts
 from dpstack.api.connectors.outside import OutsideOrders
 from dpstack.api.streams import LEVELS, load_beside
-from dpstack.bridge.connector import Connector, ConnectorState, Teller
+from dpstack.bridge.connector import Connector, ConnectorState, RemarkReporter
 from dpstack.bridge.gateway import END_S, TICK_S, Gateway
 from dpstack.bridge.orders import Orders, check_allowed
 from dpstack.dp.master.commands import Alive
@@ -119,8 +119,8 @@ class Publishing:
         #: the bus has a process of its own, which can act while this loop stands still
         self._arms = False
         self._armed = False
-        self._has_told = False
-        self._untold: list[tuple[str, Severity]] = []
+        self._has_reported_driver = False
+        self._waiting: list[tuple[str, Severity]] = []
         self.remarks = []
 
     @property
@@ -175,7 +175,7 @@ class Publishing:
             raise UsageError(f"a connector cannot be loaded ({error}): pip install 'dpstack[{names}]'") from None
         try:
             for name, kind in kinds.items():
-                tell = Teller(name, self._tell)
+                tell = RemarkReporter(name, self._tell)
                 parts = Parts(
                     self._tree, tell, partial(self._orders, name, tell), self._connector_states, self._bus_pid
                 )
@@ -285,8 +285,8 @@ class Publishing:
                 connector.close()
             except Exception as error:
                 self._tell(f"{connector.name}: {type(error).__name__}: {error}", Severity.WARNING)
-        self.remarks += [text for text, severity in self._untold if severity is not Severity.INFO]
-        self._untold.clear()
+        self.remarks += [text for text, severity in self._waiting if severity is not Severity.INFO]
+        self._waiting.clear()
 
     async def _built(self) -> None:
         """Wait until the connectors have made their nodes, or are over: afterwards the bus must not wait for them."""
@@ -327,39 +327,39 @@ class Publishing:
 
     async def _items(self, stream: LiveStream) -> AsyncIterator[Item]:
         async for item in stream:
-            if self._bus.is_open and not self._has_told:
-                self._has_told = True
+            if self._bus.is_open and not self._has_reported_driver:
+                self._has_reported_driver = True
                 self._arms = self._bus.driver == PROCESS and self._bus.config.bus.on_connector_loss != KEEP
-                self._tell_where_they_run()
+                self._report_where_they_run()
             yield item
 
-    def _tell_where_they_run(self) -> None:
+    def _report_where_they_run(self) -> None:
         if self._bus.driver == "asyncio":
             names = ", ".join(self._tables)
             todo = 'with driver = "process" in [bus] they cannot delay it'
             self._tell(f"{names}: in the event loop of the bus; {todo}", Severity.INFO)
-        self._tell_untold()
+        self._report_waiting()
 
     def _tell(self, text: str, severity: Severity) -> None:
         """Publish a remark as a notice of the bus; before its start it waits, after its end it goes to the log."""
         text = printable(text)
         if self._bus.is_open:
-            self._tell_untold()
+            self._report_waiting()
             core_of(self._bus).notice(_SOURCE, text, severity)
         elif core_of(self._bus).was_opened:
             _LOG.log(LEVELS[severity], "%s", text)
             self.remarks.append(text)
-        elif len(self._untold) < _MOST_REMARKS:
-            self._untold.append((text, severity))
+        elif len(self._waiting) < _MOST_REMARKS:
+            self._waiting.append((text, severity))
 
-    def _tell_untold(self) -> None:
-        untold, self._untold = self._untold, []
-        for text, severity in untold:
+    def _report_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for text, severity in waiting:
             core_of(self._bus).notice(_SOURCE, text, severity)
 
     # --- orders ---------------------------------------------------------------------------------------------------
 
-    def _orders(self, name: str, tell: Teller, allow: Sequence[str], max_age_s: float) -> Orders:
+    def _orders(self, name: str, tell: RemarkReporter, allow: Sequence[str], max_age_s: float) -> Orders:
         bus = self._bus
         plants = ((slave.address, convert(named_values(slave), SlavePlant)) for slave in bus.config.slaves)
         check_allowed(

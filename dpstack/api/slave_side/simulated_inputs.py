@@ -96,14 +96,14 @@ class SimulatedInputs:
             calls.start(origin_ns)
 
 
-class _Teller:
+class _StateReporter:
     """Publishes changes of what is wrong with a source, and that it works again, at most one in QUIET_NS."""
 
     def __init__(self, source: str, bench: Bench, publish: Publish) -> None:
         self._source = source
         self._bench = bench
         self._publish = publish
-        self._told = ""
+        self._reported = ""
         self._quiet_until_ns = 0
 
     def wrong(self, what: str) -> None:
@@ -113,8 +113,8 @@ class _Teller:
         self._tell("", "works again", Severity.INFO)
 
     def _tell(self, state: str, what: str, severity: Severity) -> None:
-        if state != self._told and self._bench.now >= self._quiet_until_ns:
-            self._told = state
+        if state != self._reported and self._bench.now >= self._quiet_until_ns:
+            self._reported = state
             self._quiet_until_ns = self._bench.now + QUIET_NS
             self.say(what, severity)
 
@@ -131,7 +131,7 @@ class _Playback:
         self._repeat = repeat
         self._units = units
         self._bench = bench
-        self._teller = _Teller(f"recording {path.name}", bench, publish)
+        self._reporter = _StateReporter(f"recording {path.name}", bench, publish)
         self._wrong: set[str] = set()  # columns with a value that was reported
         given = units[0].config.simulate
         assert given is not None
@@ -159,7 +159,7 @@ class _Playback:
         rows = self._rows()
         first = next(rows, None)
         if first is None:
-            self._teller.wrong("it has no rows")
+            self._reporter.wrong("it has no rows")
             return
         self._bench.call_at(origin_ns, partial(self._play, origin_ns, rows, first))
 
@@ -172,7 +172,7 @@ class _Playback:
                 self._apply(due[1])
                 due = next(rows, None)
         except (UsageError, OSError) as error:
-            self._teller.wrong(str(error))
+            self._reporter.wrong(str(error))
             return
         if due is not None:
             at_ns = max(origin_ns + s_to_ns(due[0]), bench.now + _LEAST_STEP_NS)
@@ -180,7 +180,7 @@ class _Playback:
         elif self._repeat:
             self._begin(bench.now + s_to_ns(_LAST_S))
         else:
-            self._teller.say("is over; the last inputs stay")
+            self._reporter.say("is over; the last inputs stay")
 
     def _apply(self, values: Mapping[str, object]) -> None:
         for unit, names in zip(self._units, self._names, strict=True):
@@ -194,7 +194,7 @@ class _Playback:
                 except (DpError, ValueError) as error:
                     if column not in self._wrong:
                         self._wrong.add(column)
-                        self._teller.say(f"{error}; left out, and so are others of {column}", Severity.WARNING)
+                        self._reporter.say(f"{error}; left out, and so are others of {column}", Severity.WARNING)
             if image != before or unit.held_inputs is None:
                 unit.set_inputs(image)
 
@@ -258,7 +258,7 @@ class _Calls:
         self._unit = unit
         self._bench = bench
         self._period_ns = given.period_ns
-        self._teller = _Teller(f"{unit.who}: function {given.function}", bench, publish)
+        self._reporter = _StateReporter(f"{unit.who}: function {given.function}", bench, publish)
         assert given.function is not None
         try:
             function = load_object(given.function, given.folder, "function")
@@ -307,19 +307,19 @@ class _Calls:
             result = self._results.get(timeout=PATIENCE_S) if waits else self._results.get_nowait()
         except queue.Empty:
             self._is_overdue = True
-            self._teller.wrong("takes longer than its period; the last inputs stay")
+            self._reporter.wrong("takes longer than its period; the last inputs stay")
             return
         self._is_running = self._is_overdue = False
         if result.error is not None:
             error = result.error
-            self._teller.wrong(f"failed ({type(error).__name__}: {error})"[:_SHOWN] + "; the last inputs stay")
+            self._reporter.wrong(f"failed ({type(error).__name__}: {error})"[:_SHOWN] + "; the last inputs stay")
             return
         try:
             self._set(result.value)
         except Exception as error:  # also of a mapping of the user's own
-            self._teller.wrong(f"gave wrong inputs ({error})"[:_SHOWN] + "; the last inputs stay")
+            self._reporter.wrong(f"gave wrong inputs ({error})"[:_SHOWN] + "; the last inputs stay")
             return
-        self._teller.well()
+        self._reporter.well()
 
     def _set(self, value: object) -> None:
         unit = self._unit

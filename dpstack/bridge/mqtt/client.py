@@ -125,7 +125,7 @@ class MqttConnector(Connector):
         #: orders that are carried out, and their number by task
         self._giving: dict[asyncio.Task[None], int] = {}
         #: messages of the broker that were too many at once; those not reported yet, and the time of the next remark
-        self._lost = self._lost_untold = 0
+        self._lost = self._lost_unreported = 0
         self._lost_remark_due = -math.inf
 
     async def open(self) -> None:
@@ -423,13 +423,13 @@ class MqttConnector(Connector):
         assert isinstance(inbox, Inbox)
         lost, inbox.lost = inbox.lost, 0
         self._lost += lost
-        self._lost_untold += lost
+        self._lost_unreported += lost
         self._count_dropped()
         now = asyncio.get_running_loop().time()
-        if not self._lost_untold or (now < self._lost_remark_due and not is_end):
+        if not self._lost_unreported or (now < self._lost_remark_due and not is_end):
             return
-        text = f"{self._lost_untold} messages of the broker came faster than they could be read: they are lost"
-        self._lost_untold, self._lost_remark_due = 0, now + _LOST_REMARK_S
+        text = f"{self._lost_unreported} messages of the broker came faster than they could be read: they are lost"
+        self._lost_unreported, self._lost_remark_due = 0, now + _LOST_REMARK_S
         self.tell(text, Severity.WARNING)
 
     def _count_dropped(self) -> None:
