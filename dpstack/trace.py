@@ -99,6 +99,7 @@ class Event(Struct, metaclass=_EventMeta, frozen=True):
 class Notice(Event):
     """A remark worth one line that has no type of its own. ``source`` names the layer or the station."""
 
+    #: layer or station that the remark comes from
     source: str
     #: the remark, one line
     message: str

@@ -330,7 +330,7 @@ def api_index() -> str:
 {_MADE}
 
 Names in these namespaces are public; everything else may change without notice. Each page has the names of `__all__`
-with their docstrings.
+with a line each, a table of the attributes of each class with type and meaning, and in the built book all docstrings.
 
 {table}
 """

@@ -11,13 +11,11 @@ SIMULATION: Final = "simulation"
 
 
 class Injected(Event):
-    """A command of ``dpstack ctl`` to a simulated slave or to the segment.
-
-    ``args``: as typed.
-    """
+    """A command of ``dpstack ctl`` to a simulated slave or to the segment."""
 
     #: the command
     command: str
+    #: its arguments as typed
     args: tuple[str, ...]
     #: station address of the slave; None for the segment
     address: int | None = None

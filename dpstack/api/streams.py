@@ -162,13 +162,14 @@ def call_on_event(on_event: OnEvent | None, event: Event) -> None:
 class SlaveFlapping(SlaveEvent):
     """The state or the diagnosis of a slave changes too often: ``count`` events about changes were left out.
 
-    The newest state, fault and diagnosis among them follow this event. ``drive``: the events were those of the drive.
+    The newest state, fault and diagnosis among them follow this event.
     """
 
     SEVERITY = Severity.WARNING
 
     #: events about changes that were left out
     count: int
+    #: the events that were left out are those of the drive
     drive: bool = False
 
     def _text(self) -> str:

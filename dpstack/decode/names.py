@@ -74,13 +74,14 @@ class SlaveNames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Names:
-    """All names for one bus. ``slaves``: by address, of the configuration.
+    """All names for one bus.
 
     ``recognise``: names for an ident number and the identifier octets of Chk_Cfg (empty while they are unknown), None
-    if no GSD file has them. ``record``: the fields of record 47, of a request (True) or a response, with the names
-    of a drive's parameters; empty if the octets are no record.
+    if no GSD file has them. ``record``: the fields of record 47, of a request (True) or a response, with the names of a
+    drive's parameters; empty if the octets are no record.
     """
 
+    #: names of the configured slaves by address
     slaves: Mapping[int, SlaveNames] = field(default_factory=dict)
     recognise: Callable[[int, bytes], SlaveNames | None] = lambda ident, config: None
     record: Callable[[bytes, bool, DriveWords | None], Fields] = lambda octets, request, drive: {}

@@ -22,7 +22,7 @@ from dpstack.stats import Histogram
 
 
 class SlaveSnapshot(Struct, frozen=True):
-    """One slave as its master handles it. ``watchdog_ns``: the one in effect, 0 when off."""
+    """One slave as its master handles it."""
 
     #: state in which the master has the slave
     state: SlaveState = SlaveState.OFFLINE
@@ -30,6 +30,7 @@ class SlaveSnapshot(Struct, frozen=True):
     fault: Fault | None = None
     #: last diagnosis read; None before the first
     diagnosis: Diagnosis | None = None
+    #: watchdog in effect in ns, 0 when off
     watchdog_ns: int = 0
     #: counters of its alarms; None for a slave that is not parameterised for DP-V1
     alarms: AlarmCounts | None = None

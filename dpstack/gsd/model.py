@@ -167,6 +167,7 @@ class Parameter:
     type: PrmType
     #: default value
     default: int
+    #: ranges of allowed values; empty: everything the type can hold
     allowed: Ranges = ()
     #: number of its PrmText; None without one
     text_ref: int | None = None
@@ -220,12 +221,13 @@ class PrmBlock:
 
 
 class DiagText(NamedTuple):
-    """One text for a diagnosis and its condition. ``kind``: "bit", "not_bit", "area" or "channel".
+    """One text for a diagnosis and its condition.
 
     Of a bit or an area: the bits ``first``..``last``, counted from 0 at the first octet behind the block's header, have
-    the ``value``. Of a channel: the error type is ``value``. ``help``: empty if the file has none.
+    the ``value``. Of a channel: the error type is ``value``.
     """
 
+    #: condition of the text: "bit", "not_bit", "area" or "channel"
     kind: str
     #: first bit, counted from 0 at the first octet behind the block's header; None of a channel
     first: int | None
@@ -235,6 +237,7 @@ class DiagText(NamedTuple):
     value: int
     #: text for people
     text: str
+    #: further help; empty if the file has none
     help: str
 
 
@@ -273,6 +276,7 @@ class Module:
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
     #: statements and blocks that dpstack does not use
     raw: tuple[Raw, ...] = ()
+    #: False if the file breaks off in the module or its EndModule is missing: such a module cannot be used
     complete: bool = True
     #: line in the file, from 1
     line: int = field(default=0, compare=False)

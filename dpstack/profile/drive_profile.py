@@ -65,9 +65,8 @@ class DriveProfile(DriveType):
 
     ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know. ``simulated_options``:
     options of the core that no manual gives, as the simulated drive has them. ``ready``: parameters of the simulated
-    drive that differ from delivery if it is set up for the bus (option :data:`READY`); ``left_open``: those of them
-    that a plant without that option leaves as delivered. ``gsd``: a GSD file of ours made from the manual's facts (not
-    the vendor's), as ``package:file name``.
+    drive that differ from delivery if it is set up for the bus (option :data:`READY`); ``gsd``: a GSD file of ours made
+    from the manual's facts (not the vendor's), as ``package:file name``.
     """
 
     #: maker and type for people
@@ -92,6 +91,7 @@ class DriveProfile(DriveType):
     notes: tuple[str, ...] = ()
     simulated_options: Mapping[str, object] = field(default_factory=dict)
     ready: Mapping[str, object] = field(default_factory=dict)
+    #: parameters of ``ready`` that a plant without that option leaves as delivered
     left_open: Mapping[str, object] = field(default_factory=dict)
     gsd: str | None = None
     #: the setting of the rate, for a drive that works only at the rate it is set to; None: it detects the rate

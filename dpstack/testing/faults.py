@@ -23,11 +23,11 @@ _LONGEST_S: Final = 365 * 86_400
 
 
 class Fault:
-    """A fault that has begun. As a context manager it ends with its block. ``text``: the fault for people; ``slave``:
-    the name of the slave, None for the line."""
+    """A fault that has begun. As a context manager it ends with its block. ``text``: the fault for people."""
 
     def __init__(self, text: str, slave: str | None, end: End | None) -> None:
         self.text = text
+        #: name of the slave; None for the line
         self.slave = slave
         self._end = end
         #: bus time in seconds at which it ends by itself; None: it does not

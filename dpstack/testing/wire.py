@@ -60,13 +60,15 @@ class Exchange(NamedTuple):
 
 
 class Service(NamedTuple):
-    """A service of the master at a slave at ``t`` seconds of bus time; ``answered``: positively. Successive
-    Data_Exchanges are one entry, which is answered when one of them was."""
+    """A service of the master at a slave at ``t`` seconds of bus time. Successive Data_Exchanges are one entry, which
+    is answered when one of them was.
+    """
 
     #: bus time in seconds
     t: float
     #: name of the service
     name: str
+    #: the slave answered positively
     answered: bool
 
 

@@ -23,17 +23,20 @@ In = TypeVar("In", bound=Inputs)
 class Cycle:
     """A round of data exchange. Made by the bus, see ``Bus.cycles``.
 
-    ``number`` counts the due times of fixed cycles (also of cycles left out), free running the rounds. ``t_ns``: the
-    machine's time of its first bit; ``late_ns``: its delay behind the due time (0 free running). ``inputs``: by name
-    the octets of every slave in data exchange, all of the end of this round. ``fresh`` names the slaves that answered
-    in this round, :attr:`stale` the others. ``inputs`` leaves out a slave if the round is older than its
-    ``Slave.inputs_limit`` when the reader gets it, and all slaves while the bus does not run. ``skipped``: rounds that
-    this reader missed since its last one. ``missed``: deadline misses since the start of the bus.
+    ``number`` counts the due times of fixed cycles (also of cycles left out), free running the rounds. ``fresh`` names
+    the slaves that answered in this round, :attr:`stale` the others. ``inputs`` leaves out a slave if the round is
+    older than its ``Slave.inputs_limit`` when the reader gets it, and all slaves while the bus does not run.
+    ``skipped``: rounds that this reader missed since its last one. ``missed``: deadline misses since the start of the
+    bus.
     """
 
+    #: number of the due time of a fixed cycle (cycles left out count, too); free running the number of the round
     number: int
+    #: time of the machine at the first bit of the round, in ns
     t_ns: int
+    #: delay behind the due time in ns; 0 free running
     late_ns: int
+    #: octets of every slave in data exchange by name, all of the end of this round
     inputs: Mapping[str, bytes]
     #: the slaves that answered in this round; :attr:`stale` has the others
     fresh: frozenset[str]

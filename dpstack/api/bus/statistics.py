@@ -23,12 +23,7 @@ STALE_NS: Final = NS_PER_S
 
 
 class SlaveStats(Struct, frozen=True, kw_only=True):
-    """One slave's counters since the start; ``link`` are those of the link layer.
-
-    ``outputs``: those that the slave gets; ``held``: the application's, while they wait for Operate or for data
-    exchange, else None. ``fields``: its named inputs and the named outputs that it gets, octets as hex;
-    ``held_fields``: those of ``held``; ``master``: address of its master on a read-only bus, None: not known.
-    """
+    """One slave's counters since the start; ``link`` are those of the link layer."""
 
     #: station address, 0..126
     address: int
@@ -48,14 +43,19 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
     inputs_valid: bool
     #: age of the inputs in seconds; None before the first ones
     inputs_age: float | None
+    #: outputs that the slave gets
     outputs: bytes
+    #: outputs of the application while they wait for Operate or data exchange; else None
     held: bytes | None
     #: the effective watchdog, 0 when off
     watchdog_ms: int
     #: counters of the link layer for this station
     link: StationStats
+    #: address of its master on a read-only bus; None: not known
     master: int | None = None
+    #: named inputs, and named outputs that the slave gets; octets as hex
     fields: Mapping[str, object] = field(default_factory=dict)
+    #: named outputs of ``held``
     held_fields: Mapping[str, object] = field(default_factory=dict)
     #: units of the named fields that have one
     units: Mapping[str, str] = field(default_factory=dict)
@@ -100,12 +100,10 @@ def _link_dict(link: StationStats) -> dict[str, object]:
 class BusStats(Struct, frozen=True, kw_only=True):
     """Counters of the whole bus. Rotation times in whole microseconds: ``min``, ``p50``, ``p99``, ``p999``, ``max``.
 
-    ``rotation_us``: from the first Data_Exchange of a round to that of the next; ``token_us``: from token receipt to
-    token receipt. ``bad``: unreadable octets and telegrams by cause (names of DecoderStats); ``uart_...``: octets that
-    the adapter or its driver found damaged.
+    ``bad``: unreadable octets and telegrams by cause (names of DecoderStats); ``uart_...``: octets that the adapter or
+    its driver found damaged.
 
-    ``age``: of the counters in seconds, 0 if the bus runs in this process, some 0.1 s with a bus process. ``stale``:
-    the bus does not run, or the counters are older than 1 s.
+    ``stale``: the bus does not run, or the counters are older than 1 s.
     """
 
     #: bus time since the start, in seconds
@@ -114,7 +112,9 @@ class BusStats(Struct, frozen=True, kw_only=True):
     paced: bool
     #: number of rounds of data exchange
     rotations: int
+    #: rotation times in us, from the first Data_Exchange of a round to that of the next: min, p50, p99, p999, max
     rotation_us: dict[str, int]
+    #: times in us from token receipt to token receipt, as ``rotation_us``
     token_us: dict[str, int]
     #: counters of each slave, by address
     slaves: dict[int, SlaveStats]
@@ -137,6 +137,7 @@ class BusStats(Struct, frozen=True, kw_only=True):
     host_us: dict[str, int] | None
     #: waiting time beyond the slot time for a known station, in ms
     host_slack_ms: float
+    #: age of the counters in seconds: 0 if the bus runs in this process, some 0.1 s with a bus process
     age: float = 0.0
     stale: bool = False
     #: lag of a simulated bus behind real time in s

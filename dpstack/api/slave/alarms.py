@@ -33,7 +33,6 @@ class SlaveAlarm:
     ``type`` 1 diagnosis, 2 process, 3 pull, 4 plug, 5 status, 6 update, 32..126 the maker's own, ``title`` in words;
     ``slot`` 0..254; ``sequence`` number 0..31; ``data`` up to 59 octets, whose meaning is in the device's manual.
     ``user_ack`` (Add_Ack): the device expects a user action besides the acknowledgement, for instance a Write.
-    ``t_ns``: bus time.
     """
 
     #: station address of the slave, 0..126
@@ -57,6 +56,7 @@ class SlaveAlarm:
     diagnosis: Diagnosis
     #: the other blocks of that diagnosis, one line each
     texts: tuple[str, ...]
+    #: bus time in ns
     t_ns: int
     text: str
 

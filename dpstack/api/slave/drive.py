@@ -40,8 +40,9 @@ def declared_parameters(core: DriveCore) -> tuple[ListedParam, ...]:
 
 
 class DriveNotice(NamedTuple):
-    """A line of text from a drive plugin to the application; ``t_ns``: bus time."""
+    """A line of text from a drive plugin to the application."""
 
+    #: bus time in ns
     t_ns: int
     #: one line for people
     text: str

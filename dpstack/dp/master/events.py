@@ -131,8 +131,9 @@ class ModeChanged(Event):
 
 
 class MasterStopped(Event):
-    """The master has ended. ``cleared``: safe values and Clear were sent; False if it had no token to send them."""
+    """The master has ended."""
 
+    #: safe values and Clear were sent; False if the master had no token to send them
     cleared: bool = True
 
     def _text(self) -> str:
@@ -197,14 +198,15 @@ class Blocked(Enum):
 class Stalled(ForcedClear):
     """``slaves`` got no requests for longer than their watchdogs. The master goes to Clear before it asks them again.
 
-    ``gap_ns``: the longest time without requests to one of them; None if no clock shows it. ``blocked``: the obstacle,
-    None if it is not known; ``reason``: a text with both.
+    ``blocked``: the obstacle, None if it is not known.
     """
 
+    #: longest time in ns without requests to one of the slaves; None if no clock shows it
     gap_ns: int | None
     #: addresses of the slaves without requests
     slaves: tuple[int, ...]
     blocked: Blocked | None
+    #: obstacle and time in words
     reason: str
 
     @property
@@ -301,6 +303,7 @@ class ControlFailed(Event):
 class DriveEvent(SlaveEvent):
     """A drive plugin's answer or message: ``payload`` is plain JSON data with a ``"type"`` key."""
 
+    #: plain JSON data with a ``"type"`` key
     payload: dict[str, object]
 
     def _text(self) -> str:

@@ -158,8 +158,7 @@ class ModuleState(NamedInt):
 
 
 class Alarm(Struct, frozen=True):
-    """An alarm: ``type`` 1..6 or 32..126, ``slot`` 0..254, ``sequence`` 0..31, ``specifier`` 0..3, ``data`` 0..59
-    octets; ``add_ack``: the user has to acknowledge it in addition."""
+    """An alarm of a slave."""
 
     #: type 1..6 or 32..126
     type: int
@@ -171,6 +170,7 @@ class Alarm(Struct, frozen=True):
     sequence: int = 0
     #: data, 0..59 octets
     data: bytes = b""
+    #: the user has to acknowledge it in addition
     add_ack: bool = False
 
     @property
@@ -198,10 +198,7 @@ class Alarm(Struct, frozen=True):
 
 
 class Status(Struct, frozen=True):
-    """A status, which has no acknowledgement: ``type`` (bit 7 taken off) 1..3, 30, 31 or 32..126; the rest as of Alarm.
-
-    ``reserved``: bits 7..2 of the specifier; PrmCmdAck and Red_State have a sequence number there.
-    """
+    """A status, which has no acknowledgement."""
 
     #: type (bit 7 taken off) 1..3, 30, 31 or 32..126
     type: int
@@ -211,6 +208,7 @@ class Status(Struct, frozen=True):
     specifier: int = Specifier.NONE
     #: data, 0..59 octets
     data: bytes = b""
+    #: bits 7..2 of the specifier; PrmCmdAck and Red_State have a sequence number there
     reserved: int = 0
 
     @property

@@ -148,13 +148,15 @@ _MAX_BLOCK: Final = 63
 class UserDiag(Struct, frozen=True):
     """The part of a slave's diagnosis that its application sets, as a whole.
 
-    ``ext``: the octets after the six fixed ones. ``fault``: Ext_Diag, there is something wrong (False: ``ext`` is a
-    mere message). ``stat``: Stat_Diag, no valid data at present. ``overflow``: there is more than fits.
+    ``ext``: the octets after the six fixed ones.
     """
 
     ext: bytes = b""
+    #: Ext_Diag: the octets report a fault (False: a mere message)
     fault: bool = False
+    #: Stat_Diag: no valid data at present
     stat: bool = False
+    #: Ext_Diag_Overflow: there is more diagnosis than fits
     overflow: bool = False
 
     def __post_init__(self) -> None:

@@ -39,8 +39,7 @@ class _Bit:
 class Diagnosis(Struct, frozen=True):
     """One diagnosis (the answer to Slave_Diag, DSAP 60).
 
-    ``master``: address of the master that has parameterised the slave, None for none (255). ``ident``: ident number.
-    ``ext``: the octets after the six fixed ones, :attr:`blocks` splits them.
+    ``ident``: ident number. ``ext``: the octets after the six fixed ones, :attr:`blocks` splits them.
     """
 
     #: octet Station_status_1
@@ -49,6 +48,7 @@ class Diagnosis(Struct, frozen=True):
     status2: int
     #: octet Station_status_3
     status3: int
+    #: address of the master that has parameterised the slave; None without one (255)
     master: int | None
     ident: int
     ext: bytes = b""

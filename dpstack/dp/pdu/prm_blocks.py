@@ -140,7 +140,7 @@ TABLES: Final[Mapping[int, Layout[Any]]] = {
 class PrmBlock(Struct, frozen=True):
     """A block of structured parameters: ``type`` 0..255 (:class:`BlockType`), ``slot`` 0..254, ``data``.
 
-    ``specifier``: the last octet of the head, 0 but in PrmCmd (sequence number). Raises ConfigError.
+    Raises ConfigError.
     """
 
     #: type, 0..255 (:class:`BlockType`)
@@ -149,6 +149,7 @@ class PrmBlock(Struct, frozen=True):
     slot: int
     #: octets behind the head
     data: bytes
+    #: last octet of the head, 0 except in PrmCmd (sequence number)
     specifier: int = 0
 
     def __post_init__(self) -> None:

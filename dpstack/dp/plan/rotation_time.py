@@ -64,9 +64,6 @@ class Rotation(Struct, frozen=True, kw_only=True):
     """A rotation in bit times. ``slaves``: the time of each slave in its rounds, with T_ID1 after its answer;
     ``together``: the slaves in the fullest round.
 
-    ``beside``: services, Global_Control and GAP poll; ``token``: until the next station has the token; ``idle``: the
-    most rounds without any slave, one after the other.
-
     ``bits``: from the first Data_Exchange of a round to the first one after that round. In the shortest case the round
     is the emptiest one and no idle round follows; in the others it is the fullest one, and all of them follow.
     """
@@ -75,12 +72,15 @@ class Rotation(Struct, frozen=True, kw_only=True):
     together: frozenset[int]
     #: time of the slaves in the fullest round
     data: int
+    #: time of services, Global_Control and GAP poll
     beside: int
+    #: time until the next station has the token
     token: int
     #: time of the other masters
     others: int
     #: waiting for Min_Slave_Interval while the token goes round
     waiting: int
+    #: most rounds without any slave, one after the other
     idle: int
     bits: int
 

@@ -183,6 +183,7 @@ class BaudStateChanged(SlaveAppEvent):
 
     #: what the slave does about the rate
     state: BaudState
+    #: rate in bit/s; None while it is searched
     baud: int | None
 
     def _text(self) -> str:
@@ -249,6 +250,7 @@ class PortBaudChanged(Event):
 
     #: what the slaves do about the rate
     state: BaudState
+    #: rate in bit/s; None while it is searched
     baud: int | None
 
     def _text(self) -> str:

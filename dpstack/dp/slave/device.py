@@ -26,12 +26,9 @@ class DpV0Device:
     """A DP device behind a :class:`~dpstack.dp.slave.application.SlaveApp`; subclass it, override what differs.
 
     ``ident``: ident number. ``other_idents``: ident numbers that it takes over from Set_Prm, and shows until it is
-    released. ``configs``: acceptable identifier octets, the default first. ``fail_safe``: an empty
-    output frame is taken as Clear (otherwise as one of the wrong length); ``fail_safe_required``: a master that does
-    not announce such frames in DPV1_Status_1 is refused. ``set_slave_add``: Set_Slave_Add is open. ``wd_base_1ms``:
-    WD_Base_1ms in DPV1_Status_1 is understood. ``max_diag_len``: octets of a whole diagnosis, 6..244. ``safe``: the
-    outputs while there are none of a master (Clear, before the first exchange), empty for zeros. ``due_at``: when
-    :meth:`tick` is wanted, in ns.
+    released. ``configs``: acceptable identifier octets, the default first. ``fail_safe``: an empty output frame is
+    taken as Clear (otherwise as one of the wrong length); ``wd_base_1ms``: WD_Base_1ms in DPV1_Status_1 is understood.
+    ``max_diag_len``: octets of a whole diagnosis, 6..244.
 
     All times in ns on the bus's clock; nothing here may block or read a clock of its own. An exception takes the device
     out of data exchange until it is restarted.
@@ -43,15 +40,19 @@ class DpV0Device:
     #: name for messages
     name: str = "device"
     fail_safe: bool = False
+    #: a master that does not announce empty output frames in DPV1_Status_1 is refused
     fail_safe_required: bool = False
     #: the device takes part in SYNC
     sync_supported: bool = True
     #: the device takes part in FREEZE
     freeze_supported: bool = True
+    #: a master can change the address by Set_Slave_Add
     set_slave_add: bool = False
     wd_base_1ms: bool = False
     max_diag_len: int = 244
+    #: outputs while no master gives any (Clear, before the first exchange); empty for zeros
     safe: bytes = b""
+    #: time of the next call of :meth:`tick`, in ns
     due_at: int = NEVER
 
     def services(self, report: Report) -> tuple[SlaveService, ...]:

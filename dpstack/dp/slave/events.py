@@ -32,12 +32,13 @@ class SlaveAppEvent(Event):
 
 
 class SlaveAppStateChanged(SlaveAppEvent):
-    """The slave reached another state. ``master``: address of the master that has locked it."""
+    """The slave reached another state."""
 
     #: state reached
     state: SlaveAppState
     #: what led to it
     why: AppTrigger
+    #: address of the master that has locked the slave; None without one
     master: int | None
 
     def _text(self) -> str:

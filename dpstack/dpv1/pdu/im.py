@@ -43,7 +43,6 @@ class Im0(_ImRecord, frozen=True, kw_only=True):
 
     ``software_revision``: ``V1.2.3`` (V released, R revision, P prototype, U under test, T test device; 0..255 each);
     read from a device the letter is what stands there, in hex if it is not printable.
-    ``supported``: bit n for I&Mn, bit 0 profile specific. ``version``: of I&M itself.
     """
 
     #: MANUFACTURER_ID, 0..65535, as PROFIBUS & PROFINET International assigns it
@@ -61,7 +60,9 @@ class Im0(_ImRecord, frozen=True, kw_only=True):
     profile_id: int = 0
     #: PROFILE_SPECIFIC_TYPE, 0..65535: its kind within the profile
     profile_type: int = 0
+    #: version of I&M, major and minor
     version: tuple[int, int] = (1, 1)
+    #: I&M_SUPPORTED: bit n for I&Mn, bit 0 profile specific
     supported: int = 0
 
 

@@ -86,14 +86,13 @@ ResourceManagerRes.LAYOUT = Layout(
 
 
 class Initiate(Pdu, frozen=True, kw_only=True):
-    """The common part of both Initiate PDUs: ``features``, ``profile_features``: two octets each; ``profile_ident``: 0
-    for none.
-    """
+    """The common part of both Initiate PDUs: ``features``, ``profile_features``: two octets each."""
 
     #: Features_Supported, two octets
     features: int = FEATURES
     #: Profile_Features_Supported, two octets
     profile_features: int = 0
+    #: Profile_Ident_Number, 0 for none
     profile_ident: int = 0
     #: address of the end that sends it
     source: Address = Address()

@@ -90,8 +90,8 @@ class SlaveDescription:
     ``alarm_sequence``: 2..32 of them at a time in sequence mode, 0 for one of each type only
     [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp]; ``prm_blocks`` [Prm_Block_Structure_supp]:
     of such a slave, structured parameters may follow, otherwise Prm_Structure is refused; ``prm_blocks_required``
-    [Prm_Block_Structure_req]: without Prm_Structure they are refused; ``rates``: baud rate -> MaxTsdr in bit times,
-    empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for the master.
+    [Prm_Block_Structure_req]: without Prm_Structure they are refused; ``min_slave_interval_ns`` [Min_Slave_Intervall],
+    for the master.
 
     For its GSD file alone: ``vendor`` [Vendor_Name], ``revision`` [Revision]; ``parameters``: its user parameters by
     name; ``diag_texts``: texts for its diagnosis [Unit_Diag_Bit, Channel_Diag ...]. Raises ConfigError.
@@ -145,6 +145,7 @@ class SlaveDescription:
     extra_alarm_sap: bool = False
     #: most octets of a whole diagnosis, 6..244 [Max_Diag_Data_Len]
     max_diag_len: int = MAX_LEN
+    #: MaxTsdr in bit times by baud rate in bit/s; empty for all rates
     rates: Mapping[int, int] = field(default_factory=dict)
     #: shortest time between two polls, in ns [Min_Slave_Intervall]
     min_slave_interval_ns: int = 0

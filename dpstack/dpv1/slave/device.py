@@ -130,11 +130,9 @@ def _reply(answer: bytes | None) -> Reply:
 
 
 class Device(AcyclicDevice):
-    """A device as its author writes it: subclass it, override what differs.
+    """A device as its author writes it: subclass it, override what differs."""
 
-    ``alarm_server``: its alarms, None if the device has none.
-    """
-
+    #: alarms of the device; None without any
     alarm_server: AlarmServer | None = None
 
     def services(self, report: Report) -> tuple[SlaveService, ...]:

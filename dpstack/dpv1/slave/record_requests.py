@@ -110,12 +110,11 @@ Transport = Callable[[RecordRequest], None]
 class AcyclicDevice(DpV0Device):
     """The part of a device that its acyclic services reach.
 
-    ``records``: what Read and Write reach, None if it has none. ``ms2``: connections of class 2, 0..49;
-    ``transport`` serves their Data_Transport, ``ms2_max_len``: octets of data in one of their services, up to 240;
-    ``ms2_max_initiate``: octets of the longest Initiate, 20..244; ``ms2_at_once``: it answers in the request itself
-    what it knows by then, not when polled.
+    ``ms2``: connections of class 2, 0..49; ``transport`` serves their Data_Transport, ``ms2_max_len``: octets of data
+    in one of their services, up to 240; ``ms2_max_initiate``: octets of the longest Initiate, 20..244.
     """
 
+    #: serves Read and Write; None: refused
     records: Records | None = None
     #: serves Data_Transport of class 2; None: refused
     transport: Transport | None = None
@@ -123,6 +122,7 @@ class AcyclicDevice(DpV0Device):
     #: octets of data in one service of class 2, up to 240
     ms2_max_len: int = MAX_RECORD
     ms2_max_initiate: int = MAX_DATA
+    #: answers that are known at once stand in the request's own response, not in that of a poll
     ms2_at_once: bool = False
 
     def initiate(self, master: int, wanted: InitiateReq) -> None:

@@ -131,8 +131,10 @@ class DpSlave(Sealed, Device):
         self.wd_base_1ms = description.wd_base_1ms
         self.max_diag_len = description.max_diag_len
         if description.dpv1:
+            #: raises alarms and sends status messages; None without DP-V1
             self.alarm_server = AlarmServer(description.alarm_support, self.max_diag_len - FIXED_LEN, self.name)
         self._diag = NO_DIAG
+        #: outputs while there are none of a master; empty for zeros
         self.safe = safe or b""
         self._safe = b""  # in the length of the configuration in use
         #: serves Read, see the class; None: refused
@@ -141,6 +143,7 @@ class DpSlave(Sealed, Device):
         self.on_write = options.get("on_write")
         #: serves Data_Transport of class 2, see the class; None: refused
         self.on_transport = options.get("on_transport")
+        #: connections of class 2, 0..49
         self.ms2 = description.ms2 if ms2 is None else whole_number(f"{who}: ms2", ms2, ConfigError)
         self.ms2_max_len = description.ms2_max_len
         self.ms2_max_initiate = description.ms2_max_initiate

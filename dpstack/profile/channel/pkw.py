@@ -101,9 +101,8 @@ class PkwDialect(Struct, frozen=True, kw_only=True):
 
     ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (as
     docs/reference/drives/demag.md#handshake-of-the-parameter-channel). Without it a new order may follow at once unless
-    it looks like the last one; then a reply counts only when id, PNU and index match. ``parse``: of a :class:`Pkw`
-    whose octets are laid out in another way. ``busy``: error numbers of a drive that cannot carry out the order yet:
-    the order is repeated.
+    it looks like the last one; then a reply counts only when id, PNU and index match. ``busy``: error numbers of a
+    drive that cannot carry out the order yet: the order is repeated.
     """
 
     #: reply ids that are positive, by order id
@@ -111,6 +110,7 @@ class PkwDialect(Struct, frozen=True, kw_only=True):
     #: error texts by number
     errors: Mapping[int, str]
     zero_between: bool = True
+    #: reads a :class:`Pkw` whose octets are laid out in another way
     parse: Callable[[bytes], Pkw] = Pkw.parse
     busy: frozenset[int] = frozenset()
 
@@ -313,6 +313,7 @@ class ParamRef(NamedTuple):
     spec: ParamSpec | None
     #: the parameter for people
     label: str
+    #: data set, for messages; None if the drive has none or the parameter exists once
     data_set: int | None = None
 
 

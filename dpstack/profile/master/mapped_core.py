@@ -28,13 +28,11 @@ _TIMEOUT_S: Final = 10.0
 
 
 class MapCodes(Struct, frozen=True):
-    """The parameters of the drive that hold a map: one for each word, in order, 0 for an empty one.
-
-    ``count``: the parameter with the number of words in use; None: all are.
-    """
+    """The parameters of the drive that hold a map: one for each word, in order, 0 for an empty one."""
 
     #: parameters of the words, in order
     places: tuple[ParamKey, ...]
+    #: parameter with the number of words in use; None: all are
     count: ParamKey | None = None
 
 

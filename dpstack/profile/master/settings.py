@@ -35,6 +35,8 @@ class Setting(Struct, frozen=True, kw_only=True):
 
     wanted: str
     keys: tuple[ParamKey, ...]
+    #: gets the values of ``keys`` in this order; returns what the drive has and what to set, or None if it is as
+    #: expected
     differs: Callable[[Sequence[float]], str | None]
     refuse: bool = True
 

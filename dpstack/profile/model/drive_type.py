@@ -58,12 +58,11 @@ class TelegramSpec(Struct, frozen=True, kw_only=True):
 
 
 class TelegramFamily(NamedTuple):
-    """Telegrams too many to list, made on request.
+    """Telegrams too many to list, made on request."""
 
-    ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None for octets of another kind.
-    """
-
+    #: makes the telegram of a name; raises ConfigError
     named: Callable[[str], TelegramSpec]
+    #: makes the telegram of identifier octets; None for octets of another kind
     of_config: Callable[[bytes], TelegramSpec | None]
 
 

@@ -61,10 +61,10 @@ class ParamSpec:
     """A parameter. ``low``, ``high`` and ``factory`` are in ``unit``; on the wire stands value x 10^decimals.
 
     ``per_unit`` instead of ``decimals`` if that is no power of ten. ``index``: a fixed subindex that belongs to the
-    number. ``by_name``: people know it by its name. ``per_set``: exists once in every data set. ``read_only``.
-    ``text``: a string, which the parameter channel cannot carry. ``made_up``: limits or factory value are ours.
-    ``volatile``: the drive never stores it in its EEPROM. ``use``: what it is to the plugin. ``acts``: when a write
-    counts: at once (empty), from :data:`POWER_ON`, or with a write of the parameter of this name.
+    number. ``by_name``: people know it by its name. ``read_only``. ``text``: a string, which the parameter channel
+    cannot carry. ``made_up``: limits or factory value are ours. ``volatile``: the drive never stores it in its EEPROM.
+    ``acts``: when a write counts: at once (empty), from :data:`POWER_ON`, or with a write of the parameter of this
+    name.
     """
 
     #: number
@@ -89,6 +89,7 @@ class ParamSpec:
     per_unit: float = 0
     #: unit of the value; empty for a plain number
     unit: str = ""
+    #: the parameter exists once in every data set
     per_set: bool = False
     #: the drive refuses writes
     read_only: bool = False
@@ -96,6 +97,7 @@ class ParamSpec:
     made_up: bool = False
     by_name: bool = False
     volatile: bool = False
+    #: part that the parameter has for the plugin
     use: Use = Use.NONE
     acts: str = ""
 

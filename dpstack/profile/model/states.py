@@ -88,10 +88,10 @@ class Goal(Enum):
 class ControlTable(Struct, frozen=True, kw_only=True):
     """Everything about a control and a status word that differs between drives, as data.
 
-    ``run``: the control word that leads on from each state towards RUNNING. ``steady``: the words of the other
-    goals. ``released_mask``: bits of one's own control word that must all be set for RUNNING to mean running;
-    without them ``releasing`` states read as STOPPING (a status word alone does not show it).
-    Bits of ``status`` by name, as far as the drive has them: ``reached``, ``remote``, ``warning``.
+    ``run``: the control word that leads on from each state towards RUNNING. ``released_mask``: bits of one's own
+    control word that must all be set for RUNNING to mean running; without them ``releasing`` states read as STOPPING (a
+    status word alone does not show it). Bits of ``status`` by name, as far as the drive has them: ``reached``,
+    ``remote``, ``warning``.
     """
 
     #: bits of the control word
@@ -101,6 +101,7 @@ class ControlTable(Struct, frozen=True, kw_only=True):
     #: the state of each status word
     states: StateTable
     run: Mapping[State, int]
+    #: control words of the other goals
     steady: Mapping[Goal, int]
     released_mask: int
     #: states that read as STOPPING while bits of ``released_mask`` are missing

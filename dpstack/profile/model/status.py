@@ -24,10 +24,8 @@ class DriveStatus:
     """State and values of a drive, from its last inputs and the master's own last command.
 
     What the telegram does not carry is None. ``reached``: as the drive says; if it has no bit for it, running within
-    1 % of the reference around the set point. ``remote``: the drive follows the bus; None if no bit says it. ``bits``:
-    names of the status bits set. ``settings``: how the drive's settings compare with those that its plugin relies on;
-    ``settings_texts``: what differs, was not checked, or was written and does not yet act. ``speed`` and
-    ``frequency_hz`` are None while the drive has another scale.
+    1 % of the reference around the set point. ``bits``: names of the status bits set. ``speed`` and ``frequency_hz``
+    are None while the drive has another scale.
     """
 
     #: state of the drive; OFFLINE outside data exchange
@@ -35,6 +33,7 @@ class DriveStatus:
     #: the drive is in RUNNING
     running: bool
     reached: bool
+    #: the drive follows the bus; None if no bit says it
     remote: bool | None
     #: set point as a part of the reference (1.0 = 100 %)
     setpoint: float
@@ -54,7 +53,9 @@ class DriveStatus:
     #: the process data as received, 16 bits each
     words: tuple[int, ...] = ()
     bits: tuple[str, ...] = ()
+    #: result of the comparison of the drive's settings with those that its plugin relies on
     settings: SettingsState = SettingsState.NONE
+    #: settings that differ, were not checked, or were written and do not yet act, one line each
     settings_texts: tuple[str, ...] = ()
 
     @property

@@ -33,16 +33,18 @@ def ramp(seconds: float, span: float = 1.0) -> float:
 class Motor:
     """Speed ``speed`` and stator frequency ``frequency`` in per unit of the rated frequency, ``torque`` of the rated.
 
-    ``inertia``: seconds from standstill to rated speed at rated torque. ``slip`` at rated torque. ``limit``: torque
-    limit. ``magnetising``: current at no load. ``load``: torque against the motion at any speed. ``braking``: the DC
+    ``inertia``: seconds from standstill to rated speed at rated torque. ``slip`` at rated torque. ``braking``: the DC
     brake is on.
     """
 
     inertia: float = 0.1
     #: slip at rated torque, as a part of the rated frequency
     slip: float = 0.04
+    #: torque limit, as a part of the rated torque
     limit: float = 1.5
+    #: current at no load, as a part of the rated one
     magnetising: float = 0.4
+    #: torque against the motion at any speed, as a part of the rated torque
     load: float = 0.2
     #: ramp up in per unit of the rated frequency per second
     accel: float = 1.0
