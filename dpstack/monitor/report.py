@@ -242,7 +242,7 @@ class Report:
         }
         if self.parameters:
             own = ", ".join(f"{name} {value}" for name, value in self.parameters.items())
-            rows["The master of this program runs with (bit times, where no other unit is named)"] = own
+            rows["The master of this program runs with (bit times, unless another unit is named)"] = own
         return _section("Bus parameters seen", _pairs(rows) + self._set_prm())
 
     def _set_prm(self) -> str:

@@ -472,7 +472,7 @@ def _late(f: Facts) -> Findings:
         yield Finding(Cause.ANSWERS_LATE, 0.5 if slow else 0.87, said, against)
     elif f.waits_help and not f.all_damaged and not link.early:
         said = [
-            f"It answers where the master waits longer than the slot time of {slot} bit times ({ms_text(f.slot_ns)}), "
+            f"It answers if the master waits longer than the slot time of {slot} bit times ({ms_text(f.slot_ns)}), "
             f"and {f.evidence.asked_in_vain} attempts with the slot time alone had no answer."
         ]
         yield Finding(Cause.ANSWERS_LATE, 0.8, said)

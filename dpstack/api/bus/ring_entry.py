@@ -55,7 +55,7 @@ class OtherMasterNotices:
             within = ns_to_s(pass_ns(params, patience))
             text = (
                 f"waiting for master {event.address} to let station {params.address} into the ring: up to "
-                f"{within:.1f} s where it is set like this one; a lower hsa on all masters makes it shorter"
+                f"{within:.1f} s if it is set like this one; a lower hsa on all masters makes it shorter"
             )
             yield self._notice(event.t_ns, text, Severity.INFO)
         lowest = min(bus.las - {params.address}, default=event.address)

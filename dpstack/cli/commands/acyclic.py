@@ -43,7 +43,7 @@ _FILES: Final = (
 )
 _WORDS: Final = (*WORDS, TRANSPORT, *_FILES)
 #: the way out if another station has the master's address, or another master the slave
-_BESIDE: Final = "; or ask beside that master with --class 2, where the slave has it"
+_BESIDE: Final = "; or ask beside that master with --class 2, if the slave has it"
 
 
 def add_to(parser: Parser) -> None:

@@ -34,7 +34,7 @@ def add_port(parser: Parser) -> None:
     parser.value(
         "--baud",
         "B|auto",
-        "the rate (default auto: found by listening, where a master is on the bus)",
+        "the rate (default auto: found by listening, if a master is on the bus)",
         type=options.baud_or_auto,
         default=AUTO,
     )

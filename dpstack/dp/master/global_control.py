@@ -62,7 +62,7 @@ class GroupMode:
         if setup.group_mask & self.mask and not self.applies_to(setup):
             raise ConfigError(
                 f"{setup.who} is in a group of cycle_{self.key} and not parameterised for {self.title}: "
-                f"give it {self.key} = true where the device knows that, or leave it out of the group"
+                f"give it {self.key} = true if the device knows that, or leave it out of the group"
             )
 
     def check_order(self, command: SendControl, members: Iterable[SlaveParams]) -> None:
@@ -71,7 +71,7 @@ class GroupMode:
         unable = [setup.who for setup in members if begins and not self.applies_to(setup)]
         if unable:
             raise UsageError(
-                f"{', '.join(unable)}: not parameterised for {self.title}; give it {self.key} = true where the device "
+                f"{', '.join(unable)}: not parameterised for {self.title}; give it {self.key} = true if the device "
                 f"knows that, or leave it out of the groups"
             )
         if (begins or ends) and self.groups and (not command.groups or set(command.groups) & set(self.groups)):

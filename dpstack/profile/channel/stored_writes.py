@@ -39,7 +39,7 @@ class StoredWrites:
                 "parameter",
                 f"{label}: was written {BURST} times and more, and each write wears out the EEPROM of the drive; the "
                 f"next one in {ns_to_s(too_early):.0f} s. Put a value that changes often into the process data, or "
-                "write it with ram = true where the drive has that",
+                "write it with ram = true if the drive has that",
             )
         if len(self._full_at) > _MANY:
             self._full_at = {one: at for one, at in self._full_at.items() if at > now}

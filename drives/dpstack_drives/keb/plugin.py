@@ -478,7 +478,7 @@ def _enabled(name: str, own: PdMap, enables: Sequence[int | None]) -> list[Setti
                 return None
             return (
                 f"{text} is {enable:02X}h, {needed:02X}h or FFh is needed: the drive does not pass all {name} on: "
-                "write_map, and switch the drive off and on where it does not act at once"
+                "write_map, and switch the drive off and on if it does not act at once"
             )
 
         found.append(Setting(wanted=f"{index:04X}h = FFh", keys=(ParamKey(index),), differs=differs))

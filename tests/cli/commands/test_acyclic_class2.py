@@ -112,7 +112,7 @@ def test_beside_a_foreign_master(run: Cli, field: Field) -> None:
 
 
 def test_a_foreign_master_is_in_the_way_of_class_1(field: Field, plant: Path, cli: Cli) -> None:
-    beside = "; or ask beside that master with --class 2, where the slave has it\n"
+    beside = "; or ask beside that master with --class 2, if the slave has it\n"
     assert cli.err("acyclic", str(plant), "8", "read", "1", "2", code=1) == (
         "dpstack: another station on the bus sends as address 2: staying out of the ring; give one of the two another "
         f"address{beside}"

@@ -68,7 +68,7 @@ def test_where_all_is_well_nothing_is_to_be_done(computer: Computer) -> None:
     assert [check.text for check in checks] == [
         "real-time priorities are allowed (any)",
         "memory may be locked",
-        "none is isolated: other programs can delay the bus process where they have a higher priority; isolcpus=1 "
+        "none is isolated: other programs can delay the bus process if they have a higher priority; isolcpus=1 "
         "nohz_full=1 on the command line of the kernel isolates one",
         "no sleep states are known: as in most virtual machines, the host decides",
         "USB 0403:6014, FTDI FT232H, driver ftdi_sio; its maker promises 12 Mbit/s at most",
