@@ -112,7 +112,7 @@ def _processors(here: Computer) -> Iterator[Check]:
         text = f"isolated from other programs: {processors.text_of(free)}"
         yield Check(topic, Grade.OK, text, f"[bus] cpu = {min(free)} puts the bus process there")
     else:
-        text = "none is isolated: other programs can delay the bus process where they have a higher priority"
+        text = "none is isolated: other programs can delay the bus process if they have a higher priority"
         yield Check(topic, Grade.OK, f"{text}; isolcpus=1 nohz_full=1 on the command line of the kernel isolates one")
     wake_up_us = processors.slowest_wake_up_us(here.sysfs)
     if wake_up_us is None:

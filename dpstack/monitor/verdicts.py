@@ -47,7 +47,7 @@ class Heard:
 
 
 def judge(heard: Heard) -> tuple[Verdict, dict[int, Verdict]]:
-    """The verdict on the bus, and on each station that was heard or is used, by address. Unknown where there is no
+    """The verdict on the bus, and on each station that was heard or is used, by address. Unknown if there is no
     evidence that this is PROFIBUS: stations of other protocols are not judged by its rules."""
     counters = heard.counters
     used = [station for _, station in sorted(counters.stations.items()) if heard.is_user(station)]
@@ -241,7 +241,7 @@ def _diagnosis(station: Station, device: KnownDevice) -> Iterator[Finding]:
 
 
 def _tsdr(station: Station, past: Past, device: KnownDevice, heard: Heard) -> Iterator[Finding]:
-    """T_SDR against MaxTsdr of the GSD file, T_SL, the station's own past; nothing where the source cannot time it."""
+    """T_SDR against MaxTsdr of the GSD file, T_SL, the station's own past; nothing if the source cannot time it."""
     limits, baud = heard.thresholds, heard.counters.baud
     durations = station.answer_ns
     if not baud or durations.count < limits.min_requests or heard.timing.neighbours(durations) is None:
@@ -321,5 +321,5 @@ def _percent(share: float) -> str:
 
 
 def worst(levels: Iterable[str]) -> str:
-    """The most serious of ``levels``; good where there are none."""
+    """The most serious of ``levels``; good without any."""
     return max(levels, key=VERDICTS.index, default=GOOD)

@@ -274,7 +274,7 @@ class PlantTree:
             found += self._take_event(item["event"], checked.event)
         elif checked.lost is not None:
             self.lost += checked.lost
-            self._silent_process = False  # its end may be among them; the counters tell, too
+            self._silent_process = False  # its end may be among them; the counters show it, too
             found += self._remark("events of the bus were lost: alarms among them are not shown")
         elif checked.end is not None:
             self._end = clean(checked.end.text) or "the bus has ended"

@@ -247,7 +247,7 @@ def values_pieces(view: View, address: str) -> Line:
 
 
 def field_pieces(view: View, address: str, field: FieldPlant, style: str) -> list[Piece]:
-    """``name value unit``; marked for a moment where the value has just changed."""
+    """``name value unit``; marked for a moment if the value has just changed."""
     name = field.name
     value = (view.values(address).fields or {}).get(name)
     unit = f" {field.unit}" if field.unit else ""

@@ -68,7 +68,7 @@ class View:
 
     @property
     def fresh(self) -> bool:
-        """Whether the last snapshot is of this moment: the bus runs, its process counts, and ``run`` tells it."""
+        """Whether the last snapshot is of this moment: the bus runs, its process counts, and ``run`` sends it."""
         stale = self.process_silent or self.state.bus.stale
         return not stale and self.state.end is None and self.silent_s < SILENT_S
 
@@ -77,7 +77,7 @@ class View:
         return self.fresh and self.values(address).alive is True
 
     def age_s(self, address: str) -> float | None:
-        """Age of the inputs; None where there were none."""
+        """Age of the inputs; None before the first ones."""
         age = self.values(address).inputs_age_ms
         return None if age is None else age / 1000 + self.silent_s
 
@@ -98,7 +98,7 @@ class View:
         return self.state.slaves.get(address, _NO_VALUES)
 
     def remark(self, address: str) -> tuple[str, str]:
-        """The most important thing to say about a slave, and its style; empty where all is well."""
+        """The most important thing to say about a slave, and its style; empty if all is well."""
         remark = self.values(address).remark
         return ("", "") if remark is None else (remark.text, _STYLES.get(remark.severity, "warn"))
 
@@ -127,7 +127,7 @@ class View:
         return found
 
     def state_text(self, address: str) -> str:
-        """The slave's state for people; ``not valid`` also where no snapshots come any more."""
+        """The slave's state for people; ``not valid`` also if no snapshots come any more."""
         values = self.values(address)
         return "not valid" if values.alive and not self.fresh else values.state_text or "unknown"
 

@@ -140,7 +140,7 @@ class WebServer:
         self.spawn(self.fan_out.run())
 
     async def close(self) -> None:
-        """End in order: the pages are told, then disconnected."""
+        """End in order: the pages are informed, then disconnected."""
         self.fan_out.put(check_item(end_of("the web server ends", failed=False)))
         self.fan_out.hand_out()
         for page in list(self._pages):
