@@ -10,6 +10,7 @@ from functools import partial
 from typing import Final
 
 from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Use, Word, drivecom_states
+from dpstack_drives import ppo
 
 IDENT: Final = 0x0696
 
@@ -27,15 +28,7 @@ MAX_TSDR: Final = {
     12_000_000: 800,
 }
 
-TELEGRAMS: Final = {
-    spec.name: spec
-    for spec in (
-        TelegramSpec(name="PPO1", config=bytes.fromhex("F3 71"), outputs=4, inputs=4, channel=True),
-        TelegramSpec(name="PPO2", config=bytes.fromhex("F3 75"), outputs=12, inputs=12, channel=True),
-        TelegramSpec(name="PPO3", config=bytes.fromhex("71"), outputs=4, inputs=4),
-        TelegramSpec(name="PPO4", config=bytes.fromhex("75"), outputs=12, inputs=12),
-    )
-}
+TELEGRAMS: Final = ppo.ppos(4)
 
 
 def scan_ms(telegram: TelegramSpec) -> int:
@@ -93,6 +86,7 @@ FAULT_LOCK_S: Final = 15
 # Types of 400 and 480 as in 11.1.6; the others by their range (a reading: the list of types is an extra file).
 # Data sets: those the manual names so, 424 and 425 a reading. made_up: factory values and limits not in the manual.
 _frequency = partial(ParamSpec, decimals=2, unit="Hz", long=True)
+_ramp = partial(_frequency, unit="Hz/s", made_up=True)
 
 PARAMETERS: Final = ParamTable(
     (
@@ -105,7 +99,7 @@ PARAMETERS: Final = ParamTable(
         _frequency(283, "reference_ramp_frequency", "Reference ramp frequency", -1000, 1000, read_only=True),
         ParamSpec(284, "dp_master_in", "DP-Master IN", text=True, read_only=True),
         ParamSpec(
-            371, "rated_current", "Rated current", 0.1, 1000, 4, unit="A", decimals=1, per_set=True, made_up=True
+            371, "rated_current", "Rated current", 0.1, 1000, 4, decimals=1, unit="A", per_set=True, made_up=True
         ),
         _frequency(375, "rated_frequency", "Rated frequency", 10, 1000, 50, per_set=True, use=Use.SCALE),
         _frequency(390, "profibus_reference", "Profibus Reference", 0, 999.99, per_set=True, use=Use.SCALE),
@@ -114,27 +108,16 @@ PARAMETERS: Final = ParamTable(
         ParamSpec(400, "switching_frequency", "Switching frequency", 1, 8, 2, unit="kHz"),
         ParamSpec(412, "local_remote", "Local/Remote", 0, 44, 44, per_set=True, use=Use.SOURCE),
         ParamSpec(414, "data_set_selection", "Data set selection", 0, 4, use=Use.SETTING),
-        _frequency(
-            424, "emergency_stop_clockwise", "Emergency stop clockwise", 0.01, 9999.99, 100, unit="Hz/s", made_up=True
-        ),
-        _frequency(
-            425,
-            "emergency_stop_anticlockwise",
-            "Emergency stop anticlockwise",
-            0.01,
-            9999.99,
-            100,
-            unit="Hz/s",
-            made_up=True,
-        ),
+        _ramp(424, "emergency_stop_clockwise", "Emergency stop clockwise", 0.01, 9999.99, 100),
+        _ramp(425, "emergency_stop_anticlockwise", "Emergency stop anticlockwise", 0.01, 9999.99, 100),
         ParamSpec(434, "ramp_set_point", "Ramp set point", 1, 3, 3, per_set=True, use=Use.SOURCE),
         _frequency(480, "fixed_frequency_1", "Fixed frequency 1", -999, 999, 5, per_set=True),
         ParamSpec(
-            549, "max_control_deviation", "max. Control deviation", 0.01, 20, 1, unit="%", decimals=2, made_up=True
+            549, "max_control_deviation", "max. Control deviation", 0.01, 20, 1, decimals=2, unit="%", made_up=True
         ),
-        ParamSpec(632, "braking_time", "Braking time", 0, 200, 1, unit="s", decimals=1, made_up=True),
-        ParamSpec(637, "switch_off_threshold", "Switch-off threshold", 0, 100, 1, unit="%", decimals=1, made_up=True),
-        ParamSpec(638, "holding_time", "Holding time", 0, 200, 0.1, unit="s", decimals=1, made_up=True),
+        ParamSpec(632, "braking_time", "Braking time", 0, 200, 1, decimals=1, unit="s", made_up=True),
+        ParamSpec(637, "switch_off_threshold", "Switch-off threshold", 0, 100, 1, decimals=1, unit="%", made_up=True),
+        ParamSpec(638, "holding_time", "Holding time", 0, 200, 0.1, decimals=1, unit="s", made_up=True),
         ParamSpec(880, "toggle_bit_reaction", "Toggle bit disturbance behaviour", 0, 3),
         ParamSpec(881, "toggle_bit_time", "Toggle bit time", 0, 5000, 500, unit="ms"),
     )

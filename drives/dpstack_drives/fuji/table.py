@@ -7,35 +7,19 @@ The manual has no GSD file: ident number and identifier octets are made up until
 from __future__ import annotations
 
 import re
+from functools import partial
 from typing import Final, NamedTuple
 
-from dpstack.profile import POWER_ON, ParamSpec, ParamTable, PkwDialect, TelegramSpec, Use, Word, profidrive_states
+from dpstack.profile import POWER_ON, ParamSpec, ParamTable, PkwDialect, Use, Word, profidrive_states
+from dpstack_drives import ppo
+from dpstack_drives.codes import placed
 
 IDENT: Final = 0xDD04
 
 #: 2.4: nine rates and 45.45 k, no response times
-BAUD_RATES: Final = (
-    9_600,
-    19_200,
-    45_450,
-    93_750,
-    187_500,
-    500_000,
-    1_500_000,
-    3_000_000,
-    6_000_000,
-    12_000_000,
-)
+BAUD_RATES: Final = ppo.TEN_RATES
 
-TELEGRAMS: Final = {
-    spec.name: spec
-    for spec in (
-        TelegramSpec(name="PPO1", config=bytes.fromhex("F3 71"), outputs=4, inputs=4, channel=True, made_up=True),
-        TelegramSpec(name="PPO2", config=bytes.fromhex("F3 75"), outputs=12, inputs=12, channel=True, made_up=True),
-        TelegramSpec(name="PPO3", config=bytes.fromhex("71"), outputs=4, inputs=4, made_up=True),
-        TelegramSpec(name="PPO4", config=bytes.fromhex("75"), outputs=12, inputs=12, made_up=True),
-    )
-}
+TELEGRAMS: Final = ppo.ppos(4, made_up=True)
 #: the internal scan time is in no manual: a reading
 SCAN_MS: Final = 4
 
@@ -196,91 +180,44 @@ LE, LOC = "LE", "LOC"
 ALARM_INDEXES: Final = (1, 9, 17, 25)
 
 
-def _row(
-    code: str,
-    title: str,
-    decimals: int,
-    unit: str,
-    low: float,
-    high: float,
-    factory: float,
-    use: Use = Use.NONE,
-    acts: str = "",
-    **more: bool,
-) -> ParamSpec:
-    found = address(code)
-    assert found is not None
-    number, index = found
-    return ParamSpec(
-        number,
-        code,
-        title,
-        low,
-        high,
-        factory,
-        index=index,
-        decimals=decimals,
-        unit=unit,
-        use=use,
-        acts=acts,
-        **more,
-    )
-
-
+_row = partial(ParamSpec, 0)
+_assignment = partial(ParamSpec, use=Use.MAP, acts=POWER_ON)
+_pnu = partial(ParamSpec, read_only=True)
 # Formats of the function codes are in MEH448, which we do not have: decimals of F03, F07, F08, E31, H56 are made up.
 PARAMETERS: Final = ParamTable(
-    (
-        _row("S01", "Frequency reference, per unit", 0, "", -32_768, 32_767, 0, made_up=True, read_only=True),
-        _row("S05", "Frequency reference", 2, "Hz", 0, 655.35, 0, made_up=True, read_only=True),
-        _row("S06", "Operation command", 0, "", 0, 0xFFFF, 0, made_up=True, volatile=True),
-        *(_row(f"M{16 + n}", f"Alarm code, {n} before the latest", 0, "", 0, 254, 0, read_only=True) for n in range(4)),
-        _row("F01", "Frequency command source", 0, "", 0, 10, 0, made_up=True),
-        _row("F03", "Maximum frequency", 1, "Hz", 25, 400, 60, Use.SCALE, made_up=True),
-        _row("F07", "Acceleration time", 1, "s", 0, 3600, 1, made_up=True),
-        _row("F08", "Deceleration time", 1, "s", 0, 3600, 1, made_up=True),
-        _row("F26", "Motor sound", 0, "", 0, 15, 2, made_up=True),
-        _row("E31", "Frequency detection level, 0: never", 1, "Hz", 0, 400, 0, made_up=True),
-        _row("H03", "Data initialisation", 0, "", 0, 1, 0, Use.SETTING, made_up=True),
-        _row("H56", "Deceleration time for a forced stop", 1, "s", 0, 3600, 0.5, made_up=True),
-        _row("o27", "Reaction to a communications error", 0, "", 0, 15, 0),
-        _row("o28", "Timer for communications errors", 1, "s", 0, 60, 0),
-        _row("o30", "PPO type", 0, "", 0, 255, 0, Use.SETTING, POWER_ON),
-        _row("o31", "Station address", 0, "", 0, 255, 0),
-        *(
-            _row(f"o{40 + n}", f"Write assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0, Use.MAP, POWER_ON)
-            for n in range(4)
-        ),
-        *(
-            _row(f"o{48 + n}", f"Read assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0, Use.MAP, POWER_ON)
-            for n in range(4)
-        ),
-        _row("W90", "Software version of the option", 0, "", 0, 9999, 123, made_up=True, read_only=True),
-        _row("y98", "Run and frequency command source", 0, "", 0, 3, 0, Use.SOURCE),
-        _row("y99", "Commands of the loader: 1 frequency, 2 run, 3 both", 0, "", 0, 3, 0, Use.SOURCE, made_up=True),
-        ParamSpec(
-            number=PNU_PCD_WRITE,
-            name="pcd_write",
-            title="Write assignments of PCD1 to PCD4",
-            use=Use.MAP,
-            acts=POWER_ON,
-        ),
-        ParamSpec(
-            number=PNU_PCD_READ, name="pcd_read", title="Read assignments of PCD1 to PCD4", use=Use.MAP, acts=POWER_ON
-        ),
-        ParamSpec(number=PNU_ADDRESS, name="node_address", title="Node address", high=MOST_ADDRESS, read_only=True),
-        ParamSpec(number=PNU_BAUD, name="baud_rate", title="Baud rate by its index", high=10, read_only=True),
-        ParamSpec(
-            number=PNU_INITIALISE,
-            name="initialise",
-            title="Initialise the inverter, 1 to 0",
-            high=1,
-            use=Use.SETTING,
-        ),
-        ParamSpec(number=PNU_ACCESS, name="access_permission", title="Write access over PCV", high=1, factory=1),
-        ParamSpec(number=PNU_ALARMS, name="malfunctions", title="Malfunction history", read_only=True),
-        ParamSpec(number=PNU_PROFILE, name="profile_version", title="PROFIdrive version", factory=2, read_only=True),
-        ParamSpec(number=PNU_CTW, name="last_ctw", title="Last CTW", read_only=True),
-        ParamSpec(number=PNU_STW, name="last_stw", title="Latest STW", read_only=True),
+    placed(
+        address,
+        _row("S01", "Frequency reference, per unit", -32_768, 32_767, made_up=True, read_only=True),
+        _row("S05", "Frequency reference", 0, 655.35, 0, decimals=2, unit="Hz", made_up=True, read_only=True),
+        _row("S06", "Operation command", made_up=True, volatile=True),
+        *(_row(f"M{16 + n}", f"Alarm code, {n} before the latest", 0, 254, read_only=True) for n in range(4)),
+        _row("F01", "Frequency command source", 0, 10, made_up=True),
+        _row("F03", "Maximum frequency", 25, 400, 60, decimals=1, unit="Hz", use=Use.SCALE, made_up=True),
+        _row("F07", "Acceleration time", 0, 3600, 1, decimals=1, unit="s", made_up=True),
+        _row("F08", "Deceleration time", 0, 3600, 1, decimals=1, unit="s", made_up=True),
+        _row("F26", "Motor sound", 0, 15, 2, made_up=True),
+        _row("E31", "Frequency detection level, 0: never", 0, 400, 0, decimals=1, unit="Hz", made_up=True),
+        _row("H03", "Data initialisation", 0, 1, use=Use.SETTING, made_up=True),
+        _row("H56", "Deceleration time for a forced stop", 0, 3600, 0.5, decimals=1, unit="s", made_up=True),
+        _row("o27", "Reaction to a communications error", 0, 15),
+        _row("o28", "Timer for communications errors", 0, 60, 0, decimals=1, unit="s"),
+        _row("o30", "PPO type", 0, 255, use=Use.SETTING, acts=POWER_ON),
+        _row("o31", "Station address", 0, 255),
+        *(_assignment(0, f"o{40 + n}", f"Write assignment of PCD{n + 1}") for n in range(4)),
+        *(_assignment(0, f"o{48 + n}", f"Read assignment of PCD{n + 1}") for n in range(4)),
+        _row("W90", "Software version of the option", 0, 9999, 123, made_up=True, read_only=True),
+        _row("y98", "Run and frequency command source", 0, 3, use=Use.SOURCE),
+        _row("y99", "Commands of the loader: 1 frequency, 2 run, 3 both", 0, 3, use=Use.SOURCE, made_up=True),
+        _assignment(PNU_PCD_WRITE, "pcd_write", "Write assignments of PCD1 to PCD4"),
+        _assignment(PNU_PCD_READ, "pcd_read", "Read assignments of PCD1 to PCD4"),
+        _pnu(PNU_ADDRESS, "node_address", "Node address", 0, MOST_ADDRESS),
+        _pnu(PNU_BAUD, "baud_rate", "Baud rate by its index", 0, 10),
+        ParamSpec(PNU_INITIALISE, "initialise", "Initialise the inverter, 1 to 0", 0, 1, use=Use.SETTING),
+        ParamSpec(PNU_ACCESS, "access_permission", "Write access over PCV", 0, 1, 1),
+        _pnu(PNU_ALARMS, "malfunctions", "Malfunction history"),
+        _pnu(PNU_PROFILE, "profile_version", "PROFIdrive version", factory=2),
+        _pnu(PNU_CTW, "last_ctw", "Last CTW"),
+        _pnu(PNU_STW, "last_stw", "Latest STW"),
     )
 )
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from enum import IntEnum
+from functools import partial
 from typing import Final
 
 from dpstack.profile import (
@@ -27,6 +28,7 @@ from dpstack.profile import (
     Use,
     Word,
 )
+from dpstack_drives import ppo
 
 IDENT: Final = 0xDD02
 
@@ -38,19 +40,8 @@ TELEGRAM: Final = TelegramSpec(
 PZDS: Final = 11
 FIRST_PZD: Final = 2
 
-#: table 2-4, parameter 2: the rate by its number
-_RATES: Final = {
-    0: 9_600,
-    1: 19_200,
-    2: 45_450,
-    3: 93_750,
-    4: 187_500,
-    5: 500_000,
-    6: 1_500_000,
-    7: 3_000_000,
-    8: 6_000_000,
-    10: 12_000_000,
-}
+#: table 2-4, parameter 2: the rate by its number; 9 is none
+_RATES: Final = dict(zip((*range(9), 10), ppo.TEN_RATES, strict=True))
 RATE_SETTING: Final = RateSetting("baud_index", _RATES)
 RATE_FACTORY: Final = 6
 _NINE_MBIT: Final = 9
@@ -251,51 +242,25 @@ PER_HZ: Final = 100
 STANDSTILL_ONLY: Final = frozenset({ADDRESS, 0x0003})
 
 
-def _row(
-    number: int,
-    title: str,
-    high: float,
-    factory: float,
-    decimals: int = 0,
-    unit: str = "",
-    use: Use = Use.NONE,
-    **more: bool,
-) -> ParamSpec:
-    name = name_of(number)
-    return ParamSpec(
-        number,
-        name,
-        title,
-        0,
-        high,
-        factory,
-        by_name=True,
-        decimals=decimals,
-        unit=unit,
-        use=use,
-        acts="",
-        **more,
-    )
-
-
+_row = partial(ParamSpec, by_name=True)
 #: the simulated drive's; the plugin knows those that are not made up
 PARAMETERS: Final = ParamTable(
     (
-        _row(0x0001, "Run command channel", 2, Source.KEYPAD, use=Use.SOURCE, made_up=True),
-        _row(0x0003, "Maximum frequency", 400, 50, 2, "Hz", made_up=True),
-        _row(0x0006, "Source of the set frequency", 15, 0, made_up=True),
-        _row(KEYPAD_FREQUENCY, "Frequency set by keypad", 400, 50, 2, "Hz"),
-        _row(0x000B, "Acceleration time", 3600, 1, 1, "s", made_up=True),
-        _row(0x000C, "Deceleration time", 3600, 1, 1, "s", made_up=True),
-        _row(0x0F00, "Module type", 0xFFFF, 0, read_only=True),
-        _row(ADDRESS, "Node address", 125, 2),
+        _row(0x0001, SOURCE, "Run command channel", 0, 2, Source.KEYPAD, use=Use.SOURCE, made_up=True),
+        _row(0x0003, MAXIMUM_HZ, "Maximum frequency", 0, 400, 50, decimals=2, unit="Hz", made_up=True),
+        _row(0x0006, FREQUENCY_CHANNEL, "Source of the set frequency", 0, 15, made_up=True),
+        _row(KEYPAD_FREQUENCY, "P00.10", "Frequency set by keypad", 0, 400, 50, decimals=2, unit="Hz"),
+        _row(0x000B, ACCELERATION, "Acceleration time", 0, 3600, 1, decimals=1, unit="s", made_up=True),
+        _row(0x000C, DECELERATION, "Deceleration time", 0, 3600, 1, decimals=1, unit="s", made_up=True),
+        _row(0x0F00, "P15.00", "Module type", read_only=True),
+        _row(ADDRESS, "P15.01", "Node address", 0, 125, 2),
         *(
-            _row(number, f"Received PZD{at}", MOST_RECEIVED, 0, use=Use.MAP)
-            for at, number in enumerate(RECEIVED, FIRST_PZD)
-        ),
-        *(
-            _row(number, f"Transmitted PZD{at}", MOST_TRANSMITTED, 0, use=Use.MAP)
-            for at, number in enumerate(TRANSMITTED, FIRST_PZD)
+            _row(number, name_of(number), f"{way} PZD{at}", 0, most, use=Use.MAP)
+            for way, numbers, most in (
+                ("Received", RECEIVED, MOST_RECEIVED),
+                ("Transmitted", TRANSMITTED, MOST_TRANSMITTED),
+            )
+            for at, number in enumerate(numbers, FIRST_PZD)
         ),
     )
 )

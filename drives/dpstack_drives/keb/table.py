@@ -9,9 +9,11 @@ have. What is made up here for the simulated drive is marked so and never used t
 from __future__ import annotations
 
 import re
+from functools import partial
 from typing import Final, NamedTuple
 
 from dpstack.profile import ParamSpec, ParamTable, Use
+from dpstack_drives.codes import placed
 
 #: a guess from the name of the GSD file, keb305EB.gsd
 IDENT: Final = 0x05EB
@@ -63,9 +65,7 @@ AT_POWER_ON, WITH_ENABLE = "power-on", "enable"
 #: groups whose address the manual shows
 GROUPS: Final = {"sy": 0x20, "ru": 0x22, "oP": 0x23, "LE": 0x2D, "cS": 0x2F}
 #: made up (by their place in the order of groups): the simulated drive has them there
-GROUPS_MADE_UP: Final = {"Pn": 0x24, "ud": 0x28, "Fr": 0x29, "di": 0x2B}
-#: made up likewise: FbNN of the operator at 5F00h + NN
-_FB: Final = 0x5F00
+GROUPS_MADE_UP: Final = {"Pn": 0x24, "ud": 0x28, "Fr": 0x29, "di": 0x2B, "Fb": 0x5F}
 _NAME: Final = re.compile(r"([A-Za-z]{2})[. ]?(\d{1,3})")
 
 
@@ -186,31 +186,21 @@ def bits(text: str, made_up: str, what: str) -> dict[str, int]:
     return found
 
 
-def _row(
-    name: str,
-    title: str,
-    low: float = 0,
-    high: float = 0xFFFF,
-    factory: float = 0,
-    per_unit: float = 1,
-    unit: str = "",
-    use: Use = Use.NONE,
-    **more: bool,
-) -> ParamSpec:
-    """80 per Hz of oP.3 by arithmetic (docs/reference/drives/keb-f5.md#example-of-the-parameter-channel). Limits and
-    factory values are not in the manual."""
+def _place(name: str) -> tuple[int, int] | None:
     index = _index(name, {**GROUPS, **GROUPS_MADE_UP})
-    number = _FB + int(name[3:]) if index is None else index
-    flags = {"made_up": True, "by_name": True, **more}
-    return ParamSpec(number, name, title, low, high, factory, per_unit=per_unit, unit=unit, use=use, acts="", **flags)
+    return None if index is None else (index, 0)
 
 
+#: 80 per Hz of oP.3 by arithmetic (docs/reference/drives/keb-f5.md#example-of-the-parameter-channel). Limits and
+#: factory values are not in the manual
+_row = partial(ParamSpec, 0, per_unit=1, made_up=True, by_name=True)
 _ANY: Final = 0x7FFF_FFFF
 #: sy.06, the station address
 ADDRESS: Final = 0x2006
 #: of the simulated drive; the plugin takes only the titles from it
 PARAMETERS: Final = ParamTable(
-    (
+    placed(
+        _place,
         _row("sy.06", "PROFIBUS address", high=126, factory=126),
         _row("sy.09", "HSP5 watchdog time", high=10, per_unit=100, unit="s"),
         *(

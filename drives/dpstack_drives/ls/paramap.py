@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import ClassVar, Final
 
 from msgspec import Struct
@@ -15,14 +14,13 @@ from dpstack_drives.ls import telegrams
 #: as delivered
 DEFAULT_STATUS: Final = (0x000A, 0x000E, 0x000F)
 DEFAULT_CONTROL: Final = (0x0005, 0x0006)
-_BARE: Final = re.compile(r"[0-9A-Fa-f]{4}")
 
 
 def parse(text: str) -> tuple[int, ...]:
     """``000A 000E dr-03``: four hex digits, ``0x0A``, or a keypad code; 0000 leaves a word empty. Raises ValueError."""
     found = []
     for word in text.split():
-        where = int(word, 16) if _BARE.fullmatch(word) else t.address(word)
+        where = t.mapped_address(word)
         if where is None:
             raise ValueError(f"{word!r} is no address; write 000A (four hex digits), dr-03 or In-90")
         found.append(where)

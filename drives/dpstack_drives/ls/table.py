@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import partial
 from typing import Final
 
 from msgspec import structs
@@ -26,10 +27,12 @@ from dpstack.profile import (
     Word,
     profidrive_states,
 )
+from dpstack_drives import ppo
+from dpstack_drives.codes import placed
 
 IDENT: Final = 0x0A6C
 #: 2.1 gives ten rates, no response times
-BAUD_RATES: Final = (9_600, 19_200, 45_450, 93_750, 187_500, 500_000, 1_500_000, 3_000_000, 6_000_000, 12_000_000)
+BAUD_RATES: Final = ppo.TEN_RATES
 #: PNU 963, COM-12
 BAUD_INDEX: Final[Mapping[int, int]] = {
     0: 9_600,
@@ -170,6 +173,7 @@ _OTHER_NAMES: Final = {"drv": 1, "bas": 2, "adv": 3, "con": 4, "out": 6, "cm": 7
 _BY_GROUP: Final = {**{name.lower(): number for name, number in GROUPS.items()}, **_OTHER_NAMES}
 _CODE: Final = re.compile(r"(m2|[a-z]+)-?(\d{1,2})")
 _HEX: Final = re.compile(r"0[xh]([0-9a-f]{1,4})")
+_BARE: Final = re.compile(r"[0-9A-Fa-f]{4}")
 
 
 def address(text: str) -> int | None:
@@ -180,6 +184,11 @@ def address(text: str) -> int | None:
     match = _CODE.fullmatch(wanted)
     group = None if match is None else _BY_GROUP.get(match[1])
     return None if match is None or group is None else 0x1000 + group * 0x100 + int(match[2])
+
+
+def mapped_address(text: str) -> int | None:
+    """As :func:`address`, also of four hex digits."""
+    return int(text, 16) if _BARE.fullmatch(text) else address(text)
 
 
 def code_of(number: int) -> str:
@@ -266,77 +275,40 @@ PARA_STATUS, PARA_CONTROL, STATUS_COUNT, CONTROL_COUNT, UPDATE = 0x171F, 0x1733,
 #: PZD of Para-1 (0 is the first) in PPOs, behind the profile's two words
 PARA_AT: Final = 2
 
-_PNUS: Final = (
-    (PNU_ADDRESS, "node_address", "Node address"),
-    (PNU_TELEGRAM, "telegram", "Telegram selection"),
-    (PNU_PROFILE, "profile", "Profile in use"),
-    (PNU_COUNTER, "fault_counter", "Fault message counter"),
-    (PNU_FAULTS, "fault_numbers", "Fault numbers"),
-    (PNU_WARNING, "warning_word", "Warning word"),
-    (PNU_BAUD, "baud_rate", "Detected baud rate"),
-    (PNU_DEVICE, "device_identification", "Device identification"),
-    (PNU_VERSION, "profile_version", "PROFIdrive profile"),
-    (PNU_STW1, "last_stw1", "Last STW1"),
-    (PNU_ZSW1, "last_zsw1", "Latest ZSW1"),
-)
+
+def _place(code: str) -> tuple[int, int] | None:
+    where = mapped_address(code)
+    return None if where is None else divmod(where, 0x100)
 
 
-def _row(
-    code: str,
-    title: str,
-    low: float,
-    high: float,
-    factory: float,
-    decimals: int = 0,
-    unit: str = "",
-    use: Use = Use.NONE,
-    acts: str = "",
-    **more: bool,
-) -> ParamSpec:
-    where = address(code)
-    assert where is not None
-    name, index = code_of(where), where & 0xFF
-    return ParamSpec(
-        where >> 8,
-        name,
-        title,
-        low,
-        high,
-        factory,
-        index=index,
-        decimals=decimals,
-        unit=unit,
-        use=use,
-        acts=acts,
-        **more,
-    )
-
-
+_row = partial(ParamSpec, 0)
+_pnu = partial(ParamSpec, read_only=True)
 #: 4.2.8: with 1 the communication parameters act
 _UPDATE: Final = "COM-94"
 
 
 PARAMETERS: Final = ParamTable(
-    (
-        _row("0x0005", "Frequency command", 0, 400, 0, 2, "Hz", volatile=True),
-        _row("0x0006", "Operation command", 0, 0xFFFF, 0, volatile=True),
-        _row("0x000A", "Output frequency", 0, 400, 0, 2, "Hz", read_only=True),
-        _row("0x000B", "Output voltage", 0, 0xFFFF, 0, read_only=True, made_up=True),
-        _row("0x000E", "Operating status", 0, 0xFFFF, 0, read_only=True),
-        _row("0x000F", "Trip information", 0, 0xFFFF, 0, read_only=True),
-        _row("0x0316", "Output power", 0, 0xFFFF, 0, read_only=True, made_up=True),
-        _row("0x0334", "Warning information", 0, 0xFFFF, 0, read_only=True),
+    placed(
+        _place,
+        _row("0005", "Frequency command", 0, 400, 0, decimals=2, unit="Hz", volatile=True),
+        _row("0006", "Operation command", 0, 0xFFFF, 0, volatile=True),
+        _row("000A", "Output frequency", 0, 400, 0, decimals=2, unit="Hz", read_only=True),
+        _row("000B", "Output voltage", 0, 0xFFFF, 0, read_only=True, made_up=True),
+        _row("000E", "Operating status", 0, 0xFFFF, 0, read_only=True),
+        _row("000F", "Trip information", 0, 0xFFFF, 0, read_only=True),
+        _row("0316", "Output power", 0, 0xFFFF, 0, read_only=True, made_up=True),
+        _row("0334", "Warning information", 0, 0xFFFF, 0, read_only=True),
         _row("dr-01", "Command frequency", 0, 40_000, 0, made_up=True),
-        _row("dr-03", "Acceleration time", 0, 600, 1, 1, "s", made_up=True),
-        _row("dr-04", "Deceleration time", 0, 600, 1, 1, "s", made_up=True),
+        _row("dr-03", "Acceleration time", 0, 600, 1, decimals=1, unit="s", made_up=True),
+        _row("dr-04", "Deceleration time", 0, 600, 1, decimals=1, unit="s", made_up=True),
         _row("dr-06", "Command source, 4: field bus", 0, 5, 1, use=Use.SOURCE, made_up=True),
         _row("dr-07", "Frequency source, 8: field bus", 0, 12, 0, use=Use.SOURCE, made_up=True),
-        _row("dr-20", "Maximum frequency", 40, 400, 60, 2, "Hz", Use.SCALE),
-        _row("dr-11", "Jog frequency", 0, 400, 10, 2, "Hz", made_up=True),
+        _row("dr-20", "Maximum frequency", 40, 400, 60, decimals=2, unit="Hz", use=Use.SCALE),
+        _row("dr-11", "Jog frequency", 0, 400, 10, decimals=2, unit="Hz", made_up=True),
         _row("Ad-08", "Stop mode: 0 ramp, 1 DC brake, 2 coast", 0, 4, 0, made_up=True),
-        _row("Ad-15", "DC brake time", 0, 60, 1, 2, "s", made_up=True),
-        _row("Ad-17", "DC brake frequency", 0, 60, 5, 2, "Hz", made_up=True),
-        _row("Ad-44", "Brake opens from this frequency", 0, 400, 1, 2, "Hz", made_up=True),
+        _row("Ad-15", "DC brake time", 0, 60, 1, decimals=2, unit="s", made_up=True),
+        _row("Ad-17", "DC brake frequency", 0, 60, 5, decimals=2, unit="Hz", made_up=True),
+        _row("Ad-44", "Brake opens from this frequency", 0, 400, 1, decimals=2, unit="Hz", made_up=True),
         _row("OU-31", "Relay 1, 35: brake control", 0, 43, 29, made_up=True),
         _row("In-90", "DI status", 0, 0xFFFF, 0, read_only=True),
         _row("COM-06", "FBus software version", 0, 0xFFFF, 0x0300, read_only=True),
@@ -367,19 +339,20 @@ PARAMETERS: Final = ParamTable(
             0,
             made_up=True,
         ),
-        _row("PRT-13", "Lost command time", 0.1, 120, 1, 1, "s", made_up=True),
-        _row("PRT-14", "Lost command frequency", 0, 400, 0, 2, "Hz", made_up=True),
-        *(
-            ParamSpec(
-                number=number,
-                name=name,
-                title=title,
-                read_only=True,
-                use=Use.SCALE if number == PNU_PROFILE else Use.NONE,
-            )
-            for number, name, title in _PNUS
-        ),
-        ParamSpec(number=PNU_RESET, name="module_reset", title="Reset of 944, 947 and 953", high=1),
+        _row("PRT-13", "Lost command time", 0.1, 120, 1, decimals=1, unit="s", made_up=True),
+        _row("PRT-14", "Lost command frequency", 0, 400, 0, decimals=2, unit="Hz", made_up=True),
+        _pnu(PNU_ADDRESS, "node_address", "Node address"),
+        _pnu(PNU_TELEGRAM, "telegram", "Telegram selection"),
+        _pnu(PNU_PROFILE, "profile", "Profile in use", use=Use.SCALE),
+        _pnu(PNU_COUNTER, "fault_counter", "Fault message counter"),
+        _pnu(PNU_FAULTS, "fault_numbers", "Fault numbers"),
+        _pnu(PNU_WARNING, "warning_word", "Warning word"),
+        _pnu(PNU_BAUD, "baud_rate", "Detected baud rate"),
+        _pnu(PNU_DEVICE, "device_identification", "Device identification"),
+        _pnu(PNU_VERSION, "profile_version", "PROFIdrive profile"),
+        _pnu(PNU_STW1, "last_stw1", "Last STW1"),
+        _pnu(PNU_ZSW1, "last_zsw1", "Latest ZSW1"),
+        ParamSpec(PNU_RESET, "module_reset", "Reset of 944, 947 and 953", 0, 1),
     )
 )
 

@@ -12,6 +12,7 @@ import re
 from typing import Final
 
 from dpstack.profile import ConfigError, TelegramFamily, TelegramSpec
+from dpstack_drives import ppo
 
 _OUT, _IN = 0x60, 0x50
 #: COM-30 and COM-50; the manual has 0..8 and 1..8: 1..8 is taken
@@ -21,24 +22,7 @@ _HOW: Final = "VENDOR OUTPUTS/INPUTS, 1..8 words each, e.g. VENDOR 2/3"
 _NAME: Final = re.compile(r"VENDOR\s+(\d+)\s*/\s*(\d+)", re.IGNORECASE)
 
 
-def _fixed(name: str, config: str, words: int, channel: bool = False) -> TelegramSpec:
-    size = 2 * words
-    octets = bytes.fromhex(config)
-    return TelegramSpec(name=name, config=octets, outputs=size, inputs=size, channel=channel, made_up=True)
-
-
-TELEGRAMS: Final = {
-    spec.name: spec
-    for spec in (
-        _fixed("PPO1", "F3 71", 2, True),
-        _fixed("PPO2", "F3 75", 6, True),
-        _fixed("PPO3", "71", 2),
-        _fixed("PPO4", "75", 6),
-        _fixed("PPO5", "F3 79", 10, True),
-        _fixed("PPO6", "79", 10),
-        _fixed("ST1", "F1", 2),
-    )
-}
+TELEGRAMS: Final = ppo.ppos(6, made_up=True) | {"ST1": ppo.telegram("ST1", "F1", 2, made_up=True)}
 DEFAULT: Final = "PPO1"
 #: PNU 922
 _NUMBERS: Final = {"ST1": 1, "PPO1": 101, "PPO2": 102, "PPO3": 103, "PPO4": 104, "PPO5": 105, "PPO6": 106}
