@@ -28,146 +28,90 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Final
 
-from dpstack.namespaces import loader
+from dpstack.namespaces import namespace
 
 if TYPE_CHECKING:
-    from dpstack import blocking, decode, events, gsd, profile, slave, testing
-    from dpstack.api.bus.bus import Bus
-    from dpstack.api.bus.cycles import Cycle
-    from dpstack.api.bus.find_baud import BaudReport, find_baud
-    from dpstack.api.bus.opening import open_bus
-    from dpstack.api.bus.statistics import BusStats, SlaveStats
-    from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
-    from dpstack.api.commissioning.commissioning import Commissioning
-    from dpstack.api.config.config import Config, load_config
-    from dpstack.api.connectors.publishing import publish
-    from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue
-    from dpstack.api.slave.alarms import SlaveAlarm
-    from dpstack.api.slave.class2 import Connection, ProcessData, ReadDiagnosis
-    from dpstack.api.slave.drive import Drive, DriveNotice
-    from dpstack.api.slave.slave import Slave
-    from dpstack.api.slave.typed import Bool, Inputs, Int, Octets, Outputs, Scaled, at
-    from dpstack.api.slave_side.virtual_bench import VirtualBench
-    from dpstack.dp.master.commands import Mode
-    from dpstack.dp.master.events import SlaveState
-    from dpstack.dp.pdu.alarm_blocks import AlarmType, Specifier, StatusType
-    from dpstack.dp.plan.plan import Plan
-    from dpstack.dpv1.pdu.im import Im0, Im1, Im2, Im3, Im4
-    from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
-    from dpstack.errors import (
-        AcyclicError,
-        AlarmError,
-        BaudError,
-        BusError,
-        ConfigError,
-        ConnectionEnded,
-        DpError,
-        DriveError,
-        DriveFault,
-        DriveTimeout,
-        NoInputs,
-        OrderDropped,
-        ParamError,
-        ParameterError,
-        PortBusyError,
-        PortError,
-        RecordRefused,
-        ServiceRefused,
-        SlaveError,
-        SlaveFault,
-        SlaveTimeout,
-        UnknownAttribute,
-        UsageError,
-    )
-    from dpstack.params import BusParams
-    from dpstack.profile import DriveStatus
-    from dpstack.trace import Event
-    from dpstack.why.story import Story
+    from dpstack import blocking as blocking
+    from dpstack import decode as decode
+    from dpstack import events as events
+    from dpstack import gsd as gsd
+    from dpstack import profile as profile
+    from dpstack import slave as slave
+    from dpstack import testing as testing
+    from dpstack.api.bus.bus import Bus as Bus
+    from dpstack.api.bus.cycles import Cycle as Cycle
+    from dpstack.api.bus.find_baud import BaudReport as BaudReport
+    from dpstack.api.bus.find_baud import find_baud as find_baud
+    from dpstack.api.bus.opening import open_bus as open_bus
+    from dpstack.api.bus.statistics import BusStats as BusStats
+    from dpstack.api.bus.statistics import SlaveStats as SlaveStats
+    from dpstack.api.bus.virtual import IoStation as IoStation
+    from dpstack.api.bus.virtual import World as World
+    from dpstack.api.bus.virtual import run_virtual as run_virtual
+    from dpstack.api.bus.virtual import simulate as simulate
+    from dpstack.api.commissioning.commissioning import Commissioning as Commissioning
+    from dpstack.api.config.config import Config as Config
+    from dpstack.api.config.config import load_config as load_config
+    from dpstack.api.connectors.publishing import publish as publish
+    from dpstack.api.lists.parameter_list import ParameterPlace as ParameterPlace
+    from dpstack.api.lists.parameter_list import ParameterValue as ParameterValue
+    from dpstack.api.slave.alarms import SlaveAlarm as SlaveAlarm
+    from dpstack.api.slave.class2 import Connection as Connection
+    from dpstack.api.slave.class2 import ProcessData as ProcessData
+    from dpstack.api.slave.class2 import ReadDiagnosis as ReadDiagnosis
+    from dpstack.api.slave.drive import Drive as Drive
+    from dpstack.api.slave.drive import DriveNotice as DriveNotice
+    from dpstack.api.slave.slave import Slave as Slave
+    from dpstack.api.slave.typed import Bool as Bool
+    from dpstack.api.slave.typed import Inputs as Inputs
+    from dpstack.api.slave.typed import Int as Int
+    from dpstack.api.slave.typed import Octets as Octets
+    from dpstack.api.slave.typed import Outputs as Outputs
+    from dpstack.api.slave.typed import Scaled as Scaled
+    from dpstack.api.slave.typed import at as at
+    from dpstack.api.slave_side.virtual_bench import VirtualBench as VirtualBench
+    from dpstack.dp.master.commands import Mode as Mode
+    from dpstack.dp.master.events import SlaveState as SlaveState
+    from dpstack.dp.pdu.alarm_blocks import AlarmType as AlarmType
+    from dpstack.dp.pdu.alarm_blocks import Specifier as Specifier
+    from dpstack.dp.pdu.alarm_blocks import StatusType as StatusType
+    from dpstack.dp.plan.plan import Plan as Plan
+    from dpstack.dpv1.pdu.im import Im0 as Im0
+    from dpstack.dpv1.pdu.im import Im1 as Im1
+    from dpstack.dpv1.pdu.im import Im2 as Im2
+    from dpstack.dpv1.pdu.im import Im3 as Im3
+    from dpstack.dpv1.pdu.im import Im4 as Im4
+    from dpstack.drivers.snapshots import BusSnapshot as BusSnapshot
+    from dpstack.drivers.snapshots import SlaveSnapshot as SlaveSnapshot
+    from dpstack.errors import AcyclicError as AcyclicError
+    from dpstack.errors import AlarmError as AlarmError
+    from dpstack.errors import BaudError as BaudError
+    from dpstack.errors import BusError as BusError
+    from dpstack.errors import ConfigError as ConfigError
+    from dpstack.errors import ConnectionEnded as ConnectionEnded
+    from dpstack.errors import DpError as DpError
+    from dpstack.errors import DriveError as DriveError
+    from dpstack.errors import DriveFault as DriveFault
+    from dpstack.errors import DriveTimeout as DriveTimeout
+    from dpstack.errors import NoInputs as NoInputs
+    from dpstack.errors import OrderDropped as OrderDropped
+    from dpstack.errors import ParamError as ParamError
+    from dpstack.errors import ParameterError as ParameterError
+    from dpstack.errors import PortBusyError as PortBusyError
+    from dpstack.errors import PortError as PortError
+    from dpstack.errors import RecordRefused as RecordRefused
+    from dpstack.errors import ServiceRefused as ServiceRefused
+    from dpstack.errors import SlaveError as SlaveError
+    from dpstack.errors import SlaveFault as SlaveFault
+    from dpstack.errors import SlaveTimeout as SlaveTimeout
+    from dpstack.errors import UnknownAttribute as UnknownAttribute
+    from dpstack.errors import UsageError as UsageError
+    from dpstack.params import BusParams as BusParams
+    from dpstack.profile import DriveStatus as DriveStatus
+    from dpstack.trace import Event as Event
+    from dpstack.why.story import Story as Story
 
 __version__ = "0.1.0"
-
-__all__ = [
-    "AcyclicError",
-    "AlarmError",
-    "AlarmType",
-    "BaudError",
-    "BaudReport",
-    "Bool",
-    "Bus",
-    "BusError",
-    "BusParams",
-    "BusSnapshot",
-    "BusStats",
-    "Commissioning",
-    "Config",
-    "ConfigError",
-    "Connection",
-    "ConnectionEnded",
-    "Cycle",
-    "DpError",
-    "Drive",
-    "DriveError",
-    "DriveFault",
-    "DriveNotice",
-    "DriveStatus",
-    "DriveTimeout",
-    "Event",
-    "Im0",
-    "Im1",
-    "Im2",
-    "Im3",
-    "Im4",
-    "Inputs",
-    "Int",
-    "IoStation",
-    "Mode",
-    "NoInputs",
-    "Octets",
-    "OrderDropped",
-    "Outputs",
-    "ParamError",
-    "ParameterError",
-    "ParameterPlace",
-    "ParameterValue",
-    "Plan",
-    "PortBusyError",
-    "PortError",
-    "ProcessData",
-    "ReadDiagnosis",
-    "RecordRefused",
-    "Scaled",
-    "ServiceRefused",
-    "Slave",
-    "SlaveAlarm",
-    "SlaveError",
-    "SlaveFault",
-    "SlaveSnapshot",
-    "SlaveState",
-    "SlaveStats",
-    "SlaveTimeout",
-    "Specifier",
-    "StatusType",
-    "Story",
-    "UnknownAttribute",
-    "UsageError",
-    "VirtualBench",
-    "World",
-    "__version__",
-    "at",
-    "blocking",
-    "decode",
-    "events",
-    "find_baud",
-    "gsd",
-    "load_config",
-    "open_bus",
-    "profile",
-    "publish",
-    "run_virtual",
-    "simulate",
-    "slave",
-    "testing",
-]
 
 #: module and its public names
 _PLACES: Final = """
@@ -215,15 +159,12 @@ def _hint(name: str) -> str:
     from importlib.util import find_spec  # here, as it is for names that there are not
 
     if not name.startswith("_") and find_spec(f"dpstack.{name}") is None:  # else Python goes on to import it
-        for namespace in ("slave", "events"):
-            if name in importlib.import_module(f"dpstack.{namespace}").__all__:
-                return f": it is dpstack.{namespace}.{name}"
+        for other in ("slave", "events"):
+            if name in importlib.import_module(f"dpstack.{other}").__all__:
+                return f": it is dpstack.{other}.{name}"
     return ""
 
 
 if not TYPE_CHECKING:  # a type checker knows the names
-    __getattr__ = loader(__name__, _PLACES, _hint)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__, __all__ = namespace(__name__, _PLACES, _hint)
+    __all__.append("__version__")

@@ -7,8 +7,10 @@ import sys
 from collections.abc import Callable
 
 
-def loader(package: str, places: str, hint: Callable[[str], str] = lambda _: "") -> Callable[[str], object]:
-    """The ``__getattr__`` of ``package``.
+def namespace(
+    package: str, places: str, hint: Callable[[str], str] = lambda _: ""
+) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
+    """``__getattr__``, ``__dir__`` and ``__all__`` of ``package``.
 
     ``places``: in each line a module below ``package`` (or from ``dpstack.`` on) and its public names; a module without
     names is public itself.
@@ -33,4 +35,5 @@ def loader(package: str, places: str, hint: Callable[[str], str] = lambda _: "")
         setattr(sys.modules[package], name, found)
         return found
 
-    return load
+    public = sorted(where)
+    return load, lambda: public, public

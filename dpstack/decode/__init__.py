@@ -14,27 +14,19 @@
 
 from typing import TYPE_CHECKING, Final
 
-from dpstack.namespaces import loader
+from dpstack.namespaces import namespace
 
 if TYPE_CHECKING:
-    from dpstack.decode.filter import parse_filter
-    from dpstack.decode.names import ModuleName, Names, SlaveNames
-    from dpstack.decode.source import from_hex, read_transmissions
-    from dpstack.decode.telegram import Explained, Explainer, explain
-    from dpstack.decode.wire_log import render
-
-__all__ = [
-    "Explained",
-    "Explainer",
-    "ModuleName",
-    "Names",
-    "SlaveNames",
-    "explain",
-    "from_hex",
-    "parse_filter",
-    "read_transmissions",
-    "render",
-]
+    from dpstack.decode.filter import parse_filter as parse_filter
+    from dpstack.decode.names import ModuleName as ModuleName
+    from dpstack.decode.names import Names as Names
+    from dpstack.decode.names import SlaveNames as SlaveNames
+    from dpstack.decode.source import from_hex as from_hex
+    from dpstack.decode.source import read_transmissions as read_transmissions
+    from dpstack.decode.telegram import Explained as Explained
+    from dpstack.decode.telegram import Explainer as Explainer
+    from dpstack.decode.telegram import explain as explain
+    from dpstack.decode.wire_log import render as render
 
 #: module and its public names
 _PLACES: Final = """
@@ -45,8 +37,4 @@ telegram Explained Explainer explain
 wire_log render
 """
 if not TYPE_CHECKING:  # a type checker knows the names
-    __getattr__ = loader(__name__, _PLACES)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__, __all__ = namespace(__name__, _PLACES)

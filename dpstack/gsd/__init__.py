@@ -30,40 +30,30 @@ Order of work: text, lexer, parser with blocks, joining with settings; the resul
 
 from typing import TYPE_CHECKING, Final
 
-from dpstack.namespaces import loader
+from dpstack.namespaces import namespace
 
 if TYPE_CHECKING:
-    from dpstack.gsd.check import check
-    from dpstack.gsd.configuration import Configuration, configuration_like, configure, plug
-    from dpstack.gsd.dpv1_keywords import DpV1
-    from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
-    from dpstack.gsd.model import Device, Diagnostic, DiagText, GsdFile, Module, Parameter, Slot, Speed
-    from dpstack.gsd.parser import load_gsd, parse_gsd
-    from dpstack.gsd.prm import Reading, UserPrm
-
-__all__ = [
-    "Configuration",
-    "Device",
-    "DiagText",
-    "Diagnostic",
-    "DpV1",
-    "GsdFile",
-    "Identifier",
-    "Module",
-    "Parameter",
-    "Reading",
-    "Slot",
-    "Speed",
-    "UserPrm",
-    "check",
-    "configuration_like",
-    "configure",
-    "io_lengths",
-    "load_gsd",
-    "parse_gsd",
-    "parse_identifiers",
-    "plug",
-]
+    from dpstack.gsd.check import check as check
+    from dpstack.gsd.configuration import Configuration as Configuration
+    from dpstack.gsd.configuration import configuration_like as configuration_like
+    from dpstack.gsd.configuration import configure as configure
+    from dpstack.gsd.configuration import plug as plug
+    from dpstack.gsd.dpv1_keywords import DpV1 as DpV1
+    from dpstack.gsd.identifiers import Identifier as Identifier
+    from dpstack.gsd.identifiers import io_lengths as io_lengths
+    from dpstack.gsd.identifiers import parse_identifiers as parse_identifiers
+    from dpstack.gsd.model import Device as Device
+    from dpstack.gsd.model import Diagnostic as Diagnostic
+    from dpstack.gsd.model import DiagText as DiagText
+    from dpstack.gsd.model import GsdFile as GsdFile
+    from dpstack.gsd.model import Module as Module
+    from dpstack.gsd.model import Parameter as Parameter
+    from dpstack.gsd.model import Slot as Slot
+    from dpstack.gsd.model import Speed as Speed
+    from dpstack.gsd.parser import load_gsd as load_gsd
+    from dpstack.gsd.parser import parse_gsd as parse_gsd
+    from dpstack.gsd.prm import Reading as Reading
+    from dpstack.gsd.prm import UserPrm as UserPrm
 
 #: module and its public names
 _PLACES: Final = """
@@ -76,8 +66,4 @@ parser load_gsd parse_gsd
 prm Reading UserPrm
 """
 if not TYPE_CHECKING:  # a type checker knows the names
-    __getattr__ = loader(__name__, _PLACES)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__, __all__ = namespace(__name__, _PLACES)

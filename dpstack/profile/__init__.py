@@ -12,131 +12,87 @@
 
 from typing import TYPE_CHECKING, Final
 
-from dpstack.namespaces import loader
+from dpstack.namespaces import namespace
 
 if TYPE_CHECKING:
-    from dpstack.dp.slave.device import Leave
-    from dpstack.dpv1.slave.device import Device
-    from dpstack.errors import ConfigError
-    from dpstack.profile import record47
-    from dpstack.profile.channel.base import (
-        Clock,
-        CycleTimes,
-        FindSpec,
-        ParameterChannel,
-        ParamKey,
-        find_parameter,
-    )
-    from dpstack.profile.channel.pkw import (
-        RETRY_NS,
-        ParamRef,
-        Pkw,
-        PkwAccess,
-        PkwChannel,
-        PkwDialect,
-        PkwServer,
-        ReplyId,
-        TaskId,
-    )
-    from dpstack.profile.channel.stored_writes import StoredWrites
-    from dpstack.profile.drive_profile import DriveProfile, OptionSpec, RateSetting
-    from dpstack.profile.master.core import DriveCore, Lookup, settled
-    from dpstack.profile.master.mapped_core import MAP_OPS, MapCodes, MappedCore
-    from dpstack.profile.master.settings import Setting, equal, same
-    from dpstack.profile.model import drivecom_states, process_data_map, profidrive_states
-    from dpstack.profile.model.drive_type import CHANNEL_LEN, Options, TelegramFamily, TelegramSpec
-    from dpstack.profile.model.jobs import Args, CommandError, Steps
-    from dpstack.profile.model.param_errors import PARAMETER_ERRORS, error_text
-    from dpstack.profile.model.param_store import ParamStore
-    from dpstack.profile.model.params import POWER_ON, ListedParam, ParamSpec, ParamTable, Use, count_of, listing
-    from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
-    from dpstack.profile.model.status import DriveStatus, SettingsState
-    from dpstack.profile.model.words import SPEED, Scale, Word, signed16
-    from dpstack.profile.registry import broken, find, known, refresh
-    from dpstack.profile.simulator.device import DriveDevice
-    from dpstack.profile.simulator.motor import AT_ONCE, NEAR, Motor, ramp
-    from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US
-
-__all__ = [
-    "AT_ONCE",
-    "CHANNEL_LEN",
-    "FAULTED",
-    "MAP_OPS",
-    "MOVING",
-    "NEAR",
-    "NEVER",
-    "NS_PER_MS",
-    "NS_PER_S",
-    "NS_PER_US",
-    "PARAMETER_ERRORS",
-    "POWER_ON",
-    "RETRY_NS",
-    "SPEED",
-    "Args",
-    "Clock",
-    "CommandError",
-    "ConfigError",
-    "ControlTable",
-    "CycleTimes",
-    "Device",
-    "DriveCore",
-    "DriveDevice",
-    "DriveProfile",
-    "DriveStatus",
-    "FindSpec",
-    "Goal",
-    "Leave",
-    "ListedParam",
-    "Lookup",
-    "MapCodes",
-    "MappedCore",
-    "Motor",
-    "OptionSpec",
-    "Options",
-    "ParamKey",
-    "ParamRef",
-    "ParamSpec",
-    "ParamStore",
-    "ParamTable",
-    "ParameterChannel",
-    "Pkw",
-    "PkwAccess",
-    "PkwChannel",
-    "PkwDialect",
-    "PkwServer",
-    "RateSetting",
-    "ReplyId",
-    "Scale",
-    "Setting",
-    "SettingsState",
-    "State",
-    "StateRow",
-    "StateTable",
-    "Steps",
-    "StoredWrites",
-    "TaskId",
-    "TelegramFamily",
-    "TelegramSpec",
-    "Use",
-    "Word",
-    "broken",
-    "count_of",
-    "drivecom_states",
-    "equal",
-    "error_text",
-    "find",
-    "find_parameter",
-    "known",
-    "listing",
-    "process_data_map",
-    "profidrive_states",
-    "ramp",
-    "record47",
-    "refresh",
-    "same",
-    "settled",
-    "signed16",
-]
+    from dpstack.dp.slave.device import Leave as Leave
+    from dpstack.dpv1.slave.device import Device as Device
+    from dpstack.errors import ConfigError as ConfigError
+    from dpstack.profile import record47 as record47
+    from dpstack.profile.channel.base import Clock as Clock
+    from dpstack.profile.channel.base import CycleTimes as CycleTimes
+    from dpstack.profile.channel.base import FindSpec as FindSpec
+    from dpstack.profile.channel.base import ParameterChannel as ParameterChannel
+    from dpstack.profile.channel.base import ParamKey as ParamKey
+    from dpstack.profile.channel.base import find_parameter as find_parameter
+    from dpstack.profile.channel.pkw import RETRY_NS as RETRY_NS
+    from dpstack.profile.channel.pkw import ParamRef as ParamRef
+    from dpstack.profile.channel.pkw import Pkw as Pkw
+    from dpstack.profile.channel.pkw import PkwAccess as PkwAccess
+    from dpstack.profile.channel.pkw import PkwChannel as PkwChannel
+    from dpstack.profile.channel.pkw import PkwDialect as PkwDialect
+    from dpstack.profile.channel.pkw import PkwServer as PkwServer
+    from dpstack.profile.channel.pkw import ReplyId as ReplyId
+    from dpstack.profile.channel.pkw import TaskId as TaskId
+    from dpstack.profile.channel.stored_writes import StoredWrites as StoredWrites
+    from dpstack.profile.drive_profile import DriveProfile as DriveProfile
+    from dpstack.profile.drive_profile import OptionSpec as OptionSpec
+    from dpstack.profile.drive_profile import RateSetting as RateSetting
+    from dpstack.profile.master.core import DriveCore as DriveCore
+    from dpstack.profile.master.core import Lookup as Lookup
+    from dpstack.profile.master.core import settled as settled
+    from dpstack.profile.master.mapped_core import MAP_OPS as MAP_OPS
+    from dpstack.profile.master.mapped_core import MapCodes as MapCodes
+    from dpstack.profile.master.mapped_core import MappedCore as MappedCore
+    from dpstack.profile.master.settings import Setting as Setting
+    from dpstack.profile.master.settings import equal as equal
+    from dpstack.profile.master.settings import same as same
+    from dpstack.profile.model import drivecom_states as drivecom_states
+    from dpstack.profile.model import process_data_map as process_data_map
+    from dpstack.profile.model import profidrive_states as profidrive_states
+    from dpstack.profile.model.drive_type import CHANNEL_LEN as CHANNEL_LEN
+    from dpstack.profile.model.drive_type import Options as Options
+    from dpstack.profile.model.drive_type import TelegramFamily as TelegramFamily
+    from dpstack.profile.model.drive_type import TelegramSpec as TelegramSpec
+    from dpstack.profile.model.jobs import Args as Args
+    from dpstack.profile.model.jobs import CommandError as CommandError
+    from dpstack.profile.model.jobs import Steps as Steps
+    from dpstack.profile.model.param_errors import PARAMETER_ERRORS as PARAMETER_ERRORS
+    from dpstack.profile.model.param_errors import error_text as error_text
+    from dpstack.profile.model.param_store import ParamStore as ParamStore
+    from dpstack.profile.model.params import POWER_ON as POWER_ON
+    from dpstack.profile.model.params import ListedParam as ListedParam
+    from dpstack.profile.model.params import ParamSpec as ParamSpec
+    from dpstack.profile.model.params import ParamTable as ParamTable
+    from dpstack.profile.model.params import Use as Use
+    from dpstack.profile.model.params import count_of as count_of
+    from dpstack.profile.model.params import listing as listing
+    from dpstack.profile.model.states import FAULTED as FAULTED
+    from dpstack.profile.model.states import MOVING as MOVING
+    from dpstack.profile.model.states import ControlTable as ControlTable
+    from dpstack.profile.model.states import Goal as Goal
+    from dpstack.profile.model.states import State as State
+    from dpstack.profile.model.states import StateRow as StateRow
+    from dpstack.profile.model.states import StateTable as StateTable
+    from dpstack.profile.model.status import DriveStatus as DriveStatus
+    from dpstack.profile.model.status import SettingsState as SettingsState
+    from dpstack.profile.model.words import SPEED as SPEED
+    from dpstack.profile.model.words import Scale as Scale
+    from dpstack.profile.model.words import Word as Word
+    from dpstack.profile.model.words import signed16 as signed16
+    from dpstack.profile.registry import broken as broken
+    from dpstack.profile.registry import find as find
+    from dpstack.profile.registry import known as known
+    from dpstack.profile.registry import refresh as refresh
+    from dpstack.profile.simulator.device import DriveDevice as DriveDevice
+    from dpstack.profile.simulator.motor import AT_ONCE as AT_ONCE
+    from dpstack.profile.simulator.motor import NEAR as NEAR
+    from dpstack.profile.simulator.motor import Motor as Motor
+    from dpstack.profile.simulator.motor import ramp as ramp
+    from dpstack.units import NEVER as NEVER
+    from dpstack.units import NS_PER_MS as NS_PER_MS
+    from dpstack.units import NS_PER_S as NS_PER_S
+    from dpstack.units import NS_PER_US as NS_PER_US
 
 #: module and its public names
 _PLACES: Final = """
@@ -168,8 +124,4 @@ simulator.motor AT_ONCE NEAR Motor ramp
 dpstack.units NEVER NS_PER_MS NS_PER_S NS_PER_US
 """
 if not TYPE_CHECKING:  # a type checker knows the names
-    __getattr__ = loader(__name__, _PLACES)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__, __all__ = namespace(__name__, _PLACES)

@@ -9,26 +9,19 @@
 
 from typing import TYPE_CHECKING, Final
 
-from dpstack.namespaces import loader
+from dpstack.namespaces import namespace
 
 if TYPE_CHECKING:
-    from dpstack.testing.bus import BusFactory, SimulatedBus, SimulatedDevice, VirtualTime
-    from dpstack.testing.drive_conformance import DriveConformance
-    from dpstack.testing.faults import Fault, Faults
-    from dpstack.testing.wire import Exchange, Service, Wire
-
-__all__ = [
-    "BusFactory",
-    "DriveConformance",
-    "Exchange",
-    "Fault",
-    "Faults",
-    "Service",
-    "SimulatedBus",
-    "SimulatedDevice",
-    "VirtualTime",
-    "Wire",
-]
+    from dpstack.testing.bus import BusFactory as BusFactory
+    from dpstack.testing.bus import SimulatedBus as SimulatedBus
+    from dpstack.testing.bus import SimulatedDevice as SimulatedDevice
+    from dpstack.testing.bus import VirtualTime as VirtualTime
+    from dpstack.testing.drive_conformance import DriveConformance as DriveConformance
+    from dpstack.testing.faults import Fault as Fault
+    from dpstack.testing.faults import Faults as Faults
+    from dpstack.testing.wire import Exchange as Exchange
+    from dpstack.testing.wire import Service as Service
+    from dpstack.testing.wire import Wire as Wire
 
 #: module and its public names; pytest imports this package at its start, so nothing else is loaded here
 _PLACES: Final = """
@@ -38,8 +31,4 @@ faults Fault Faults
 wire Exchange Service Wire
 """
 if not TYPE_CHECKING:  # a type checker knows the names
-    __getattr__ = loader(__name__, _PLACES)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__, __all__ = namespace(__name__, _PLACES)
