@@ -264,8 +264,7 @@ class DemagDevice(DriveDevice):
         settings = self._settings
         mode = settings.mode
         machine = self.machine
-        trip = self.take_trip()
-        if trip is not None:
+        if (trip := self.take_trip()) is not None:
             self._fail(trip, now)
         if mode != self._mode:
             self._mode = mode
@@ -503,16 +502,11 @@ class DemagDevice(DriveDevice):
         self._mode = -1
 
     def _live(self, number: int) -> float | None:
-        match number:
-            case 249:
-                return self.active_set
-            case 250:
-                return self._inputs_on
-            case 270:
-                return self.warning_mask
-            case 282:
-                return min(max(self._bus_hz, -1000), 1000)
-            case 283:
-                return min(max(self._ramp_hz, -1000), 1000)
-            case _:
-                return None
+        present = {
+            249: self.active_set,
+            250: self._inputs_on,
+            270: self.warning_mask,
+            282: min(max(self._bus_hz, -1000), 1000),
+            283: min(max(self._ramp_hz, -1000), 1000),
+        }
+        return present.get(number)

@@ -161,8 +161,7 @@ class FujiDevice(DriveDevice):
             return self._unpowered()
         source = self._source()
         machine, motor = self.machine, self.motor
-        trip = self.take_trip()
-        if trip is not None:
+        if (trip := self.take_trip()) is not None:
             self._fail(trip)
         self._judge_loss(words is not None, now)
         still = not motor.frequency

@@ -122,7 +122,7 @@ _TRANSMITTED: Final = (
 #: by number
 TO_DRIVE: Final[Mapping[int, Function]] = {one.number: one for one in _RECEIVED}
 FROM_DRIVE: Final[Mapping[int, Function]] = {one.number: one for one in _TRANSMITTED}
-SET_FREQUENCY, FAULT_CODE = 1, 11
+SET_FREQUENCY, FAULT_CODE, STATE_WORD = 1, 11, 25
 _EMPTY: Final = "-"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.profile import (
@@ -138,8 +138,7 @@ class ImoDevice(DriveDevice):
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
         """Receive the process data, move the motor, return the inputs."""
-        trip = self.take_trip()
-        if trip is not None:
+        if (trip := self.take_trip()) is not None:
             self._fail(trip)
         if words is not None:
             self._receive(words)
@@ -233,55 +232,23 @@ class ImoDevice(DriveDevice):
         self._command = t.Command.STOP
         self.motor.switch(False)
 
+    @property
+    def hertz(self) -> float:
+        """The frequency without its sign."""
+        return abs(self.motor.frequency) * _RATED_HZ
+
+    @property
+    def volts(self) -> float:
+        """By the voltage set point where there is one, else by the frequency."""
+        part = self.values[11] / 1000 if 11 in self.values else abs(self.motor.frequency)
+        return round(min(1.0, part) * _RATED_VOLTS) if self.motor.on else 0.0
+
     def _word(self, number: int, status: int) -> int:
         function = pzd.FROM_DRIVE.get(number)
         if function is None:
             return 0
-        value = self._actual(number, status)
+        value = status if number == pzd.STATE_WORD else _ACTUAL.get(number, _nothing)(self)
         return round(min(max(value, function.low), function.high) * function.per_unit) & 0xFFFF
-
-    def _actual(self, number: int, status: int) -> float:
-        """The value of a transmitted function, in its unit (table 2-8)."""
-        motor = self.motor
-        hertz = abs(motor.frequency) * _RATED_HZ
-        match number:
-            case 1 | 10:
-                return hertz
-            case 2:
-                return self.values.get(1, 0) / 100
-            case 3:
-                return _BUS_VOLTS if self.released else 0.0
-            case 4:
-                part = self.values[11] / 1000 if 11 in self.values else abs(motor.frequency)
-                return round(min(1.0, part) * _RATED_VOLTS) if motor.on else 0.0
-            case 5:
-                return motor.current * self._rated_current
-            case 6:
-                return 100 * motor.torque
-            case 7:
-                return 100 * motor.torque * motor.speed
-            case 8:
-                return round(abs(motor.speed) * _RATED_HZ * _RPM_PER_HZ)
-            case 11:
-                return self.fault
-            case 16 | 17:
-                return self.values.get(number - 7, 0)
-            case 18 | 19:
-                return self.values.get(number - 16, 0) / 10
-            case 20:
-                return _RATED_TORQUE
-            case 21:
-                return signed16(self.values.get(14, 0))
-            case 22:
-                return self.values.get(15, 0)
-            case 23:
-                return signed16(self._position[0])
-            case 24:
-                return self._position[1]
-            case 25:
-                return status
-            case _:
-                return 0.0  # speed of a line, analog and pulse inputs: the simulation has none of them
 
     # -- parameters -----------------------------------------------------------------------------------------------
 
@@ -317,6 +284,35 @@ class ImoDevice(DriveDevice):
         self.store.write(spec, raw)
         self._load_maps()
         return Response.WORD, raw
+
+
+def _nothing(_: ImoDevice) -> float:
+    return 0.0
+
+
+#: by number of a transmitted function: its value, in its unit (table 2-8). The speed of a line, and analog and pulse
+#: inputs are not there
+_ACTUAL: Final[Mapping[int, Callable[[ImoDevice], float]]] = {
+    1: lambda drive: drive.hertz,
+    2: lambda drive: drive.values.get(1, 0) / 100,
+    3: lambda drive: _BUS_VOLTS if drive.released else 0.0,
+    4: lambda drive: drive.volts,
+    5: lambda drive: drive.motor.current * drive._rated_current,
+    6: lambda drive: 100 * drive.motor.torque,
+    7: lambda drive: 100 * drive.motor.torque * drive.motor.speed,
+    8: lambda drive: round(abs(drive.motor.speed) * _RATED_HZ * _RPM_PER_HZ),
+    10: lambda drive: drive.hertz,
+    11: lambda drive: drive.fault,
+    16: lambda drive: drive.values.get(9, 0),
+    17: lambda drive: drive.values.get(10, 0),
+    18: lambda drive: drive.values.get(2, 0) / 10,
+    19: lambda drive: drive.values.get(3, 0) / 10,
+    20: lambda drive: _RATED_TORQUE,
+    21: lambda drive: signed16(drive.values.get(14, 0)),
+    22: lambda drive: drive.values.get(15, 0),
+    23: lambda drive: signed16(drive._position[0]),
+    24: lambda drive: drive._position[1],
+}
 
 
 def _error(number: int) -> tuple[int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.profile import NS_PER_S, ConfigError, DriveDevice, DriveProfile, Leave, Options, TelegramSpec, ramp
@@ -145,8 +145,7 @@ class KebDevice(DriveDevice):
         if self.parameters.linked and process is not None:
             self.operator.write_outputs(process, now)
         self._supervise(now)
-        trip = self.take_trip()
-        if trip is not None:
+        if (trip := self.take_trip()) is not None:
             self.fault = trip
         self._drive()
         if not self.parameters.linked:
@@ -249,22 +248,23 @@ class KebDevice(DriveDevice):
             return t.RU_STANDING
         return t.RU_CONSTANT if self.motor.frequency == self.motor.setpoint else t.RU_RAMP
 
+    def _counts(self) -> int:
+        counts = round(self.motor.frequency * self._reference_rpm / self._rpm_per_count)
+        return min(max(counts, -0x8000), 0x7FFF)
+
     def _live(self, index: int) -> int | None:
-        match index:
-            case t.STATUS_WORD | t.STATUS_LONG:
-                return self._status_word()
-            case t.ACTUAL_SPEED:
-                counts = round(self.motor.frequency * self._reference_rpm / self._rpm_per_count)
-                return min(max(counts, -0x8000), 0x7FFF)
-            case t.INVERTER_STATE:
-                return self._state()
-            case 0x220C:
-                return round(100 * self.motor.torque)
-            case 0x5F25:  # Fb37
-                return self.telegram.inputs
-            case 0x5F26:
-                return self.telegram.outputs
-            case t.CONTROL_LONG:
-                return self.parameters.raw(t.CONTROL_WORD)
-            case _:
-                return self.operator.shown(index)
+        present = _LIVE.get(index)
+        return self.operator.shown(index) if present is None else present(self)
+
+
+#: by index: the present value of what is not stored
+_LIVE: Final[Mapping[int, Callable[[KebDevice], int]]] = {
+    t.STATUS_WORD: KebDevice._status_word,
+    t.STATUS_LONG: KebDevice._status_word,
+    t.ACTUAL_SPEED: KebDevice._counts,
+    t.INVERTER_STATE: KebDevice._state,
+    0x220C: lambda drive: round(100 * drive.motor.torque),
+    0x5F25: lambda drive: drive.telegram.inputs,  # Fb37
+    0x5F26: lambda drive: drive.telegram.outputs,
+    t.CONTROL_LONG: lambda drive: drive.parameters.raw(t.CONTROL_WORD),
+}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.profile import (
@@ -199,8 +199,7 @@ class LsDevice(DriveDevice):
         self._last = words
         if self._loss.step(self.motor, now):
             self._fail(t.LOST_COMMAND)
-        trip = self.take_trip()
-        if trip is not None:
+        if (trip := self.take_trip()) is not None:
             self._fail(trip)
         if self.kind == t.PROFIDRIVE:
             self._run_profidrive(words, now)
@@ -346,39 +345,8 @@ class LsDevice(DriveDevice):
         return self.module.order(order)
 
     def _live(self, number: int, index: int) -> int | None:
-        match number if number > 0xFF else number << 8 | index:
-            case t.PNU_ADDRESS:
-                return self.store.raw(settings.spec("COM-07"))
-            case t.PNU_TELEGRAM | 0x170A:
-                return telegrams.number_of(self.telegram)
-            case t.PNU_PROFILE:
-                return t.PNU_930[self.kind]
-            case t.PROFILE:
-                return self.kind
-            case t.PNU_WARNING | t.WARNING:
-                return self.warning_mask
-            case t.PNU_BAUD:
-                return self.store.raw(settings.spec("COM-12"))
-            case t.PNU_VERSION:
-                return 0x0328
-            case t.PNU_STW1:
-                return 0 if self.kind == t.IO else self._word
-            case t.PNU_ZSW1:
-                return 0 if self.kind == t.IO else self._status
-            case t.OUTPUT_FREQUENCY:
-                return self._hundredths()
-            case t.OUTPUT_VOLTAGE:
-                return round(_RATED_VOLTS * min(abs(self.motor.frequency), 1.0))
-            case t.OUTPUT_POWER:
-                return max(round(_RATED_WATTS / 100 * self.motor.motoring * abs(self.motor.speed)), 0)
-            case t.LEDS:
-                return self._leds()
-            case t.RUN_STATUS:
-                return self._run_status()
-            case t.TRIP:
-                return next(iter(self.module.situations[0]), 0)
-            case _:
-                return None
+        present = _LIVE.get(number if number > 0xFF else number << 8 | index)
+        return None if present is None else present(self)
 
     def _changed(self, where: int) -> None:
         if where == t.PNU_RESET:
@@ -412,3 +380,25 @@ class LsDevice(DriveDevice):
         if faulted:
             self.machine.state = State.FAULT
             self.runner.fault = True
+
+
+#: by PNU or address: the present value of what is not stored
+_LIVE: Final[Mapping[int, Callable[[LsDevice], int]]] = {
+    t.PNU_ADDRESS: lambda drive: drive.store.raw(settings.spec("COM-07")),
+    t.PNU_TELEGRAM: lambda drive: telegrams.number_of(drive.telegram),
+    t.TELEGRAM: lambda drive: telegrams.number_of(drive.telegram),
+    t.PNU_PROFILE: lambda drive: t.PNU_930[drive.kind],
+    t.PROFILE: lambda drive: drive.kind,
+    t.PNU_WARNING: lambda drive: drive.warning_mask,
+    t.WARNING: lambda drive: drive.warning_mask,
+    t.PNU_BAUD: lambda drive: drive.store.raw(settings.spec("COM-12")),
+    t.PNU_VERSION: lambda drive: 0x0328,
+    t.PNU_STW1: lambda drive: 0 if drive.kind == t.IO else drive._word,
+    t.PNU_ZSW1: lambda drive: 0 if drive.kind == t.IO else drive._status,
+    t.OUTPUT_FREQUENCY: LsDevice._hundredths,
+    t.OUTPUT_VOLTAGE: lambda drive: round(_RATED_VOLTS * min(abs(drive.motor.frequency), 1.0)),
+    t.OUTPUT_POWER: lambda drive: max(round(_RATED_WATTS / 100 * drive.motor.motoring * abs(drive.motor.speed)), 0),
+    t.LEDS: LsDevice._leds,
+    t.RUN_STATUS: LsDevice._run_status,
+    t.TRIP: lambda drive: next(iter(drive.module.situations[0]), 0),
+}

@@ -160,6 +160,8 @@ def ls_table(authority: int) -> ControlTable:
 OUTPUT_VOLTAGE, OUTPUT_POWER = 0x000B, 0x0316
 #: COM-09 (4.2.3). Conflict: the prose has the order "from right to left", its example CPU at the right: the example
 LEDS: Final = 0x1709
+#: COM-10
+TELEGRAM: Final = 0x170A
 #: COM-11 (4.2.11): a display of the profile in force; what is written to it counts from COM-94 = 1
 PROFILE: Final = 0x170B
 LED_CPU, LED_ERROR, LED_ONLINE = 0x0001, 0x0002, 0x0004
