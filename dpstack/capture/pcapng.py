@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple, Protocol
+
+from msgspec import Struct
 
 from dpstack.capture.transmission import Damage
 from dpstack.errors import CaptureFileError
@@ -50,8 +51,7 @@ _OTHER_FILES: Final[dict[bytes, str]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Interface:
+class Interface(Struct, frozen=True):
     """One port of a capture. ``bits_per_s``: 0 if the file does not say; ``unit``: if_tsresol, of its times."""
 
     name: str = ""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.capture.pcapng import USER0, Writable, Writer
 from dpstack.capture.timing import timing_of
@@ -14,8 +15,7 @@ from dpstack.units import baud_text
 _MOST_CAUSES: Final = 8
 
 
-@dataclass(frozen=True, slots=True)
-class PortAbout:
+class PortAbout(Struct, frozen=True):
     """The description of a port in the file. ``source``: see :mod:`dpstack.capture.timing`; ``exact``: its octets have
     the times of a simulated wire; ``paced``: octets take their time on a wire; ``more``: another remark.
     """

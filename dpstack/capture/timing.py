@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.units import NS_PER_MS, NS_PER_US, bits_to_ns
 
@@ -19,8 +20,7 @@ _FIFO_BITS: Final = 44
 _TEXT: Final = re.compile(r"times by (tap|adapter|host|file), resolution (\d{1,9}(?:\.\d{1,3})?) us")
 
 
-@dataclass(frozen=True, slots=True)
-class LineTiming:
+class LineTiming(Struct, frozen=True):
     """``source``: "tap", "adapter", "host" or "file". ``resolution_ns``: the error of the distance of two times, None
     if nobody knows it."""
 

@@ -7,8 +7,9 @@ stations can be neither a retry nor wrong, and nothing is called wrong that dama
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, NamedTuple
+
+from msgspec import Struct
 
 from dpstack.fdl.telegram import COUNTED, FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, UNANSWERED, Kind, Telegram
 from dpstack.params import BROADCAST
@@ -22,8 +23,7 @@ _NOT_ASKED: Final = tuple(number in UNANSWERED for number in range(16))
 _IS_COUNTED: Final = tuple(number in COUNTED for number in range(16))
 
 
-@dataclass(slots=True, eq=False)
-class _Request:
+class _Request(Struct, eq=False):
     """A request that was heard. ``end_ns``: of its last bit, None if it is not known. ``damages``: how many damaged
     transmissions came before it; ``damaged``: one came while its answer was due."""
 

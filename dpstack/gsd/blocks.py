@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
+
+from msgspec.structs import replace
 
 from dpstack.gsd.identifiers import MAX_USER_PRM
 from dpstack.gsd.lexer import (

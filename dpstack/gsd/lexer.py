@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final, TypeVar
+
+from msgspec import Struct
 
 from dpstack.gsd.model import Ranges
 
@@ -38,8 +39,7 @@ _COMMON: Final[dict[str, int]] = {
 }
 
 
-@dataclass(slots=True)
-class Statement:
+class Statement(Struct):
     """One statement. ``keyword`` in lower case, ``written`` as in the file; ``index`` and ``value`` are stripped.
 
     ``line``: the number of the physical line; the parser sets it anew for each occurrence of the same text. ``item``:

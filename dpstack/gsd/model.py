@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple, TypeAlias
 
+from msgspec import Struct
+
 from dpstack.gsd.dpv1_keywords import DpV1
 from dpstack.trace import Severity
 
@@ -116,8 +118,7 @@ class PrmKind(Enum):
     SIGNED32 = "Signed32"
 
 
-@dataclass(frozen=True, slots=True)
-class PrmType:
+class PrmType(Struct, frozen=True):
     """Type and place of a user parameter: bits ``first``..``last`` of ``size`` octets, big-endian."""
 
     kind: PrmKind
@@ -187,16 +188,14 @@ class Parameter:
         return {value: text for value, text in self.texts.items() if self.allows(value)}
 
 
-@dataclass(frozen=True, slots=True)
-class PrmRef:
+class PrmRef(Struct, frozen=True):
     """Ext_User_Prm_Data_Ref(``offset``) = ``number``."""
 
     offset: int
     number: int
 
 
-@dataclass(frozen=True, slots=True)
-class PrmConst:
+class PrmConst(Struct, frozen=True):
     """Ext_User_Prm_Data_Const(``offset``) = ``octets``."""
 
     offset: int
@@ -241,8 +240,7 @@ class DiagText(NamedTuple):
     help: str
 
 
-@dataclass(frozen=True, slots=True)
-class Diagnosis:
+class Diagnosis(Struct, frozen=True):
     """Texts of the diagnosis: of a device, a module or one UnitDiagType (``type``, the first octet after the header).
 
     ``texts``: those for bits, for bits that are 0, for areas, for channel errors. If the file has a plain and an X_

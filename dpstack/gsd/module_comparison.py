@@ -8,8 +8,9 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
+
+from msgspec import Struct
 
 from dpstack.errors import ConfigError
 from dpstack.gsd.configuration import modules_of_config
@@ -28,8 +29,7 @@ class Difference(Enum):
     UNREADABLE = "unreadable"  # octets that are no identifiers
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
+class Part(Struct, frozen=True):
     """One module: its identifier octets, and its name if that is known. ``at``: its first octet, from 1."""
 
     octets: bytes
@@ -52,8 +52,7 @@ class Part:
         return f"{self.name} ({octets})" if self.name else octets
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(Struct, frozen=True):
     """``slots``: the first slot that differs, and those that follow, with wanted and real module (None: none there).
 
     ``octet``: the first octet that differs, from 1; 0 if none does. ``key``: the key ``modules`` of a configuration

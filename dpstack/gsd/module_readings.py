@@ -7,8 +7,9 @@ others. Octets that no module gives stay unknown, one identifier at a time.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final, TypeAlias
+
+from msgspec import Struct
 
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import parse_identifiers
@@ -18,8 +19,7 @@ from dpstack.gsd.model import Device, Module, in_ranges
 _EMPTY: Final = b"\0"
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(Struct, frozen=True):
     """The octets of one slot. ``modules``: those of the file with these octets, in its order; empty for an empty slot
     (octet 0), and for octets of no module.
     """
@@ -34,8 +34,7 @@ class Place:
         return not self.modules and self.octets != _EMPTY
 
 
-@dataclass(frozen=True, slots=True)
-class ModuleReading:
+class ModuleReading(Struct, frozen=True):
     """One row of places that give the octets in order."""
 
     places: tuple[Place, ...]

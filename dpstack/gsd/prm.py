@@ -11,9 +11,11 @@ from __future__ import annotations
 import contextlib
 import difflib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.errors import GsdError
 from dpstack.gsd.identifiers import MAX_USER_PRM
@@ -30,8 +32,7 @@ class Reading(Enum):
     CONST = "const"  #: the constants as they stand
 
 
-@dataclass(frozen=True, slots=True)
-class PrmField:
+class PrmField(Struct, frozen=True):
     """One parameter at its place. ``at``: octet of the whole, ``offset``: octet of the device's or the module's part.
 
     ``place``: the number of the module's slot; of the device itself 0, or "device" if a module is in slot 0.
@@ -63,8 +64,7 @@ class PrmField:
         return self.parameter.texts.get(self.value, str(self.value))
 
 
-@dataclass(frozen=True, slots=True)
-class Contradiction:
+class Contradiction(Struct, frozen=True):
     """A default that is not what the constants say at its place."""
 
     field: PrmField

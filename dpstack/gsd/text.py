@@ -12,8 +12,9 @@ from __future__ import annotations
 import codecs
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 #: Limits far above every known GSD file (the largest one has 9372 lines). The parser refuses larger files.
 MAX_OCTETS: Final = 8_000_000
@@ -30,8 +31,7 @@ _SEAM: Final = re.compile(r"\\[ \t]*(?:;.*)?$")
 _HALF: Final = "\f"
 
 
-@dataclass(frozen=True, slots=True)
-class Text:
+class Text(Struct, frozen=True):
     """Decoded text. ``lines``: logical lines, from the file's first. ``numbers``: the physical line (from 1) where each
     of them begins. ``cut``: a physical line that had to be left incomplete, 0 for none.
     """

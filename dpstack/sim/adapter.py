@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final, Protocol
+
+from msgspec import Struct
 
 from dpstack.errors import ConfigError
 from dpstack.fdl.interface import BusStation
@@ -22,8 +23,7 @@ from dpstack.trace import Event
 from dpstack.units import NEVER, NOW, NS_PER_MS, chars_to_ns
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Habits:
+class Habits(Struct, frozen=True, kw_only=True):
     """The behaviour of an adapter. Times in ns; the default has full-speed USB frames and a latency timer of 1 ms.
 
     ``frame_ns``: octets go to and from the host only at multiples of this. ``latency_ns``: the time between a packet

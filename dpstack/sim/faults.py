@@ -4,9 +4,10 @@ damaged, cut short, repeated or delayed by choice."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from random import Random
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.errors import ConfigError
 from dpstack.phy.noise import BitNoise, Bursts, LostOctets
@@ -21,8 +22,7 @@ Noise = BitNoise | Bursts | LostOctets
 _DATA_BIT_0: Final = 0x002
 
 
-@dataclass(slots=True)
-class _Fault:
+class _Fault(Struct):
     """A fault for the next ``left`` transmissions that ``which`` selects; None = all of them."""
 
     which: Which

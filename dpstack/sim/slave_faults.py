@@ -7,9 +7,10 @@ simulated bus and behind a real port. A station without faults has neither in it
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from random import Random
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.slave.application import SlaveApp
@@ -31,42 +32,36 @@ _SD2_LEN: Final = 9
 _POSITIVE: Final = (Resp.OK, Resp.DL, Resp.DH)
 
 
-@dataclass(frozen=True, slots=True)
-class LateAnswers:
+class LateAnswers(Struct, frozen=True):
     """Every answer begins ``by_ns`` later. Until then the slave hears nothing, as one that is busy."""
 
     by_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Refusals:
+class Refusals(Struct, frozen=True):
     """Data_Exchange is answered with ``status`` and does not reach the device."""
 
     status: Resp = Resp.RS
 
 
-@dataclass(frozen=True, slots=True)
-class WrongLength:
+class WrongLength(Struct, frozen=True):
     """The inputs in the answer have ``by_octets`` more octets, or fewer with a minus; at least none, at most 244."""
 
     by_octets: int = -1
 
 
-@dataclass(frozen=True, slots=True)
-class StubNoise:
+class StubNoise(Struct, frozen=True):
     """Each bit that the slave hears or sends is inverted with the probability ``rate``."""
 
     rate: float
     seed: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class RepeatedAnswers:
+class RepeatedAnswers(Struct, frozen=True):
     """Every answer is sent twice, the second time directly behind the first."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReportedDiagnosis:
+class ReportedDiagnosis(Struct, frozen=True):
     """The slave reports ``diag`` beside what its device reports."""
 
     diag: UserDiag

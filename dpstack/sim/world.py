@@ -11,12 +11,13 @@ a sender that is cut off.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from heapq import heappop, heappush
 from itertools import count
 from random import Random
 from typing import Any, Final
+
+from msgspec import Struct
 
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import BusStation
@@ -44,8 +45,7 @@ _NO_ADDRESS: Final = -1
 _STEPWISE: Final = -1  # no event is run before the one that asks for it is over
 
 
-@dataclass(slots=True, eq=False)
-class _Stream:
+class _Stream(Struct, eq=False):
     """Octets of ``tx`` that the stations at ``rate`` get one by one; ``ports_only``: the telegram is intact."""
 
     tx: Transmission
@@ -55,8 +55,7 @@ class _Stream:
     index: int = 0
 
 
-@dataclass(slots=True, eq=False)
-class _Jam:
+class _Jam(Struct, eq=False):
     """A collision: one garbled character after another until the last transmission has ended."""
 
     baud: int

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
+
+from msgspec import Struct
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.decode.names import NO_NAMES, Names
@@ -72,8 +73,7 @@ class Service(NamedTuple):
     answered: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Watched:
+class Watched(Struct, frozen=True):
     """A slave whose outputs are judged. ``safe``: safe outputs, for people; ``places``: the octets that show whether
     outputs are safe, ``accepted``: what these may be."""
 

@@ -15,11 +15,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
 from enum import Enum
 from importlib import resources
 from pathlib import Path
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.errors import DpError, UsageError
 
@@ -49,8 +50,7 @@ class State(Enum):
     FOREIGN = "there is another file of that name"
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(Struct, frozen=True):
     """A file of ours in a folder of Wireshark. ``what``: dissector or extcap."""
 
     what: str
@@ -91,8 +91,7 @@ class Place:
             raise DpError(f"{self.path}: {error.strerror or error}") from None
 
 
-@dataclass(frozen=True, slots=True)
-class Wireshark:
+class Wireshark(Struct, frozen=True):
     """The Wireshark that is there. ``lua``, ``extcap``: its folders of the user; ``others``: folders in which other
     versions look for extcap programs."""
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from dpstack.dp.pdu.alarm_blocks import SEQUENCES, VENDOR, Alarm, Status, StatusType, kind_of
@@ -27,8 +27,7 @@ from dpstack.errors import AlarmError, ConfigError, PduError, UsageError
 MAX_WAITING: Final = 32
 
 
-@dataclass(frozen=True, slots=True)
-class AlarmSupport:
+class AlarmSupport(Struct, frozen=True):
     """The alarms of a slave: ``kinds``, keys of :data:`~dpstack.dp.pdu.dpv1_status.ALARMS` [Diagnostic_Alarm_supp ...].
 
     ``sequence``: in sequence mode so many at a time, 2..32, or 0 if it has type mode only

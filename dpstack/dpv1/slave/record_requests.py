@@ -6,8 +6,9 @@ An application answers a request once, now or later. The server (MS1 or MS2) sen
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final, Protocol
+
+from msgspec import Struct
 
 from dpstack.dp.error_origin import DEVICE_CALL, failure_text
 from dpstack.dp.pdu.layouts import MAX_RECORD
@@ -20,8 +21,7 @@ from dpstack.errors import PduError, RecordRefused
 from dpstack.fdl.telegram import MAX_DATA
 
 
-@dataclass(eq=False)
-class Asker:
+class Asker(Struct, eq=False, weakref=True):
     """The origin of requests: ``master`` on ``sap``, 51 for MS1 or the server SAP of a connection; ``open`` until it
     ends."""
 

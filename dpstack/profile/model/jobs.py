@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass
 from typing import Final, Literal, TypeVar
+
+from msgspec import Struct
 
 from dpstack.units import s_to_ns
 
@@ -40,8 +41,7 @@ class CommandError(Exception):
         self.number = number
 
 
-@dataclass(slots=True, eq=False)
-class DriveJob:
+class DriveJob(Struct, eq=False):
     """An order under way. ``motion``: at most one such job runs, a new one supersedes it. ``token`` None: our own.
 
     It sleeps until ``due_ns``, while the status word is ``status``.

@@ -9,8 +9,9 @@ drive of profile 4.2 answers request ids that it does not have with 0x80 (Siemen
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
+
+from msgspec import Struct
 
 from dpstack.dpv1.pdu.error_codes import AGAIN, Code
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
@@ -66,8 +67,7 @@ class NoRecordError(CommandError):
     """The drive has no record 47, or not in this slot."""
 
 
-@dataclass(slots=True)
-class Counters:
+class Counters(Struct):
     """``requests`` of record 47; ``services`` (Read and Write) and ``octets`` of their data, both ways.
 
     ``busy``: negative answers that were asked again; ``strays``: responses to another request; ``garbage``: records

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 from msgspec import Struct
@@ -106,8 +105,7 @@ def _index(name: str | int) -> int:
         raise CommandError("usage", f"{name!r} is neither a parameter such as oP.3 nor an index in hex") from None
 
 
-@dataclass(slots=True, eq=False)
-class _Request:
+class _Request(Struct, eq=False):
     """A request under way: its octets without the handshake bit, and the reply."""
 
     octets: bytes
