@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from dpstack.dp.master.commands import ActivateSlave, AddSlave, DeactivateSlave, Mode, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.master.events import SlaveState, SlaveStateChanged
@@ -46,30 +46,21 @@ class Leaving(Struct):
 ObserverOf = Callable[[SlaveHandler, SlaveHandler | None], DiagObserver]
 
 
-class Roster:
+class Roster(Struct, eq=False):
     """The slaves in ``handlers`` by address, and those ``leaving``: one request a round to each until it is unlocked.
 
     Every change is checked as a whole before anything happens.
     """
 
-    def __init__(
-        self,
-        context: MasterContext,
-        handlers: dict[int, SlaveHandler],
-        turns: Turns,
-        controls: Controls,
-        cadence: Cadence,
-        watch: OutputsWatch,
-    ) -> None:
-        self.leaving: deque[Leaving] = deque()
-        self._context = context
-        self._handlers = handlers
-        self._turns = turns
-        self._controls = controls
-        self._cadence = cadence
-        self._watch = watch
-        self._farewells = 0  # still to be sent in this round
-        self._observer: ObserverOf = lambda _handler, _before: NO_ALARMS
+    _context: MasterContext
+    _handlers: dict[int, SlaveHandler]
+    _turns: Turns
+    _controls: Controls
+    _cadence: Cadence
+    _watch: OutputsWatch
+    leaving: deque[Leaving] = field(default_factory=deque)
+    _farewells: int = 0  # still to be sent in this round
+    _observer: ObserverOf = lambda _handler, _before: NO_ALARMS
 
     def observe(self, observer: ObserverOf) -> None:
         """Set the function that returns the observer of each slave's diagnoses."""

@@ -27,7 +27,7 @@ from dpstack.fdl.telegram import Telegram
 from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.params import BusParams
 from dpstack.trace import Event
-from dpstack.units import BAUD_RATES, NOW, baud_text
+from dpstack.units import NOW, baud_text
 
 #: BAUD_CONTROL gives up after T_TO of a station that is no master: the standard counts 130 as its address
 #: (docs/reference/protocol.md#t_to). A live master is never silent for this long; the chips have a register for
@@ -57,8 +57,8 @@ class Searching(abc.ABC):
         self,
         listener: PassiveStation | Multidrop,
         watched: Callable[[], bool],
-        lost: Callable[[int], None],
         *,
+        lost: Callable[[int], None],
         rates: Sequence[int],
         slack_ns: int = 0,
         settle_ns: int = 0,
@@ -197,14 +197,8 @@ class SearchingSlave(Searching):
     ``rates``: those the device knows, in bit/s.
     """
 
-    def __init__(
-        self,
-        station: PassiveStation,
-        app: SlaveApp,
-        *,
-        rates: Sequence[int] = BAUD_RATES,
-    ) -> None:
-        super().__init__(station, lambda: app.watchdog.time_ns > 0, app.rate_lost, rates=rates)
+    def __init__(self, station: PassiveStation, app: SlaveApp, *, rates: Sequence[int]) -> None:
+        super().__init__(station, lambda: app.watchdog.time_ns > 0, lost=app.rate_lost, rates=rates)
         self.station = station
         self.app = app
 
@@ -260,23 +254,7 @@ class PortBaudChanged(Event):
 
 
 class SearchingPort(Searching):
-    """The machine of one port around ``line``: deaf to the bus until the rate is found, among ``rates`` in bit/s.
-
-    ``watched`` says whether the watchdog of any of the slaves runs. ``lost`` is called with the time when the rate is
-    lost and searched again. ``slack_ns``, ``settle_ns``: see :class:`Searching`.
-    """
-
-    def __init__(
-        self,
-        line: Multidrop,
-        watched: Callable[[], bool],
-        *,
-        rates: Sequence[int] = BAUD_RATES,
-        slack_ns: int = 0,
-        settle_ns: int = 0,
-        lost: Callable[[int], None] = lambda now: None,
-    ) -> None:
-        super().__init__(line, watched, lost, rates=rates, slack_ns=slack_ns, settle_ns=settle_ns)
+    """The machine of one port around all of its slaves: ``watched`` says whether the watchdog of any of them runs."""
 
     def in_vain(self, now: int) -> BaudNotFound | None:
         """Why no rate was recognised up to now; None when one was."""

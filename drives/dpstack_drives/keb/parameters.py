@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from msgspec import Struct
+
 from dpstack.profile import ParamSpec, ParamStore
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import RefusedError
@@ -14,21 +16,18 @@ from dpstack_drives.keb.pdmap import Entry
 _PASSWORD, _PASSWORD_INDEX = 440, 0x2801
 
 
-class Parameters:
+class Parameters(Struct, eq=False):
     """``live`` gives actual values, None for what is stored; ``refusal``: the error that an access (``write`` or not)
     ends with by an order from outside.
 
     Readings: writes need the password of the recipe; a parameter that exists once is in set 0; subindex 0 is set 0.
     """
 
-    def __init__(
-        self, store: ParamStore, live: Callable[[int], int | None], refusal: Callable[..., int | None]
-    ) -> None:
-        self.store = store
-        self._live = live
-        #: the link to the inverter (HSP5) stands
-        self.linked = True
-        self._refusal = refusal
+    store: ParamStore
+    _live: Callable[[int], int | None]
+    _refusal: Callable[..., int | None]
+    #: the link to the inverter (HSP5) stands
+    linked: bool = True
 
     def raw(self, index: int) -> int:
         """The integer stored in set 0."""
