@@ -213,11 +213,8 @@ class Field:
                 return codec.pack(raw)
         except OverflowError:
             pass
-        raise ValueError(f"{self.name} = {brief(value)} is no number that {self.type} can hold{self._scale_text}")
-
-    @property
-    def _scale_text(self) -> str:
-        return f" with scale {self.scale} and offset {self.offset}" if self.is_scaled else ""
+        scaled = f" with scale {self.scale} and offset {self.offset}" if self.is_scaled else ""
+        raise ValueError(f"{self.name} = {brief(value)} is no number that {self.type} can hold{scaled}")
 
     def read(self, text: str) -> Value:
         """The value in ``text`` as a person writes it, with its unit behind it or without.

@@ -117,7 +117,7 @@ def compare_modules(
     slots = tuple(
         (first_slot + at, one, other)
         for at, (one, other) in enumerate(pairs)
-        if one is None or other is None or not _same(one, other)
+        if one is None or other is None or one.octets != other.octets
     )
     return Comparison(_kind(ours, theirs), slots, octet, tuple(ours), tuple(theirs), _modules_key(theirs, device))
 
@@ -154,10 +154,6 @@ def _is_within(few: Sequence[bytes], many: Sequence[bytes]) -> bool:
     """Whether ``few`` is ``many`` with some left out."""
     rest = iter(many)
     return all(one in rest for one in few)
-
-
-def _same(one: Part, other: Part) -> bool:
-    return one.octets == other.octets
 
 
 def _of_modules(config: bytes, modules: Sequence[Module | None]) -> list[Part] | None:

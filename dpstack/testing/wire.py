@@ -106,10 +106,6 @@ class Watched(Struct, frozen=True):
     def is_safe(self, outputs: bytes) -> bool:
         return bytes(outputs[at] for at in self.places if at < len(outputs)) in self.accepted
 
-    @property
-    def zeros_are_safe(self) -> bool:
-        return bytes(len(self.places)) in self.accepted
-
 
 class _Outputs:
     """The outputs that may act at one slave, as the octets on the line show.
@@ -127,7 +123,7 @@ class _Outputs:
         self._synced = False
         self._group = 0
         self._answers = False  # its last request was answered
-        self._zeros_are_safe = slave.zeros_are_safe
+        self._zeros_are_safe = bytes(len(slave.places)) in slave.accepted
 
     def exchange(self, t_ns: int, outputs: bytes) -> None:
         self.last = outputs
@@ -335,7 +331,7 @@ class Wire:
         if outputs is None:
             return
         t = ns_to_s(t_ns)
-        if _is_data_exchange(telegram):
+        if telegram.dsap is None and telegram.function in _SRD:
             outputs.exchange(t_ns, telegram.data)
             self._exchanges[telegram.da].append(Exchange(t, telegram.data, None))
             self._note(telegram.da, t, DATA_EXCHANGE)
@@ -375,10 +371,6 @@ class Wire:
         services = self._services[address]
         if name != DATA_EXCHANGE or not services or services[-1].name != DATA_EXCHANGE:
             services.append(Service(t, name, answered=False))
-
-
-def _is_data_exchange(telegram: Telegram) -> bool:
-    return telegram.dsap is None and telegram.function in _SRD
 
 
 def _who(slave: Watched) -> str:

@@ -62,14 +62,6 @@ def _get_cfg(core: SlaveCore, request: Telegram, now: int) -> Reply:
     return _data_reply(core.device.configs[0] if data is None else data.config)
 
 
-def _rd_inp(core: SlaveCore, request: Telegram, now: int) -> Reply:
-    return _data_reply(core.inputs)
-
-
-def _rd_outp(core: SlaveCore, request: Telegram, now: int) -> Reply:
-    return _data_reply(core.outputs)
-
-
 # --- Set_Prm ------------------------------------------------------------------------------------------------------
 
 
@@ -203,7 +195,7 @@ _SERVICES: Final[Mapping[int, Callable[[SlaveCore, Telegram, int], Reply | None]
     SAP_SET_PRM: _set_prm,
     SAP_CHK_CFG: _chk_cfg,
     SAP_GET_CFG: _get_cfg,
-    SAP_RD_INP: _rd_inp,
-    SAP_RD_OUTP: _rd_outp,
+    SAP_RD_INP: lambda core, request, now: _data_reply(core.inputs),
+    SAP_RD_OUTP: lambda core, request, now: _data_reply(core.outputs),
     SAP_SET_SLAVE_ADD: _set_slave_add,
 }

@@ -384,7 +384,8 @@ class AlarmHandler(DiagObserver):
             self._asked = None
         if self._open.get(Key.of(known.alarm)) is not known:
             return  # the slave left data exchange meanwhile
-        refused = outcome.failure in _NO and not _busy(outcome)
+        is_busy = outcome.codes is not None and outcome.codes[1] in AGAIN
+        refused = outcome.failure in _NO and not is_busy
         self._extra_sap_took |= self.extra_sap and outcome.failure is None
         taken = known.unanswered and self._extra_sap_took
         if outcome.failure is ServiceFailure.REFUSED and self.extra_sap and not taken:
@@ -446,10 +447,6 @@ class AlarmHandler(DiagObserver):
         self._statuses.clear()
         self._last = self._asked = None
         self._dropped = False
-
-
-def _busy(outcome: Outcome) -> bool:
-    return outcome.codes is not None and outcome.codes[1] in AGAIN
 
 
 class AckJob(Ms1Job):

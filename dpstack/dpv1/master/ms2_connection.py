@@ -230,7 +230,7 @@ class ConnectionJob(Job):
             if reply not in (Reply.WAIT, Reply.AGAIN, Reply.NOTHING):
                 return reply
             third = min(connection.send_timeout_ns, connection.limit_ns) // 3
-            again = lost and reply is Reply.WAIT and polling.worked_ns >= third
+            again = lost and reply is Reply.WAIT and polling.now - polling.begun >= third
             octets = IDLE if again else b""
             if again:
                 lost = False

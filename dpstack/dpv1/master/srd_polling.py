@@ -83,12 +83,13 @@ def classify(answer: Telegram | Failure, *, requested: bool) -> Reply:
 class Polling:
     """The requests and polls of one service. ``srd`` makes the requests; the slave has ``limit_ns`` to answer."""
 
-    __slots__ = ("_begun", "_limit_ns", "_pause", "_polls", "_silent", "_srd", "answer", "busy", "now", "unanswered")
+    __slots__ = ("_limit_ns", "_pause", "_polls", "_silent", "_srd", "answer", "begun", "busy", "now", "unanswered")
 
     def __init__(self, srd: Callable[[bytes], Request], limit_ns: int) -> None:
         self._srd = srd
         self._limit_ns = limit_ns
-        self._begun = NEVER
+        #: when the slave began to work at the service
+        self.begun = NEVER
         self._pause = 0
         self._polls = 0
         #: number of requests and polls without an answer, one after the other
@@ -106,22 +107,17 @@ class Polling:
         """The PDU after DATA and OLD."""
         return self.answer.data if isinstance(self.answer, Telegram) else b""
 
-    @property
-    def worked_ns(self) -> int:
-        """The time that the slave has had until now."""
-        return self.now - self._begun
-
     def restart_limit(self) -> None:
         """The slave says that it works at the service: its time begins anew."""
-        self._begun = self.now
+        self.begun = self.now
 
     def ask(self, octets: bytes) -> Steps[Reply]:
         """Send a request, or a poll (no octets), after the pause that is due."""
-        if self.now - self._begun >= self._limit_ns:
+        if self.now - self.begun >= self._limit_ns:
             return Reply.LATE
         heard = yield Step(self._srd(octets), self._pause)
         self.answer, self.now = heard.answer, heard.now
-        self._begun = min(self._begun, heard.begun)
+        self.begun = min(self.begun, heard.begun)
         reply = classify(heard.answer, requested=bool(octets))
         if reply is Reply.NOTHING:
             self._silent += 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Iterable
+from operator import attrgetter
 from typing import NamedTuple
 
 from dpstack.errors import ConfigError, UsageError
@@ -28,10 +29,6 @@ class _Unasked(NamedTuple):
     at: int
     octets: bytes
     station: PassiveStation
-
-
-def _at_of(unasked: _Unasked) -> int:
-    return unasked.at
 
 
 class Multidrop(PassiveReceiver):
@@ -102,7 +99,7 @@ class Multidrop(PassiveReceiver):
     def send_at(self, station: PassiveStation, octets: bytes, at: int) -> None:
         """Send ``octets`` of a faulty ``station`` at ``at`` (ns), whatever is on the line then, unless the station is
         taken off the line or silenced before."""
-        insort(self._unasked, _Unasked(at, octets, station), key=_at_of)
+        insort(self._unasked, _Unasked(at, octets, station), key=attrgetter("at"))
 
     def poke(self) -> None:
         """Read the deadline of every station anew."""

@@ -80,7 +80,7 @@ class FujiDevice(DriveDevice):
 
     def _use_own_telegram(self) -> None:
         """The PPO type of o30 counts from power-on."""
-        self.own = self.telegram = self.profile.telegram(t.telegram_of(int(self.store.value("o30"))))
+        self.own = self.telegram = self.profile.telegram(t.BY_O30.get(int(self.store.value("o30")), "PPO1"))
         self.configs = tuple(dict.fromkeys((self.own.config, *self.configs)))
 
     def check_cfg(self, config: bytes) -> str | None:

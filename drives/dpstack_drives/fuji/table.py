@@ -23,14 +23,9 @@ TELEGRAMS: Final = ppo.ppos(4, made_up=True)
 #: the internal scan time is in no manual: a reading
 SCAN_MS: Final = 4
 
-#: Table 5.1: what o30 chooses
-_BY_O30: Final = {2: "PPO2", 3: "PPO3", 4: "PPO4", 5: "PPO2"}
+#: Table 5.1: the telegrams that o30 chooses, all others are PPO1
+BY_O30: Final = {2: "PPO2", 3: "PPO3", 4: "PPO4", 5: "PPO2"}
 O30: Final = {"PPO1": 1, "PPO2": 2, "PPO3": 3, "PPO4": 4}
-
-
-def telegram_of(o30: int) -> str:
-    """The telegram of the drive's own setting, by name."""
-    return _BY_O30.get(o30, "PPO1")
 
 
 #: Table 8.5

@@ -247,7 +247,9 @@ class ImoDevice(DriveDevice):
         function = pzd.FROM_DRIVE.get(number)
         if function is None:
             return 0
-        value = status if number == pzd.STATE_WORD else _ACTUAL.get(number, _nothing)(self)
+        value: float = status if number == pzd.STATE_WORD else 0.0
+        if number in _ACTUAL:
+            value = _ACTUAL[number](self)
         return round(min(max(value, function.low), function.high) * function.per_unit) & 0xFFFF
 
     # -- parameters -----------------------------------------------------------------------------------------------
@@ -284,10 +286,6 @@ class ImoDevice(DriveDevice):
         self.store.write(spec, raw)
         self._load_maps()
         return Response.WORD, raw
-
-
-def _nothing(_: ImoDevice) -> float:
-    return 0.0
 
 
 #: by number of a transmitted function: its value, in its unit (table 2-8). The speed of a line, and analog and pulse
