@@ -25,7 +25,7 @@ from dpstack.dp.pdu.dpv1_status import (
 )
 from dpstack.dp.pdu.prm_blocks import parse_blocks
 from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
-from dpstack.dpv1.pdu.ms2 import Abort, InitiateReq, InitiateRes, ResourceManagerRes
+from dpstack.dpv1.pdu.ms2 import Abort, Address, InitiateReq, InitiateRes, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import (
     AlarmAck,
     DataTransport,
@@ -325,13 +325,13 @@ def _initiate(octets: bytes, *, request: bool) -> Fields:
         "Features_Supported": f"0x{initiate.features:04x}",
         "Profile_Features_Supported": f"0x{initiate.profile_features:04x}",
         "Profile_Ident_Number": _ident(initiate.profile_ident),
-        "S_Addr": {"API": initiate.source.api, "SCL": initiate.source.scl, "net": initiate.source.net.hex()},
-        "D_Addr": {
-            "API": initiate.destination.api,
-            "SCL": initiate.destination.scl,
-            "net": initiate.destination.net.hex(),
-        },
+        "S_Addr": _address(initiate.source),
+        "D_Addr": _address(initiate.destination),
     }
     if isinstance(initiate, InitiateReq):
         return {"Send_Timeout_s": ns_to_s(initiate.send_timeout_ns)} | found
     return {"Max_Len_Data_Unit": initiate.max_len} | found
+
+
+def _address(one: Address) -> Fields:
+    return {"API": one.api, "SCL": one.scl, "net": one.net.hex()}

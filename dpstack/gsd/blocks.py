@@ -89,9 +89,7 @@ class Block:
 
     def number(self, statement: Statement) -> int | None:
         """The value of ``statement`` as one number; None for anything else."""
-        found = without_remark(statement, number)
-        warn_of_remark(self.findings, statement)
-        return found
+        return read_value(self.findings, statement, number)
 
 
 def warn_of_remark(findings: Findings, statement: Statement) -> None:
@@ -105,6 +103,15 @@ def warn_of_remark(findings: Findings, statement: Statement) -> None:
 
 
 _T = TypeVar("_T")
+
+
+def read_value(
+    findings: Findings, statement: Statement, parse: Callable[[str], _T | None], text: str | None = None
+) -> _T | None:
+    """:func:`without_remark`, and the report of a comment that lacks its semicolon."""
+    found = without_remark(statement, parse, text)
+    warn_of_remark(findings, statement)
+    return found
 
 
 def _parsed(statement: Statement, parse: Callable[[Statement], _T | None]) -> _T | None:
@@ -151,8 +158,7 @@ class NumberedBlock(Block):
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
-        ref = without_remark(statement, number)
-        warn_of_remark(findings, statement)
+        ref = read_value(findings, statement, number)
         return None if ref is None else cls(statement.line, findings, ref)
 
     @property
@@ -310,8 +316,7 @@ class SlotBlock(Block):
         name, rest, _ = string(statement.value)
         name = (name or "").strip()
         default, _ = first_number(rest)
-        allowed = without_remark(statement, lambda text: ranges(first_number(text)[1]), rest)
-        warn_of_remark(self.findings, statement)
+        allowed = read_value(self.findings, statement, lambda text: ranges(first_number(text)[1]), rest)
         if at is None or allowed is None:
             self.warn(statement, f"{statement.written}: cannot be read; the slot is left out")
             return
@@ -377,8 +382,7 @@ class AreaBlock(Block):
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
-        bits = without_remark(statement, ranges)
-        warn_of_remark(findings, statement)
+        bits = read_value(findings, statement, ranges)
         if not bits or not 0 <= bits[0][0] <= bits[-1][1] < 8 * 244:
             return None
         return cls(statement.line, findings, bits[0][0], bits[-1][1])
@@ -522,8 +526,7 @@ class ModuleBlock(PrmUser):
         name, rest, closed = string(statement.value)
         if name is None or not closed:
             return None
-        config = without_remark(statement, octets_of, rest)
-        warn_of_remark(findings, statement)
+        config = read_value(findings, statement, octets_of, rest)
         if config is None:
             message = f"module {name!r}: {rest[:40]} is no list of identifier octets; the module cannot be used"
             findings.error(statement.line, message, statement.column)
@@ -553,10 +556,9 @@ class ModuleBlock(PrmUser):
         """A number on a line of its own: the module reference."""
         if statement.equals or statement.index is not None or number(statement.keyword) is None:
             return False
-        reference = without_remark(statement, number, f"{statement.written} {statement.value}".rstrip())
+        reference = read_value(self.findings, statement, number, f"{statement.written} {statement.value}".rstrip())
         if reference is None:
             return False
-        warn_of_remark(self.findings, statement)
         if self.reference not in (None, reference):
             message = f"module {self.name!r} has two references, {self.reference} and {reference}; the last one counts"
             self.findings.warning(statement.line, message)

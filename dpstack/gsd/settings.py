@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from typing import Any, Final
 
-from dpstack.gsd.blocks import octets_of, warn_of_remark
+from dpstack.gsd.blocks import octets_of, read_value
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, DpV1
-from dpstack.gsd.lexer import Statement, first_number, number, string, without_remark
+from dpstack.gsd.lexer import Statement, first_number, number, string
 from dpstack.gsd.model import Device, Findings, Speed
 from dpstack.units import BAUD_RATES
 
@@ -122,8 +122,7 @@ class Settings:
         if keyword not in self._settings:
             return None
         statement = self._settings[keyword]
-        value = without_remark(statement, _only_number)
-        warn_of_remark(self._findings, statement)
+        value = read_value(self._findings, statement, _only_number)
         if value is None:
             text = string(statement.value)[0] or ""
             value = number(text)
@@ -154,8 +153,7 @@ class Settings:
 
     def _octets(self, keyword: str) -> bytes | None:
         statement = self._settings[keyword]
-        octets = without_remark(statement, octets_of)
-        warn_of_remark(self._findings, statement)
+        octets = read_value(self._findings, statement, octets_of)
         if octets is None:
             self._unreadable(keyword, "is no list of octets; left out")
         return octets

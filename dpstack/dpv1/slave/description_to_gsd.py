@@ -23,6 +23,7 @@ from dpstack.gsd.blocks import prm_type_of
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
 from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
 from dpstack.gsd.model import DiagText, in_ranges, ranges_text
+from dpstack.gsd.prm import write_bits
 from dpstack.gsd.settings import RATES
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import octets_text, shortened
@@ -332,10 +333,7 @@ def _with_defaults(octets: bytes, parameters: tuple[SlaveParameter, ...]) -> byt
     for one in parameters:
         kind = prm_type_of(one.type)
         assert kind is not None
-        place = slice(one.octet, one.octet + kind.size)
-        mask = (1 << kind.width) - 1
-        value = int.from_bytes(image[place], "big") & ~(mask << kind.first) | (one.default & mask) << kind.first
-        image[place] = value.to_bytes(kind.size, "big")
+        write_bits(image, one.octet, kind, one.default)
     return bytes(image)
 
 

@@ -54,6 +54,15 @@ _O, _W, _A, _V = State.OPEN, State.WORKING, State.ANSWERED, State.OVER
 _MS2: Final = "docs/reference/protocol.md#ms2"
 _DECIDED: Final = "docs/reference/decisions/ms2.md#connections-at-the-slave"
 
+#: while a service is under way: the slave works at it, or its answer waits to be fetched
+_UNDER_WAY: Final = {
+    Ms2Trigger.SERVICE: Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
+    Ms2Trigger.IDLE: Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
+    Ms2Trigger.ABORT: Row(Act.FREE, "VPC3+: in every state"),
+    Ms2Trigger.OUT_OF_PLACE: Row(Act.SEQUENCE, "ProSoft"),
+    Ms2Trigger.UNREADABLE: Row(Act.REQUEST_PDU, "ProSoft"),
+    Ms2Trigger.SILENCE: Row(Act.TIMEOUT, "VPC3+: after the send time-out"),
+}
 TABLE: Final[dict[tuple[State, Ms2Trigger], Row]] = {
     (_O, Ms2Trigger.POLL): Row(Act.ACKNOWLEDGE, "VPC3+: nothing is there any more"),
     (_O, Ms2Trigger.SERVICE): Row(Act.SERVE, _MS2),
@@ -63,19 +72,8 @@ TABLE: Final[dict[tuple[State, Ms2Trigger], Row]] = {
     (_O, Ms2Trigger.UNREADABLE): Row(Act.REQUEST_PDU, "VPC3+; ProSoft: an invalid request PDU"),
     (_O, Ms2Trigger.SILENCE): Row(Act.TIMEOUT, "VPC3+: after twice the send time-out"),
     (_W, Ms2Trigger.POLL): Row(Act.ANSWER_IF_READY, _MS2),
-    (_W, Ms2Trigger.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
-    (_W, Ms2Trigger.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
-    (_W, Ms2Trigger.ABORT): Row(Act.FREE, "VPC3+: in every state"),
-    (_W, Ms2Trigger.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft"),
-    (_W, Ms2Trigger.UNREADABLE): Row(Act.REQUEST_PDU, "ProSoft"),
-    (_W, Ms2Trigger.SILENCE): Row(Act.TIMEOUT, "VPC3+: after the send time-out"),
     (_A, Ms2Trigger.POLL): Row(Act.ANSWER, _MS2),
-    (_A, Ms2Trigger.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
-    (_A, Ms2Trigger.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
-    (_A, Ms2Trigger.ABORT): Row(Act.FREE, "VPC3+: in every state"),
-    (_A, Ms2Trigger.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft"),
-    (_A, Ms2Trigger.UNREADABLE): Row(Act.REQUEST_PDU, "ProSoft"),
-    (_A, Ms2Trigger.SILENCE): Row(Act.TIMEOUT, "VPC3+: after the send time-out"),
+    **{(state, trigger): row for state in (_W, _A) for trigger, row in _UNDER_WAY.items()},
     (_V, Ms2Trigger.POLL): Row(Act.FREE, "VPC3+: the SAP is closed once the Abort was fetched"),
     (_V, Ms2Trigger.SERVICE): Row(Act.ACKNOWLEDGE, "VPC3+: only the Abort is left"),
     (_V, Ms2Trigger.IDLE): Row(Act.ACKNOWLEDGE, "VPC3+"),
