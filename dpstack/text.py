@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import unicodedata
-from enum import IntEnum
-from typing import Final
+from enum import Enum, IntEnum
+from typing import Final, Self
 
 _MOST_DIGITS: Final = 9
 _OF_NUMBERS: Final = "0123456789."
@@ -28,6 +28,18 @@ class NamedInt(IntEnum):
 
     def __format__(self, spec: str) -> str:
         return int.__format__(self, spec) if spec else str(self)
+
+
+class TextEnum(Enum):
+    """An enum whose members have a text for people behind their value: ``LATE = "late", "by this computer"``."""
+
+    text: str
+
+    def __new__(cls, value: str, text: str) -> Self:
+        member = object.__new__(cls)
+        member._value_ = value
+        member.text = text
+        return member
 
 
 def is_plain(letter: str) -> bool:

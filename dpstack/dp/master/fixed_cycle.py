@@ -12,7 +12,6 @@ rounds run free.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import Enum
 from typing import Final
 
 from msgspec import Struct, field
@@ -23,31 +22,24 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError
 from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.stats import Histogram
+from dpstack.text import TextEnum
 from dpstack.units import NEVER, NS_PER_S, ms_text
 
 
-class MissReason(Enum):
-    """Why a cycle did not begin when it was due; the values are those of the summary line."""
+class MissReason(TextEnum):
+    """Why a cycle did not begin when it was due; the values are those of the summary line, the texts stand after a
+    number."""
 
-    OVERRUN = "overrun"  # the round before was not over
-    NO_ROOM = "no_room"  # something that fits between no two cycles was sent before it
-    SILENCE = "silence"  # a request between two cycles was not answered, and waited for longer than there was room
-    TOKEN = "token"  # another master had the token
-    LATE = "late"  # none of these: this computer, or its port, was late
-
-    @property
-    def text(self) -> str:
-        """For people, after a number."""
-        return _TEXTS[self]
-
-
-_TEXTS: Final = {
-    MissReason.OVERRUN: "after a long round",
-    MissReason.NO_ROOM: "after a request that fits between no two cycles",
-    MissReason.SILENCE: "after a service that was not answered",
-    MissReason.TOKEN: "waiting for the token",
-    MissReason.LATE: "by this computer or its port",
-}
+    #: the round before was not over
+    OVERRUN = "overrun", "after a long round"
+    #: something that fits between no two cycles was sent before it
+    NO_ROOM = "no_room", "after a request that fits between no two cycles"
+    #: a request between two cycles was not answered, and waited for longer than there was room
+    SILENCE = "silence", "after a service that was not answered"
+    #: another master had the token
+    TOKEN = "token", "waiting for the token"
+    #: none of these: this computer, or its port, was late
+    LATE = "late", "by this computer or its port"
 
 
 def tolerance_ns(cycle_ns: int) -> int:

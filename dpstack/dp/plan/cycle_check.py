@@ -8,8 +8,7 @@ to spare. One that never fits is sent after eight rounds and costs whole cycles
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from enum import Enum
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from msgspec import Struct
 
@@ -18,30 +17,23 @@ from dpstack.dp.plan.rotation_time import Case, Figures, longest_diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import gap_poll_bits, global_control_bits, request_octets, vain_bits
 from dpstack.fdl.events import HELD_BACK_CYCLES
+from dpstack.text import TextEnum
 from dpstack.units import NS_PER_MS, NS_PER_US, baud_text, ms_text
 
 
-class CycleVerdict(Enum):
+class CycleVerdict(TextEnum):
     """Judgement of a cycle, worst first."""
 
-    IMPOSSIBLE = "impossible"  # shorter than the shortest rotation: refused
-    POSSIBLE = "possible"  # shorter than the typical one: missed unless the slaves are fast
-    TYPICAL = "typical"  # missed now and then on an undisturbed bus
-    UNDISTURBED = "undisturbed"  # missed after repetitions only
-    ALWAYS = "always"  # kept in the longest rotation too
-
-    @property
-    def text(self) -> str:
-        return _TEXTS[self]
-
-
-_TEXTS: Final = {
-    CycleVerdict.IMPOSSIBLE: "impossible, the shortest rotation does not fit",
-    CycleVerdict.POSSIBLE: "missed, the typical rotation does not fit",
-    CycleVerdict.TYPICAL: "tight, missed now and then",
-    CycleVerdict.UNDISTURBED: "kept while nothing is repeated",
-    CycleVerdict.ALWAYS: "kept, the longest rotation fits",
-}
+    #: shorter than the shortest rotation: refused
+    IMPOSSIBLE = "impossible", "impossible, the shortest rotation does not fit"
+    #: shorter than the typical one: missed unless the slaves are fast
+    POSSIBLE = "possible", "missed, the typical rotation does not fit"
+    #: missed now and then on an undisturbed bus
+    TYPICAL = "typical", "tight, missed now and then"
+    #: missed after repetitions only
+    UNDISTURBED = "undisturbed", "kept while nothing is repeated"
+    #: kept in the longest rotation too
+    ALWAYS = "always", "kept, the longest rotation fits"
 
 
 class Refusal(NamedTuple):
