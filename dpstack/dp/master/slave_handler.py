@@ -213,13 +213,9 @@ class SlaveHandler:
 
         Other slaves wait meanwhile, because its watchdog runs and that diagnosis must not become outdated.
         """
-        match self.state:
-            case SlaveState.SET_PRM | SlaveState.CHK_CFG:
-                return True
-            case SlaveState.WAIT_READY:
-                return self._pacing.due <= self.since
-            case _:
-                return False
+        if self.state is SlaveState.WAIT_READY:
+            return self._pacing.due <= self.since
+        return self.state in (SlaveState.SET_PRM, SlaveState.CHK_CFG)
 
     def is_long_poll_due(self, *, only_first: bool) -> bool:
         """Whether the slave is absent and its next poll is a long one; with ``only_first`` its first long one."""

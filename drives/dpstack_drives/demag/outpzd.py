@@ -10,7 +10,7 @@ from typing import ClassVar, Final
 
 from msgspec import Struct
 
-from dpstack.profile import Scale, process_data_map, signed16
+from dpstack.profile import Scale, process_data_map
 
 #: PZD3 is the first one
 FIRST: Final = 3
@@ -24,6 +24,7 @@ _KINDS: Final = (*SOURCES, ADDITIONAL, EMPTY)
 _TRUE: Final = 0xFFFF
 _PERCENT: Final = Scale("percent", full=100, span=1.0, unit="%")
 _PERCENT_LIMIT: Final = 300
+_CURRENTS: Final = ("current", "torque")
 #: of the scaling current
 _AMPERE: Final = 0x2000
 
@@ -46,33 +47,26 @@ class OutPzd(Struct, frozen=True):
     def encode(self, value: float) -> int:
         """The word. Raises ValueError with the range."""
         what = f"{self.name} ({self.kind})"
-        match self.kind:
-            case "bool":
-                if value not in (0, 1):
-                    raise ValueError(f"{what} is 0 or 1, not {value:g}")
-                return _TRUE if value else 0
-            case "percent":
-                if not abs(value) <= _PERCENT_LIMIT:
-                    raise ValueError(f"{what} {value:g} % is outside -{_PERCENT_LIMIT}..{_PERCENT_LIMIT} %")
-                return _PERCENT.encode(value)
-            case "current" | "torque":
-                if not self.scaling_current:
-                    raise ValueError(f"{what} needs the option scaling_current: the drive's scaling current in A")
-                return Scale(what, _AMPERE, self.scaling_current, "A").encode(value)
-            case _:
-                return Scale(what, span=self.reference_hz, unit="Hz").encode(value)
+        if self.kind == "bool":
+            if value not in (0, 1):
+                raise ValueError(f"{what} is 0 or 1, not {value:g}")
+            return _TRUE if value else 0
+        if self.kind == "percent" and not abs(value) <= _PERCENT_LIMIT:
+            raise ValueError(f"{what} {value:g} % is outside -{_PERCENT_LIMIT}..{_PERCENT_LIMIT} %")
+        if self.kind in _CURRENTS and not self.scaling_current:
+            raise ValueError(f"{what} needs the option scaling_current: the drive's scaling current in A")
+        return self._scale.encode(value)
 
     def decode(self, raw: int) -> int | float:
         """The value of a word, in its unit."""
-        match self.kind:
-            case "bool":
-                return int(raw == _TRUE)
-            case "percent":
-                return _PERCENT.decode(raw)
-            case "current" | "torque":
-                return signed16(raw) * self.scaling_current / _AMPERE
-            case _:
-                return Scale(self.name, span=self.reference_hz).decode(raw)
+        return int(raw == _TRUE) if self.kind == "bool" else self._scale.decode(raw)
+
+    @property
+    def _scale(self) -> Scale:
+        what = f"{self.name} ({self.kind})"
+        if self.kind in _CURRENTS:
+            return Scale(what, _AMPERE, self.scaling_current, "A")
+        return _PERCENT if self.kind == "percent" else Scale(what, span=self.reference_hz, unit="Hz")
 
 
 class OutMap(Struct, frozen=True):

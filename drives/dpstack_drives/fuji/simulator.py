@@ -142,18 +142,10 @@ class FujiDevice(DriveDevice):
         """o27 and o28 (table 9.1)."""
         if reason is not Leave.WATCHDOG or not self._received:
             return
-        later = now + round(self.store.value("o28") * NS_PER_S)
-        match int(self.store.value("o27")):
-            case 3 | 13 | 14 | 15:
-                pass
-            case 1 | 11 as how:
-                self._loss = (later, False, how == 11)
-            case 2 | 12 as how:
-                self._loss = (later, True, how == 12)
-            case 10:
-                self._loss = (now, False, True)
-            case _:
-                self._loss = (now, False, False)
+        how = int(self.store.value("o27"))
+        if how not in (3, 13, 14, 15):
+            delay = round(self.store.value("o28") * NS_PER_S) if how in (1, 2, 11, 12) else 0
+            self._loss = (now + delay, how in (2, 12), how in (10, 11, 12))
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
         """Obey CTW if y98 allows it, move the motor, report."""
