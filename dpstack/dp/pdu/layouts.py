@@ -198,8 +198,8 @@ class Numbers:
 
     def __init__(self, name: str, **sizes: int) -> None:
         self.name = name
-        self._codes = {number: ">" + {1: "B", 2: "H"}[size] for number, size in sizes.items()}
-        self._struct = struct.Struct(">" + "".join(code[1] for code in self._codes.values()))
+        self._sizes = sizes
+        self._struct = struct.Struct(">" + "".join({1: "B", 2: "H"}[size] for size in sizes.values()))
         self.size = self._struct.size
         #: the name of each octet
         self._octets = [number for number, size in sizes.items() for _ in range(size)]
@@ -217,9 +217,7 @@ class Numbers:
         try:
             return self._struct.pack(*numbers)
         except struct.error:
-            for (name, code), number in zip(self._codes.items(), numbers, strict=True):
-                try:
-                    struct.pack(code, number)
-                except struct.error:
+            for (name, size), number in zip(self._sizes.items(), numbers, strict=True):
+                if not 0 <= number < 1 << 8 * size:
                     raise PduError(f"{self.name}: {name} = {number} does not fit its octets") from None
             raise

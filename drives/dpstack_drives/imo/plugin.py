@@ -22,6 +22,7 @@ from dpstack.profile import (
     Setting,
     Steps,
     TelegramSpec,
+    equal,
     listing,
     process_data_map,
     same,
@@ -309,18 +310,11 @@ class ImoCore(MappedCore[PzdMap]):
         if self._frequency_source is not None:
             number, value = self._frequency_source
             name = t.name_of(number)
-            found.append(
-                Setting(
-                    wanted=f"{name} = {value}",
-                    keys=(ParamKey(number),),
-                    differs=lambda values: (
-                        None
-                        if values[0] == value
-                        else f"{name} is {values[0]:g}, not {value}: the set frequency does not come from PROFIBUS; "
-                        f"set {name} = {value}, or the option frequency_source to what the inverter's manual has"
-                    ),
-                )
+            remedy = (
+                f"the set frequency does not come from PROFIBUS; set {name} = {value}, or the option frequency_source "
+                "to what the inverter's manual has"
             )
+            found.append(equal(name, value, remedy))
         if self._maximum is not None:
             found.append(
                 Setting(
