@@ -407,7 +407,10 @@ class DriveCore:
 
     def in_data_exchange(self, deadline: int) -> Steps[None]:
         """Wait for data exchange. Raises CommandError."""
-        return _online(self, deadline)
+        while not self.online:
+            if self.now >= deadline:
+                raise CommandError("lost", "the drive is not in data exchange")
+            yield
 
     def free_to_start(self, deadline: int) -> Steps[None]:
         """Wait until no job keeps a start from beginning. Raises CommandError."""
@@ -607,10 +610,7 @@ class DriveCore:
 
     def warnings(self) -> tuple[str, ...]:
         """The present warnings by name."""
-        place = self._places.get("warning")
-        word = 0 if place is None else self.words[place]
-        if not word:
-            return ()
+        word = self.word("warning") or 0
         return tuple(self.warning_names.get(bit, f"bit {bit}") for bit in range(16) if word >> bit & 1)
 
     def open_channel(self) -> ParameterChannel:
@@ -769,7 +769,7 @@ class DriveCore:
 def _start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
     """Walk to RUNNING. On any failure the goal falls back to IDLE: a drive never starts later by surprise."""
     try:
-        yield from _online(core, deadline)
+        yield from core.in_data_exchange(deadline)
         yield from core.free_to_start(deadline)
         yield from settled(core, lambda: core.raw_state not in FAULTED, deadline)
         if core.raw_state in FAULTED:
@@ -809,7 +809,7 @@ def _start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
 def _halt(core: DriveCore, op: str, deadline: int) -> Steps[dict[str, object]]:
     """Ramp, quick stop or coast; done when the drive reports that the power stage is off."""
     core.set_goal(_GOALS[op])
-    yield from _online(core, deadline)
+    yield from core.in_data_exchange(deadline)
     trust = core.now + core.settle_ns
     while core.state in MOVING or core.now < trust:
         if core.now >= deadline:
@@ -824,7 +824,7 @@ def _halt(core: DriveCore, op: str, deadline: int) -> Steps[dict[str, object]]:
 
 def _acknowledge(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
     """Edges of the acknowledge bit until the fault is gone; a drive may lock it for a while."""
-    yield from _online(core, deadline)
+    yield from core.in_data_exchange(deadline)
     yield from settled(core, lambda: core.raw_state in FAULTED, deadline)
     if core.raw_state not in FAULTED:
         return {"value": str(core.state)}
@@ -848,7 +848,7 @@ def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[d
     """The drive says that it has reached its reference, and its actual speed (if it sends one) agrees within 2 % of
     the reference. With ``tolerance``, or if the drive has no bit for it: by its speed alone.
     """
-    yield from _online(core, deadline)
+    yield from core.in_data_exchange(deadline)
     if tolerance is None and "reached" not in core.table.status.bits:
         tolerance = _CLOSE
     if tolerance is not None and core.measured()[0] is None:
@@ -885,16 +885,16 @@ def _reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[d
 
 def _settled(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
     """Wait until the inputs belong to the present outputs, and a fault has its name if the drive gives one."""
-    yield from _online(core, deadline)
+    yield from core.in_data_exchange(deadline)
     yield from settled(core, lambda: False, deadline)
     if core.raw_state in FAULTED:
         yield from _fault_text(core, deadline)
     return {"value": str(core.state)}
 
 
-def _near(core: DriveCore, speed: float | None, tolerance: float = _CLOSE) -> bool:
+def _near(core: DriveCore, speed: float | None) -> bool:
     """Running, and with this speed close to its set point."""
-    return core.state is State.RUNNING and speed is not None and abs(speed - core.wanted_speed()) <= tolerance
+    return core.state is State.RUNNING and speed is not None and abs(speed - core.wanted_speed()) <= _CLOSE
 
 
 def _left(core: DriveCore) -> Steps[dict[str, object]]:
@@ -916,13 +916,6 @@ def settled(core: DriveCore, wanted: Callable[[], bool], deadline: int) -> Steps
     """Wait until ``wanted()`` is true, at most until the inputs belong to the present outputs."""
     until = min(core.now + core.settle_ns, deadline)
     while not wanted() and core.now < until:
-        yield
-
-
-def _online(core: DriveCore, deadline: int) -> Steps[None]:
-    while not core.online:
-        if core.now >= deadline:
-            raise CommandError("lost", "the drive is not in data exchange")
         yield
 
 
