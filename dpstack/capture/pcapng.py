@@ -36,19 +36,16 @@ _MOST_OPTION: Final = 0xFFFF
 _KEPT_SIZES: Final = 512
 #: octets that are read from a file at once
 _PIECE: Final = 1 << 16
-_KNOWN: Final = frozenset((_SECTION, _INTERFACE, _PACKET, _SIMPLE_PACKET, _OLD_PACKET))
+_TIMED: Final = (_PACKET, _OLD_PACKET)
+_KNOWN: Final = frozenset((_SECTION, _INTERFACE, _SIMPLE_PACKET, *_TIMED))
 _DAMAGED: Final = int(sum(Damage))
 _NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 #: interfaces of one section
 _MOST_INTERFACES: Final = 4096
 _NANO: Final = 9
 _MICRO: Final = 6
-_OTHER_FILES: Final[dict[bytes, str]] = {
-    b"\xa1\xb2\xc3\xd4": "pcap",
-    b"\xd4\xc3\xb2\xa1": "pcap",
-    b"\xa1\xb2\x3c\x4d": "pcap",
-    b"\x4d\x3c\xb2\xa1": "pcap",
-}
+#: how a pcap file begins: times in us and in ns, both byte orders
+_PCAP: Final = (b"\xa1\xb2\xc3\xd4", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x4d\x3c\xb2\xa1")
 
 
 class Interface(Struct, frozen=True):
@@ -200,10 +197,8 @@ class Reader:
         while size := self._next():
             begin, stop = self._at + 8, self._at + size - 4
             try:
-                if self._kind == _PACKET:
+                if self._kind in _TIMED:
                     yield self._packet(begin, stop)
-                elif self._kind == _OLD_PACKET:
-                    yield self._old_packet(begin, stop)
                 elif self._kind == _SIMPLE_PACKET:
                     yield self._simple_packet(self._held[begin:stop])
                 elif self._kind == _INTERFACE:
@@ -253,9 +248,8 @@ class Reader:
         head = self._held[:4]
         if head == _SECTION.to_bytes(4, "little"):
             return
-        known = _OTHER_FILES.get(head)
-        if known is not None:
-            raise self._wrong(f"this is a {known} file, not pcapng; convert it: editcap -F pcapng OLD NEW")
+        if head in _PCAP:
+            raise self._wrong("this is a pcap file, not pcapng; convert it: editcap -F pcapng OLD NEW")
         if head[:2] == b"\x1f\x8b":
             raise self._wrong("this file is compressed; unpack it with gunzip")
         raise self._wrong("this is no pcapng file" if head else "the file is empty")
@@ -366,22 +360,15 @@ class Reader:
         return self._interfaces[number]
 
     def _packet(self, begin: int, stop: int) -> Packet:
+        """A packet with a time, with the options after its octets up to ``stop``."""
         if stop - begin < 20:
             raise struct.error
         number, high, low, kept, _ = self._five(self._held, begin)
-        return self._timed(number, high << 32 | low, kept, begin + 20, stop)
-
-    def _old_packet(self, begin: int, stop: int) -> Packet:
-        if stop - begin < 20:
-            raise struct.error
-        (number,) = struct.unpack_from(self._order + "H", self._held, begin)
-        _, high, low, kept, _ = self._five(self._held, begin)
-        return self._timed(number, high << 32 | low, kept, begin + 20, stop)
-
-    def _timed(self, number: int, ticks: int, kept: int, begin: int, stop: int) -> Packet:
-        """The packet whose ``kept`` octets begin at ``begin``, with its options after them up to ``stop``."""
-        interfaces = self._interfaces
-        interface = interfaces[number] if number < len(interfaces) else self._of(number)
+        if self._kind == _OLD_PACKET:  # 16 bits, and a count of drops
+            (number,) = struct.unpack_from(self._order + "H", self._held, begin)
+        interface = self._of(number)
+        ticks = high << 32 | low
+        begin += 20
         end = begin + kept
         if end > stop:
             raise self._wrong(f"a packet claims {kept} octets, its block has {stop - begin}")

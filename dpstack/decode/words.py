@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, Final
 
-from dpstack.decode.fields import Fields, dpv1_fields, fields_of, is_dpv1
+from dpstack.decode.fields import Fields, fields_of, is_dpv1
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import Flaw, claimed, decode, fcs, parse
@@ -204,16 +204,8 @@ def _place(flaw: Flaw, octets: bytes) -> str:
 
 
 # --- contents ---------------------------------------------------------------------------------------------------------
-def contents(telegram: Telegram) -> str:
-    """A text for the contents of ``telegram``; empty if it has none."""
-    try:
-        return contents_of(telegram, fields_of(telegram))
-    except (PduError, ConfigError) as error:
-        return f"cannot be read ({error})"
-
-
 def contents_of(telegram: Telegram, fields: Mapping[str, Any]) -> str:
-    """The same from the ``fields`` of the telegram."""
+    """A text for the contents of ``telegram``, which has these ``fields``; empty if it has none."""
     if "Function_Num" in fields and is_dpv1(telegram):
         return _pdu_text(fields, request=telegram.is_request)
     if "Clear_Data" in fields:
@@ -244,18 +236,6 @@ def _diagnosis(fields: Mapping[str, Any]) -> str:
         elif block.get("text"):
             texts.append(block["text"])
     return "; ".join(messages or fields.get("texts", texts))
-
-
-def pdu_text(octets: bytes, *, request: bool) -> str:
-    """A PDU of MS1 or MS2, at least one octet, from a master or from a slave.
-
-    >>> pdu_text(b"\\xde\\x80\\xb0\\x00", request=False)
-    'Read refused: invalid index (80 B0 00: class access, code 0)'
-    """
-    try:
-        return _pdu_text(dpv1_fields(octets, request=request), request=request)
-    except PduError as error:
-        return f"cannot be read ({error})"
 
 
 def _initiate(fields: Mapping[str, Any], request: bool) -> str:

@@ -88,8 +88,6 @@ class Scale(Struct, frozen=True):
 
 #: PROFIdrive's N2: 0x4000 = 100 % of the reference.
 SPEED: Final = Scale("speed")
-#: PROFIdrive's N4: 0x4000_0000 = 100 %
-N4: Final = Scale("speed", full=0x4000_0000, bits=32)
 
 
 def signed16(word: int) -> int:
