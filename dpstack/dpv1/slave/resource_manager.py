@@ -190,8 +190,6 @@ class ServerConnection:
                 self.end(f"{why} in the state '{self.state.value}'", now, Abort(AbortReason.SEQUENCE))
             case Act.REQUEST_PDU:
                 self.end(why, now, Abort(AbortReason.REQUEST_PDU))
-            case _:
-                pass
 
     def poll(self, now: int) -> bytes | None:
         """The answer to a poll, None for SC; an Abort that was fetched frees the connection."""
@@ -201,20 +199,15 @@ class ServerConnection:
             if self._answer is not None:
                 self._request = None
                 self.state = State.ANSWERED
-        match TABLE[self.state, Ms2Trigger.POLL].act:
-            case Act.ANSWER:
-                self.state = State.OPEN
-                answer, self._answer = self._answer, None
-                return answer
-            case Act.ANSWER_IF_READY:
-                if now - self._last_sign >= self.send_timeout_ns // WORKING_SHARE:
-                    self._last_sign = now
-                    return IDLE
-            case Act.FREE:
-                answer, self._answer = self._answer, None
-                return answer
-            case _:
-                pass
+        act = TABLE[self.state, Ms2Trigger.POLL].act
+        if act is Act.ANSWER:
+            self.state = State.OPEN
+        if act in (Act.ANSWER, Act.FREE):
+            answer, self._answer = self._answer, None
+            return answer
+        if act is Act.ANSWER_IF_READY and now - self._last_sign >= self.send_timeout_ns // WORKING_SHARE:
+            self._last_sign = now
+            return IDLE
         return None
 
     def silence(self, now: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, Generic, Literal, NamedTuple, TypeVar
 
@@ -134,8 +134,7 @@ class MappedCore(DriveCore, Generic[M]):
 
     def missing(self) -> list[str]:
         """Names of the parameters among the outputs that have no value."""
-        fields = () if self.outputs_map is None else self.outputs_map.fields
-        return [f.name for f in fields if f is not None and not f.neutral and f.key not in self.values]
+        return [field.name for field in self._without_value(self.outputs_map, self.values)]
 
     def lost(self, now: int) -> None:
         """Parameters keep their values; commands and set points fall back to those of the option.
@@ -148,7 +147,7 @@ class MappedCore(DriveCore, Generic[M]):
             self._use(pending)
             if pending[:2] == self.plant[:2]:
                 self.pending = None
-        self.values = {**self.presets, **self._parameters()}
+        self.values = {**self.presets, **self._kept(self.outputs_map or self._last_map)}
         self.held = self.holds_outputs
         super().lost(now)
 
@@ -197,7 +196,7 @@ class MappedCore(DriveCore, Generic[M]):
         option_in, option_out = self.map_options
         if pending[:2] == self.plant[:2]:
             return "the maps of the options were written and act from the drive's next power-on: switch it off and on"
-        needed = [f.name.partition(" ")[0] for f in pending.outputs.fields if f is not None and not f.neutral]
+        needed = [field.name.partition(" ")[0] for field in self._without_value(pending.outputs, {})]
         values = f" (with {', '.join(f'{name}=VALUE' for name in needed)})" if needed else ""
         return (
             f"other maps were written to the drive, which act from its next power-on: end the bus, set {option_in} = "
@@ -428,7 +427,7 @@ class MappedCore(DriveCore, Generic[M]):
             wrong = self.check_maps(new_inputs, new_outputs) or self.cannot_write(new_inputs, new_outputs)
             if wrong is not None:
                 raise ValueError(wrong)
-            for field in self._without_value(new_outputs, values):
+            for field in self._without_value(new_outputs, {**self.values, **values}):
                 if self.read_by(field) is None:
                     name = field.name.partition(" ")[0]
                     raise ValueError(f"{field.name} would be written with 0: give it a value, {name}=VALUE")
@@ -436,13 +435,10 @@ class MappedCore(DriveCore, Generic[M]):
             raise CommandError("usage", f"write_map: {error}") from None
         return self._change(new_inputs, new_outputs, values, deadline)
 
-    def _without_value(self, outputs: M, values: Mapping[int, int]) -> list[MappedField]:
-        """The parameters of a map that neither ``values`` nor the present ones have."""
-        return [
-            field
-            for field in outputs.fields
-            if field is not None and not field.neutral and field.key not in values and field.key not in self.values
-        ]
+    def _without_value(self, outputs: M | None, values: Container[int]) -> list[MappedField]:
+        """The parameters of a map that have no value in ``values``."""
+        fields = () if outputs is None else outputs.fields
+        return [field for field in fields if field is not None and not field.neutral and field.key not in values]
 
     def _change(self, inputs: M, outputs: M, values: dict[int, int], deadline: int) -> Steps[dict[str, object]]:
         yield from self.in_data_exchange(deadline)
@@ -456,11 +452,10 @@ class MappedCore(DriveCore, Generic[M]):
         """Change the maps of a drive at standstill; what is no parameter begins with 0 if no value is given."""
         access = self.access
         assert access is not None
-        for field in self._without_value(outputs, values):
+        for field in self._without_value(outputs, {**self.values, **values}):
             if (key := self.read_by(field)) is not None:
                 values[field.key] = yield from access.read_raw(key, deadline)
-        kept = [field.key for field in outputs.fields if field is not None and not field.neutral]
-        values = {**{key: self.values[key] for key in kept if key in self.values}, **values}
+        values = {**self._kept(outputs), **values}
         changed = _Maps(inputs, outputs, values)
         outcome: dict[str, object] = {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
         self._changing = True
@@ -497,11 +492,10 @@ class MappedCore(DriveCore, Generic[M]):
         self.presets, self.values = maps.values, dict(maps.values)
         self.dirty = True
 
-    def _parameters(self) -> dict[int, int]:
-        """Present values of the outputs that are not neutral."""
-        outputs = self.outputs_map or self._last_map
-        fields = () if outputs is None else outputs.fields
-        return {f.key: self.values[f.key] for f in fields if f is not None and not f.neutral and f.key in self.values}
+    def _kept(self, outputs: M | None) -> dict[int, int]:
+        """Present values of the parameters of a map."""
+        parameters = self._without_value(outputs, ())
+        return {field.key: self.values[field.key] for field in parameters if field.key in self.values}
 
     def _inputs_values(self, deadline: int) -> Steps[dict[str, object]]:
         yield from self.known(deadline)
