@@ -130,18 +130,17 @@ class _Parser:
         return match
 
     def _either(self) -> Match:
-        parts = [self._both()]
-        while self._peek() == "or":
-            self._next += 1
-            parts.append(self._both())
-        return parts[0] if len(parts) == 1 else lambda one: any(part(one) for part in parts)
+        return self._joined("or", self._both, any)
 
     def _both(self) -> Match:
-        parts = [self._one()]
-        while self._peek() == "and":
+        return self._joined("and", self._one, all)
+
+    def _joined(self, word: str, inner: Callable[[], Match], hold: Callable[[Iterable[bool]], bool]) -> Match:
+        parts = [inner()]
+        while self._peek() == word:
             self._next += 1
-            parts.append(self._one())
-        return parts[0] if len(parts) == 1 else lambda one: all(part(one) for part in parts)
+            parts.append(inner())
+        return parts[0] if len(parts) == 1 else lambda one: hold(part(one) for part in parts)
 
     def _one(self) -> Match:
         word, quoted, at = self._take("a condition")
