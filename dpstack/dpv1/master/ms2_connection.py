@@ -214,8 +214,7 @@ class ConnectionJob(Job):
                     if not working:
                         return pdu
                     polling.restart_limit()
-                case _:  # taken, or maybe taken
-                    pass
+            # else it was taken, or maybe taken
             reply = yield from self._poll_idle(polling) if idle else polling.poll()
 
     def _poll_idle(self, polling: Polling) -> Steps[Reply]:

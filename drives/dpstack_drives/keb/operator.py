@@ -113,18 +113,11 @@ class Operator:
         self.into = Direction(DEFAULT_INPUTS, at_once=at_once)
         self.out = Direction(DEFAULT_OUTPUTS, at_once=at_once)
         (in_record, in_enable), (out_record, out_enable) = second
-        self._records = {
-            t.MAP_INPUTS: (self.into, 0),
-            t.MAP_OUTPUTS: (self.out, 0),
-            in_record: (self.into, 1),
-            out_record: (self.out, 1),
-        }
-        self._enables = {
-            t.ENABLE_INPUTS: (self.into, 0),
-            t.ENABLE_OUTPUTS: (self.out, 0),
-            in_enable: (self.into, 1),
-            out_enable: (self.out, 1),
-        }
+        places = ((self.into, 0), (self.out, 0), (self.into, 1), (self.out, 1))
+        records = (t.MAP_INPUTS, t.MAP_OUTPUTS, in_record, out_record)
+        enables = (t.ENABLE_INPUTS, t.ENABLE_OUTPUTS, in_enable, out_enable)
+        self._records = dict(zip(records, places, strict=True))
+        self._enables = dict(zip(enables, places, strict=True))
         #: telegrams with outputs that went to the inverter
         self.output_telegrams = 0
         self._sent: list[bytes | None] = [None, None]

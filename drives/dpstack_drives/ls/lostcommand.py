@@ -32,7 +32,7 @@ class LostCommand:
         """One scan. True when the drive trips now."""
         if self._at is not None and now >= self._at:
             self._at = None
-            match int(self._store.value("PRT-12")):
+            match int(self._store.value("PRT-12")):  # 3: hold input, go on with the last outputs
                 case 1:
                     return True
                 case 2:
@@ -42,6 +42,4 @@ class LostCommand:
                     self.instead = motor.frequency
                 case 5:
                     self.instead = self._store.value("PRT-14") / self._store.value("dr-20")
-                case _:  # 3: hold input, go on with the last outputs
-                    pass
         return self.forced and not motor.frequency

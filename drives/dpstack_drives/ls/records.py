@@ -33,9 +33,7 @@ class LsParameters(record47.ParameterModel):
         self._module = module
 
     def read(self, address: record47.Address) -> record47.Result:
-        if (number := self._module.device.refusal(write=False)) is not None:
-            return record47.ErrorValue(number)
-        spec = self._wanted(address)
+        spec = self._wanted(address, write=False)
         if isinstance(spec, record47.ErrorValue):
             return spec
         first, count = address.subindex, max(address.elements, 1)
@@ -44,9 +42,7 @@ class LsParameters(record47.ParameterModel):
 
     def change(self, address: record47.Address, values: record47.Values) -> record47.ErrorValue | None:
         """Write a plain parameter of one word; arrays cannot be written."""
-        if (number := self._module.device.refusal(write=True)) is not None:
-            return record47.ErrorValue(number)
-        spec = self._wanted(address)
+        spec = self._wanted(address, write=True)
         if isinstance(spec, record47.ErrorValue):
             return spec
         raw = values.raws[0]
@@ -55,7 +51,9 @@ class LsParameters(record47.ParameterModel):
         error = self._module.write(spec, raw)
         return None if error is None else record47.ErrorValue(error)
 
-    def _wanted(self, address: record47.Address) -> ParamSpec | record47.ErrorValue:
+    def _wanted(self, address: record47.Address, *, write: bool) -> ParamSpec | record47.ErrorValue:
+        if (number := self._module.device.refusal(write=write)) is not None:
+            return record47.ErrorValue(number)
         spec = t.PARAMETERS.get(address.pnu) if address.pnu > 0xFF else None
         spec = t.spec_at(address.pnu) if spec is None else spec
         if spec is None:
