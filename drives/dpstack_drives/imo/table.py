@@ -40,7 +40,7 @@ TELEGRAM: Final = TelegramSpec(
 PZDS: Final = 11
 FIRST_PZD: Final = 2
 
-#: table 2-4, parameter 2: the rate by its number; 9 is none
+#: table 2-4, parameter 2: the rate by its number; 9 is no rate
 _RATES: Final = dict(zip((*range(9), 10), ppo.TEN_RATES, strict=True))
 RATE_SETTING: Final = RateSetting("baud_index", _RATES)
 RATE_FACTORY: Final = 6
