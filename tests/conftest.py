@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
+import probe_connector
 import pytest
 from api_kit import in_virtual_time
 from forked_programs import ForkServer
@@ -87,6 +88,14 @@ def world() -> Iterator[WorldFactory]:
     factory = WorldFactory()
     yield factory
     factory.check()
+
+
+@pytest.fixture
+def probe() -> Iterator[None]:
+    """Configurations may have the connector ``[probe]``."""
+    probe_connector.register()
+    yield
+    probe_connector.forget()
 
 
 @pytest.fixture

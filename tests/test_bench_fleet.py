@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import pytest
+from far_ends import beside
 from sparkplug_host import tag
 
 from bench.plant.fleet import followed, parts
@@ -71,10 +72,8 @@ async def replayed(recording: Recording, seconds: float) -> tuple[list[Message],
     # the clock of the computer goes as fast as the virtual time
     begun = time.time() - loop.time()
     gateway = Gateway(items, [connector], tree=tree, tell=lambda *_: None, now=lambda: begun + loop.time())
-    running = asyncio.create_task(gateway.run())
-    await asyncio.sleep(seconds)
-    running.cancel()
-    await asyncio.wait([running])
+    async with beside(gateway.run()):
+        await asyncio.sleep(seconds)
     return connector.messages, lost
 
 

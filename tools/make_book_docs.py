@@ -38,12 +38,12 @@ and in a folder of the page's own (`tools/book_blocks.py` and `tools/book_comman
 - `console`: each command is parsed (`tests/test_docs.py`)
 - `toml`: loads as a configuration, or as its mark says: scenario, thresholds, list of parameters (`tests/test_docs.py`)
 - `json`: each line is JSON (`tests/test_docs.py`)
-- `text` marked `<!-- decode -->`: telegrams decode as printed (`tests/cli/listening/test_decode_page.py`)
+- `text` marked `<!-- decode -->`: telegrams decode as printed (`tests/cli/listening/test_decode.py`)
 - `text` marked `<!-- filters -->`: filters of `dpstack decode` (the same file)
 - `text` marked `<!-- syntax -->`: the commands have these options (`tests/test_docs.py`)
-- `text` marked `<!-- session -->`: a shell shows it (`tests/blocking/test_blocking_pages.py`)
+- `text` marked `<!-- session -->`: a shell shows it (`tests/blocking/test_blocking_names.py`)
 - `text` marked `<!-- symptom -->`: `dpstack why` says it of a plant with that fault (`tests/why/test_symptoms.py`)
-- examples in docstrings, which the reference shows: they run (`tests/test_docstring_examples.py`)
+- examples in docstrings, which the reference shows: they run (`tests/test_examples.py`)
 
 Links inside the book lead to a page and a heading that exist (`tests/test_docs.py`).
 
@@ -54,7 +54,7 @@ page prints; the page says so. None shows a folder or a port of the computer tha
 
 <!-- parsed: it installs a browser and writes into the sources -->
 ```console
-$ DPSTACK_PICTURES=docs/pictures make strangers TESTS=tests/strangers/test_screen_pictures.py
+$ DPSTACK_PICTURES=docs/pictures make strangers TESTS=tests/strangers/test_pictures.py
 ```
 
 `tests/kits/pictures_kit.py` lists them with their tests. Drawings of states and rooms: `tools/make_pictures.py`.

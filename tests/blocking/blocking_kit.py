@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from process_kit import eventually
+from far_ends import eventually
 
 
 @contextlib.contextmanager

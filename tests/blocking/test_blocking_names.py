@@ -1,17 +1,22 @@
-"""Buses, slaves, drives and servers by the names of ``dpstack.blocking``; the types of the stub."""
+"""Buses, slaves, drives and servers by the names of ``dpstack.blocking``; the types of the stub; the session in
+docs/how-to/blocking.md, line by line."""
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import inspect
+import re
 import threading
 import weakref
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
+from pathlib import Path
 
 import pytest
-from process_kit import LAMPS, LAMPS_SPEC, SPEC, UNHURRIED, VALVES, eventually, octet_slaves
+from far_ends import eventually
+from process_kit import LAMPS, LAMPS_SPEC, SPEC, UNHURRIED, VALVES, octet_slaves
 from support_responder import Responder
 
 import dpstack
@@ -33,7 +38,7 @@ def plant() -> Iterator[tuple[blocking.Bus, Responder]]:
             bus.ready(60)
             bus.operate()
             yield bus, there
-        assert there.slaves[4].control == b"\x02\x00"  # Clear
+        eventually(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
 
 
 @pytest.fixture
@@ -244,3 +249,31 @@ def test_every_class_with_something_to_await_is_wrapped() -> None:
             if any(map(inspect.iscoroutinefunction, members)) or hasattr(kind, "__await__"):
                 awaited.append(name)
     assert awaited == ["BusBase"]  # an argument of BusRecording.start, which the bus calls
+
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "how-to" / "blocking.md"
+_SESSION = re.compile(r"<!-- session -->\n```text\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_CELL = re.compile(r"^In \[(\d+)\]: (.*)\n(?:Out\[\1\]: (.*)\n)?", re.MULTILINE)
+
+
+def cells() -> list[tuple[str, str]]:
+    """Input and output of each cell; the output of a cell without one is empty."""
+    (session,) = _SESSION.findall(PAGE.read_text(encoding="utf-8"))
+    found = _CELL.findall(session)
+    assert [int(number) for number, _, _ in found] == list(range(1, len(found) + 1))
+    return [(given, shown) for _, given, shown in found]
+
+
+def test_the_session_shows_what_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT / "examples")
+    shell: dict[str, object] = {}
+    for given, shown in cells():
+        *before, last = ast.parse(given).body
+        exec(compile(ast.Module(before, []), "<cell>", "exec"), shell)
+        value = None
+        if isinstance(last, ast.Expr):
+            value = eval(compile(ast.Expression(last.value), "<cell>", "eval"), shell)
+        else:
+            exec(compile(ast.Module([last], []), "<cell>", "exec"), shell)
+        assert ("" if value is None else repr(value)) == shown, given

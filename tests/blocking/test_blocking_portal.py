@@ -12,7 +12,7 @@ import traceback
 
 import pytest
 from api_kit import RAW
-from process_kit import eventually
+from far_ends import eventually
 
 from dpstack import blocking
 from dpstack.blocking import portal as portals

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
 from typing import Any
 
-import probe_connector
 import pytest
+from far_ends import eventually
 from probe_connector import ProbeConnector
-from process_kit import eventually
 
 import dpstack
 from dpstack import blocking
@@ -19,11 +17,7 @@ from tests.blocking.blocking_kit import target_of
 FAN: dict[str, Any] = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
 
 
-@pytest.fixture(autouse=True)
-def probe() -> Iterator[None]:
-    probe_connector.register()
-    yield
-    probe_connector.forget()
+pytestmark = pytest.mark.usefixtures("probe")
 
 
 def opened() -> blocking.Bus:

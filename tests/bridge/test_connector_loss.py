@@ -11,9 +11,9 @@ from typing import Any, Literal
 import probe_connector
 import pytest
 from api_kit import in_virtual_time, slave_in
-from far_ends import until
+from far_ends import eventually, until
 from probe_connector import ProbeConnector
-from process_kit import SPEC, VALVES, bus_on, eventually, octet_slaves
+from process_kit import SPEC, VALVES, bus_on, octet_slaves
 from support import WorldFactory
 
 import dpstack

@@ -5,13 +5,12 @@ from __future__ import annotations
 import asyncio
 import resource
 import socket
-from collections.abc import Iterator
 from typing import Any, Literal
 
 import probe_connector
 import pytest
 from api_kit import in_virtual_time, slave_in
-from far_ends import until
+from far_ends import free_port, until
 from probe_connector import ProbeConnector
 from process_kit import SPEC, Driver, bus_on, octet_slaves
 from process_kit import VALVES as PTY_VALVES
@@ -47,11 +46,13 @@ VALVES: dict[str, object] = {
 PUMP: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "PPO1"}
 
 
-@pytest.fixture(autouse=True)
-def probe() -> Iterator[None]:
-    probe_connector.register()
-    yield
-    probe_connector.forget()
+pytestmark = pytest.mark.usefixtures("probe")
+
+
+async def begin(bus: dpstack.Bus, table: dict[str, Any]) -> None:
+    """A bus with a connector that cannot begin."""
+    async with dpstack.publish(bus, probe=table), bus:
+        raise AssertionError("it must not begin")
 
 
 def notices(bus: dpstack.Bus) -> list[str]:
@@ -340,27 +341,21 @@ async def _open_beside_connectors(bus: dpstack.Bus) -> None:
 async def test_what_cannot_begin_is_an_error_before_anything_is_sent(world: WorldFactory) -> None:
     w = world()
     plant = Plant(w)
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(PortError, match=rf"^\[probe\] port {port}: Address already in use; give another one$"):
-            async with dpstack.publish(plant.bus, probe={"port": port}), plant.bus:
-                raise AssertionError("it must not begin")
+            await begin(plant.bus, {"port": port})
     assert ProbeConnector.made[-1].course == ["open", "close"]
     with pytest.raises(ConfigError, match=r"'valves\.lmap' fits no order of this plant; did you mean 'valves\.lamp'\?"):
-        async with dpstack.publish(plant.bus, probe={"allow_commands": ["valves.lmap"]}), plant.bus:
-            raise AssertionError("it must not begin")
+        await begin(plant.bus, {"allow_commands": ["valves.lmap"]})
     KINDS["probe"] = ConnectorKind("probe_connector", ("no_such_package",), ProbeConnector)
     with pytest.raises(UsageError, match=r"^\[probe\] needs no_such_package: pip install 'dpstack\[probe\]'$"):
-        async with dpstack.publish(plant.bus, probe={}), plant.bus:
-            raise AssertionError("it must not begin")
+        await begin(plant.bus, {})
     KINDS["probe"] = ConnectorKind("no_such_module", (), ProbeConnector)
     with pytest.raises(
         UsageError, match=r"^a connector cannot be loaded \(No module named 'no_such_module'\): pip install"
     ):
-        async with dpstack.publish(plant.bus, probe={}), plant.bus:
-            raise AssertionError("it must not begin")
+        await begin(plant.bus, {})
     with pytest.raises(UsageError, match="no connector is given"):
         dpstack.publish(plant.bus)
     with pytest.raises(ConfigError, match=r"publish: unknown table or key 'prob'; did you mean 'probe'\?"):
@@ -394,8 +389,7 @@ async def test_too_little_memory_for_the_connectors_is_one_clear_line(
     monkeypatch.setattr("dpstack.api.connectors.publishing.load_beside", load)
     todo = r"raise that limit \(ulimit -v, LimitAS= of systemd\), or take one of these tables out"
     with pytest.raises(BusError, match=rf"^probe: there is too little memory for them \({why}\): {todo}$"):
-        async with dpstack.publish(plant.bus, probe={}), plant.bus:
-            raise AssertionError("it must not begin")
+        await begin(plant.bus, {})
     assert list(w.log) == []
 
 
@@ -422,9 +416,7 @@ async def test_connectors_of_a_bus_on_a_port(driver: Driver) -> None:
 @in_virtual_time
 async def test_remarks_wait_for_the_bus(world: WorldFactory) -> None:
     plant = Plant(world())
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     async with dpstack.publish(plant.bus, probe={"port": port}):
         await asyncio.sleep(0.3)
         assert notices(plant.bus) == []

@@ -1,14 +1,18 @@
-"""Alert rules and dashboard: each metric and label of their expressions is in the table of the metrics."""
+"""Alert rules and dashboard: each metric and label of their expressions is in the table of the metrics, which
+docs/reference/metrics.md has as they are scraped."""
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 
 import pytest
+from metrics_kit import FINE, Bench, plant, scrape, snapshot
 from prometheus_expressions import FOLDER, ROOT, Expression, expressions
 
 from dpstack.bridge.metrics.table import COUNTER, HISTOGRAM, METRICS
+from tools.make_metrics_docs import TARGET, render
 
 ALL = expressions()
 #: those that Prometheus adds to each series
@@ -102,3 +106,17 @@ def test_the_page_names_every_alert() -> None:
     page = (ROOT / "docs" / "how-to" / "prometheus.md").read_text(encoding="utf-8")
     alerts = {one.where.removeprefix("alert ") for one in ALL if one.where.startswith("alert ")}
     assert set(re.findall(r"\bDpstack[A-Z]\w+", page)) == alerts
+
+
+def test_the_table_of_the_page_is_that_of_a_scrape() -> None:
+    page = TARGET.read_text(encoding="utf-8")
+    assert render(page) == page
+    written = {
+        name: (kind, frozenset(re.findall(r"`(\w+)`", labels)))
+        for name, kind, labels in re.findall(r"^\| `(dpstack_\w+)` \| (\w+) \| ([^|]*) \|", page, re.MULTILINE)
+    }
+    bench = Bench(plant("valves"), snapshot(1.0, FINE))
+    bench.connector.collector.requests[200] += 1
+    seen = asyncio.run(scrape(bench.connector))
+    assert written == {name: (kind, *seen.labels[name]) for name, kind in seen.kinds.items()}
+    assert len(written) > 40

@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from http import HTTPStatus
 
 import pytest
+from far_ends import beside, until
 from metrics_kit import FINE, Bench, ask, plant, read, request, snapshot
 
 from dpstack.bridge.metrics import connector as metrics_connector
@@ -43,12 +44,6 @@ def served(test: Callable[[MetricsConnector, int], Awaitable[None]]) -> None:
     asyncio.run(run())
 
 
-async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(30):
-        while not condition():  # noqa: ASYNC110  a server has no event for a place that is free
-            await asyncio.sleep(0.02)
-
-
 def count_pages(connector: MetricsConnector) -> list[int]:
     """A list that grows with each page that is made."""
     made: list[int] = []
@@ -71,10 +66,8 @@ def test_a_server_whose_tree_nobody_changes_any_more_gives_no_values() -> None:
     """Behind the end of the bus it says so; behind a fault of the connectors it is gone."""
 
     async def end(connector: MetricsConnector, port: int) -> bytes:
-        serving = asyncio.create_task(connector.serve())
-        await asyncio.sleep(0)
-        serving.cancel()
-        await asyncio.wait((serving,))
+        async with beside(connector.serve()):
+            await asyncio.sleep(0)
         return await ask(port, request("/healthz"))
 
     async def test_a_fault(connector: MetricsConnector, port: int) -> None:
@@ -394,9 +387,7 @@ def test_random_octets_never_reach_the_handler_of_the_loop(monkeypatch: pytest.M
 
 
 def test_a_port_that_is_taken_is_one_clear_line() -> None:
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
+    with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         connector = Bench().connector
         connector._listen = Listen("127.0.0.1", port, "[metrics] listen")

@@ -1,4 +1,4 @@
-"""History of an edge node, case by case; tests/bridge_mqtt/test_history_machine.py has the course of any of them."""
+"""History of an edge node, case by case; tests/bridge_mqtt/test_machines.py has the course of any of them."""
 
 from __future__ import annotations
 
@@ -177,8 +177,7 @@ def test_what_the_broker_has_not_confirmed_comes_again(rig: HistoryRig) -> None:
 
 def test_a_round_trip_does_not_confirm_history_that_was_sent_behind_its_request(rig: HistoryRig) -> None:
     outage(rig, 3)
-    rig.connect()
-    rig.pump()
+    rig.join()
     rig.step_disk()
     assert rig.file is not None
     before = rig.file.count

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from far_ends import beside
 from history_rig import OFFSET, entry
 
 from dpstack.bridge.mqtt import history_keeper
@@ -87,6 +88,11 @@ def no_entry(entry: Entry) -> MetricKind:
     raise AssertionError(entry)
 
 
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
 async def closed(bench: Bench) -> None:
     """The file is closed: another one may be opened."""
     assert bench.keeper._file is not None
@@ -131,10 +137,7 @@ async def test_a_damaged_file_is_moved_aside_and_a_new_one_begins(tmp_path: Path
     assert bench.stored() == [1, 2, 3]
 
 
-async def test_a_fault_of_the_program_in_the_thread_ends_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bench = Bench(tmp_path)
+async def test_a_fault_of_the_program_in_the_thread_ends_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     await bench.keeper.step()
 
     bench.history.next_samples(no_entry, tuple, NOW, OFFSET, 0.0)
@@ -146,10 +149,7 @@ async def test_a_fault_of_the_program_in_the_thread_ends_nothing(
     await closed(bench)
 
 
-async def test_a_disk_that_could_not_be_read_once_is_read_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bench = Bench(tmp_path)
+async def test_a_disk_that_could_not_be_read_once_is_read_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bench.keep(1, 3)
     await bench.keeper.step()
 
@@ -162,8 +162,7 @@ async def test_a_disk_that_could_not_be_read_once_is_read_again(
     await closed(bench)
 
 
-async def test_a_device_that_is_born_while_the_disk_is_read_without_it_gets_its_history(tmp_path: Path) -> None:
-    bench = Bench(tmp_path)
+async def test_a_device_that_is_born_while_the_disk_is_read_without_it_gets_its_history(bench: Bench) -> None:
     bench.keep(1, 3)
     await bench.keeper.step()
     history = bench.history
@@ -181,9 +180,8 @@ async def test_a_device_that_is_born_while_the_disk_is_read_without_it_gets_its_
 
 
 async def test_a_slow_disk_delays_nobody_and_the_end_takes_no_longer_than_its_limit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Bench(tmp_path)
     await bench.keeper.step()
     begun, answers, loop = asyncio.Event(), threading.Event(), asyncio.get_running_loop()
 
@@ -193,17 +191,15 @@ async def test_a_slow_disk_delays_nobody_and_the_end_takes_no_longer_than_its_li
 
     monkeypatch.setattr(HistoryFile, "append", append)
     monkeypatch.setattr(history_keeper, "PERIOD_S", 0.001)
-    serving = asyncio.create_task(bench.keeper.serve())
-    bench.keep(1, 3)
     async with asyncio.timeout(10):
-        await begun.wait()
-        assert not bench.has_stored.is_set()  # the disk is at work, and this task has its turn
-        answers.set()
-        await bench.has_stored.wait()
-        answers.clear()
-        bench.keep(4, 5)
-        serving.cancel()
-        await asyncio.gather(serving, return_exceptions=True)
+        async with beside(bench.keeper.serve()):
+            bench.keep(1, 3)
+            await begun.wait()
+            assert not bench.has_stored.is_set()  # the disk is at work, and this task has its turn
+            answers.set()
+            await bench.has_stored.wait()
+            answers.clear()
+            bench.keep(4, 5)
         await bench.keeper.finish(0.01)
     assert bench.told == [
         "2 values that wait in memory are lost: the run ends before FOLDER/history.sqlite has taken them"
@@ -213,9 +209,8 @@ async def test_a_slow_disk_delays_nobody_and_the_end_takes_no_longer_than_its_li
 
 
 async def test_an_end_while_the_file_is_opened_opens_it_once_and_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Bench(tmp_path)
     begun, answers, loop = asyncio.Event(), threading.Event(), asyncio.get_running_loop()
     opened: list[HistoryFile] = []
 
@@ -227,10 +222,8 @@ async def test_an_end_while_the_file_is_opened_opens_it_once_and_loses_nothing(
 
     monkeypatch.setattr(history_keeper, "HistoryFile", open_slowly)
     bench.keep(1, 3)
-    serving = asyncio.create_task(bench.keeper.serve())
-    await begun.wait()
-    serving.cancel()
-    await asyncio.gather(serving, return_exceptions=True)
+    async with beside(bench.keeper.serve()):
+        await begun.wait()
     answers.set()
     await bench.keeper.finish(10)
     await closed(bench)
@@ -247,15 +240,13 @@ async def test_a_disk_that_does_not_answer_is_told_and_so_are_the_losses(
     monkeypatch.setattr(HistoryFile, "append", lambda *_: answers.wait(30))
     monkeypatch.setattr(history_keeper, "_SLOW_S", 0.01)
     bench.keep(1, 2)
-    serving = asyncio.create_task(bench.keeper.serve())
-    try:
-        await bench.until_told(1)
-        bench.keep(3, 9)
-        await bench.until_told(2)
-    finally:
-        answers.set()
-        serving.cancel()
-        await asyncio.gather(serving, return_exceptions=True)
+    async with beside(bench.keeper.serve()):
+        try:
+            await bench.until_told(1)
+            bench.keep(3, 9)
+            await bench.until_told(2)
+        finally:
+            answers.set()
     assert bench.told[:2] == [
         "FOLDER/history.sqlite: the disk has not answered for 0.01 s; the newest values wait in memory",
         "4 values that could not be delivered are lost: 4 more than fit in memory while the disk could not take them",
@@ -274,8 +265,7 @@ async def test_losses_that_were_not_told_yet_are_told_at_the_end(tmp_path: Path)
     await closed(bench)
 
 
-async def test_history_is_read_behind_what_was_written_and_leaves_the_disk_when_it_is_confirmed(tmp_path: Path) -> None:
-    bench = Bench(tmp_path)
+async def test_history_is_read_behind_what_was_written_and_leaves_the_disk_when_it_is_confirmed(bench: Bench) -> None:
     bench.keep(1, 5)
     await bench.keeper.step()
     history = bench.history

@@ -1,29 +1,32 @@
-"""The keys of a broker: addresses, TLS, secrets that stand in no text, and folders for any name."""
+"""The keys of a broker: addresses, TLS, secrets that stand in no text and in nothing that is published, folders for any
+name; wills and sessions."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 import ssl
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 import aiomqtt
 import pytest
+from edge_node_rig import GROUP, NODE
+from fake_broker import CONNECT, PUBLISH, FakeBroker, text, user_property
+from far_ends import until
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
+from plant_items import FINE, HOIST, VALVES
 from tls_kit import CERT, KEY, KEY_WITH_PASSWORD, OTHER_KEY
 
 from dpstack.bridge.mqtt.broker import Broker, read_password, state_folder
-from dpstack.bridge.mqtt.client import MqttConnector
 from dpstack.bridge.mqtt.connection import LastError, text_of, why_lost
+from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
 from dpstack.bridge.mqtt.json_node import JsonNode
-from dpstack.bridge.mqtt.plant_node import NodeSetup
+from dpstack.bridge.mqtt.plant_node import PlantNode
 from dpstack.errors import ConfigError
 from dpstack.plant.tree import PlantTree
+from tests.bridge_mqtt.connector_kit import connector_at, published, serving
 
 
 @pytest.mark.parametrize(
@@ -69,8 +72,8 @@ def test_combinations_that_cannot_be(tmp_path: Path) -> None:
 
 
 def test_certificates_that_cannot_be_used_are_told(tmp_path: Path) -> None:
-    for name, text in (("cert", CERT), ("key", KEY), ("other", OTHER_KEY), ("locked", KEY_WITH_PASSWORD), ("no", "?")):
-        (tmp_path / name).write_text(text)
+    for name, pem in (("cert", CERT), ("key", KEY), ("other", OTHER_KEY), ("locked", KEY_WITH_PASSWORD), ("no", "?")):
+        (tmp_path / name).write_text(pem)
 
     def context(*, ca: str = "cert", cert: str = "cert", key: str = "key") -> object:
         return Broker(url="mqtts://a", ca=tmp_path / ca, cert=tmp_path / cert, key=tmp_path / key).tls_context()
@@ -155,10 +158,10 @@ def test_errors_of_the_connection_are_in_words() -> None:
     wrapped = aiomqtt.MqttError("gone")
     wrapped.__cause__ = ConnectionRefusedError(111, "Connection refused")
     assert text_of(wrapped) == "Connection refused"
-    for hidden, text in ((refused, "its certificate is refused"), (TimeoutError(), "Operation timed out")):
+    for hidden, says in ((refused, "its certificate is refused"), (TimeoutError(), "Operation timed out")):
         copied = aiomqtt.MqttError("Operation timed out")
         copied.__context__, copied.__suppress_context__ = hidden, True  # as "from None" does
-        assert text_of(copied).startswith(text)
+        assert text_of(copied).startswith(says)
     assert text_of(OSError()) == "OSError"
 
 
@@ -173,37 +176,6 @@ def test_every_edge_node_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch
     assert len(state_folder(longest, longest).name) == 255
     assert state_folder(longest, longest) != state_folder(longest, longest[:39])
     assert len(state_folder("a" * 120, "b" * 120).name) == 241
-
-
-def connector_at(folder: Path, told: list[str] | None = None, **options: Any) -> MqttConnector:
-    """A connector whose broker is not there. ``told``: gets its remarks."""
-    return MqttConnector(
-        PlantTree(),
-        lambda text, severity: None if told is None else told.append(text),
-        broker=Broker(url="mqtt://127.0.0.1:1"),
-        setup=NodeSetup("group", "node"),
-        folder=folder,
-        **options,
-    )
-
-
-@asynccontextmanager
-async def serving(connector: MqttConnector) -> AsyncIterator[None]:
-    await connector.open()
-    task = asyncio.create_task(connector.serve())
-    try:
-        async with asyncio.timeout(10):
-            yield
-    finally:
-        task.cancel()
-        await asyncio.wait((task,))
-        connector.close()
-    assert task.cancelled()
-
-
-async def until(condition: Callable[[], object]) -> None:
-    while not condition():  # noqa: ASYNC110  the connector tells nobody else
-        await asyncio.sleep(0.001)
 
 
 async def test_without_room_for_the_number_no_session_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -258,7 +230,56 @@ async def test_results_that_were_lost_are_counted(tmp_path: Path) -> None:
     connector._node.connect(0, 1.0)
     connector._node.connected()
     for _ in range(300):
-        connector._node.receive("dpstack/group/node/slave/valves/set/lamp", b"", 1.0)
+        connector._node.receive(f"dpstack/{GROUP}/{NODE}/slave/valves/set/lamp", b"", 1.0)
     connector.take([])
     assert connector.dropped == 300 - 256
     connector.close()
+
+
+BASE, SPARKPLUG = f"dpstack/{GROUP}/{NODE}", f"spBv1.0/{GROUP}"
+SESSION = user_property("session", "0")
+#: topics that are published, the last one last; and the end of the will
+JSON = (
+    [f"{BASE}/{one}" for one in ("status", "slave/valves/inputs", "slave/hoist/drive", "bus/state", "online")],
+    bytes([len(SESSION)]) + SESSION + text(f"{BASE}/online") + text("false"),
+)
+BIRTHS = (
+    [f"{BASE}/status", *(f"{SPARKPLUG}/{one}" for one in (f"NBIRTH/{NODE}", f"DBIRTH/{NODE}/valves"))],
+    b"\0" + text(f"{SPARKPLUG}/NDEATH/{NODE}"),
+)
+
+
+@pytest.mark.parametrize(("make_node", "topics", "will"), [(JsonNode, *JSON), (EdgeNode, *BIRTHS)])
+async def test_no_secret_is_published_and_a_will_has_the_number_of_its_session(
+    tmp_path: Path, make_node: type[PlantNode], topics: list[str], will: bytes
+) -> None:
+    secret = tmp_path / "hidden.password"
+    secret.touch(mode=0o600)
+    secret.write_text("sesame opens\n")
+    told: list[str] = []
+    async with FakeBroker(topics=1) as broker:
+        tree = PlantTree()
+        connector = connector_at(
+            tmp_path / "state",
+            told,
+            broker=Broker(url=broker.url, user="the gateway", password=read_password("", secret)),
+            tree=tree,
+            versions={"dpstack": "0.1.0"},
+            make_node=make_node,
+        )
+        async with serving(connector, tree, s3=HOIST, s8=VALVES | FINE):
+            await published(broker, topics[-1])
+    sent = [body for kind, body in broker.received if kind == PUBLISH]
+    for topic in topics:
+        assert any(body.startswith(text(topic)) for body in sent), topic
+    (connect,) = [body for kind, body in broker.received if kind == CONNECT]
+    assert text("sesame opens") in connect
+    assert will in connect
+    # MQTT 5, Clean Start, a Session Expiry Interval of 0 (tck-id-principles-persistence-clean-session-50)
+    assert (connect[6], connect[7] & 2) == (5, 2)
+    assert b"\x11\0\0\0\0" in connect[11 : 11 + connect[10]]
+    # with a Message Expiry Interval of 30 s
+    assert any(body.startswith(text(f"{BASE}/status") + b"\x05\x02\0\0\0\x1e") for body in sent)
+    for body in (*sent, *(remark.encode() for remark in told)):
+        for hidden in (b"sesame", b"the gateway", b"hidden.password", str(tmp_path).encode()):
+            assert hidden not in body

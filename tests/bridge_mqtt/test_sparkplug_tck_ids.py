@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 import pytest
-from edge_node_rig import GROUP, NODE, Rig, metric
+from edge_node_rig import GROUP, NODE, NewRig, Rig, metric
 from history_rig import HistoryRig
 from plant_items import PLANT
 from sparkplug_host import FIELD_OF, Payload, read_payload
@@ -102,12 +102,12 @@ NOT_HERE: Final[dict[str, str]] = {
         principles-persistence-clean-session-311 payloads-ndeath-will-message-publisher-disconnect-mqtt311
     """,
     "the configuration gives group and node; a second gateway with the same ones is refused on one computer "
-    "(test_session_file.py), and told where a broker shows it (tests/strangers/test_mosquitto.py)": """
+    "(test_history_file.py), and told where a broker shows it (tests/strangers/test_mosquitto.py)": """
         intro-edge-node-id-uniqueness topic-structure-namespace-unique-edge-node-descriptor
         payloads-nbirth-edge-node-descriptor
     """,
     "a permission": "topic-structure-namespace-duplicate-device-id-across-edge-node",
-    "they are shown with a broker (test_mqtt_secrets.py, tests/strangers/test_mosquitto.py): the properties of CONNECT "
+    "they are shown with a broker (test_mqtt_broker.py, tests/strangers/test_mosquitto.py): the properties of CONNECT "
     "and DISCONNECT": """
         principles-persistence-clean-session-50 payloads-ndeath-will-message-publisher-disconnect-mqtt50
         operational-behavior-edge-node-intentional-disconnect-packet
@@ -140,20 +140,16 @@ class Course:
         assert rig.pump() == 3
         for level in (30.0, 60.0):
             rig.values["8"]["fields"]["level"] = level
-            rig.wait(1.0)
-            rig.pump()
+            rig.turn()
         rig.values["8"]["state"] = "offline"
-        rig.wait(1.0)
-        rig.pump()
+        rig.turn()
         rig.command("valves", [metric("Outputs/lamp", boolean=True)])
-        rig.wait(1.0)
-        rig.pump()
+        rig.turn()
         self.rebirth_at = len(rig.sent)
         rig.rebirth()
         rig.pump()
         rig.values["8"]["state"] = "data_exchange"
-        rig.wait(11.0)
-        rig.pump()
+        rig.turn(11.0)
         self.end_at = len(rig.sent)
         rig.node.end("the end")
         rig.pump()
@@ -237,9 +233,8 @@ def test_ids_are_valid_and_unique(tmp_path: Path) -> None:
     "topics-nbirth-bdseq-included topics-nbirth-bdseq-matching topics-nbirth-bdseq-increment",
     "payloads-nbirth-bdseq payloads-nbirth-bdseq-repeat message-flow-edge-node-birth-publish-nbirth-payload-bdSeq",
 )
-def test_the_will_has_the_number_of_the_births_and_it_rises_by_one(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
-    rig.give_plant()
+def test_the_will_has_the_number_of_the_births_and_it_rises_by_one(new_rig: NewRig) -> None:
+    rig = new_rig()
     for session in range(258):
         rig.connect()
         assert rig.connection is not None
@@ -255,7 +250,6 @@ def test_the_will_has_the_number_of_the_births_and_it_rises_by_one(tmp_path: Pat
         assert (born.datatype, born.value(4)) == (4, session % 256)
         rig.cut()
         rig.wills.clear()
-    rig.close()
 
 
 @shows("message-flow-edge-node-ncmd-subscribe message-flow-device-dcmd-subscribe")
@@ -425,19 +419,14 @@ def test_births_have_all_metrics_and_no_other_is_published(course: Course) -> No
     "principles-rbe-recommended topics-ndata-payload topics-ddata-payload",
     "operational-behavior-data-publish-nbirth-change operational-behavior-data-publish-dbirth-change",
 )
-def test_data_are_published_when_they_change(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
-    rig.give_plant()
-    rig.connect()
-    rig.pump()
+def test_data_are_published_when_they_change(new_rig: NewRig) -> None:
+    rig = new_rig()
+    rig.join()
     for _ in range(20):
-        rig.wait(1.0)
-        assert rig.pump() == 0
+        assert rig.turn() == 0
     rig.values["8"]["fields"]["lamp"] = True
-    rig.wait(1.0)
-    assert rig.pump() == 1
+    assert rig.turn() == 1
     assert rig.host.metric("Outputs/lamp", "valves").value is True
-    rig.close()
 
 
 @shows("operational-behavior-device-ddeath")
@@ -451,15 +440,12 @@ def test_a_slave_that_leaves_data_exchange_has_its_ddeath(course: Course) -> Non
     "payloads-metric-propertyvalue-type-req payloads-metric-propertyvalue-type-type",
     "payloads-metric-propertyvalue-type-value",
 )
-def test_properties(course: Course, tmp_path: Path) -> None:
+def test_properties(course: Course, new_rig: NewRig) -> None:
     """The reader asserts that there are as many keys as values, each with a type (tests/kits/sparkplug_host.py)."""
-    rig = Rig(tmp_path)
-    rig.give_plant()
-    rig.connect()
-    rig.pump()
+    rig = new_rig()
+    rig.join()
     rig.wait(3.0, stream=False)
     rig.pump()
-    rig.close()
     qualities = set()
     for payload in (*course.live, *(payload for _, _, payload in rig.host.messages)):
         for one in payload.metrics:
@@ -488,11 +474,9 @@ def test_the_rebirth_metric(course: Course) -> None:
     "operational-behavior-data-commands-rebirth-action-1 operational-behavior-data-commands-rebirth-action-2",
     "operational-behavior-data-commands-rebirth-action-3",
 )
-def test_a_rebirth_stops_data_and_gives_all_births_with_the_same_number(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
-    rig.give_plant()
-    rig.connect()
-    rig.pump()
+def test_a_rebirth_stops_data_and_gives_all_births_with_the_same_number(new_rig: NewRig) -> None:
+    rig = new_rig()
+    rig.join()
     number = rig.host.number
     rig.wait(1.0)
     rig.values["8"]["fields"]["level"] = 99.0
@@ -502,7 +486,6 @@ def test_a_rebirth_stops_data_and_gives_all_births_with_the_same_number(tmp_path
     rig.pump()
     assert [one.topic.split("/")[2] for one in rig.sent[count:]] == ["NBIRTH", "DBIRTH", "DBIRTH"]
     assert rig.host.number == number
-    rig.close()
 
 
 # --- the primary host ---------------------------------------------------------------------------------------------
@@ -516,9 +499,8 @@ def test_a_rebirth_stops_data_and_gives_all_births_with_the_same_number(tmp_path
     "operational-behavior-edge-node-termination-host-offline-timestamp",
     "operational-behavior-primary-application-state-with-multiple-servers-state-subs",
 )
-def test_births_wait_for_the_primary_host_and_end_with_it(tmp_path: Path) -> None:
-    rig = Rig(tmp_path, primary_host="scada")
-    rig.give_plant()
+def test_births_wait_for_the_primary_host_and_end_with_it(new_rig: NewRig) -> None:
+    rig = new_rig(primary_host="scada")
     rig.connect()
     assert rig.connection is not None
     assert "spBv1.0/STATE/scada" in rig.connection.subscriptions
@@ -536,7 +518,6 @@ def test_births_wait_for_the_primary_host_and_end_with_it(tmp_path: Path) -> Non
     assert rig.sent[-1].topic.split("/")[2] == "NDEATH"
     assert rig.node.phase is Phase.OFFLINE
     assert rig.host.alive == set()
-    rig.close()
 
 
 # --- the table ----------------------------------------------------------------------------------------------------

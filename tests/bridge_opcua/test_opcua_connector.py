@@ -19,7 +19,8 @@ import pytest_asyncio
 from asyncua import Client, ua
 from asyncua.common.utils import ServiceError
 from asyncua.server.address_space import NodeManagementService
-from opcua_rig import ANNA, BOB, Rig, id_of
+from far_ends import beside
+from opcua_rig import ANNA, BOB, Rig, id_of, item, subscribed
 
 from dpstack.bridge.opcua import sessions as limits
 from dpstack.bridge.opcua.alarms import SERVER, Event, refresh
@@ -122,17 +123,13 @@ async def test_the_first_client_finds_the_whole_plant(tmp_path: Path) -> None:
             found = await client.get_node(id_of("slave/8/input/level")).read_data_value(raise_on_bad_status=False)
             return found.StatusCode.value, found.Value.Value
 
-    serving = asyncio.create_task(rig.connector.serve())
-    try:
+    async with beside(rig.connector.serve()):
         reading = asyncio.create_task(read())
         await asyncio.sleep(0.3)
         rig.plant()
         rig.snapshot()
         assert await reading == (GOOD, 5.5)
-    finally:
-        serving.cancel()
-        await asyncio.wait((serving,))
-        rig.connector.close()
+    rig.connector.close()
 
 
 async def test_orders_need_the_list_the_user_and_the_type(rig: Rig) -> None:
@@ -291,8 +288,7 @@ async def test_a_slave_that_is_lost_leaves_its_last_value_and_an_alarm_until_it_
         second = await bob.create_subscription(100, at_slave)
         await second.subscribe_events(bob.get_node(id_of("slave/8")), ua.ObjectIds.OffNormalAlarmType)
         fine = rig.values["8"]
-        rig.values["8"] = fine | {"state": "fault", "fault": {"text": "no answer"}}
-        rig.snapshot()
+        rig.show("8", fine | {"state": "fault", "fault": {"text": "no answer"}})
         await rig.until(lambda: at_server.events and at_slave.events)
         one, other = at_server.events[0], at_slave.events[0]
         assert one.EventId == other.EventId
@@ -338,22 +334,19 @@ async def test_a_slave_that_is_lost_leaves_its_last_value_and_an_alarm_until_it_
         assert await call(anna, condition, add_comment, again, call_it) == GOOD
         await rig.until(lambda: len(at_server.events) == 5)
         assert at_server.events[4].Comment.Text == "fitter is on his way"
-        rig.values["8"] = fine
-        rig.snapshot()
+        rig.show("8", fine)
         await rig.until(lambda: len(at_server.events) == 6)
         assert at_server.events[5].Retain is False
         assert await call(anna, condition, acknowledge, again, comment) == BAD_NODE
         # it comes again: its events are others, and one of before acknowledges nothing
-        rig.values["8"] = fine | {"state": "fault", "fault": {"text": "no answer"}}
-        rig.snapshot()
+        rig.show("8", fine | {"state": "fault", "fault": {"text": "no answer"}})
         await rig.until(lambda: len(at_server.events) == 7)
         assert at_server.events[6].EventId not in {event.EventId for event in at_server.events[:6]}
         assert await call(anna, condition, acknowledge, again, comment) == 0x809A0000
         rig.connector.acknowledge("slave/8/fault", "mqtt")  # by another connector
         await rig.until(lambda: len(at_server.events) == 8)
         assert (getattr(at_server.events[7], "AckedState/Id"), at_server.events[7].ClientUserId) == (True, "mqtt")
-        rig.values["8"] = fine
-        rig.snapshot()
+        rig.show("8", fine)
         await rig.until(lambda: len(at_server.events) == 9)
 
 
@@ -389,8 +382,7 @@ async def test_a_drive_shows_its_last_transition(rig: Rig) -> None:
         assert (await last.read_data_value(raise_on_bad_status=False)).StatusCode.value == 0x80320000
         fine = rig.values["9"]
         for state in ("running", "ready"):
-            rig.values["9"] = fine | {"drive": fine["drive"] | {"state": state}}
-            rig.snapshot()
+            rig.show("9", fine | {"drive": fine["drive"] | {"state": state}})
             await rig.connector.write_changes()
         assert (await last.read_value()).Text == "running to ready"
         transition = client.get_node(await (await last.get_child("0:Id")).read_value())
@@ -442,8 +434,7 @@ async def test_changes_reach_a_subscription_merged_and_the_history_has_them(rig:
         await subscription.subscribe_data_change(level)
         await rig.until(lambda: seen.values)
         for value in range(100, 150):
-            rig.values["8"] = rig.values["8"] | {"fields": {"level": float(value), "lamp": False, "flow": 7}}
-            rig.snapshot()
+            rig.show("8", rig.values["8"] | {"fields": {"level": float(value), "lamp": False, "flow": 7}})
         await rig.until(lambda: seen.values[-1].Value.Value == 149.0)
         assert len(seen.values) <= 3
         history = await level.read_raw_history()
@@ -454,16 +445,9 @@ async def test_changes_reach_a_subscription_merged_and_the_history_has_them(rig:
 async def test_a_client_that_reads_nothing_holds_little(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "MOST_ITEMS", 300)
     async with rig.connected() as client:
-        params = ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True)
-        made = await client.uaclient.create_subscription(params, lambda _: None)
-        wanted = [
-            ua.MonitoredItemCreateRequest(ua.ReadValueId(id_of("slave/8/input/level"), ua.AttributeIds.Value),
-                                          ua.MonitoringMode.Reporting,
-                                          ua.MonitoringParameters(number, 0.0, None, 1_000_000))
-            for number in range(400)
-        ]  # fmt: skip
-        create = ua.CreateMonitoredItemsParameters(made.SubscriptionId, ua.TimestampsToReturn.Both, wanted)
-        results = await client.uaclient.create_monitored_items(create)
+        level = id_of("slave/8/input/level")
+        many = (item(level, handle=number, queue=1_000_000) for number in range(400))
+        _, results = await subscribed(client, *many)
         assert sum(one.StatusCode.value == 0x80DB0000 for one in results) == 100  # BadTooManyMonitoredItems
         assert all(one.RevisedQueueSize == MOST_QUEUE for one in results if one.StatusCode.is_good())
 
@@ -472,13 +456,8 @@ async def test_sessions_that_ask_together_share_the_items(rig: Rig, monkeypatch:
     monkeypatch.setattr(limits, "MOST_ITEMS", 300)
 
     async def made_by(client: Client) -> int:
-        params = ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True)
-        subscription = (await client.uaclient.create_subscription(params, lambda _: None)).SubscriptionId
-        value = ua.ReadValueId(id_of("slave/8/input/level"), ua.AttributeIds.Value)
-        wanted = [ua.MonitoredItemCreateRequest(value, RequestedParameters=ua.MonitoringParameters(number))
-                  for number in range(300)]  # fmt: skip
-        create = ua.CreateMonitoredItemsParameters(subscription, ua.TimestampsToReturn.Both, wanted)
-        results = await client.uaclient.create_monitored_items(create)
+        level = id_of("slave/8/input/level")
+        _, results = await subscribed(client, *(item(level, handle=number) for number in range(300)))
         return sum(one.StatusCode.is_good() for one in results)
 
     async with rig.connected() as one, rig.connected() as other, rig.connected() as third:
@@ -535,19 +514,16 @@ async def test_a_request_for_much_gets_little(rig: Rig) -> None:
 
 async def test_a_session_reaches_nothing_of_others_and_is_one_of_its_connection(rig: Rig) -> None:
     async with rig.connected() as one, rig.connected() as other:
-        params = ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True)
-        own = await one.uaclient.create_subscription(params, lambda _: None)
+        own, _ = await subscribed(one)
         sessions = rig.connector._server.sessions if rig.connector._server else ()
         tokens = {it.auth_token.Identifier for it in sessions}  # nobody can guess that of another one
         assert [len(token) for token in tokens] == [32, 32]
-        stranger = next(it for it in sessions if not it.owns(own.SubscriptionId))
+        stranger = next(it for it in sessions if not it.owns(own))
         with pytest.raises(ua.UaError):  # BadNoSubscription
-            stranger.publish([ua.SubscriptionAcknowledgement(own.SubscriptionId, 1)])
-        [moved] = await other.uaclient.transfer_subscriptions(
-            ua.TransferSubscriptionsParameters([own.SubscriptionId], False)
-        )
+            stranger.publish([ua.SubscriptionAcknowledgement(own, 1)])
+        [moved] = await other.uaclient.transfer_subscriptions(ua.TransferSubscriptionsParameters([own], False))
         assert moved.StatusCode.value == 0x80280000  # BadSubscriptionIdInvalid
-        id_: Any = own.SubscriptionId
+        id_: Any = own
         for work in (
             lambda: stranger.modify_subscription(ua.ModifySubscriptionParameters(id_)),
             lambda: stranger.set_publishing_mode(ua.SetPublishingModeParameters(True, [id_])),
@@ -611,36 +587,26 @@ async def test_history_of_many_nodes_in_one_request_is_refused(rig: Rig) -> None
 
 async def test_filters_that_nobody_can_judge_are_refused(rig: Rig) -> None:
     async with rig.connected() as client:
-        made = await client.uaclient.create_subscription(
-            ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True), lambda _: None
-        )
         level = id_of("slave/8/input/level")
         percent = ua.DataChangeFilter(DeadbandType=ua.DeadbandType.Percent, DeadbandValue=5.0)
         many = ua.EventFilter(SelectClauses=[ua.SimpleAttributeOperand()] * 101)
         events, values = ua.AttributeIds.EventNotifier, ua.AttributeIds.Value
         server = ua.NodeId(ua.ObjectIds.Server)
         wanted = [
-            ua.MonitoredItemCreateRequest(ua.ReadValueId(node, attribute), ua.MonitoringMode.Reporting,
-                                          ua.MonitoringParameters(1, 0.0, filter_, 10))
-            for node, attribute, filter_ in (
-                (level, values, percent), (level, values, many), (server, events, None), (server, events, percent),
-                (server, events, many), (level, values, None),
-            )
+            (level, values, percent), (level, values, many), (server, events, None), (server, events, percent),
+            (server, events, many), (level, values, None),
         ]  # fmt: skip
-        create = ua.CreateMonitoredItemsParameters(made.SubscriptionId, ua.TimestampsToReturn.Both, wanted)
-        results = await client.uaclient.create_monitored_items(create)
+        made, results = await subscribed(client, *(item(*one) for one in wanted))
         codes = [0x80440000, 0x80440000, 0x80470000, 0x80450000, 0x80470000, GOOD]
         assert [one.StatusCode.value for one in results] == codes
-        item = results[-1].MonitoredItemId
+        last = results[-1].MonitoredItemId
         change = [ua.MonitoredItemModifyRequest(one, ua.MonitoringParameters(1, 0.0, None, 1_000_000))
-                  for one in (item, item + 1)]  # fmt: skip
-        modify = ua.ModifyMonitoredItemsParameters(made.SubscriptionId, ua.TimestampsToReturn.Both, change)
+                  for one in (last, last + 1)]  # fmt: skip
+        modify = ua.ModifyMonitoredItemsParameters(made, ua.TimestampsToReturn.Both, change)
         fine, bad = await client.uaclient.modify_monitored_items(modify)
         assert (fine.RevisedQueueSize, bad.StatusCode.value) == (MOST_QUEUE, 0x80420000)
         await rig.until(lambda: rig.connector._server is not None)
-        gone = await client.uaclient.delete_monitored_items(
-            ua.DeleteMonitoredItemsParameters(made.SubscriptionId, [item, item])
-        )
+        gone = await client.uaclient.delete_monitored_items(ua.DeleteMonitoredItemsParameters(made, [last, last]))
         assert [one.value for one in gone] == [GOOD, 0x80420000]
 
 
@@ -649,24 +615,16 @@ async def test_a_name_that_is_null_in_a_filter_keeps_no_event_from_others(rig: R
     async with rig.connected() as client:
         await (await client.create_subscription(100, seen)).subscribe_events(client.nodes.server)
         got: list[Any] = []
-        made = await client.uaclient.create_subscription(
-            ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True), got.append
-        )
         fields = [ua.SimpleAttributeOperand(BrowsePath=[ua.QualifiedName(name)]) for name in (None, "SourceName")]
-        wanted = ua.MonitoredItemCreateRequest(
-            ua.ReadValueId(client.nodes.server.nodeid, ua.AttributeIds.EventNotifier), ua.MonitoringMode.Reporting,
-            ua.MonitoringParameters(1, 0.0, ua.EventFilter(SelectClauses=fields), 10),
-        )  # fmt: skip
-        create = ua.CreateMonitoredItemsParameters(made.SubscriptionId, ua.TimestampsToReturn.Both, [wanted])
-        await client.uaclient.create_monitored_items(create)
-        rig.values["8"] = fine | {"state": "fault", "fault": {"text": "gone"}}
-        rig.snapshot()
+        null = ua.EventFilter(SelectClauses=fields)
+        event_item = item(client.nodes.server.nodeid, ua.AttributeIds.EventNotifier, null)
+        await subscribed(client, event_item, took=got.append)
+        rig.show("8", fine | {"state": "fault", "fault": {"text": "gone"}})
         await rig.until(lambda: any(one.NotificationMessage.NotificationData for one in got) and seen.events)
         [event] = (data for one in got for data in one.NotificationMessage.NotificationData)
         assert [field.Value for field in event.Events[0].EventFields] == [None, "valves"]
         assert seen.events[0].Message.Text == "gone"
-    rig.values["8"] = fine
-    rig.snapshot()
+    rig.show("8", fine)
 
 
 async def test_a_deadband_counts_from_the_last_value_and_never_hides_a_status(rig: Rig) -> None:
@@ -674,8 +632,7 @@ async def test_a_deadband_counts_from_the_last_value_and_never_hides_a_status(ri
 
     async def show(value: float) -> None:
         """The value reaches the node: a client without deadband has it."""
-        rig.values["8"] = fine | {"fields": {"level": value, "lamp": False, "flow": 7}}
-        rig.snapshot()
+        rig.show("8", fine | {"fields": {"level": value, "lamp": False, "flow": 7}})
         await rig.until(lambda: every.values and every.values[-1].Value.Value == value)
 
     async with rig.connected() as client:
@@ -687,12 +644,10 @@ async def test_a_deadband_counts_from_the_last_value_and_never_hides_a_status(ri
         for value in (1006.0, 1009.0, 1012.0, 1015.0):
             await show(value)
         await rig.until(lambda: len(seen.values) == 2)
-        rig.values["8"] = rig.values["8"] | {"state": "fault", "fault": {"text": "gone"}}
-        rig.snapshot()
+        rig.show("8", rig.values["8"] | {"state": "fault", "fault": {"text": "gone"}})
         await rig.until(lambda: seen.values[-1].StatusCode.value == UNCERTAIN_NO_COMMUNICATION)
         assert [one.Value.Value for one in seen.values] == [1000.0, 1012.0, 1015.0]
-    rig.values["8"] = fine
-    rig.snapshot()
+    rig.show("8", fine)
 
 
 async def test_nodes_follow_the_configuration(rig: Rig) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, cast
 
-import probe_connector
 import pytest
 from api_kit import in_virtual_time
 from asyncua import ua
@@ -38,11 +37,7 @@ SPEED: Final = 0.40404
 MOST_CALLS: Final = 120
 
 
-@pytest.fixture(autouse=True)
-def probe() -> Iterator[None]:
-    probe_connector.register()
-    yield
-    probe_connector.forget()
+pytestmark = pytest.mark.usefixtures("probe")
 
 
 class Walk:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 import signal
-import socket
 from pathlib import Path
 from typing import Any
 
 import pytest
+from far_ends import free_port
 from opcua_rig import ANNA, make_certificate
 from programs import Starter
 
@@ -27,9 +27,7 @@ def block(kind: str) -> str:
 async def test_a_run_serves_the_plant_of_the_page_and_ends_safely(
     start: Starter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        url = f"127.0.0.1:{free.getsockname()[1]}"
+    url = f"127.0.0.1:{free_port()}"
     (tmp_path / "plant.toml").write_text(block("toml").replace("127.0.0.1:4840", url), encoding="utf-8")
     (tmp_path / "users").write_text(f"{ANNA[0]} control {hash_password(ANNA[1])}\n", encoding="utf-8")
     (tmp_path / "users").chmod(0o600)

@@ -10,6 +10,7 @@ import pytest
 from cli_kit import Cli
 
 from dpstack.drivers.virtual import loop
+from tests.cli.listening.speaking_pty import SpeakingPty
 
 
 @pytest.fixture
@@ -29,3 +30,11 @@ def alone(monkeypatch: pytest.MonkeyPatch, runtime_directory: str) -> Iterator[N
 def virtual_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands of this test run in virtual time: a simulated bus neither waits for the clock nor for the computer."""
     monkeypatch.setattr(asyncio, "run", loop.run)
+
+
+@pytest.fixture
+def speaking() -> Iterator[SpeakingPty]:
+    """A line with a bus that can be listened to."""
+    far = SpeakingPty()
+    yield far
+    far.end()

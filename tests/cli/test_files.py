@@ -13,7 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from api_kit import HOIST
 from cli_kit import Cli
+from plant_files import plant_file
 
 from dpstack.api.config.config import load_config
 from dpstack.api.files import AtomicFile, read_file
@@ -28,20 +30,6 @@ from dpstack.capture.timing import LineTiming
 from dpstack.cli.main import main
 from dpstack.errors import ConfigError, UsageError
 from dpstack.monitor.monitor import Monitor
-
-PLANT = """
-[bus]
-port = "virtual"
-baud = 500000
-[[slave]]
-name = "hoist"
-address = 3
-drive = "demag-dedrive"
-[[slave]]
-name = "crane"
-address = 5
-drive = "demag-dedrive"
-"""
 
 
 def pipe(folder: Path) -> Path:
@@ -197,9 +185,7 @@ def test_a_link_laid_beforehand_is_not_followed(tmp_path: Path) -> None:
 
 @pytest.fixture
 def plant(tmp_path: Path, alone: None) -> Path:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT, encoding="utf-8")
-    return path
+    return plant_file(tmp_path, HOIST, {**HOIST, "name": "crane", "address": 5})
 
 
 def test_dump_replaces_its_own_file_only(plant: Path, capsys: pytest.CaptureFixture[str], cli: Cli) -> None:
@@ -332,7 +318,7 @@ def test_a_new_file_that_comes_at_the_last_moment_stays(tmp_path: Path, monkeypa
 
 
 def test_recording_and_log_in_one_file_leave_none(tmp_path: Path, cli: Cli) -> None:
-    (tmp_path / "plant.toml").write_text(PLANT)
+    plant_file(tmp_path, HOIST)
     path = tmp_path / "y.jsonl"
     argv = ("run", str(tmp_path / "plant.toml"), "--record", str(path), "--log", str(path), "--seconds", "0.1")
     assert "it is being written already; name another file" in cli.err(*argv)

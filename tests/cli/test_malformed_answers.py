@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from api_kit import HOIST, RAW
+from plant_files import plant_file
 
 from dpstack.api.config.config import load_config
 from dpstack.api.control import client as client_module
@@ -18,22 +20,6 @@ from dpstack.api.control.client import ControlClient
 from dpstack.cli.commands import acyclic, drive
 from dpstack.cli.main import main
 
-PLANT = """
-[bus]
-port = "/dev/plant"
-baud = 500000
-[[slave]]
-name = "hoist"
-address = 3
-drive = "demag-dedrive"
-[[slave]]
-name = "valves"
-address = 8
-ident = 0x1234
-config = "20 10"
-user_prm = "00 00 00"
-dpv1 = true
-"""
 STATUS = {
     "state": "ready",
     "running": False,
@@ -129,8 +115,8 @@ class Peer:
 @pytest.fixture
 def peer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Peer:
     """The program that holds the port of ``plant.toml``."""
-    (tmp_path / "plant.toml").write_text(PLANT, "utf-8")
-    config = load_config(tmp_path / "plant.toml")
+    valves = {**RAW, "name": "valves", "address": 8, "user_prm": "00 00 00", "dpv1": True}
+    config = load_config(plant_file(tmp_path, HOIST, valves, port="/dev/plant"))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(drive, "load_config", lambda _path: config)
     monkeypatch.setattr(acyclic, "load_config", lambda _path: config)

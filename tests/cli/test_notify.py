@@ -11,25 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from api_kit import RAW
 from cli_kit import Cli
-from far_ends import HANG_S
+from far_ends import eventually
+from plant_files import plant_file
 from programs import Starter, plant_of
 
 import dpstack
 from dpstack.service.notify import BusState, Manager, ServiceReport
-
-#: at a slow rate, which costs the test less
-PLANT = """
-[bus]
-port = "virtual"
-baud = 19200
-
-[[slave]]
-name = "raw"
-address = 9
-ident = 0x1234
-config = "20 10"
-"""
 
 
 class Far:
@@ -51,10 +40,7 @@ class Far:
                 return found
 
     def wait_for(self, line: str) -> None:
-        end = time.monotonic() + HANG_S
-        while not any(line in message for message in self.told()):
-            assert time.monotonic() < end, f"the manager was never told {line}"
-            time.sleep(0.02)
+        eventually(lambda: any(line in message for message in self.told()), f"the manager is told {line}")
 
     def close(self) -> None:
         self._socket.close()
@@ -119,8 +105,7 @@ def test_a_run_tells_its_manager(
     manager: Far, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], mode: str
 ) -> None:
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
-    config = tmp_path / "plant.toml"
-    config.write_text(PLANT, encoding="utf-8")
+    config = plant_file(tmp_path, RAW, baud=19_200)
     cli("run", str(config), "--seconds", "2", *options, code=0 if mode != "read-only" else 1)
     told = manager.told()
     assert told[0].startswith("STATUS=opens the port")
@@ -138,8 +123,7 @@ def test_a_run_without_a_manager_sends_nothing(
 ) -> None:
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     monkeypatch.delenv("NOTIFY_SOCKET")
-    config = tmp_path / "plant.toml"
-    config.write_text(PLANT, encoding="utf-8")
+    config = plant_file(tmp_path, RAW, baud=19_200)
     cli("run", str(config), "--rotations", "5")
     assert manager.told() == []
 
@@ -148,8 +132,7 @@ def test_slaves_that_are_missing_are_in_the_status(
     manager: Far, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
-    config = tmp_path / "plant.toml"
-    config.write_text(PLANT, encoding="utf-8")
+    config = plant_file(tmp_path, RAW, baud=19_200)
     scenario = tmp_path / "off.toml"
     scenario.write_text('[[step]]\nat = 0.6\nslave = "raw"\ndo = "power-off"\n', encoding="utf-8")
     cli("run", str(config), "--seconds", "2", "--scenario", str(scenario), code=1)

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from api_kit import HOIST
+from plant_files import plant_file
 
 from dpstack.cli.main import _COMMANDS
 
@@ -43,7 +45,6 @@ for argv in json.loads(sys.argv[2]):
             code = end.code
     print(json.dumps([code, out.getvalue(), err.getvalue()]))
 """
-PLANT = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "hoist"\naddress = 3\ndrive = "demag-dedrive"\n'
 
 WORKS = [
     ["--help"],
@@ -69,8 +70,7 @@ REFUSED = [
 
 @pytest.mark.parametrize("system", ["posix", pytest.param("windows", marks=pytest.mark.soak)])
 def test_without_fcntl_and_its_kin(system: str, tmp_path: Path) -> None:
-    plant = tmp_path / "plant.toml"
-    plant.write_text(PLANT, encoding="utf-8")
+    plant = plant_file(tmp_path, HOIST)
     orders = [[str(plant) if arg == "PLANT" else arg for arg in argv] for argv in [*WORKS, *(a for a, _ in REFUSED)]]
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, system, json.dumps(orders)], capture_output=True, text=True, check=False

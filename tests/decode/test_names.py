@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from octet_slave import DL, sd2
+from plant_files import plant_text
 from property_kit import examples
 
 import dpstack
@@ -24,60 +25,24 @@ from dpstack.decode.telegram import Explained, Explainer, explain
 from dpstack.fdl.codec import encode_sd2
 from dpstack.trace import WireEntry
 
-PLANT = """
-[bus]
-baud = 1500000
-address = 2
-
-[[slave]]
-name = "hoist"
-address = 3
-drive = "demag-dedrive"
-simulated = { 412 = 1 }
-
-[[slave]]
-name = "pump"
-address = 4
-drive = "ls-s100"
-
-[[slave]]
-name = "fan"
-address = 5
-drive = "fuji-frenic"
-
-[[slave]]
-name = "mixer"
-address = 6
-drive = "imo-hd2"
-options = { set_map = true }
-
-[[slave]]
-name = "saw"
-address = 7
-drive = "keb-f5"
-options = { control_bits = "simulated", status_bits = "simulated", rpm_per_count = 1.0 }
-
-[[slave]]
-name = "valves"
-address = 8
-ident = 0x1234
-config = "21 10"
-inputs = { limit = "bool@0.0" }
-outputs = { flap = "bool@0.1", level = "u8@1" }
-
-[[slave]]
-name = "io"
-address = 9
-gsd = "io-station"
-modules = ["8 DI", "8 DO", "2 AI"]
-parameters = { "Wire break" = "on" }
-"""
+SAW_OPTIONS = {"control_bits": "simulated", "status_bits": "simulated", "rpm_per_count": 1.0}
+VALVE_NAMES = {"inputs": {"limit": "bool@0.0"}, "outputs": {"flap": "bool@0.1", "level": "u8@1"}}
+IO = {"gsd": "io-station", "modules": ["8 DI", "8 DO", "2 AI"], "parameters": {"Wire break": "on"}}
+PLANT: list[dict[str, object]] = [
+    {"name": "hoist", "address": 3, "drive": "demag-dedrive", "simulated": {"412": 1}},
+    {"name": "pump", "address": 4, "drive": "ls-s100"},
+    {"name": "fan", "address": 5, "drive": "fuji-frenic"},
+    {"name": "mixer", "address": 6, "drive": "imo-hd2", "options": {"set_map": True}},
+    {"name": "saw", "address": 7, "drive": "keb-f5", "options": SAW_OPTIONS},
+    {"name": "valves", "address": 8, "ident": 0x1234, "config": "21 10", **VALVE_NAMES},
+    {"name": "io", "address": 9, **IO},
+]
 DRIVES = ("hoist", "pump", "fan", "mixer", "saw")
 
 
 @functools.cache
 def _config() -> Any:
-    return parse_config(PLANT)
+    return parse_config(plant_text(*PLANT, baud=1_500_000, address=2))
 
 
 @functools.cache
@@ -312,18 +277,9 @@ def test_a_foreign_slave_at_an_address_of_the_configuration_keeps_only_its_name(
 
 
 def test_values_with_a_scale_are_explained_with_it() -> None:
-    plant = """[bus]
-port = "virtual"
-baud = 500000
-
-[[slave]]
-name = "boiler"
-address = 8
-ident = 0x1234
-config = "50 60"
-inputs = { level = { at = "i16@0", scale = 0.1, unit = "bar" } }
-outputs = { target = { at = "i16@0", scale = 0.1, offset = 100 } }
-"""
+    level, target = {"at": "i16@0", "scale": 0.1, "unit": "bar"}, {"at": "i16@0", "scale": 0.1, "offset": 100}
+    boiler = {"name": "boiler", "address": 8, "ident": 0x1234, "config": "50 60"}
+    plant = plant_text({**boiler, "inputs": {"level": level}, "outputs": {"target": target}})
     names = decode_names(parse_config(plant, "plant.toml"))
     octets = [encode_sd2(8, 2, 0x7D, bytes.fromhex("fff6")), encode_sd2(2, 8, DL, bytes.fromhex("007b"))]
     request, answer = explain(map(Transmission, octets), names)

@@ -1,4 +1,5 @@
-"""The constructs of real GSD files: a small file for each, and the literal model expected."""
+"""The constructs of real GSD files: a small file for each, and the literal model expected; texts of the diagnosis,
+from literal octets of blocks."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ import gsd_kit
 import pytest
 from gsd_kit import device, made, read, texts
 
+from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.dpv1_keywords import DpV1
 from dpstack.gsd.model import DiagText, PrmConst, PrmKind, PrmRef, Ranges, Raw, Slot, Speed
 from dpstack.gsd.parser import load_gsd, parse_gsd
@@ -262,3 +264,47 @@ def test_a_damaged_module_leaves_the_others_usable() -> None:
         "18:10: error: module 'no octets': twenty is no list of identifier octets; the module cannot be used",
         "21:1: error: Module 'cut off' never ends: EndModule is missing before the end of the file",
     ]
+
+
+D = device("diagnosis")
+TEXTS = DiagTexts(D, [None, D.modules[0]])
+
+
+@pytest.mark.parametrize(
+    ("octets", "texts"),
+    [
+        ("", ()),
+        ("00", ()),
+        ("01", ("fuse blown",)),
+        ("00 06", ("too hot",)),
+        ("00 00", ("no load voltage",)),
+        ("00 04 05", ()),
+        ("01 02 00 00", ("fuse blown", "too hot", "no load voltage", "runs")),
+        ("00 04 19 08", ("stopped", "across the octets")),
+        ("81 04 05 01", ("parity",)),
+        ("80 04 05 01", ()),
+    ],
+)
+def test_device_related(octets: str, texts: tuple[str, ...]) -> None:
+    assert tuple(found.text for found in TEXTS.unit_diag_texts(bytes.fromhex(octets))) == texts
+
+
+def test_helps_go_with_the_texts() -> None:
+    found = TEXTS.unit_diag_texts(bytes.fromhex("01 04 09 00"))
+    assert [(text.text, text.help) for text in found] == [("fuse blown", "replace F1"), ("stopped", "start it")]
+
+
+def test_channel_related() -> None:
+    assert TEXTS.channel_text(16) == DiagText("channel", None, None, 16, "sensor missing", "plug it in")
+    assert TEXTS.channel_text(17) is None
+
+
+@pytest.mark.parametrize(("module", "text"), [(1, "coil open"), (0, "sensor missing"), (99, "sensor missing")])
+def test_a_modules_own_channel_texts_come_first(module: int, text: str) -> None:
+    found = TEXTS.channel_text(16, module)
+    assert found is not None
+    assert found.text == text
+
+
+def test_a_modules_own_unit_texts_come_first() -> None:
+    assert [found.text for found in TEXTS.unit_diag_texts(b"\x01", module=1)] == ["module fuse"]

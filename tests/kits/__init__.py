@@ -36,8 +36,9 @@ One end alone, the other in literal octets:
 Drivers, ports, programs:
 
 - ``memory_port``: two ports joined in memory; ``kernel_kit``: drivers on a clock and a line of the test;
-  ``far_ends``: other ends of ports; ``fake_adapter``: serial driver and sysfs in memory; ``baud_rig``: traffic behind a
-  UART.
+  ``far_ends``: other ends of ports, and waits for what happens there; ``fake_adapter``: serial driver and sysfs in
+  memory; ``baud_rig``: traffic behind a UART.
+- ``plant_files``: configuration files of buses and slaves.
 - ``programs``: ``dpstack`` as a program, ``forked_programs``: as a fork of one that has imported it; ``control_kit``:
   control sockets and a client of octets; ``cli_kit``: commands in the process of the test.
 

@@ -183,6 +183,16 @@ class Rig:
         self.publish_wills()
         self.node.disconnected()
 
+    def join(self) -> int:
+        """A connection begins, and what is due in it is sent: the births."""
+        self.connect()
+        return self.pump()
+
+    def turn(self, seconds: float = 1.0) -> int:
+        """Time passes, and what is due then is sent."""
+        self.wait(seconds)
+        return self.pump()
+
     def settle(self) -> None:
         """All that waits for its time is sent."""
         for _ in range(6):
@@ -243,6 +253,10 @@ class Rig:
 
     def number_of(self, will: Publish) -> int:
         return int(read_payload(will.payload).metrics[0].value(4))
+
+
+#: makes edge nodes (fixture ``new_rig`` of tests/bridge_mqtt)
+NewRig = Callable[..., Rig]
 
 
 def metric(

@@ -1,4 +1,5 @@
-"""Other ends of ports for the contract tests: they know octets and the operating system, nothing of the project."""
+"""Other ends of ports, and waits for what happens there: they know octets and the operating system, nothing of the
+project."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from typing import Any, Final
 
 import serial
@@ -21,12 +22,41 @@ from serial import rfc2217
 HANG_S: Final = 60.0
 
 
-async def until(condition: Callable[[], bool], what: str) -> None:
-    """Wait for something to happen."""
+What = str | Callable[[], object]
+_UNSAID: Final = "what is waited for"
+
+
+async def until(condition: Callable[[], object], what: What = _UNSAID) -> None:
+    """Wait for something to happen. ``what`` may be what tells, when it has not, how things are."""
     end = time.monotonic() + HANG_S
     while not condition():
-        assert time.monotonic() < end, f"did not happen: {what}"
+        assert time.monotonic() < end, f"did not happen: {what if isinstance(what, str) else what()}"
         await asyncio.sleep(0.001)
+
+
+def eventually(condition: Callable[[], object], what: What = _UNSAID, limit_s: float = HANG_S) -> None:
+    """The same without a loop."""
+    end = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end, f"did not happen: {what if isinstance(what, str) else what()}"
+        time.sleep(0.01)
+
+
+@contextlib.asynccontextmanager
+async def beside(work: Coroutine[Any, Any, None]) -> AsyncIterator[asyncio.Task[None]]:
+    """``work`` goes on beside the block, and is cancelled behind it."""
+    task = asyncio.create_task(work)
+    try:
+        yield task
+    finally:
+        task.cancel()
+        await asyncio.wait((task,))
+
+
+def free_port() -> int:
+    """A TCP port of this computer that nobody has."""
+    with socket.create_server(("127.0.0.1", 0)) as there:
+        return int(there.getsockname()[1])
 
 
 class FarEnd:

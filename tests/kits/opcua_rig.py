@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +14,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import NameOID
+from far_ends import beside, until
 
 from dpstack.bridge.opcua.certificate import utc_now
 from dpstack.bridge.opcua.connector import OpcUaConnector, OpcUaSettings
@@ -78,28 +79,29 @@ class Rig:
         item = {"t": self.t, "whole": True, "bus": {"stale": False, "mode": "operate"}, "slaves": self.values}
         self.connector.take(self.tree.apply({"snapshot": item}, self.t))
 
+    def show(self, address: str, values: dict[str, Any]) -> None:
+        """The slave has these values from now on."""
+        self.values[address] = values
+        self.snapshot()
+
     @contextlib.asynccontextmanager
     async def serving(self) -> AsyncIterator[Rig]:
         await self.connector.open()
         self.plant()
         self.snapshot()
-        task = asyncio.create_task(self.connector.serve())
         try:
-            await self.until(lambda: "slave/9/drive/settings" in self.ids())
-            yield self
+            async with beside(self.connector.serve()):
+                await self.until(lambda: "slave/9/drive/settings" in self.ids())
+                yield self
         finally:
-            task.cancel()
-            await asyncio.wait((task,))
             self.connector.close()
 
     def ids(self) -> set[object]:
         assert self.connector._space is not None
         return {one.Identifier for one in self.connector._space.values}
 
-    async def until(self, found: Any) -> None:
-        async with asyncio.timeout(20):
-            while not found():  # noqa: ASYNC110  told by the other end
-                await asyncio.sleep(0.02)
+    async def until(self, found: Callable[[], object]) -> None:
+        await until(found)
 
     def client(self, user: tuple[str, str] | None = None, *, days: int = 30) -> Client:
         cert, key = make_certificate(self.folder, days)
@@ -164,3 +166,26 @@ def make_certificate(folder: Path, days: int) -> tuple[Path, Path]:
         )
     )
     return cert, key
+
+
+def item(
+    node: ua.NodeId,
+    attribute: ua.AttributeIds = ua.AttributeIds.Value,
+    filter_: object = None,
+    *,
+    handle: int = 1,
+    queue: int = 10,
+) -> ua.MonitoredItemCreateRequest:
+    """A request to report what ``node`` has."""
+    how = ua.MonitoringParameters(handle, 0.0, filter_, queue)
+    return ua.MonitoredItemCreateRequest(ua.ReadValueId(node, attribute), ua.MonitoringMode.Reporting, how)
+
+
+async def subscribed(
+    client: Client, *items: ua.MonitoredItemCreateRequest, took: Callable[[Any], object] = lambda _: None
+) -> tuple[int, list[ua.MonitoredItemCreateResult]]:
+    """A new subscription with ``items``, whose messages ``took`` gets: its number, and the results for the items."""
+    params = ua.CreateSubscriptionParameters(100.0, 600, 10, 0, True)
+    number = (await client.uaclient.create_subscription(params, took)).SubscriptionId
+    create = ua.CreateMonitoredItemsParameters(number, ua.TimestampsToReturn.Both, list(items))
+    return number, await client.uaclient.create_monitored_items(create) if items else []

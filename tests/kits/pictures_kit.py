@@ -15,9 +15,10 @@ PLANT: Final = FOLDER / "plant.toml"
 TANK: Final = FOLDER / "tank.csv"
 #: the pictures that are taken, with the tests in tests/strangers that take them (DPSTACK_PICTURES=docs/pictures)
 PICTURES: Final = {
-    "plot.png": "test_plot_picture.py",
-    **dict.fromkeys(("screen.png", "screen-narrow.png", "screen-slave.png"), "test_screen_pictures.py"),
-    **dict.fromkeys(("tutorial-page.png", "tutorial-screen.png"), "test_tutorial_pictures.py"),
+    **dict.fromkeys(
+        ("plot.png", "screen.png", "screen-narrow.png", "screen-slave.png", "tutorial-page.png", "tutorial-screen.png"),
+        "test_pictures.py",
+    ),
     **dict.fromkeys(
         ("web-plant.png", "web-slave.png", "web-scope.png", "web-bus.png", "web-commissioning.png"),
         "test_web_page_of_a_run.py",

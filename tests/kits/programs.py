@@ -6,57 +6,35 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from operator import ge
 from pathlib import Path
 from typing import Any
 
+from api_kit import FAN, HOIST, RAW
 from control_kit import socket_of
-from far_ends import HANG_S
+from far_ends import HANG_S, eventually
 from forked_programs import ForkedProcess, ForkServer
+from plant_files import plant_file
 
 from dpstack.api.control.client import connect
 
-#: a slave is lost when it does not answer within 8 times 50 ms: programs may have to wait for a busy computer
-PLANT = """
-[bus]
-port = "{port}"
-baud = 500000
-max_retry = 7
-
-[[slave]]
-name = "hoist"
-address = 3
-drive = "demag-dedrive"
-
-[[slave]]
-name = "fan"
-address = 4
-drive = "fuji-frenic"
-ident = "ask"
-telegram = "PPO3"
-
-[[slave]]
-name = "raw"
-address = 9
-ident = 0x1234
-config = "20 10"
-"""
+NOTHING: Mapping[str, object] = {}
 
 
-def plant_of(folder: Path, port: object = "virtual") -> Path:
-    """:data:`PLANT` on ``port`` as the file ``plant.toml`` in ``folder``."""
-    path = folder / "plant.toml"
-    path.write_text(PLANT.format(port=port), encoding="utf-8")
-    return path
+def plant_of(folder: Path, port: object = "virtual", *, each: Mapping[str, object] = NOTHING, **bus: Any) -> Path:
+    """Hoist (3), fan (4) and a slave without a drive (9) on ``port`` as the file ``plant.toml`` in ``folder``.
+
+    ``each``: keys that every slave has. One is lost when it does not answer within 8 times 50 ms: programs may have to
+    wait for a busy computer.
+    """
+    slaves = (HOIST, {**FAN, "ident": "ask"}, RAW)
+    return plant_file(folder, *({**slave, **each} for slave in slaves), port=port, max_retry=7, **bus)
 
 
 def wait_for_socket(port: Path) -> None:
     """Until the program on ``port`` holds it and can be talked to."""
-    path = socket_of(str(port))
-    end = time.monotonic() + HANG_S
-    while not path.exists():
-        assert time.monotonic() < end, f"nobody answers for {port}"
-        time.sleep(0.02)
+    eventually(socket_of(str(port)).exists, f"an answer for {port}")
 
 
 def wait_for_exchanges(port: Path, more: int) -> None:
@@ -66,11 +44,8 @@ def wait_for_exchanges(port: Path, more: int) -> None:
         with connect(str(port)) as client:
             return [slave["exchanges"] for slave in client.call("stats")["slaves"].values()]
 
-    before = exchanges()
-    end = time.monotonic() + HANG_S
-    while any(now < was + more for now, was in zip(exchanges(), before, strict=True)):
-        assert time.monotonic() < end, f"the bus on {port} does not go on"
-        time.sleep(0.02)
+    enough = [count + more for count in exchanges()]
+    eventually(lambda: all(map(ge, exchanges(), enough)), f"the bus on {port} goes on")
 
 
 class Program:

@@ -37,9 +37,9 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     "W3": ("dp/slave/test_slave_octet_master.py::test_requests_of_another_master_change_nothing",),
     "W4": ("dp/master/test_master_faults.py::test_slave_of_another_master_is_never_parameterised",),
     "W5": (
-        "test_once.py::test_a_slave_that_deviates_in_another_way_each_time_fills_no_log",
+        "test_events.py::test_a_slave_that_deviates_in_another_way_each_time_fills_no_log",
         "drives/test_attacked_devices.py::test_garbage_of_one_master_fills_no_log",
-        "ports/test_flood.py::test_a_backlog_is_handed_over_up_to_its_bound_and_the_rest_counted",
+        "ports/test_open_port.py::test_a_backlog_is_handed_over_up_to_its_bound_and_the_rest_counted",
     ),
     "W6": ("ports/test_listening_port.py::test_it_is_opened_for_reading_only_and_writes_nothing",),
     "W7": (
@@ -121,11 +121,11 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         _RIGHTS + "test_one_network_does_not_take_all_places_before_hello",
     ),
     "B9": (
-        "web/test_web_nonsense.py::test_a_page_may_err_twenty_times_and_others_do_not_notice",
-        "web/test_web_nonsense.py::test_wrong_frames_end_their_own_connection_only",
+        "web/test_web_pages.py::test_a_page_may_err_twenty_times_and_others_do_not_notice",
+        "web/test_web_pages.py::test_wrong_frames_end_their_own_connection_only",
         "web/test_web_orders.py::test_requests_under_way_are_bounded_and_end_with_their_page",
         "web/test_web_orders.py::test_a_page_that_asks_too_often_is_told_and_goes_on",
-        "web/test_web_fan_out.py::test_a_page_that_never_reads_is_disconnected_and_disturbs_no_other",
+        "web/test_web_pages.py::test_a_page_that_never_reads_is_disconnected_and_disturbs_no_other",
     ),
     "B10": ("web/test_web_orders.py::test_other_commands_of_the_control_socket_are_no_orders_and_no_asks",),
     "B11": ("api/commissioning/test_commissioning.py::test_nothing_outside_the_folder_is_read",),
@@ -159,15 +159,15 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     "G6": (
         "bridge_metrics/test_metrics_server.py::test_a_request_that_is_none_is_refused_and_the_next_is_served",
         "bridge_metrics/test_metrics_server.py::test_an_address_that_others_reach_is_told_and_takes_every_host",
-        "bridge_metrics/test_metrics_rules.py::test_the_table_of_the_configuration",
+        "bridge_metrics/test_metrics_values.py::test_the_table_of_the_configuration",
     ),
     "G7": (
         "bridge_metrics/test_metrics_server.py::test_a_request_that_is_none_is_refused_and_the_next_is_served",
         "bridge_metrics/test_metrics_server.py::test_silent_clients_lose_their_place_and_a_thousand_are_bounded",
     ),
     "G8": (
-        "bridge_metrics/test_metrics_rules.py::test_hostile_and_equal_names_become_labels_that_are_different",
-        "bridge_metrics/test_metrics_rules.py::test_causes_and_classes_of_a_hostile_stream_are_bounded",
+        "bridge_metrics/test_metrics_values.py::test_hostile_and_equal_names_become_labels_that_are_different",
+        "bridge_metrics/test_metrics_values.py::test_causes_and_classes_of_a_hostile_stream_are_bounded",
     ),
     "G9": (
         _OPCUA + "test_wrong_passwords_certificates_and_channels_are_refused",
@@ -183,21 +183,21 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         _OPCUA + "test_garbage_ends_its_connection_alone",
         _OPCUA + "test_a_request_for_much_gets_little",
         _OPCUA + "test_a_session_reaches_nothing_of_others_and_is_one_of_its_connection",
-        "bridge_opcua/test_opcua_octets.py::test_a_length_or_depth_that_is_believed_costs_little",
-        "bridge_opcua/test_opcua_octets.py::test_a_hostile_request_ends_its_connection_alone",
-        "bridge_opcua/test_opcua_octets.py::test_a_client_that_does_not_read_is_cut_off_also_by_a_message_that_it_did_not_ask_for",
+        "bridge_opcua/test_hostile_clients.py::test_a_length_or_depth_that_is_believed_costs_little",
+        "bridge_opcua/test_hostile_clients.py::test_a_hostile_request_ends_its_connection_alone",
+        "bridge_opcua/test_hostile_clients.py::test_a_client_that_does_not_read_is_cut_off_also_by_a_message_that_it_did_not_ask_for",
     ),
     "G12": (
         _OPCUA + "test_wrong_passwords_certificates_and_channels_are_refused",
         "bridge_opcua/test_opcua_users.py::test_a_file_that_others_can_read_or_that_has_no_user_is_refused",
     ),
     "G13": (
-        _FLEET + "test_fleet_reader.py::test_it_publishes_nothing_and_comes_back",
+        _FLEET + "test_fleet.py::test_it_publishes_nothing_and_comes_back",
         _FLEET + "test_fleet.py::test_bounds",
         _FLEET + "test_fleet.py::test_no_message_raises_and_an_old_status_is_never_shown_as_alive",
         _FLEET + "test_fleet.py::test_an_end_that_is_told_after_a_death_hides_no_death",
         _FLEET + "test_fleet.py::test_a_kept_status_without_expiry_is_as_old_as_it_says_where_the_clocks_agree",
-        _FLEET + "test_fleet_reader.py::test_after_a_sleep_of_the_computer_an_old_status_is_silent",
+        _FLEET + "test_fleet.py::test_after_a_sleep_of_the_computer_an_old_status_is_silent",
         _FLEET + "test_segment_status.py::test_texts_are_printable",
     ),
     "G14": (
@@ -217,7 +217,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "bridge/test_orders.py::test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come",
     ),
     "G16": (
-        _FLEET + "test_mqtt_secrets.py::test_no_secret_is_published_and_a_will_has_the_number_of_its_session",
+        _FLEET + "test_mqtt_broker.py::test_no_secret_is_published_and_a_will_has_the_number_of_its_session",
         _FLEET + "test_mqtt_broker.py::test_an_address_that_is_none_is_refused_and_no_text_holds_a_password",
         _FLEET + "test_mqtt_broker.py::test_passwords_come_from_the_environment_or_from_a_file_of_ones_own",
     ),

@@ -35,6 +35,14 @@ def up(tree: PlantTree, now: float = 0.0) -> list[Change]:
     return tree.apply({"plant": PLANT}, now) + tree.apply(whole, now)
 
 
+@pytest.fixture
+def tree() -> PlantTree:
+    """The tree of a plant that is well."""
+    made = PlantTree()
+    up(made)
+    return made
+
+
 def reading(tree: PlantTree, id_: str) -> Reading:
     slave = int(id_.split("/")[1]) if id_.startswith("slave/") else None
     return next(found for node, found in tree.readings(slave) if node.id == id_)
@@ -255,9 +263,7 @@ def test_births_come_when_the_values_are_there() -> None:
     assert (level.low, level.high) == (-16384, 16383.5)
 
 
-def test_silence_of_the_stream_is_the_death_of_all_and_no_value_looks_fresh() -> None:
-    tree = PlantTree()
-    up(tree)
+def test_silence_of_the_stream_is_the_death_of_all_and_no_value_looks_fresh(tree: PlantTree) -> None:
     assert tree.tick(SILENT_S) == []
     changes = tree.tick(SILENT_S + 0.01)
     died = [change.slave for change in changes if isinstance(change, Died)]
@@ -286,9 +292,7 @@ def test_silence_of_the_stream_is_the_death_of_all_and_no_value_looks_fresh() ->
         ({"inputs_age_ms": 1001.0, "inputs_limit_ms": None, "watchdog_ms": 0}, Reason.TOO_OLD, False),
     ],
 )
-def test_reasons_of_a_slave(values: dict[str, Any], reason: Reason, dies: bool) -> None:
-    tree = PlantTree()
-    up(tree)
+def test_reasons_of_a_slave(tree: PlantTree, values: dict[str, Any], reason: Reason, dies: bool) -> None:
     changes = tree.apply(snapshot(2.0, {"8": values}), 1.0)
     assert reading(tree, "slave/8/input/level")[:2] == (12.5, reason)
     assert reading(tree, "slave/8/output/lamp").reason is reason
@@ -307,9 +311,7 @@ def test_a_bus_that_is_not_open_yet_is_not_born() -> None:
     assert [one for one in changes if isinstance(one, Born)] == [Born(None), Born(8)]
 
 
-def test_a_slave_that_the_stream_leaves_out_gets_stale() -> None:
-    tree = PlantTree()
-    up(tree)
+def test_a_slave_that_the_stream_leaves_out_gets_stale(tree: PlantTree) -> None:
     for step in range(1, 30):
         tree.apply(snapshot(1 + step / 10, {"3": HOIST}), step / 10)
     assert reading(tree, "slave/8/input/level").reason is Reason.NOT_SENT
@@ -317,19 +319,15 @@ def test_a_slave_that_the_stream_leaves_out_gets_stale() -> None:
     assert tree.is_alive(3)
 
 
-def test_items_that_have_waited_are_no_fresh_values() -> None:
+def test_items_that_have_waited_are_no_fresh_values(tree: PlantTree) -> None:
     """This program was stopped for a minute: what waits for it is a minute old, and comes all at once."""
-    tree = PlantTree()
-    up(tree)
     tree.apply(snapshot(1.5, {"3": HOIST, "8": VALVES}), 60.0)
     assert reading(tree, "slave/8/input/level").reason is Reason.STREAM_LATE
     tree.apply(snapshot(61.0, {"3": HOIST, "8": VALVES}), 60.0)
     assert reading(tree, "slave/8/input/level").quality is Quality.GOOD
 
 
-def test_old_items_that_come_together_with_a_fresh_one_kill_nobody() -> None:
-    tree = PlantTree()
-    up(tree)
+def test_old_items_that_come_together_with_a_fresh_one_kill_nobody(tree: PlantTree) -> None:
     waiting = [snapshot(1 + step / 10, {"3": HOIST, "8": VALVES | {"exchanges": step}}) for step in range(590)]
     alarm = {"event": "alarm", "address": 8, "type": 1, "slot": 2, "specifier": "appears", "text": "gone", "t": 1.2}
     changes = tree.apply_all([*waiting[:300], {"event": alarm}, *waiting[300:]], 59.0)
@@ -338,9 +336,7 @@ def test_old_items_that_come_together_with_a_fresh_one_kill_nobody() -> None:
     assert [one.id for one in changes if isinstance(one, Condition)] == ["slave/8/alarm/1/2"]
 
 
-def test_the_parts_of_a_whole_snapshot_kill_no_slave() -> None:
-    tree = PlantTree()
-    up(tree)
+def test_the_parts_of_a_whole_snapshot_kill_no_slave(tree: PlantTree) -> None:
     changes = tree.apply({"plant": IDENT}, 0.5) + tree.apply(snapshot(1.5, {}, whole=True), 0.5)
     changes += tree.apply(snapshot(1.5, {"3": HOIST}), 0.5)
     before = reading(tree, "slave/8/input/level")
@@ -354,9 +350,7 @@ def test_the_parts_of_a_whole_snapshot_kill_no_slave() -> None:
     ]
 
 
-def test_a_change_within_the_dead_band_is_no_news() -> None:
-    tree = PlantTree()
-    up(tree)
+def test_a_change_within_the_dead_band_is_no_news(tree: PlantTree) -> None:
     told = []
     for step, level in enumerate([13.5, 13.6, 14.5, 14.7, 12.5], 1):
         item = snapshot(1 + step / 10, {"3": HOIST, "8": VALVES | {"fields": {"level": level, "limit": True}}})
@@ -375,9 +369,7 @@ def test_statistics_are_told_now_and_then_and_the_last_count_too() -> None:
     assert told == [(100, 54)]  # since the last 50 steps nothing has been counted
 
 
-def test_another_run_of_the_bus_begins_with_nothing() -> None:
-    tree = PlantTree()
-    up(tree)
+def test_another_run_of_the_bus_begins_with_nothing(tree: PlantTree) -> None:
     changes = tree.apply({"plant": AGAIN}, 1.0)
     assert [change.slave for change in changes if isinstance(change, Died)] == [3, 8, None]
     # the nodes have the same names as before: nobody must go on showing their old values
@@ -391,9 +383,7 @@ def test_another_run_of_the_bus_begins_with_nothing() -> None:
 # --- conditions ---------------------------------------------------------------------------------------------------
 
 
-def test_conditions_of_a_slave() -> None:
-    tree = PlantTree()
-    up(tree)
+def test_conditions_of_a_slave(tree: PlantTree) -> None:
     faulty = {"drive": {"state": "fault", "faults": ["F0001"], "warnings": []}, "conspicuous": "slot 2: wire break"}
     alarm = {"event": "alarm", "address": 8, "type": 1, "slot": 2, "specifier": "appears", "text": "gone", "t": 1.2}
     tree.apply(snapshot(1.1, {"3": HOIST | faulty}), 0.1)
@@ -433,9 +423,7 @@ def test_a_lost_slave_is_a_condition_but_a_bus_that_starts_is_none() -> None:
     ]
 
 
-def test_a_slave_that_never_repeats_itself_fills_no_memory() -> None:
-    tree = PlantTree()
-    up(tree)
+def test_a_slave_that_never_repeats_itself_fills_no_memory(tree: PlantTree) -> None:
     changes: list[Change] = []
     for number in range(500):
         faults = [f"F{number}-{place}" for place in range(50)]
@@ -460,9 +448,7 @@ def test_a_plant_that_is_too_large_is_cut_and_told() -> None:
 # --- orders -------------------------------------------------------------------------------------------------------
 
 
-def test_orders() -> None:
-    tree = PlantTree()
-    up(tree)
+def test_orders(tree: PlantTree) -> None:
     assert set(tree.orders) == {
         *(f"hoist.{word}" for word in ("start", "stop", "quick_stop", "coast", "acknowledge", "speed")),
         "valves.lamp",
@@ -508,10 +494,8 @@ def test_a_number_that_its_octets_cannot_hold_is_none() -> None:
             )
 
 
-def test_nodes_stay_where_another_run_has_the_same_slaves() -> None:
+def test_nodes_stay_where_another_run_has_the_same_slaves(tree: PlantTree) -> None:
     """A bus has a plant before it is open, too, with another time of its start: what was made of the nodes stays."""
-    tree = PlantTree()
-    up(tree)
     before = tree.slaves
     found = tree.apply({"plant": copy.deepcopy(AGAIN)}, 1.0)
     assert [one for one in found if isinstance(one, NodesChanged)] == []

@@ -1,4 +1,4 @@
-"""A pty made here: openers come and go."""
+"""A pty made here: openers come and go; ports in the child of a fork."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import asyncio
 import os
 import termios
 
-from far_ends import open_slave, set_rate, until
+import pytest
+from far_ends import PtyFarEnd, TcpFarEnd, open_slave, set_rate, until
 
 from dpstack.ports import open_port
 
@@ -60,3 +61,26 @@ async def test_the_openers_rate_is_seen() -> None:
     far.hang_up()
     port.close()
     assert port.line_baud() is None
+
+
+@pytest.mark.parametrize("kind", ["tty", "pty", "socket"])
+async def test_a_forked_child_lets_go_without_touching_loop_or_line(kind: str) -> None:
+    """As in the child: its copy of the descriptor is closed, the loop's reader stays (the loop is the parent's)."""
+    far = TcpFarEnd() if kind == "socket" else PtyFarEnd()
+    port = open_port("pty" if kind == "pty" else far.path, 500_000)
+    await port.open()
+    loop = asyncio.get_running_loop()
+    port.attach(loop, lambda _octets: None, lambda _reason: None)
+    fd = port.fd
+    assert fd is not None
+    port.release_after_fork()
+    assert port.fd is None
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(fd)
+    assert not port.write(b"\xdc\x02\x02")
+    port.close()
+    loop.remove_reader(fd)
+    if isinstance(far, TcpFarEnd):
+        far.shut()
+    else:
+        far.hang_up()

@@ -1,4 +1,5 @@
-"""The end of ``run``: the bus never waits for the screen, and pays for it in small steps."""
+"""The end of ``run`` at which the screen is: the bus never waits for it, and pays for it in small steps; pages and
+keys in textual's own test driver, one start for all, because each takes its time."""
 
 from __future__ import annotations
 
@@ -8,12 +9,18 @@ import os
 import pty
 import socket
 import termios
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from far_ends import HANG_S
+from textual import events
+from textual.widgets import Input
+
 from dpstack.plant.pending import Pending
+from dpstack.screen.app import Events, Help, Lines, OneSlave, Overview, Plant, Question
 from dpstack.screen.process import ScreenProcess, Terminal
-from tests.screen.screen_kit import Item, plant, slave_plant, snapshot, values
+from tests.screen.screen_kit import Item, plant, slave_plant, snapshot, some_plant, values
 
 
 class Stream:
@@ -125,3 +132,130 @@ def test_the_terminal_is_restored_without_the_screen() -> None:
         assert code in octets
     os.close(master)
     os.close(slave)
+
+
+def seen(app: Plant, selector: str = "#slaves") -> str:
+    """The text of a part of the page that is on top."""
+    parts = app.screen.query(selector).results(Lines)  # none while the page is being made
+    return "\n".join(part.render_line(y).text.rstrip() for part in parts for y in range(part.size.height))
+
+
+async def until(app: Plant, condition: Callable[[], bool]) -> None:
+    """Wait until the page is so: a key goes through the queues of some widgets, and the layout follows later."""
+    end = time.monotonic() + HANG_S
+    while not condition():
+        assert time.monotonic() < end, seen(app, "#keys")
+        await asyncio.sleep(0.002)
+        app.draw_now()
+
+
+def test_pages_keys_and_orders() -> None:
+    asyncio.run(pages_keys_and_orders())
+
+
+async def pages_keys_and_orders() -> None:
+    orders: list[dict[str, Any]] = []
+    now = 10.0
+    app = Plant(orders.append, clock=lambda: now)
+    async with app.run_test(size=(100, 24)) as pilot:
+        for item in some_plant():
+            app.feed(item)
+        await until(app, lambda: "slave 125 ([bold red]x[/] <b>" in seen(app, "#events"))
+        assert "Operate" in seen(app, "#head")
+        assert "level 3.4 bar" in seen(app)
+        assert "hoist" in seen(app)
+
+        # the page of a slave, and its story
+        app.simulate_key("down")
+        app.simulate_key("down")
+        app.simulate_key("enter")
+        await until(app, lambda: isinstance(app.screen, OneSlave) and "slave 8  tank" in seen(app, "#body"))
+        assert "module 2 [red]missing[/]" in seen(app, "#body")
+        app.simulate_key("w")
+        await until(app, lambda: orders == [{"order": "why", "slave": 8}])
+        app.tell_why("8", "cannot be asked: [b]")
+        await until(app, lambda: "cannot be asked: [b]" in seen(app, "#body"))
+        app.simulate_key("escape")
+        await until(app, lambda: isinstance(app.screen, Overview))
+
+        # pause: the bus goes on, the page does not
+        app.simulate_key("space")
+        await until(app, lambda: "PAUSED" in seen(app, "#head"))
+        app.feed(snapshot({"3": {"fields": {"level": 99.5, "limit": True, "target": 5}}}, whole=False))
+        app.draw_now()
+        assert "level 3.4 bar" in seen(app)
+        app.simulate_key("space")
+        await until(app, lambda: "level 99.5 bar" in seen(app))
+        assert "PAUSED" not in seen(app, "#head")
+
+        # filter
+        app.simulate_key("slash")
+        await until(app, lambda: isinstance(app.focused, Input))
+        for key in "tank":
+            app.simulate_key(key)
+        app.simulate_key("enter")
+        await until(app, lambda: 'filter "tank"' in seen(app, "#columns") and app.focused is None)
+        assert "valves" not in seen(app)
+        assert "tank" in seen(app)
+        app.simulate_key("escape")
+        await until(app, lambda: "valves" in seen(app))
+        app.simulate_key("slash")
+        await until(app, lambda: isinstance(app.focused, Input))
+        assert isinstance(app.focused, Input)
+        app.focused.post_message(events.Paste("\x1b[2J\u202e"))
+        await until(app, lambda: 'filter "\\x1b[2J\\u202e"' in seen(app, "#columns"))
+        assert app.focused.value == "\\x1b[2J\\u202e"
+        app.simulate_key("enter")
+        await until(app, lambda: app.focused is None)
+        app.simulate_key("escape")
+        await until(app, lambda: "valves" in seen(app))
+        app.simulate_key("f")
+        await until(app, lambda: "valves" not in seen(app))
+        assert "hoist" in seen(app)
+        app.simulate_key("f")
+
+        # nothing raw reaches the terminal, whoever made the line
+        columns = app.screen.query_one("#columns", Lines)
+        columns.show_lines([[("\x1b[2J\u202e", "bad")]])
+        assert columns.render_line(0).text.rstrip() == "\\x1b[2J\\u202e"
+
+        # a narrow terminal of a few lines
+        await pilot.resize_terminal(40, 10)
+        await until(app, lambda: app.screen.size.width == 40 and "valves" in seen(app))
+        await pilot.resize_terminal(100, 24)
+
+        # 125 slaves with 244 octets each
+        addresses = [str(address) for address in range(1, 126)]
+        app.feed(plant({address: slave_plant(int(address), f"s{address}") for address in addresses}))
+        octets = {address: values(inputs="ab" * 244, outputs="cd" * 244) for address in addresses}
+        app.feed(snapshot(octets, t=9.0))
+        await until(app, lambda: "s1 " in seen(app))
+        app.simulate_key("end")
+        await until(app, lambda: "s125" in seen(app))
+        app.simulate_key("e")
+        await until(app, lambda: isinstance(app.screen, Events) and "master: operate" in seen(app, "#body"))
+        app.simulate_key("escape")
+        await until(app, lambda: isinstance(app.screen, Overview))
+        app.simulate_key("question_mark")
+        await until(app, lambda: isinstance(app.screen, Help) and "pick a slave" in seen(app, "#body"))
+        app.simulate_key("escape")
+        await until(app, lambda: isinstance(app.screen, Overview))
+
+        # nothing comes any more: nothing is shown as alive
+        now += 3
+        await until(app, lambda: "no values from the bus for 3 s" in seen(app, "#head"))
+        assert all(line.startswith("-") for line in seen(app).splitlines())
+
+        # orders; each question is answered by y alone
+        orders.clear()
+        for key, answer in (("ctrl+z", "n"), ("ctrl+z", "y"), ("q", "x"), ("ctrl+q", "n"), ("q", "y")):
+            app.simulate_key(key)
+            await until(app, lambda: isinstance(app.screen, Question))
+            app.simulate_key(answer)
+            await until(app, lambda: isinstance(app.screen, Overview))
+        app.simulate_key("ctrl+c")
+        await until(app, lambda: len(orders) == 3)
+        assert orders == [{"order": "suspend"}, {"order": "interrupt"}, {"order": "interrupt"}]
+        app.feed({"nonsense": 1})
+        app.feed({"snapshot": 7})
+        await until(app, lambda: "no item of the stream" in seen(app, "#head"))

@@ -16,6 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from api_kit import HOIST, RAW
+from plant_files import plant_file
 
 #: reports each socket of an Internet family, and each bind
 _HOOK = """
@@ -26,10 +28,7 @@ def hook(name, args):
             file.write(f"{name} {args[1:]}\\n")
 sys.addaudithook(hook)
 """
-PLANT = (
-    '[bus]\nport = "{port}"\nbaud = 500000\n[[slave]]\nname = "a"\naddress = 3\ndrive = "demag-dedrive"\n'
-    '[[slave]]\nname = "b"\naddress = 8\nident = 0x1234\nconfig = "20 10"\n'
-)
+SLAVES = ({**HOIST, "name": "a"}, {**RAW, "name": "b", "address": 8})
 #: audit events of a connection to a broker: its own end is bound to no address and no port before it connects
 CLIENT = {"socket.__new__ (2, 1, 6)", "socket.bind (('', 0),)"}
 #: seconds for which a command that does not end by itself is watched after it has begun
@@ -121,8 +120,8 @@ def folder() -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="l") as path:
         place = Path(path)
         master, slave = os.openpty()
-        place.joinpath("virtual.toml").write_text(PLANT.format(port="virtual"))
-        place.joinpath("pty.toml").write_text(PLANT.format(port=os.ttyname(slave)))
+        plant_file(place, *SLAVES).rename(place / "virtual.toml")
+        plant_file(place, *SLAVES, port=os.ttyname(slave)).rename(place / "pty.toml")
         place.joinpath("port").symlink_to(os.ttyname(slave))
         try:
             yield place

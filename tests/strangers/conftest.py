@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.strangers.browser_kit import Browser
+
 if TYPE_CHECKING:
     from tests.strangers.mosquitto_kit import Mosquitto
 
@@ -19,3 +21,10 @@ def broker(tmp_path: Path) -> Iterator[Mosquitto]:
     made = Mosquitto(tmp_path)
     yield made
     made.kill()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    made = Browser(tmp_path_factory.mktemp("browser"))
+    yield made
+    made.close()

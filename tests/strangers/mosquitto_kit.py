@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from edge_node_rig import GROUP, NODE
+from far_ends import eventually, free_port, until
+from plant_files import plant_file
 from plant_items import HOIST, PLANT, VALVES
 from sparkplug_host import Host
 
@@ -28,25 +30,6 @@ from dpstack.plant.tree import PlantTree
 from dpstack.trace import Severity
 
 LONGEST_S = 30.0
-_CONFIG = """
-[bus]
-port = "virtual"
-baud = 500000
-
-[[slave]]
-name = "valves"
-address = 8
-ident = 0x1234
-config = "21 11"
-inputs = {{ level = "i16@0" }}
-outputs = {{ lamp = "bool@0.1", speed = "u8@1" }}
-
-[mqtt]
-url = "mqtt://127.0.0.1:{port}"
-group = "{group}"
-node = "{node}"
-interval_ms = 50
-"""
 
 
 class Mosquitto:
@@ -54,9 +37,7 @@ class Mosquitto:
 
     def __init__(self, folder: Path, *lines: str, anonymous: bool = True) -> None:
         self.folder = folder
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = int(free.getsockname()[1])
+        self.port = free_port()
         config = [
             f"listener {self.port} 127.0.0.1",
             f"allow_anonymous {str(anonymous).lower()}",
@@ -75,7 +56,7 @@ class Mosquitto:
             self.program = subprocess.Popen(
                 ["mosquitto", "-c", str(self.folder / "mosquitto.conf")], stdout=log, stderr=log, cwd=self.folder
             )
-        wait_for(self.listens)
+        eventually(self.listens, "the broker listens")
 
     def listens(self) -> bool:
         with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
@@ -98,18 +79,12 @@ class Mosquitto:
         return [program, "-h", "127.0.0.1", "-p", str(self.port), "-V", "5", *options]
 
 
-def wait_for(found: Callable[[], object]) -> None:
-    end = time.monotonic() + LONGEST_S
-    while not found():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
-def plant_file(folder: Path, broker: Mosquitto, *lines: str) -> str:
-    """A configuration for ``dpstack run`` with valves at ``broker``. ``lines``: more keys of [mqtt]."""
-    file = folder / "plant.toml"
-    file.write_text("\n".join((_CONFIG.format(port=broker.port, group=GROUP, node=NODE), *lines)), encoding="utf-8")
-    return str(file)
+def valves_file(folder: Path, broker: Mosquitto, **keys: object) -> str:
+    """A configuration for ``dpstack run`` with valves at ``broker``. ``keys``: more of [mqtt]."""
+    names = {"inputs": {"level": "i16@0"}, "outputs": {"lamp": "bool@0.1", "speed": "u8@1"}}
+    valves = {"name": "valves", "address": 8, "ident": 0x1234, "config": "21 11", **names}
+    mqtt = {"url": f"mqtt://127.0.0.1:{broker.port}", "group": GROUP, "node": NODE, "interval_ms": 50, **keys}
+    return str(plant_file(folder, valves, tables={"mqtt": mqtt}))
 
 
 class Subscriber:
@@ -207,12 +182,7 @@ class Plant:
             assert [type(one) for one in ends] == [asyncio.CancelledError] * 2, ends
 
     async def until(self, found: Callable[[], object]) -> None:
-        try:
-            async with asyncio.timeout(LONGEST_S):
-                while not found():  # noqa: ASYNC110  tells nobody of its changes
-                    await asyncio.sleep(0.02)
-        except TimeoutError:
-            raise AssertionError(self.told) from None
+        await until(found, lambda: self.told)
 
 
 @asynccontextmanager
@@ -221,7 +191,7 @@ async def following(broker: Mosquitto, *options: str) -> AsyncIterator[Subscribe
     before = broker.subscriptions()
     subscriber = Subscriber(broker, *options)
     task = asyncio.create_task(subscriber.follow())
-    await asyncio.to_thread(wait_for, lambda: broker.subscriptions() > before)
+    await asyncio.to_thread(eventually, lambda: broker.subscriptions() > before, "a subscription")
     try:
         yield subscriber
     finally:
@@ -236,9 +206,3 @@ def plain(broker: Mosquitto) -> Broker:
 
 async def run(command: list[str]) -> None:
     await asyncio.to_thread(subprocess.run, command, check=True, timeout=LONGEST_S, capture_output=True)
-
-
-async def until(found: Callable[[], object]) -> None:
-    async with asyncio.timeout(LONGEST_S):
-        while not found():  # noqa: ASYNC110  told by another program
-            await asyncio.sleep(0.02)

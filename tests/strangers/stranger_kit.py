@@ -46,3 +46,10 @@ def environment(folder: Path, requirement: str) -> Path:
     words: list[str | Path] = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", requirement]
     subprocess.run(words, check=True, timeout=300, stdout=subprocess.DEVNULL)
     return python
+
+
+def npm_folder(folder: Path, package: str) -> Path:
+    """``folder`` with ``package`` from npm, for node."""
+    words = ("install", "--no-audit", "--no-fund", "--silent", "--ignore-scripts", package)
+    run_program("npm", ["--prefix", folder, *words], timeout=300)
+    return folder

@@ -1,4 +1,5 @@
-"""``dpstack fleet`` at mosquitto with three gateways: what it shows of their ends, and that it publishes nothing."""
+"""``dpstack fleet`` at mosquitto with three gateways: what it shows of their ends, and that it publishes nothing.
+``python -m bench fleet`` in small: every part gives its figures, and the host finds no breach."""
 
 from __future__ import annotations
 
@@ -12,42 +13,23 @@ import struct
 import subprocess
 import sys
 import termios
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from far_ends import eventually
+from plant_files import plant_file
 from programs import Program, Starter
 
-from tests.strangers.mosquitto_kit import LONGEST_S, Mosquitto, wait_for
+from bench.plant import fleet
+from tests.strangers.mosquitto_kit import LONGEST_S, Mosquitto
+from tests.strangers.stranger_kit import program
 
 pytestmark = pytest.mark.strangers
 
-CONFIG = """
-[bus]
-port = "virtual"
-baud = 500000
-
-[[slave]]
-name = "hoist"
-address = 3
-drive = "fuji-frenic"
-ident = 0x1234
-
-[[slave]]
-name = "fan"
-address = 4
-drive = "fuji-frenic"
-ident = 0x1234
-
-[mqtt]
-url = "mqtt://127.0.0.1:{port}"
-group = "hall 3"
-node = "{node}"
-format = "{format}"
-keepalive_s = 2
-"""
+DRIVE: dict[str, object] = {"drive": "fuji-frenic", "ident": 0x1234}
+SLAVES = ({"name": "hoist", "address": 3, **DRIVE}, {"name": "fan", "address": 4, **DRIVE})
 #: by the format of each: the will of south is that of plain JSON
 NODES = {"north": "sparkplug", "south": "json", "west": "sparkplug"}
 
@@ -84,14 +66,13 @@ class Screen:
         """The last picture that it drew."""
         return re.split(r"(?=\d+ segments)", self.text)[-1]
 
+    def shows(self, *texts: str) -> None:
+        eventually(lambda: all(text in self.last() for text in texts), self.last)
+
     def end(self) -> int:
         self.process.send_signal(signal.SIGINT)
-        end = time.monotonic() + LONGEST_S
-        while self.process.poll() is None:
-            assert self.text is not None
-            assert time.monotonic() < end
-            time.sleep(0.02)
-        return self.process.returncode
+        eventually(lambda: self.text is not None and self.process.poll() is not None, "its end")
+        return self.process.returncode or 0
 
     def close(self) -> None:
         self.process.kill()
@@ -120,33 +101,33 @@ def test_three_gateways(tmp_path: Path, broker: Mosquitto, starter: Starter, mon
     fleet.wait_for('"connected":true')
     gateways: dict[str, Program] = {}
     for node, form in NODES.items():
-        config = tmp_path / f"{node}.toml"
-        config.write_text(CONFIG.format(port=broker.port, node=node, format=form))
+        mqtt = {"url": url, "group": "hall 3", "node": node, "format": form, "keepalive_s": 2}
+        config = plant_file(tmp_path, *SLAVES, tables={"mqtt": mqtt}).rename(tmp_path / f"{node}.toml")
         (tmp_path / node).mkdir(mode=0o700)
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / node))  # each one is called "virtual"
         gateways[node] = starter("run", str(config), "--json")
     screen = Screen("--mqtt", url)
     try:
         for node in NODES:
-            wait_for(lambda: state_of(fleet, node) == ("ok", []))  # noqa: B023
-        shown(screen, lambda text: "3 segments: 3 ok" in text)
+            eventually(lambda: state_of(fleet, node) == ("ok", []), "the state")  # noqa: B023
+        screen.shows("3 segments: 3 ok")
 
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "north"))
         ctl = [sys.executable, "-m", "dpstack.cli.main", "ctl", "virtual", "power-off", "4"]
         subprocess.run(ctl, check=True, timeout=LONGEST_S, capture_output=True)
-        wait_for(lambda: state_of(fleet, "north") == ("lost_slaves", ["fan"]))
-        shown(screen, lambda text: "1 lost slaves" in text and "fan (4, offline)" in text)
+        eventually(lambda: state_of(fleet, "north") == ("lost_slaves", ["fan"]), "the state")
+        screen.shows("1 lost slaves", "fan (4, offline)")
 
         gateways["south"].end(signal.SIGKILL)
-        wait_for(lambda: state_of(fleet, "south")[0] == "dead")
+        eventually(lambda: state_of(fleet, "south")[0] == "dead", "the state")
         gateways["west"].end(signal.SIGTERM)
-        wait_for(lambda: state_of(fleet, "west")[0] == "ended")
-        shown(screen, lambda text: "3 segments: 1 dead, 1 lost slaves, 1 ended" in text)
+        eventually(lambda: state_of(fleet, "west")[0] == "ended", "the state")
+        screen.shows("3 segments: 1 dead, 1 lost slaves, 1 ended")
 
         gateways["north"].process.send_signal(signal.SIGSTOP)
-        wait_for(lambda: state_of(fleet, "north")[0] == "dead")  # by its keep alive
+        eventually(lambda: state_of(fleet, "north")[0] == "dead", "the state")  # by its keep alive
         gateways["north"].process.send_signal(signal.SIGCONT)
-        wait_for(lambda: state_of(fleet, "north")[0] == "lost_slaves")
+        eventually(lambda: state_of(fleet, "north")[0] == "lost_slaves", "the state")
 
         assert screen.end() == 1
         assert fleet.end(signal.SIGINT) == 1
@@ -162,13 +143,6 @@ def test_three_gateways(tmp_path: Path, broker: Mosquitto, starter: Starter, mon
     assert (
         len(re.findall(r"Received PUBLISH from hall 3/north \(d0, q0, r1, m0, 'dpstack/hall 3/north/status'", log)) >= 3
     )
-
-
-def shown(screen: Screen, right: Callable[[str], bool]) -> None:
-    end = time.monotonic() + LONGEST_S
-    while not right(screen.last()):
-        assert time.monotonic() < end, screen.last()
-        time.sleep(0.05)
 
 
 def test_a_wrong_password_and_a_rebirth(tmp_path: Path, starter: Starter) -> None:
@@ -191,6 +165,32 @@ def test_a_wrong_password_and_a_rebirth(tmp_path: Path, starter: Starter) -> Non
         asking = starter(*words, "--json", "--rebirth", "hall 3/north")
         asking.wait_for("asked for births: 1 gateway")
         assert asking.end(signal.SIGINT) == 0
-        wait_for(lambda: "'spBv1.0/hall 3/NCMD/north'" in broker.log.read_text(errors="replace"))
+        eventually(
+            lambda: "'spBv1.0/hall 3/NCMD/north'" in broker.log.read_text(errors="replace"), "a rebirth is asked for"
+        )
     finally:
         broker.kill()
+
+
+SMALL = (
+    "--gateways 4 --buses 1 --slaves 2 --processes 2 --seconds 2 --losses 2 --restarts 1 --down 0.5 --recorded 8 "
+    "--interval-ms 200"
+)
+
+
+def test_a_small_fleet_is_measured() -> None:
+    program("mosquitto")
+    report = fleet.run(SMALL.split())
+    values = {figure.name: figure.value for figure in report.figures}
+    assert {figure.name: figure.met for figure in report.figures if figure.met is False} == {}
+    death = "DDEATH at the subscriber, "
+    assert values[f"{death}from the loss of a slave's power: samples"] == 2
+    assert values[f"{death}from the master's event: samples"] == 2
+    # the master finds the loss first, then the subscriber hears of it
+    assert values[f"{death}from the master's event: max"] < values[f"{death}from the loss of a slave's power: max"]
+    assert values["broker back to births of a gateway: samples"] == 4
+    assert values["NDEATH by the broker, from SIGKILL of the gateway: samples"] == 2
+    assert values["messages"] > 4
+    assert values["values of history that came after restarts of the broker"] > 0
+    assert values["NBIRTH, the largest: metrics"] > values["DBIRTH, the largest: metrics"] > 4
+    assert values["memory of a gateway in a process of many, all"] > 0

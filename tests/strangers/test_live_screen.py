@@ -12,10 +12,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
-from far_ends import HANG_S
+from far_ends import HANG_S, eventually
+from plant_files import plant_file
 from process_kit import octet_slaves
 from support_responder import Responder
 
@@ -25,22 +26,16 @@ pytestmark = pytest.mark.strangers
 
 #: the name of a slave that tries everything
 NAME: Final = "[red]tank[/] <b> 🚀日本"
-PLANT: Final = """
-[bus]
-port = "{port}"
-baud = 1500000
-gap = 0
-max_retry = 15
-{keys}
-[[slave]]
-name = "{name}"
-address = 4
-ident = 0x1234
-config = "21 11"
-watchdog_ms = 5000
-safe = "A5 5A"
-inputs = {{ level = {{ at = "i16@0", unit = "bar" }} }}
-"""
+TANK: Final[dict[str, object]] = {
+    "name": "tank",
+    "address": 4,
+    "ident": 0x1234,
+    "config": "21 11",
+    "watchdog_ms": 5000,
+    "safe": "A5 5A",
+    "inputs": {"level": {"at": "i16@0", "unit": "bar"}},
+}
+BUS: Final[dict[str, Any]] = {"baud": 1_500_000, "gap": 0, "max_retry": 15}
 SPEC: Final = "4:1234:2111:2:2,watchdog=1"
 OUT: Final = bytes.fromhex("1122")
 SAFE: Final = bytes.fromhex("A55A")
@@ -136,18 +131,10 @@ def recorded(there: Responder) -> list[tuple[bytes, bytes]]:
     return heard
 
 
-def eventually(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + HANG_S
-    while not condition():
-        assert time.monotonic() < end, f"did not happen: {what}"
-        time.sleep(0.02)
-
-
-def run(terminal: Terminal, wire: tuple[str, Responder], *options: str, keys: str = "", before: str = "") -> Path:
+def run(terminal: Terminal, wire: tuple[str, Responder], *options: str, before: str = "", **keys: Any) -> Path:
     """Type `dpstack run`, and wait until the slave has its outputs."""
     path, there = wire
-    config = terminal.folder / "plant.toml"
-    config.write_text(PLANT.format(port=path, keys=keys, name=NAME), encoding="utf-8")
+    config = plant_file(terminal.folder, {**TANK, "name": NAME}, port=path, **BUS, **keys)
     terminal.type(f"{before}{DPSTACK} run {config} --outputs 4=1122 {' '.join(options)}")
     eventually(lambda: there.slaves[4].outputs == OUT, "outputs")
     return config
@@ -250,7 +237,7 @@ def test_fg_goes_on_with_outputs_where_the_configuration_says_so(
     terminal: Terminal, wire: tuple[str, Responder]
 ) -> None:
     there = wire[1]
-    run(terminal, wire, keys='after_stall = "resume"')
+    run(terminal, wire, after_stall="resume")
     terminal.until("level 4386 bar")
     terminal.keys("C-z")
     terminal.until("Stop the run for a while?")
@@ -420,8 +407,7 @@ def test_a_program_that_no_shell_could_continue_goes_to_clear_and_on(
     tmp_path: Path, wire: tuple[str, Responder], driver: str
 ) -> None:
     path, there = wire
-    config = tmp_path / "plant.toml"
-    config.write_text(PLANT.format(port=path, keys="", name="tank"), encoding="utf-8")
+    config = plant_file(tmp_path, TANK, port=path, **BUS)
     program = subprocess.Popen(
         [sys.executable, "-m", "dpstack.cli.main", "run", config, "--outputs", "4=1122", "--driver", driver],
         start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,

@@ -20,11 +20,12 @@ from typing import Any
 
 import pytest
 from edge_node_rig import GROUP, NODE, metric
+from far_ends import until
 from sparkplug_host import tag
 
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.plant.orders import SetOutputs
-from tests.strangers.mosquitto_kit import LONGEST_S, Mosquitto, Plant, following, plain, plant_file, run, until
+from tests.strangers.mosquitto_kit import LONGEST_S, Mosquitto, Plant, following, plain, run, valves_file
 
 pytestmark = pytest.mark.strangers
 
@@ -351,7 +352,7 @@ async def test_tls_with_user_password_and_client_certificate(tmp_path: Path, col
 async def test_a_run_publishes_its_plant_and_takes_the_orders_that_are_listed(
     tmp_path: Path, broker: Mosquitto, number: signal.Signals
 ) -> None:
-    config = plant_file(tmp_path, broker, 'allow_commands = ["valves.lamp"]')
+    config = valves_file(tmp_path, broker, allow_commands=["valves.lamp"])
     environment = os.environ | {"XDG_STATE_HOME": str(tmp_path / "state"), "XDG_RUNTIME_DIR": str(tmp_path)}
     words = (sys.executable, "-m", "dpstack", "run", config, "--json", "--log", str(tmp_path / "log.jsonl"))
     async with following(broker) as subscriber:
@@ -404,8 +405,7 @@ async def json_order(broker: Mosquitto, name: str, payload: object) -> Any:
     """Send an order; returns its result."""
     before = broker.subscriptions()
     listening = asyncio.create_task(json_message(broker, "result"))
-    while broker.subscriptions() == before:  # noqa: ASYNC110  the log of the broker tells nobody
-        await asyncio.sleep(0.02)
+    await until(lambda: broker.subscriptions() > before)
     topic = f"{JSON}/slave/valves/set/{name}"
     await run(broker.clients("mosquitto_pub", "-q", "1", "-t", topic, "-m", json.dumps(payload)))
     kept, result = await listening
@@ -414,7 +414,7 @@ async def json_order(broker: Mosquitto, name: str, payload: object) -> Any:
 
 
 async def test_plain_json_from_values_and_orders_to_the_will(tmp_path: Path, broker: Mosquitto) -> None:
-    config = plant_file(tmp_path, broker, 'allow_commands = ["valves.lamp"]', 'format = "json"')
+    config = valves_file(tmp_path, broker, allow_commands=["valves.lamp"], format="json")
     run_ = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "dpstack", "run", config),
         env=os.environ | {"XDG_STATE_HOME": str(tmp_path)},

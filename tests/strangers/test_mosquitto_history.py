@@ -13,10 +13,11 @@ from typing import Final
 
 import pytest
 from edge_node_rig import GROUP, NODE
+from far_ends import until
 from history_rig import COUNTER
 from sparkplug_host import Host
 
-from tests.strangers.mosquitto_kit import Mosquitto, Plant, following, plain, plant_file, run, until
+from tests.strangers.mosquitto_kit import Mosquitto, Plant, following, plain, run, valves_file
 
 pytestmark = pytest.mark.strangers
 
@@ -125,7 +126,7 @@ async def test_the_broker_is_killed_and_the_primary_host_goes_and_no_number_is_m
 async def test_values_of_a_run_that_was_killed_without_a_broker_follow_in_the_next_one(
     tmp_path: Path, broker: Mosquitto
 ) -> None:
-    config = plant_file(tmp_path, broker, "store_mb = 1")
+    config = valves_file(tmp_path, broker, store_mb=1)
     environment = os.environ | {"XDG_STATE_HOME": str(tmp_path / "state"), "XDG_RUNTIME_DIR": str(tmp_path)}
     words = (sys.executable, "-m", "dpstack")
     null = asyncio.subprocess.DEVNULL

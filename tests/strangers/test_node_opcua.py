@@ -6,7 +6,6 @@ import asyncio
 import json
 import os
 import shutil
-import subprocess
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +13,7 @@ import pytest
 from opcua_rig import Rig
 
 from dpstack.plant.orders import DriveOrder, SetOutputs
-from tests.strangers.stranger_kit import HANGS_S, program
+from tests.strangers.stranger_kit import HANGS_S, npm_folder
 
 pytestmark = pytest.mark.strangers
 
@@ -25,14 +24,7 @@ CLIENT: Final = Path(__file__).with_name("node_opcua_client.js")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = tmp_path_factory.mktemp("npm")
-    subprocess.run(
-        [program("npm"), "install", "--no-audit", "--no-fund", "--silent", "--ignore-scripts",
-         f"node-opcua-client@{VERSION}"],
-        cwd=made,
-        check=True,
-        timeout=300,
-    )  # fmt: skip
+    made = npm_folder(tmp_path_factory.mktemp("npm"), f"node-opcua-client@{VERSION}")
     shutil.copy(CLIENT, made)
     return made
 

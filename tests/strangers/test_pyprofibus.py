@@ -10,13 +10,13 @@ import importlib.util
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from far_ends import HANG_S
+from far_ends import HANG_S, eventually
+from plant_files import plant_file
 from programs import Starter
 
 import dpstack
@@ -29,51 +29,16 @@ DRIVES: Final = ROOT.parent / "drives" / "dpstack_drives"
 STATION: Final = ROOT / "sim" / "io_station" / "io-station.gsd"
 MISSING: Final = "pyprofibus is not installed; `make strangers` installs it (pip install -e '.[strangers]')"
 
-PLANT = f"""
-[bus]
-port = "{{port}}"
-baud = 500000
-
-[[slave]]
-name = "demag"
-address = 3
-drive = "demag-dedrive"
-telegram = "PPO1"
-simulated = {{{{ "412" = 1 }}}}
-
-[[slave]]
-name = "fuji"
-address = 4
-drive = "fuji-frenic"
-ident = "ask"
-telegram = "PPO1"
-
-[[slave]]
-name = "keb"
-address = 5
-drive = "keb-f5"
-telegram = "PCH+4/4"
-
-[[slave]]
-name = "ls"
-address = 6
-drive = "ls-s100"
-telegram = "PPO1"
-
-[[slave]]
-name = "imo"
-address = 7
-drive = "imo-hd2"
-telegram = "PKW+12"
-options = {{{{ baud_index = 5 }}}}
-simulated = {{{{ "P15.02" = 1, "P15.13" = 1 }}}}
-
-[[slave]]
-name = "io"
-address = 8
-gsd = "{STATION}"
-modules = ["8 DI", "8 DO"]
-"""
+IO: Final = {"name": "io", "address": 8, "gsd": STATION, "modules": ["8 DI", "8 DO"]}
+IMO: Final = {"options": {"baud_index": 5}, "simulated": {"P15.02": 1, "P15.13": 1}}
+PLANT: Final[list[dict[str, object]]] = [
+    {"name": "demag", "address": 3, "drive": "demag-dedrive", "telegram": "PPO1", "simulated": {"412": 1}},
+    {"name": "fuji", "address": 4, "drive": "fuji-frenic", "ident": "ask", "telegram": "PPO1"},
+    {"name": "keb", "address": 5, "drive": "keb-f5", "telegram": "PCH+4/4"},
+    {"name": "ls", "address": 6, "drive": "ls-s100", "telegram": "PPO1"},
+    {"name": "imo", "address": 7, "drive": "imo-hd2", "telegram": "PKW+12", **IMO},
+    IO,
+]
 
 #: a GSD file for a drive whose manual has none: what pyprofibus needs to send ident number and identifier octets
 GSD = """#Profibus_DP
@@ -177,12 +142,11 @@ class Pyprofibus:
         self.process.stdin.flush()
 
     def until(self, happened: Callable[[], bool], what: str) -> None:
-        end = time.monotonic() + HANG_S
-        while not happened():
-            told = self._out.with_suffix(".err").read_text(encoding="utf-8")[-2000:]
-            assert self.process.poll() is None, f"it ended: {told}"
-            assert time.monotonic() < end, f"{what} not seen: {self.lines[-1:]} {told}"
-            time.sleep(0.02)
+        def told() -> str:
+            return f"{what}: {self.lines[-1:]} {self._out.with_suffix('.err').read_text(encoding='utf-8')[-2000:]}"
+
+        eventually(lambda: happened() or self.process.poll() is not None, told)
+        assert happened(), told()
 
     def kill(self) -> None:
         assert self.process.stdin is not None
@@ -210,8 +174,7 @@ def test_its_master_runs_every_drive(tmp_path: Path, segment: Path, start: Start
     the master is killed. One after the other: it sends to the next slave before the last one has answered, and with
     several on a bus they answer into each other.
     """
-    plant = tmp_path / "plant.toml"
-    plant.write_text(PLANT.format(port=segment / "0"), encoding="utf-8")
+    plant = plant_file(tmp_path, *PLANT, port=segment / "0")
     slaves = start("sim", str(plant), "--port", str(segment / "0"), "--json")
     for name, slave in SLAVES.items():
         with pyprofibus(tmp_path, segment / "1", {name: slave}, watchdog_ms=2000) as master:
@@ -249,23 +212,14 @@ def test_its_sniffer_reads_our_bus(tmp_path: Path, segment: Path, start: Starter
     """At 9600 bit/s, the only rate it has."""
     sim = ("sim", "--gsd", "io-station", "--modules", "8 DI", "8 DO", "--address", "8", "--port", str(segment / "0"))
     start(*sim, "--baud", "9600")
-    plant = tmp_path / "plant.toml"
-    plant.write_text(
-        f'[bus]\nport = "{segment / "1"}"\nbaud = 9600\n[[slave]]\nname = "io"\naddress = 8\n'
-        f'gsd = "{STATION}"\nmodules = ["8 DI", "8 DO"]\n',
-        encoding="utf-8",
-    )
+    plant = plant_file(tmp_path, IO, port=segment / "1", baud=9600)
     heard = tmp_path / "heard"
     with heard.open("wb") as out:
         sniffer = subprocess.Popen([sys.executable, "-u", tool("profisniff"), str(segment / "2")], stdout=out)
     try:
         run = start("run", str(plant), "--outputs", "8=a5", "--json")
         run.wait_for_slaves(1)
-        end = time.monotonic() + HANG_S
-        while "a5" not in heard.read_text(encoding="utf-8").lower():
-            assert sniffer.poll() is None
-            assert time.monotonic() < end, heard.read_text(encoding="utf-8")[-2000:]
-            time.sleep(0.05)
+        eventually(lambda: "a5" in heard.read_text(encoding="utf-8").lower() or sniffer.poll() is not None, "A5")
     finally:
         sniffer.kill()
         sniffer.wait()

@@ -9,7 +9,6 @@ import signal
 import struct
 import subprocess
 import sys
-import time
 import zlib
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,8 @@ from xml.etree import ElementTree
 import pytest
 from api_kit import HOIST, RAW, in_virtual_time, operating
 from cli_kit import Cli
+from far_ends import eventually
+from plant_files import plant_file
 
 from dpstack.api.recording import record_file
 from dpstack.api.recording.parquet import convert
@@ -91,17 +92,11 @@ def test_a_parquet_file_has_the_rows_of_the_csv_file(tmp_path: Path) -> None:
 
 def test_after_a_kill_the_rows_are_in_the_csv_file(tmp_path: Path) -> None:
     parquet()
-    (tmp_path / "plant.toml").write_text(
-        '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "valves"\naddress = 8\nident = 0x1234\n'
-        'config = "23 13"\ninputs = { level = "i16@2" }\n'
-    )
+    plant_file(tmp_path, {**RAW, "name": "valves", "address": 8, "config": "23 13", "inputs": {"level": "i16@2"}})
     words = [sys.executable, "-m", "dpstack.cli.main", "run", "plant.toml", "--record", "p.parquet"]
     with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL) as program:
         journal = tmp_path / "p.parquet.part.csv"
-        deadline = time.monotonic() + 20
-        while not journal.exists() or journal.stat().st_size < 10_000:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        eventually(lambda: journal.exists() and journal.stat().st_size >= 10_000, "rows")
         program.send_signal(signal.SIGKILL)
     assert not (tmp_path / "p.parquet").exists()
     assert len(list(Recording(tmp_path / "p.parquet").rows())) > 20

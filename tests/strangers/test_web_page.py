@@ -48,13 +48,6 @@ EVENTS: Final = (
 )
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    browser = Browser(tmp_path_factory.mktemp("browser"))
-    yield browser
-    browser.close()
-
-
 @pytest.fixture
 def shown(browser: Browser) -> Iterator[ShownPlant]:
     """A run with orders allowed, and a page that is open and alive."""

@@ -63,13 +63,6 @@ def plant(start: Starter, tmp_path_factory: pytest.TempPathFactory) -> Plant:
     return Plant(start, tmp_path_factory.mktemp("plant"), "--control")
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    browser = Browser(tmp_path_factory.mktemp("browser"))
-    yield browser
-    browser.close()
-
-
 @pytest.fixture
 def page(browser: Browser, plant: Plant) -> Iterator[Browser]:
     browser.window(1280)

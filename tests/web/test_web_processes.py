@@ -9,13 +9,12 @@ import re
 import signal
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import pytest
-from far_ends import HANG_S
+from far_ends import HANG_S, eventually
 from programs import Program, Starter, plant_of
 
 import dpstack
@@ -44,13 +43,6 @@ async def looked_at(url: str) -> list[dict[str, Any]]:
             return [welcome, await page.until("plant"), await page.until("snapshot")]
 
 
-def none_runs() -> None:
-    end = time.monotonic() + HANG_S
-    while running():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 @pytest.mark.soak
 async def test_web_starts_a_run_that_only_reads_and_both_end_in_order(start: Starter, tmp_path: Path) -> None:
     program = start("web", str(plant_of(tmp_path)), "--listen", "0", "--json")
@@ -71,7 +63,7 @@ async def test_a_killed_web_server_leaves_no_run_behind(start: Starter, tmp_path
     program = start("web", str(plant_of(tmp_path)), "--listen", "0", "--json")
     await looked_at(await asyncio.to_thread(url_of, program))
     await asyncio.to_thread(program.end, signal.SIGKILL)
-    await asyncio.to_thread(none_runs)
+    await asyncio.to_thread(eventually, lambda: not running(), "the end of the run")
 
 
 @pytest.mark.soak

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import ssl
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import aiohttp
@@ -19,7 +19,7 @@ from dpstack.web import rights as rights_module
 from dpstack.web.rights import Rights, make_rights, read_tokens, tls_context, who_may
 from dpstack.web.source import GivenItems
 from dpstack.web.web_server import serve
-from tests.web.web_kit import PLANT, page_of, stranger
+from tests.web.web_kit import PLANT, connected, page_of, stranger
 
 ANNA, BERT = "anna-0123456789abcdef", "bert-0123456789abcdef"
 TOKENS = {ANNA: "anna", BERT: "bert"}
@@ -236,12 +236,17 @@ async def test_one_network_does_not_take_all_places_before_hello(monkeypatch: py
 # --- TLS ----------------------------------------------------------------------------------------------------------
 
 
-async def test_a_page_over_tls(tmp_path: Path) -> None:
-    cert, key = write(tmp_path / "cert.pem", CERT), write(tmp_path / "key.pem", KEY)
-    context, names = tls_context(cert, key)
-    assert names == {"plant.example", "127.0.0.1"}
+def tls(folder: Path) -> tuple[ssl.SSLContext, Collection[str], ssl.SSLContext]:
+    """The context of a server, the names in its certificate, and a client's context that trusts it."""
+    cert, key = write(folder / "cert.pem", CERT), write(folder / "key.pem", KEY)
     trusting = ssl.create_default_context(cafile=str(cert))
     trusting.verify_flags &= ~ssl.VERIFY_X509_STRICT
+    return *tls_context(cert, key), trusting
+
+
+async def test_a_page_over_tls(tmp_path: Path) -> None:
+    context, names, trusting = tls(tmp_path)
+    assert names == {"plant.example", "127.0.0.1"}
     async with serve(GivenItems([PLANT]), rights=Rights(True, TOKENS), tls=context, names=names) as server:
         assert server.url.startswith("https://127.0.0.1:")
         async with page_of(server, ANNA, ssl=trusting) as page:
@@ -260,13 +265,9 @@ async def test_connections_without_a_handshake_are_closed_and_their_number_is_bo
 ) -> None:
     monkeypatch.setattr("dpstack.web.web_server._HELLO_S", 0.2)
     monkeypatch.setattr("dpstack.web.web_server._MOST_CONNECTIONS", 3)
-    cert, key = write(tmp_path / "cert.pem", CERT), write(tmp_path / "key.pem", KEY)
-    context, names = tls_context(cert, key)
-    trusting = ssl.create_default_context(cafile=str(cert))
-    trusting.verify_flags &= ~ssl.VERIFY_X509_STRICT
+    context, names, trusting = tls(tmp_path)
     async with serve(GivenItems([PLANT]), rights=Rights(True, TOKENS), tls=context, names=names) as server:
-        place = server.url.removeprefix("https://").rstrip("/").split(":")
-        opened = [await asyncio.open_connection(place[0], int(place[1])) for _ in range(4)]
+        opened = [await connected(server) for _ in range(4)]
         refused = await asyncio.wait_for(opened[3][0].read(), 5)
         assert refused == b""
         assert not opened[0][0].at_eof()

@@ -1,20 +1,24 @@
-"""The run behind the page: joined, waited for, or started; orders and asks reach it, and no other one."""
+"""The run behind the page: joined, waited for, or started; orders and asks reach it, and no other one; a configuration
+file that changes meanwhile."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import os
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import plant_files
 import pytest
+from api_kit import RAW
 from far_ends import until
 
 import dpstack
-from dpstack.api.config.config import load_config
+from dpstack.api.config.config import file_digest, load_config
 from dpstack.api.control import stream
 from dpstack.api.control.client import ControlClient
 from dpstack.api.control.commands import KINDS
@@ -30,14 +34,6 @@ from tests.web.web_kit import PLANT, WHOLE, Page, delta, event, page_of
 
 TOKEN = "anna-0123456789abcdef"
 RIGHTS = Rights(control=True, tokens={TOKEN: "anna"})
-SLAVES = """
-[[slave]]
-name = "raw"
-address = 9
-ident = 0x1234
-config = "20 10"
-outputs = { lamp = "bool@0.3" }
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -48,9 +44,7 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def plant_file(folder: Path, port: object = "COM7") -> Path:
-    path = folder / "plant.toml"
-    path.write_text(f'[bus]\nport = "{port}"\nbaud = 500000\n{SLAVES}', encoding="utf-8")
-    return path
+    return plant_files.plant_file(folder, {**RAW, "outputs": {"lamp": "bool@0.3"}}, port=port)
 
 
 class FakeRun:
@@ -350,3 +344,54 @@ async def test_the_web_server_opens_no_port_and_only_this_computer_reaches_it(tm
 
 def _is_link(fd: str) -> bool:
     return os.path.islink(f"/proc/self/fd/{fd}")
+
+
+TEXT = '[bus]\nport = "virtual"\nbaud = 500000\n# ümlaut\n'
+
+
+async def test_the_page_is_told_that_the_file_has_changed_since_the_run_began(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_source, "_FILE_S", 0.01)
+    file = tmp_path / "plant.toml"
+    file.write_text(TEXT, encoding="utf-8")
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    plant = {"plant": {**PLANT["plant"], "config": str(file), "config_digest": digest}}
+
+    def live(_args: list[str]) -> object:
+        async def stream(send: Any) -> None:
+            await send(plant)
+            await send(WHOLE)
+            await asyncio.Event().wait()
+
+        return stream
+
+    async with ControlServer("run", "COM7", KINDS["run"], {"live": live}):
+        file.write_text(TEXT + "# changed before the page was opened\n", encoding="utf-8")
+        async with serve(RunSource.named("COM7")) as server, page_of(server) as page:
+
+            async def told(part: str) -> None:
+                while part not in (await page.until("event"))["text"]:
+                    pass
+
+            await told(f"{file} has changed since this run began; the run keeps what it has read")
+            file.write_text(TEXT, encoding="utf-8")
+            await told("is again as this run has read it")
+            file.unlink()
+            await told("cannot be read any more")
+            async with page_of(server) as late:  # a page that is opened later has the events, too
+                while "cannot be read any more" not in (await late.until("event"))["text"]:
+                    pass
+
+
+def test_a_configuration_knows_what_was_read(tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_bytes(b"\xef\xbb\xbf" + TEXT.encode())  # an editor's mark is no change
+    config = load_config(file)
+    assert config.digest == hashlib.sha256(TEXT.encode()).hexdigest() == file_digest(file)
+    file.write_text(TEXT.replace("500000", "187500"), encoding="utf-8")
+    assert config.digest != file_digest(file)
+    assert config.with_bus(baud=9600).digest == config.digest
+    file.write_bytes(b"\xff")
+    assert file_digest(file) is None
+    assert file_digest(tmp_path) is None

@@ -1,17 +1,22 @@
-"""The web server over literal items: its files and headers, who may connect, and what a page gets."""
+"""The web server over literal items and over a recording: its files and headers, who may connect, and what a page
+gets."""
 
 from __future__ import annotations
 
 import asyncio
 import re
+from collections.abc import AsyncIterator
+from pathlib import Path
 
 import aiohttp
 import pytest
 from far_ends import HANG_S
 
-from dpstack.web.source import GivenItems
+from dpstack.cli.main import main
+from dpstack.web import source
+from dpstack.web.source import GivenItems, ReplaySource
 from dpstack.web.web_server import serve
-from tests.web.web_kit import PLANT, WHOLE, delta, event, page_of, stranger
+from tests.web.web_kit import PLANT, WHOLE, connected, delta, event, page_of, stranger
 
 
 async def test_a_page_gets_plant_whole_snapshot_events_and_then_deltas() -> None:
@@ -109,15 +114,13 @@ async def test_events_of_the_server_have_the_clock_of_the_stream(monkeypatch: py
 
 async def test_octets_of_strangers_reach_no_terminal(capfd: pytest.CaptureFixture[str]) -> None:
     async with serve(GivenItems([PLANT])) as server, page_of(server) as page:
-        host, port = server.url.removeprefix("http://").rstrip("/").split(":")
         for octets in (
             b"\x1b[2J\r\n\r\n",
             b"GET / HTTP/9.9\r\n\r\n",
             b"GET /\x1b[31m HTTP/1.1\r\nHost: x\r\n\r\n",
             b"\0" * 9000,
         ):
-            reader, writer = await asyncio.open_connection(host, int(port))
-            writer.write(octets)
+            reader, writer = await connected(server, octets)
             assert b"HTTP/1.1 2" not in await asyncio.wait_for(reader.read(64), 5)
             writer.close()
         await page.until("plant")
@@ -127,9 +130,8 @@ async def test_octets_of_strangers_reach_no_terminal(capfd: pytest.CaptureFixtur
 @pytest.mark.parametrize("version", ["0.9", "2.0", "9.9"])
 async def test_other_versions_of_http_are_refused_in_one_of_ours(version: str) -> None:
     async with serve(GivenItems()) as server:
-        host, port = server.url.split("/")[2].split(":")
-        reader, writer = await asyncio.open_connection(host, int(port))
-        writer.write(f"GET / HTTP/{version}\r\nHost: {host}:{port}\r\n\r\n".encode())
+        place = server.url.split("/")[2]
+        reader, writer = await connected(server, f"GET / HTTP/{version}\r\nHost: {place}\r\n\r\n".encode())
         answer = await asyncio.wait_for(reader.read(), 5)
         assert re.match(rb"HTTP/1\.[01] 400 Bad Request\r\n", answer)
         writer.close()
@@ -141,8 +143,7 @@ async def test_connections_without_a_request_are_closed_and_their_number_is_boun
     monkeypatch.setattr("dpstack.web.web_server._HELLO_S", 0.05)
     monkeypatch.setattr("dpstack.web.web_server._MOST_CONNECTIONS", 3)
     async with serve(GivenItems([PLANT])) as server, page_of(server) as page:
-        host, port = server.url.removeprefix("http://").rstrip("/").split(":")
-        opened = [await asyncio.open_connection(host, int(port)) for _ in range(4)]
+        opened = [await connected(server) for _ in range(4)]
         for reader, writer in opened:
             assert await asyncio.wait_for(reader.read(), 5) == b""
             writer.close()
@@ -162,11 +163,75 @@ async def test_a_number_that_json_does_not_have_does_not_cost_the_message() -> N
 
 async def test_a_key_of_a_websocket_that_is_no_ascii_is_refused() -> None:
     async with serve(GivenItems([PLANT])) as server:
-        host, port = server.url.split("/")[2].split(":")
-        reader, writer = await asyncio.open_connection(host, int(port))
-        writer.write(
-            f"GET /ws HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: http://{host}:{port}\r\nUpgrade: websocket\r\n"
+        place = server.url.split("/")[2]
+        request = (
+            f"GET /ws HTTP/1.1\r\nHost: {place}\r\nOrigin: http://{place}\r\nUpgrade: websocket\r\n"
             "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: \xe4\r\n\r\n".encode("latin-1")
         )
+        reader, writer = await connected(server, request)
         assert b" 426 " in await asyncio.wait_for(reader.readline(), 5)
         writer.close()
+
+
+#: a CSV file of somebody else: no description, one unit
+LINES = """time,t,boiler.state,boiler.level [bar]
+2026-01-31T12:00:00.000Z,0.0,data_exchange,12.3
+2026-01-31T12:00:00.020Z,0.02,data_exchange,12.4
+2026-01-31T12:00:00.040Z,0.04,offline,
+"""
+
+
+async def test_a_recording_is_shown_to_its_end_and_described(tmp_path: Path) -> None:
+    path = tmp_path / "plant.csv"
+    path.write_text(LINES, encoding="utf-8")
+    async with serve(ReplaySource(path)) as server, page_of(server) as page:
+        assert (await page.until("welcome"))["source"] == "replay"
+        assert [slave["name"] for slave in (await page.until("plant"))["slaves"].values()] == ["boiler"]
+        values = [slave["fields"]["level"] for slave in (await page.until("snapshot"))["slaves"].values()]
+        assert values in ([12.3], [12.4], [None])
+        assert "plant.csv" in (await page.until("end"))["text"]
+        described = (await page.ask("recording"))["result"]
+        assert (described["file"], described["seconds"]) == ("plant.csv", 0.04)
+        assert described["started"] == 1_769_860_800.0
+        assert [(one["name"], one["kind"], one["unit"]) for one in described["columns"]] == [
+            ("boiler.state", None, ""),
+            ("boiler.level", None, "bar"),
+        ]
+        assert "there is no run" in (await page.ask("why", "boiler"))["error"]
+        assert (await page.order("operate"))["ok"] is False
+        async with page_of(server) as late:  # the last values stay, marked as ended
+            assert (await late.until("snapshot"))["whole"] is True
+            await late.until("end")
+
+
+async def test_an_invalid_item_of_a_recording_is_left_out_and_reported_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "plant.csv"
+    path.write_text(LINES, encoding="utf-8")
+
+    async def replayed(_: Path) -> AsyncIterator[dict[str, object]]:
+        for item in [{"plant": {"slaves": {}, "baud": "fast"}}, {"plant": {"slaves": {}, "baud": "fast"}}, PLANT]:
+            yield item
+
+    monkeypatch.setattr(source, "replay_items", replayed)
+    log: list[str] = []
+    async with serve(ReplaySource(path), log=log.append) as server, page_of(server) as page:
+        assert await page.until("plant") == PLANT["plant"]
+    assert [line.partition(" ")[2] for line in log] == [
+        "this is no item of the stream: Expected `int | null`, got `str` - at `$.plant.baud`; "
+        "is the other program another version?"
+    ]
+
+
+@pytest.mark.parametrize(("text", "why"), [(None, "plant.csv"), ("no recording", "plant.csv")])
+def test_a_file_that_is_no_recording_is_one_line(
+    text: str | None, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "plant.csv"
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    assert main(["web", "--replay", str(path), "--listen", "0"]) == 2
+    err = capsys.readouterr().err
+    assert why in err
+    assert err.count("\n") == 1

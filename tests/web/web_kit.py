@@ -90,3 +90,11 @@ async def page_of(server: WebServer, token: str | None = None, **how: Any) -> As
     async with stranger(server, **how) as page:
         await page.send({"hello": {"token": token}})
         yield page
+
+
+async def connected(server: WebServer, octets: bytes = b"") -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A connection without a request that has sent ``octets``."""
+    host, port = server.url.split("/")[2].split(":")
+    reader, writer = await asyncio.open_connection(host, int(port))
+    writer.write(octets)
+    return reader, writer

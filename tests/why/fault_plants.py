@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 from typing import Any, Final
 
 from bus_kit import add_station
+from plant_files import plant_text
 
 import dpstack
 from dpstack.api.config.config import slave_config
@@ -156,9 +157,6 @@ class Plant:
         """The bus parameters of a real station."""
         return BusParams.preset(baud or self.baud, slave_max_tsdr=[250 if self.baud == 45_450 else 100], **given)
 
-    def config_of(self, table: Table) -> SlaveConfig:
-        return slave_config(table)
-
     @property
     def slave(self) -> SlaveConfig:
         """The slave asked about, as it is configured."""
@@ -243,10 +241,14 @@ class Plant:
         self.world.remove(unit.station)
         unit.station.command(LineDown("no power"), self.world.now)
 
+    def there(self, table: Table, **more: Any) -> Unit:
+        """Put a slave on the bus as ``table`` configures it."""
+        config = slave_config(table)
+        return self.unit(device_of(config), config.address, **more)
+
     def real(self, table: Table | None = None, **more: Any) -> Unit:
         """The slave asked about is there, as ``table`` (default: as it is configured)."""
-        config = slave_config(table or self.tables[0])
-        self.asked = self.unit(device_of(config), config.address, **more)
+        self.asked = self.there(table or self.tables[0], **more)
         return self.asked
 
     def asked_unit(self, app: SlaveApp | Device, **more: Any) -> Unit:
@@ -265,8 +267,7 @@ class Plant:
             if "drive" in table:
                 self.driven = str(table["name"])
             self.tables.append(table)
-            config = slave_config(table)
-            found.append(self.unit(device_of(config), config.address))
+            found.append(self.there(table))
         return found
 
     def other_master(
@@ -281,18 +282,25 @@ class Plant:
         own = self.free_master() if address is None else address
         params = self.params(baud, address=own, **{"hsa": HSA, "gap": 1, "t_tr": T_TR, **given})
         mine = slave_config(self.made_up()).params
-        self.unit(
-            device_of(slave_config({"name": "m", "address": mine.address} | _octets(mine))), mine.address, baud=baud
-        )
+        self.there({"name": "m", "address": mine.address} | _octets(mine), baud=baud)
         master = Master(params, [mine, *slaves], MasterSettings(watchdog_ms=watchdog_ms))
         other = OtherMaster(add_station(self.world, params, master), master)
         self.masters.append(other)
         return other
 
-    def maybe_other_master(self, share: float = 0.35) -> None:
-        """Traffic of another master, in a share of the seeds."""
+    def surrounded(self, least: int = 1, most: int = 4, share: float = 0.35) -> None:
+        """Neighbours, and the traffic of another master in a share of the seeds."""
+        self.neighbours(least, most)
         if self.rng.random() < share:
             self.other_master()
+
+    def until_taken(self) -> None:
+        """Let time pass until the other master exchanges data with the slave asked about."""
+        for _ in range(200):
+            self.run(10)
+            if self.masters[-1].exchanges_with(self.at):
+                return
+        raise AssertionError("the other master does not get the slave")
 
     def run(self, ms: float) -> None:
         """Let time pass before the user's master comes."""
@@ -310,11 +318,7 @@ class Plant:
 
     def config(self) -> str:
         """The configuration as a TOML file, for commands."""
-        lines = ["[bus]", 'port = "virtual"', f"baud = {self.baud}", f"address = {self.address}"]
-        lines += [f"{key} = {toml(value)}" for key, value in self.bus_keys.items()]
-        for table in self.tables:
-            lines += ["", "[[slave]]", *(f"{key} = {toml(value)}" for key, value in table.items())]
-        return "\n".join(lines) + "\n"
+        return plant_text(*self.tables, baud=self.baud, address=self.address, **self.bus_keys)
 
     # --- facts ----------------------------------------------------------------------------------------------------
 
@@ -336,19 +340,6 @@ class Plant:
             if octets[0] in (0x10, 0x68) and len(octets) > at + 2:
                 found += octets[at] & 0x7F == address and bool(octets[at + 2] & 0x40)
         return found
-
-
-def toml(value: object) -> str:
-    """``value`` as it stands in a TOML file."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{toml(str(key))} = {toml(one)}" for key, one in value.items()) + " }"
-    if isinstance(value, Sequence):
-        return "[" + ", ".join(toml(one) for one in value) + "]"
-    return str(value)
 
 
 def _octets(params: SlaveParams) -> Table:

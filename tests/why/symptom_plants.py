@@ -21,7 +21,6 @@ from faults import devices
 import dpstack
 from dpstack.api.config.config import slave_config
 from dpstack.api.doctor import Computer, Grade, examine
-from dpstack.api.slave_side.virtual_bench import device_of
 from dpstack.cli.main import main
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
@@ -92,8 +91,7 @@ def plant_of(*tables: dict[str, object], baud: int = 500_000, there: bool = True
     plant.tables = [dict(table) for table in tables]
     plant.name = str(tables[0]["name"])
     for table in plant.tables[0 if there else 1 :]:
-        config = slave_config(table)
-        unit = plant.unit(device_of(config), config.address, t_sdr=20)
+        unit = plant.there(table, t_sdr=20)
         if table is plant.tables[0]:
             plant.asked = unit
     return plant
@@ -141,8 +139,7 @@ def wrong_rate() -> Plant:
     for unit in list(plant.units):
         plant.unplug(unit)
     for table in plant.tables:
-        config = slave_config(table)
-        plant.unit(device_of(config), config.address, baud=93_750)
+        plant.there(table, baud=93_750)
     return plant
 
 
@@ -175,12 +172,9 @@ def noise_on_segment() -> Plant:
 
 def locked() -> Plant:
     plant = plant_of(FLOW, SECOND)
-    other = plant.other_master(plant.slave.params, address=1)
-    for _ in range(200):
-        plant.run(10)
-        if other.exchanges_with(9):
-            return plant
-    raise AssertionError("the other master does not get the slave")
+    plant.other_master(plant.slave.params, address=1)
+    plant.until_taken()
+    return plant
 
 
 def low_hsa() -> Plant:

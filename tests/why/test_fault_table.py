@@ -7,7 +7,10 @@ wrong; healthy slaves are called healthy; of two faults at once either is first,
 from __future__ import annotations
 
 import pytest
+from api_kit import virtual
 
+from tests.why.fault_plants import Plant, bring
+from tests.why.fault_proofs import PROOFS
 from tests.why.fault_score import outcome_of, share_right
 from tests.why.fault_table import ALL, FAULTS, FURTHER, HEALTHY, PAIRS, SEEDS
 
@@ -39,3 +42,21 @@ def test_causes_of_all_seeds() -> None:
     # and of the single plants: 23 of 25 of them
     first = [one.first_is_right for one in outcomes if one.fault in FAULTS]
     assert sum(first) >= len(first) * OF_25 / len(FAULTS)
+
+
+async def proved(plant: Plant) -> None:
+    async with bring(plant):
+        PROOFS[plant.fault](plant)
+
+
+def test_table_is_whole() -> None:
+    assert (len(FAULTS), len(FURTHER), len(HEALTHY), len(PAIRS)) == (25, 5, 5, 5)
+    assert len(ALL) == 40
+    assert PROOFS.keys() == ALL.keys()
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("fault", ALL)
+def test_plants_have_their_faults(fault: str) -> None:
+    for seed in SEEDS:
+        virtual(proved(ALL[fault](seed)))

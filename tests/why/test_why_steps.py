@@ -23,7 +23,7 @@ from dpstack.gsd.parser import load_gsd
 from dpstack.why.causes import Cause
 from dpstack.why.evidence import Evidence, LineCounters, Neighbour, Ring
 from dpstack.why.steps import refused_by, words
-from dpstack.why.story import Likely, story_lines, tell
+from dpstack.why.story import Likely, Story, story_lines, tell
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "why.md"
@@ -37,16 +37,31 @@ def diag(octets: str, *, t: int = 1) -> Step:
     return Step(t, "Slave_Diag", b"", "DL", bytes.fromhex(octets), last_ns=t)
 
 
+def story_of(**facts: Any) -> Story:
+    """The story of evidence that has nothing but ``facts``."""
+    return tell(dataclasses.replace(EMPTY, **facts))
+
+
+def tried(step: Step) -> History:
+    """A bring-up that ended with ``step``."""
+    return History((BringUp((step,)),))
+
+
+SILENT = tried(Step(1, "Slave_Diag", b"", "nothing", times=40))
+
+
 def first(*steps: Step, **more: Any) -> tuple[str, float]:
     """The first cause after a bring-up of ``steps``."""
     given = {"state": SlaveState.FAULT, **more}
     history = given.pop("history", History((BringUp(steps),), idents=(0x1234,)))
-    story = tell(dataclasses.replace(EMPTY, history=history, **given))
+    story = story_of(history=history, **given)
     return story.first.cause, story.first.confidence
 
 
 PRM = Step(2, "Set_Prm", bytes.fromhex("88 01 14 0B 12 34 00 00 07"), "SC")
 CFG = Step(3, "Chk_Cfg", b"\x20\x10", "SC")
+#: a bring-up until the diagnosis that tells how it went
+TRIED = (diag("02 05 00 FF 12 34"), PRM, CFG)
 
 
 @pytest.mark.parametrize(
@@ -73,27 +88,19 @@ def test_refusals_to_the_octet(step: Step, by: str, said: str) -> None:
     [
         ((diag("02 05 00 FF 43 21"),), {}, "ident"),
         ((diag("00 0C 00 07 12 34"),), {}, "locked"),
-        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 02 12 34")), {"config": b"\x10\x20"}, "module_order"),
-        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 02 12 34")), {"config": b"\x20"}, "module_missing"),
-        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 02 12 34")), {"config": b"\x20\x10\x10"}, "module_extra"),
-        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 02 12 34")), {"config": b"\x21\x10"}, "module_type"),
-        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("42 05 00 FF 12 34")), {}, "user_parameter"),
+        ((*TRIED, diag("06 05 00 02 12 34")), {"config": b"\x10\x20"}, "module_order"),
+        ((*TRIED, diag("06 05 00 02 12 34")), {"config": b"\x20"}, "module_missing"),
+        ((*TRIED, diag("06 05 00 02 12 34")), {"config": b"\x20\x10\x10"}, "module_extra"),
+        ((*TRIED, diag("06 05 00 02 12 34")), {"config": b"\x21\x10"}, "module_type"),
+        ((*TRIED, diag("42 05 00 FF 12 34")), {}, "user_parameter"),
+        ((*TRIED, diag("42 05 00 FF 12 34")), {"expected_prm": b"\x00\x07\x00"}, "user_parameter_length"),
+        ((*TRIED, diag("12 05 00 FF 12 34")), {}, "not_supported"),
         (
-            (diag("02 05 00 FF 12 34"), PRM, CFG, diag("42 05 00 FF 12 34")),
-            {"expected_prm": b"\x00\x07\x00"},
-            "user_parameter_length",
-        ),
-        ((diag("02 05 00 FF 12 34"), PRM, CFG, diag("12 05 00 FF 12 34")), {}, "not_supported"),
-        (
-            (diag("02 05 00 FF 12 34"), PRM, CFG, diag("02 0C 00 02 12 34", t=4)),
+            (*TRIED, diag("02 0C 00 02 12 34", t=4)),
             {"now_ns": 3_000_000_000, "state": SlaveState.WAIT_READY},
             "not_ready",
         ),
-        (
-            (diag("02 05 00 FF 12 34"), PRM, CFG, diag("00 0E 00 02 12 34", t=4)),
-            {"state": SlaveState.WAIT_READY},
-            "static_diagnosis",
-        ),
+        ((*TRIED, diag("00 0E 00 02 12 34", t=4)), {"state": SlaveState.WAIT_READY}, "static_diagnosis"),
         (
             (Step(1, "Slave_Diag", b"", "RS"),),
             {"fault": Fault(FaultKind.REFUSED, "refuses", "")},
@@ -115,8 +122,7 @@ def of_terminal(refusal: str, real: str, **more: Any) -> tuple[Likely, ...]:
     """The causes for a terminal that refuses with the diagnosis ``refusal`` and has the identifier octets ``real``."""
     octets = PLUGGED.user_prm().octets()
     setup = SlaveParams(address=8, name="io", ident=0x1234, config=PLUGGED.config, user_prm=octets, dpv1=Dpv1())
-    steps = (diag("02 05 00 FF 12 34"), PRM, CFG, diag(refusal))
-    given = {"history": History((BringUp(steps),), idents=(0x1234,))} | more
+    given = {"history": History((BringUp((*TRIED, diag(refusal))),), idents=(0x1234,))} | more
     evidence = dataclasses.replace(
         EMPTY,
         setup=setup,
@@ -152,9 +158,7 @@ def test_restarts_before_a_refusal_do_not_hide_it() -> None:
     causes = of_terminal(
         "06 05 00 FF 12 34",
         "20 20 43 43 01 02 03",
-        history=History(
-            (BringUp((diag("02 05 00 FF 12 34"), PRM, CFG, diag("06 05 00 FF 12 34"))),), losses, 2, 2, (0x1234,)
-        ),
+        history=History((BringUp((*TRIED, diag("06 05 00 FF 12 34"))),), losses, 2, 2, (0x1234,)),
     )
     assert [one.cause for one in causes] == ["module_type", "reboots"]
     assert causes[1].confidence <= 0.4
@@ -173,7 +177,7 @@ def test_a_slave_that_has_run_for_long_since_its_restarts_is_healthy(since_s: in
 def test_two_devices_in_each_others_place_have_wrong_addresses() -> None:
     there = Neighbour(20, "io", SlaveState.FAULT, 0x10D5, StationStats(requests=9, answers=9), found_ident=0x1234)
     history = History((BringUp((diag("02 05 00 FF 10 D5"),)),), idents=(0x10D5,))
-    story = tell(dataclasses.replace(EMPTY, state=SlaveState.FAULT, history=history, neighbours=(there,), config=b"0"))
+    story = story_of(state=SlaveState.FAULT, history=history, neighbours=(there,), config=b"0")
     assert story.first.cause == "wrong_address"
     assert story.first.next == "exchange the addresses 8 and 20 (io)"
     assert [one.cause for one in story.causes] == ["wrong_address", "ident"]
@@ -181,8 +185,7 @@ def test_two_devices_in_each_others_place_have_wrong_addresses() -> None:
 
 
 def test_a_station_that_nobody_has_configured_is_named_where_a_slave_is_missing() -> None:
-    silent = Step(1, "Slave_Diag", b"", "nothing", times=40)
-    story = tell(dataclasses.replace(EMPTY, history=History((BringUp((silent,)),)), unknown=frozenset({22})))
+    story = story_of(history=SILENT, unknown=frozenset({22}))
     assert story.first.cause == "not_there"
     assert (
         "Address 22 answers, and no slave is configured there: has the device that address?" in story.first.speaks_for
@@ -191,19 +194,17 @@ def test_a_station_that_nobody_has_configured_is_named_where_a_slave_is_missing(
 
 
 def test_nobody_answers_is_one_group_and_an_ident_elsewhere_is_the_address() -> None:
-    silent = Step(1, "Slave_Diag", b"", "nothing", times=40)
     other = Neighbour(3, "hoist", SlaveState.DATA_EXCHANGE, 0x0696, StationStats(requests=900, answers=900))
-    history = History((BringUp((silent,)),))
     found = (Found(address=18, kind=StationType.SLAVE, ident=0x1234),)
-    assert first(history=history, neighbours=(other,), found=())[0] == "not_there"
-    assert first(history=history, neighbours=(other,), found=found)[0] == "wrong_address"
+    assert first(history=SILENT, neighbours=(other,), found=())[0] == "not_there"
+    assert first(history=SILENT, neighbours=(other,), found=found)[0] == "wrong_address"
     gone = dataclasses.replace(other, state=SlaveState.OFFLINE, link=StationStats(requests=40, timeouts=40))
-    assert first(history=history, neighbours=(gone,), found=())[0] == "rate_mismatch"
+    assert first(history=SILENT, neighbours=(gone,), found=())[0] == "rate_mismatch"
 
 
 def test_answers_that_the_port_dropped_as_damaged_are_noise_and_no_missing_slave() -> None:
     """FTDI marks whole packets: of a damaged answer no octet is left, and it looks like none."""
-    silent = History((BringUp((Step(1, "Data_Exchange", b"\x01", "nothing"),)),))
+    silent = tried(Step(1, "Data_Exchange", b"\x01", "nothing"))
     link = StationStats(requests=20, answers=18, retries=2, timeouts=2)
     clean = Neighbour(3, "hoist", SlaveState.DATA_EXCHANGE, 0x0696, StationStats(requests=90, answers=90))
     line = LineCounters(baud=187_500, slot_bits=200, heard=110, bad={"uart_marked": 52, "uart_parity": 4})
@@ -219,7 +220,7 @@ def test_answers_that_the_port_dropped_as_damaged_are_noise_and_no_missing_slave
 
 
 def test_another_program_at_the_port_explains_lost_slaves() -> None:
-    silent = History((BringUp((Step(1, "Data_Exchange", b"\x01", "nothing", times=40),)),))
+    silent = tried(Step(1, "Data_Exchange", b"\x01", "nothing", times=40))
     link = StationStats(requests=900, answers=900, timeouts=40, late=9)
     line = LineCounters(baud=187_500, slot_bits=200, heard=900, disturbed="gpsd (pid 41) has it open, too")
     facts = dataclasses.replace(EMPTY, history=silent, link=link, line=line)
@@ -236,18 +237,17 @@ def test_slaves_that_fell_silent_together_are_not_said_to_answer() -> None:
     counters = StationStats(requests=940, answers=900, timeouts=40)
     places = ((3, "hoist"), (5, "valves"))
     others = tuple(Neighbour(n, name, SlaveState.OFFLINE, 0x0696, counters) for n, name in places)
-    silent = History((BringUp((Step(1, "Slave_Diag", b"", "nothing", times=40),)),))
-    story = tell(dataclasses.replace(EMPTY, history=silent, link=counters, neighbours=others))
+    story = story_of(history=SILENT, link=counters, neighbours=others)
     assert story.first.cause == "not_there"
     assert "All 3 slaves of the configuration are silent at once." in story.first.speaks_for
     assert story.first.next.startswith("look at all that the slaves share: the cable")
     assert not any("Others answer" in said for one in story.causes for said in one.speaks_for)
-    never = tell(dataclasses.replace(EMPTY, history=silent, neighbours=others))
+    never = story_of(history=SILENT, neighbours=others)
     rate = next(one for one in never.causes if one.cause == "rate_mismatch")
     assert rate.confidence < never.first.confidence
     assert "hoist, valves answered at this rate before." in rate.against
     one_back = (dataclasses.replace(others[0], state=SlaveState.DATA_EXCHANGE), others[1])
-    story = tell(dataclasses.replace(EMPTY, history=silent, link=counters, neighbours=one_back))
+    story = story_of(history=SILENT, link=counters, neighbours=one_back)
     assert "Others answer at this rate: hoist." in story.first.speaks_for
 
 
@@ -298,9 +298,9 @@ HISTORIES = st.builds(
 STATES = st.sampled_from(tuple(SlaveState))
 FAULTS = st.none() | st.builds(Fault, st.sampled_from(tuple(FaultKind)), st.text(max_size=9), st.text(max_size=9))
 IDENTS = st.none() | st.integers(0, 9)
-FOUND = st.builds(
-    Found, address=st.integers(0, 126), kind=st.sampled_from(tuple(StationType)), ident=st.none() | st.integers(0, 9)
-)
+KINDS = st.sampled_from(tuple(StationType))
+FOUND = st.builds(Found, address=st.integers(0, 126), kind=KINDS, ident=IDENTS)
+NEIGHBOURS = st.builds(Neighbour, st.integers(0, 125), st.text(max_size=4), STATES, IDENTS, STATS, IDENTS)
 EVIDENCE = st.builds(
     Evidence,
     setup=st.just(SETUP),
@@ -329,18 +329,7 @@ EVIDENCE = st.builds(
     fault=FAULTS,
     history=HISTORIES,
     link=STATS,
-    neighbours=st.lists(
-        st.builds(
-            Neighbour,
-            st.integers(0, 125),
-            st.text(max_size=4),
-            STATES,
-            st.none() | st.integers(0, 9),
-            STATS,
-            st.none() | st.integers(0, 9),
-        ),
-        max_size=3,
-    ).map(tuple),
+    neighbours=st.lists(NEIGHBOURS, max_size=3).map(tuple),
     watchdog_ns=TIMES,
     expected_prm=st.none() | OCTETS,
     config=st.none() | OCTETS,

@@ -11,7 +11,7 @@ those that change nothing; they are counted as *explained*, not as killed.
 * ``--out FILE``: JSON lines. A run with the same file tries only those mutants that it does not have.
 * ``--report FILE...``: no mutants; the table of such files together.
 * ``--tests tests/fdl,tests/phy``: only these tests, in place of those in pyproject.toml.
-* ``--also tests/sim,tests/test_noise_truth.py``: afterwards those that survived are tried against these tests, too, and
+* ``--also tests/sim,tests/test_uart_level.py``: afterwards those that survived are tried against these tests, too, and
   against those that ``--seconds`` left out, for four times as long. The table then has both figures: mutants that the
   first tests notice, and mutants that any test notices.
 * ``--survivors FILE``: print the survivors of such a file and try them again.

@@ -16,8 +16,8 @@ import pytest
 from ends.programs import Ways
 from ends.rows import WAYS, kept, measure, plain, rows
 from ends.telegrams import heard, is_in_order
-from far_ends import HANG_S
-from process_kit import LAMPS_SPEC, SPEC, eventually, octet_slaves
+from far_ends import HANG_S, eventually
+from process_kit import LAMPS_SPEC, SPEC, octet_slaves
 from support_responder import Responder
 
 import dpstack

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from far_ends import until
+from far_ends import eventually, until
 from process_kit import (
     LAMPS,
     SPEC,
@@ -20,7 +20,6 @@ from process_kit import (
     VALVES,
     begun,
     bus_on,
-    eventually,
     octet_slaves,
     operating_octets,
     process_of,

@@ -13,8 +13,8 @@ import pytest
 from ends import failing_plugins
 from ends.programs import Ways
 from ends.telegrams import after_live, heard, is_in_order
-from far_ends import many_files_open, until
-from process_kit import DRIVERS, LAMPS_SPEC, SPEC, Driver, eventually, octet_slaves
+from far_ends import eventually, many_files_open, until
+from process_kit import DRIVERS, LAMPS_SPEC, SPEC, Driver, octet_slaves
 from support import instance
 
 import dpstack

@@ -8,8 +8,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from api_kit import slave_in
+from api_kit import RAW, slave_in
 from cli_kit import Cli
+from plant_files import plant_file
 
 import dpstack
 from dpstack.api.config.config import Config
@@ -33,19 +34,6 @@ from dpstack.slave import DpSlave, SlaveDescription
 
 Out = pytest.CaptureFixture[str]
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="pump", dpv1=True)
-PLANT = """
-[bus]
-port = "virtual"
-baud = 500000
-
-[[slave]]
-name = "pump"
-address = 8
-ident = 0x1234
-config = "10 20"
-user_prm = "00 00 00"
-dpv1 = true
-"""
 
 
 class Device(ParameterModel):
@@ -101,9 +89,8 @@ pytestmark = pytest.mark.usefixtures("alone")
 
 @pytest.fixture
 def plant(tmp_path: Path) -> Path:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT, encoding="utf-8")
-    return path
+    pump = {**RAW, "name": "pump", "address": 8, "config": "10 20", "user_prm": "00 00 00", "dpv1": True}
+    return plant_file(tmp_path, pump)
 
 
 @pytest.fixture

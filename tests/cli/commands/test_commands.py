@@ -8,50 +8,34 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from api_kit import RAW
 from cli_kit import Cli
+from plant_files import plant_file, plant_text
 
 import dpstack
 from dpstack.api.bus.bus import Bus
+from dpstack.api.config.config import make_config
 from dpstack.api.slave_side.simulation import Simulation
 from dpstack.cli.commands import sim
 
-PLANT = """
-[bus]
-port = "virtual"
-baud = 500000
-gap = 0
-
-[[slave]]
-name = "hoist"
-address = 3
-drive = "demag-dedrive"
-watchdog_ms = 200
-
-[[slave]]
-name = "raw"
-address = 9
-ident = 0x1234
-config = "20 10"
-"""
+HOIST = {"name": "hoist", "address": 3, "drive": "demag-dedrive", "watchdog_ms": 200}
+PLANT = plant_text(HOIST, RAW, gap=0)
 
 
 @pytest.fixture
 def plant(tmp_path: Path) -> str:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT, encoding="utf-8")
-    return str(path)
+    return str(plant_file(tmp_path, HOIST, RAW, gap=0))
 
 
 # --- run ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("virtual_time")
-def test_run_with_a_fixed_cycle_says_how_it_was_kept(plant: str, tmp_path: Path, cli: Cli) -> None:
-    config = tmp_path / "cycle.toml"
-    config.write_text(PLANT.replace("gap = 0", "gap = 0\ncycle_ms = 10"), encoding="utf-8")
+def test_run_with_a_fixed_cycle_says_how_it_was_kept(tmp_path: Path, cli: Cli) -> None:
+    config = plant_file(tmp_path, HOIST, RAW, gap=0, cycle_ms=10)
     out = cli.out("run", str(config), "--rotations", "20")
     assert " cycles of 10 ms, late in us: min 0, p50 0, p99 0, p999 0, max 0\nno deadline was missed\n" in out
-    config.write_text(PLANT.replace("gap = 0", "gap = 0\ncycle_ms = 3"), encoding="utf-8")
+    plant_file(tmp_path, HOIST, RAW, gap=0, cycle_ms=3)
     summary = cli.json("run", str(config), "--rotations", "20")
     assert (summary["cycle_us"], summary["missed"]) == (3000, sum(summary["missed_by"].values()))
 
@@ -165,9 +149,8 @@ def test_run_ends_with_1_when_a_slave_is_missing(plant: str, cli: Cli) -> None:
     assert len(err) == 2
 
 
-def test_plan_of_a_bus_whose_rate_is_found_by_listening(plant: str, cli: Cli) -> None:
-    path = Path(plant)
-    path.write_text(PLANT.replace("500000", '"auto"'), encoding="utf-8")
+def test_plan_of_a_bus_whose_rate_is_found_by_listening(plant: str, tmp_path: Path, cli: Cli) -> None:
+    plant_file(tmp_path, HOIST, RAW, gap=0, baud="auto")
     assert len(cli.jsons("plan", plant, "--baud", "all")[0]) == 11
     assert 'baud "auto" is found when the bus is opened; give the rate' in cli.err("plan", plant)
 
@@ -193,8 +176,7 @@ def test_run_read_only_leaves_everybody_as_he_is(plant: str, cli: Cli) -> None:
 
 @pytest.mark.usefixtures("virtual_time")
 def test_read_only_shows_people_no_process_data_since_none_is_exchanged(plant: str, cli: Cli) -> None:
-    path = Path(plant)
-    path.write_text(PLANT + 'inputs = { limit = "bool@0.0" }\n', encoding="utf-8")
+    Path(plant).write_text(PLANT + 'inputs = { limit = "bool@0.0" }\n', encoding="utf-8")
     told = cli.out("run", plant, "--read-only", "--seconds", "0.5", code=1)
     assert "Slaves" in told
     assert not any(text in told for text in ("Process data", "Named inputs", "limit"))
@@ -228,7 +210,7 @@ WRONG: list[tuple[list[str], int, str]] = [
     (["run", "PLANT", "--outputs", "9=00", "x=5A"], 2, "dpstack: no slave 'x' here; there are: 3 (hoist), 9 (raw)"),
     (["run", "--outputs", "9=00"], 2, "dpstack: run: no CONFIG; give the configuration file, for instance dpstack run"),
     (["run", "--seconds", "1"], 2, "dpstack: run: no CONFIG; give the configuration file, for instance dpstack run"),
-    (["run", "PLANT", "--address", "3"], 2, "dpstack: PLANT:9: slave hoist has address 3, which is the master's own"),
+    (["run", "PLANT", "--address", "3"], 2, "dpstack: PLANT:8: slave hoist has address 3, which is the master's own"),
     (["run", "PLANT", "--address", "126"], 2, "dpstack run: argument --address: '126' is no station address, 0..125"),
     (
         ["sim", "--drive", "keb-f5", "--address", "126", "--port", "pty"],
@@ -236,7 +218,7 @@ WRONG: list[tuple[list[str], int, str]] = [
         "dpstack: slave keb-f5 has no Set_Slave_Add",
     ),
     (["sim", "--drive", "keb-f5", "--address", "127", "--port", "pty"], 2, "dpstack sim: argument --address: '127' is"),
-    (["run", "PLANT", "--driver", "process"], 2, 'dpstack: PLANT:2: [bus]: driver = "process": a simulated bus lives'),
+    (["run", "PLANT", "--driver", "process"], 2, 'dpstack: PLANT:1: [bus]: driver = "process": a simulated bus lives'),
     (["run", "PLANT", "--read-only", "--outputs", "9=5A"], 2, "dpstack: --outputs on a read-only bus: nothing is writ"),
     (["scan"], 2, "dpstack scan: the following arguments are required: --port; see dpstack scan --help"),
     (
@@ -284,12 +266,11 @@ def test_wrong_use_gets_one_clear_line(plant: str, cli: Cli, args: list[str], co
 
 
 def test_a_bad_configuration_is_one_line_and_2(tmp_path: Path, cli: Cli) -> None:
-    path = tmp_path / "bad.toml"
-    path.write_text(PLANT.replace("address = 9", "address = 3"), encoding="utf-8")
+    path = plant_file(tmp_path, HOIST, {**RAW, "address": 3}, gap=0)
     for command in ("run", "plan"):
         err = cli.err(command, str(path))
         assert err == (
-            f"dpstack: {path}:15: slaves hoist and raw both have address 3; give one of them another address\n"
+            f"dpstack: {path}:14: slaves hoist and raw both have address 3; give one of them another address\n"
         )
 
 
@@ -392,3 +373,18 @@ async def test_a_simulated_slave_as_delivered_gets_an_address(tmp_path: Path) ->
 def test_one_device_of_a_gsd_file_is_simulated(cli: Cli) -> None:
     args = ["--gsd", "io-station", "--modules", "1", "8 DO", "--address", "8", "--port", "pty", "--seconds", "0.05"]
     assert "    8  io-station  (io-station)\n" in cli.out("sim", *args)
+
+
+async def test_the_summary_says_why_answers_were_too_late(capsys: pytest.CaptureFixture[str]) -> None:
+    """The computer was busy, or another master talked meanwhile: either way the answer was not sent."""
+    simulation = Simulation(make_config("pty", 500_000, 2, [RAW]), "pty", 500_000)
+    sim.print_summary(simulation, json=False)
+    assert "another master talked" not in capsys.readouterr().out
+    simulation.slaves[0].station.stats.dropped = 3
+    sim.print_summary(simulation, json=False)
+    table, _, text = capsys.readouterr().out.partition("answers too late were not sent, ")
+    assert table.rstrip().endswith("0                 3")
+    assert text.startswith(
+        "because another telegram was there already: this computer was busy for longer than the master waits, or "
+        "another master talked at the same time"
+    )

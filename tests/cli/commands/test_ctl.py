@@ -12,7 +12,7 @@ import pytest
 from api_kit import bench_of
 from cli_kit import Cli
 from far_ends import until
-from programs import PLANT, Starter, plant_of
+from programs import Starter, plant_of
 
 import dpstack
 from dpstack.api.config.config import make_config
@@ -239,9 +239,7 @@ async def test_a_pty_is_found_by_its_path() -> None:
 def test_each_run_on_virtual_has_a_name_of_its_own(tmp_path: Path, start: Starter, capsys: Out, cli: Cli) -> None:
     """An order goes where configuration file and port agree. Each program has a bus "virtual" of its own: where no run
     has this file, the command goes on by itself."""
-    mine, theirs = (tmp_path / name for name in ("mine.toml", "theirs.toml"))
-    for path in (mine, theirs):
-        path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    mine, theirs = (plant_of(tmp_path).rename(tmp_path / name) for name in ("mine.toml", "theirs.toml"))
     first = start("run", str(theirs))
     first.wait_for("operate")
     one = f"virtual:{first.process.pid}"

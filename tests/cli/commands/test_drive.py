@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import signal
@@ -16,7 +17,8 @@ from api_kit import bench_of
 from cli_kit import SIMULATED, Cli
 from ends.telegrams import told
 from far_ends import until
-from programs import PLANT, Program, Starter, plant_of
+from plant_files import plant_file
+from programs import Program, Starter, plant_of
 
 import dpstack
 from dpstack.api.bus.bus import Bus
@@ -33,39 +35,15 @@ from dpstack.errors import BusError, DriveFault, DriveTimeout, ParameterError, U
 from dpstack.profile import DriveDevice
 
 Out = pytest.CaptureFixture[str]
+MAP = {"map_outputs": "set_frequency", "map_inputs": "frequency fault_code"}
 #: the hoist is as delivered: 412 is 44, and nobody may change it
-ALL = """
-[bus]
-port = "virtual"
-baud = 1500000
-
-[[slave]]
-name = "demag"
-address = 3
-drive = "demag-dedrive"
-options = { set_412 = true }
-
-[[slave]]
-name = "fuji"
-address = 4
-drive = "fuji-frenic"
-
-[[slave]]
-name = "imo"
-address = 5
-drive = "imo-hd2"
-options = { set_map = true, map_outputs = "set_frequency", map_inputs = "frequency fault_code" }
-
-[[slave]]
-name = "keb"
-address = 6
-drive = "keb-f5"
-
-[[slave]]
-name = "ls"
-address = 7
-drive = "ls-s100"
-"""
+ALL = [
+    {"name": "demag", "address": 3, "drive": "demag-dedrive", "options": {"set_412": True}},
+    {"name": "fuji", "address": 4, "drive": "fuji-frenic"},
+    {"name": "imo", "address": 5, "drive": "imo-hd2", "options": {"set_map": True, **MAP}},
+    {"name": "keb", "address": 6, "drive": "keb-f5"},
+    {"name": "ls", "address": 7, "drive": "ls-s100"},
+]
 
 
 pytestmark = pytest.mark.usefixtures("alone")
@@ -106,8 +84,7 @@ def drive(cli: Cli, plant: Path) -> Drive:
 @pytest.mark.parametrize("name", ["demag", "fuji", "imo", "keb", "ls"])
 def test_every_word_for_every_drive(name: str, tmp_path: Path, cli: Cli) -> None:
     """One command line, five drives: only the name changes."""
-    path = tmp_path / "all.toml"
-    path.write_text(ALL, encoding="utf-8")
+    path = plant_file(tmp_path, *ALL, baud=1_500_000)
     file = str(tmp_path / "it.toml")
     words = f"status start speed 0.5 reached frequency 20 reached stop dump {file} compare {file} start quick_stop"
     words = words if name not in ("imo",) else words.replace(" quick_stop", " coast")
@@ -489,7 +466,7 @@ def through_the_run(drive: Drive, plant: Path, run: Program, cli: Cli) -> None:
 def test_alone_on_a_port_until_ctrl_c_then_through_a_run(drive: Drive, plant: Path, start: Starter, cli: Cli) -> None:
     sim = start("sim", str(plant), "--port", "pty", "--json")
     port = port_of(sim)
-    plant.write_text(PLANT.format(port=port), encoding="utf-8")
+    plant_of(plant.parent, port)
     hand = start("drive", str(plant), "fan", "start", "speed", "0.2", "reached")
     hand.wait_for("master in the foreground until Ctrl-C, which stops the drive by its ramp and ends")
     _, err = drive("fan", "status", code=1)
@@ -514,3 +491,23 @@ def test_alone_on_a_port_until_ctrl_c_then_through_a_run(drive: Drive, plant: Pa
     through_the_run(drive, plant, run, cli)
     assert run.end(signal.SIGTERM) == 0
     assert sim.end(signal.SIGTERM) == 0
+
+
+@pytest.mark.usefixtures("virtual_time")
+def test_all_is_read_and_there_is_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli) -> None:
+    config = plant_of(tmp_path)
+    there = tmp_path / "disk" / "h.toml"
+    there.parent.mkdir()
+
+    def fsync(file: int) -> None:
+        if os.fstat(file).st_size:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    out, err = cli("drive", str(config), "hoist", "dump", str(there), "--data-set", "3", code=2)
+    assert out == ""
+    assert err.startswith(SIMULATED)
+    assert err.endswith(
+        f"dpstack: {there}: cannot be written (No space left on device); make room there, or name a file elsewhere\n"
+    )
+    assert list(there.parent.iterdir()) == []

@@ -1,4 +1,5 @@
-"""``dpstack gsd``: what people and scripts read, and the way from a file to a table that a configuration accepts."""
+"""``dpstack gsd``: what people and scripts read, the way from a file to a table that a configuration accepts, a file of
+a slave in a module of the user, and the same file at both ends of a segment of ptys."""
 
 from __future__ import annotations
 
@@ -7,8 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from api_kit import RAW
 from cli_kit import Cli
 from gsd_kit import FILES, device, octets
+from plant_files import plant_file
+from programs import Starter
 
 from dpstack.api.config.config import load_config, parse_config
 from dpstack.api.gsd_info import check_gsd
@@ -442,3 +446,72 @@ def test_configure_for_a_configuration(
     assert "address 2 is taken in the configuration (the master)" in err
     plant.write_text(BUS + first + second, encoding="utf-8")
     assert [slave.name for slave in load_config(str(plant)).slaves] == ["valves", "rack"]
+
+
+PROGRAM = """
+from dpstack.slave import DpSlave, SlaveDescription
+
+TYPE = SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="tank", dpv1=True)
+SLAVE = DpSlave(TYPE, lambda outputs, elapsed: bytes(2))
+
+class Tank(DpSlave):
+    def __init__(self):
+        super().__init__(TYPE, lambda outputs, elapsed: bytes(2))
+
+def broken():
+    raise ValueError("no")
+"""
+
+
+def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli) -> None:
+    (tmp_path / "own_tank.py").write_text(PROGRAM, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("own_tank:TYPE", "own_tank.py:SLAVE", "own_tank:Tank"):
+        cli.out("gsd", "write", name, "tank.gsd", *(["--force"] if name != "own_tank:TYPE" else []))
+        shown = cli.json("gsd", "show", "tank.gsd")
+        assert (shown["ident"], shown["model"]) == ("0x4711", "tank")
+        assert cli.out("gsd", "check", "tank.gsd")
+    before = (tmp_path / "tank.gsd").read_bytes()
+    assert "there is a file of that name" in cli.err("gsd", "write", "own_tank:TYPE", "tank.gsd")
+    assert (tmp_path / "tank.gsd").read_bytes() == before
+    for name, says in (
+        ("own_tank", "names no slave; write MODULE:NAME"),
+        ("own_tank:NONE", "own_tank has no description 'NONE'"),
+        ("own_tonk:TYPE", "'own_tonk:TYPE' cannot be loaded (ModuleNotFoundError"),
+        ("own_tank:broken", "cannot be made without arguments (ValueError: no)"),
+        ("math:pi", "math:pi is a float; name a SlaveDescription or a DpSlave"),
+    ):
+        assert says in cli.err("gsd", "write", name, "other.gsd")
+    assert not (tmp_path / "other.gsd").exists()
+
+
+IO = {
+    "name": "io", "address": 8, "gsd": FILES / "whole.gsd", "modules": ["8 DO", "8 DI"],
+    "parameters": {"Diagnosis": "off"}, "sync": True,
+}  # fmt: skip
+
+
+@pytest.fixture
+def bus(tmp_path: Path, start: Starter) -> Path:
+    """A segment of two with simulated slaves on port 0; ``plant.toml`` beside it is for port 1."""
+    folder = tmp_path / "bus"
+    start.segment(folder)
+    both = plant_file(tmp_path, IO, {**RAW, "address": 20})
+    start("sim", str(both), "--port", str(folder / "0")).wait_for("raw")
+    plant_file(tmp_path, IO, port=folder / "1")
+    return folder
+
+
+def test_run_and_address_against_simulated_slaves(bus: Path, capsys: pytest.CaptureFixture[str], cli: Cli) -> None:
+    plant, port = str(bus.parent / "plant.toml"), str(bus / "1")
+    assert (
+        cli.out("address", "20", "9", "--port", port, "--baud", "500000")
+        == "slave 20 has address 9 now: ident 0x1234, verified there\n"
+    )
+    assert main(["address", "8", "10", "--port", port, "--baud", "500000"]) == 1  # Set_Slave_Add_supp = 0
+    assert "Set_Slave_Add" in capsys.readouterr().err
+
+    summary = cli.json("run", plant, "--rotations", "50", "--outputs", "8=5A")
+    assert summary["slaves"]["8"]["state"] == "data_exchange"
+    assert summary["slaves"]["8"]["inputs"] == "5a"

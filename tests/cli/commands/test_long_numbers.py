@@ -6,6 +6,7 @@ import contextlib
 from pathlib import Path
 
 import pytest
+from plant_files import plant_file
 
 import dpstack
 from dpstack.api.control import arguments
@@ -15,7 +16,6 @@ from dpstack.text import decimal, number_or_name
 
 BIG = "9" * 5000
 HOIST = {"name": "hoist", "address": 3, "drive": "demag-dedrive", "watchdog_ms": 0}
-PLANT = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "hoist"\naddress = 3\ndrive = "demag-dedrive"\n'
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,7 @@ PLANT = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "hoist"\naddr
     ids=lambda argv: " ".join(argv).replace(BIG, "BIG"),
 )
 def test_an_argument(argv: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plant = tmp_path / "plant.toml"
-    plant.write_text(PLANT, encoding="utf-8")
+    plant = plant_file(tmp_path, HOIST)
     try:
         code = main([str(plant) if arg == "PLANT" else arg.replace("BIG", "f" * 5000) for arg in argv])
     except SystemExit as end:

@@ -17,8 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from api_kit import FAN
 from cli_kit import Cli
-from programs import PLANT, Starter, plant_of, wait_for_exchanges, wait_for_socket
+from plant_files import plant_file
+from programs import Program, Starter, plant_of, wait_for_exchanges, wait_for_socket
 
 from dpstack.cli.main import main
 
@@ -32,6 +34,15 @@ def segment(tmp_path: Path, start: Starter) -> Path:
 
 def plant(tmp_path: Path, port: object) -> str:
     return str(plant_of(tmp_path, port))
+
+
+def exchanging(start: Starter, config: str, segment: Path, *options: str) -> tuple[Program, Program]:
+    """A simulator at port 0 of ``segment``, and a run that exchanges data with its slaves."""
+    sim = start("sim", config, "--port", str(segment / "0"))
+    sim.wait_for("raw")
+    run = start("run", config, "--json", *options)
+    run.wait_for_slaves(3)
+    return sim, run
 
 
 @pytest.mark.parametrize("driver", ["asyncio", "process"])
@@ -59,10 +70,7 @@ def test_a_plant_on_a_segment(tmp_path: Path, start: Starter, segment: Path, dri
 
 def test_the_simulator_dies_and_comes_back(tmp_path: Path, start: Starter, segment: Path) -> None:
     config = plant(tmp_path, segment / "1")
-    sim = start("sim", config, "--port", str(segment / "0"))
-    sim.wait_for("raw")
-    run = start("run", config, "--json")
-    run.wait_for_slaves(3)
+    sim, run = exchanging(start, config, segment)
     sim.end(signal.SIGKILL)
     run.wait_for('"kind":"lost"', 3)
     start("sim", config, "--port", str(segment / "0")).wait_for("raw")
@@ -77,10 +85,7 @@ def test_a_pty_made_by_sim(tmp_path: Path, start: Starter) -> None:
     sim.wait_for("}")
     first = sim.lines[0]
     assert set(first) == {"port"}
-    text = PLANT.format(port="/dev/elsewhere")
-    fan_only = text[: text.index("[[slave]]")] + text[text.index('[[slave]]\nname = "fan"') : text.rindex("[[slave]]")]
-    config = tmp_path / "fan.toml"
-    config.write_text(fan_only, encoding="utf-8")
+    config = plant_file(tmp_path, {**FAN, "ident": "ask"}, port="/dev/elsewhere", max_retry=7)
     run = start("run", str(config), "--port", first["port"], "--json")
     run.wait_for('"state":"data_exchange"')
     assert run.end(signal.SIGTERM) == 0
@@ -94,9 +99,7 @@ def test_a_pty_made_by_sim(tmp_path: Path, start: Starter) -> None:
 
 def test_the_end_leaves_safe_outputs(tmp_path: Path, start: Starter, segment: Path) -> None:
     config = plant(tmp_path, segment / "1")
-    start("sim", config, "--port", str(segment / "0")).wait_for("raw")
-    run = start("run", config, "--json")
-    run.wait_for_slaves(3)
+    _, run = exchanging(start, config, segment)
     assert run.end(signal.SIGTERM) == 0
     told = run.lines
     assert [e["mode"] for e in told if e["event"] == "mode"] == ["operate", "clear", "offline"]
@@ -108,9 +111,7 @@ def test_the_bus_process_is_killed_and_run_says_what_that_means(
     tmp_path: Path, start: Starter, segment: Path, cli: Cli
 ) -> None:
     config = plant(tmp_path, segment / "1")
-    start("sim", config, "--port", str(segment / "0")).wait_for("raw")
-    run = start("run", config, "--json", "--driver", "process")
-    run.wait_for_slaves(3)
+    _, run = exchanging(start, config, segment, "--driver", "process")
     wait_for_socket(segment / "1")
 
     def slaves() -> dict[str, Any]:
@@ -135,14 +136,9 @@ def test_the_port_vanishes(tmp_path: Path, start: Starter) -> None:
     directory = tmp_path / "bus"
     segment = start.interpreter("segment", "--stations", "2", "--dir", str(directory))
     segment.wait_for(str(directory / "1"))
-    config = plant(tmp_path, directory / "1")
-    text = Path(config).read_text(encoding="utf-8")
     # a new segment may come sooner or later than the watchdogs run out: the outputs shall go on all the same
-    Path(config).write_text(text.replace("[bus]", '[bus]\nafter_stall = "resume"'), encoding="utf-8")
-    sim = start("sim", config, "--port", str(directory / "0"))
-    sim.wait_for("raw")
-    run = start("run", config, "--json")
-    run.wait_for_slaves(3)
+    config = str(plant_of(tmp_path, directory / "1", after_stall="resume"))
+    _, run = exchanging(start, config, directory)
     segment.end(signal.SIGTERM)
     run.wait_for('"lost":true')
     start.segment(directory)
@@ -175,8 +171,7 @@ def test_a_held_port_names_its_holder(tmp_path: Path, start: Starter, segment: P
 def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_path: Path, start: Starter) -> None:
     directory = tmp_path / "bus"
     start.segment(directory, 4, "--baud", "187500")
-    config = tmp_path / "first.toml"
-    config.write_text(PLANT.format(port=directory / "1").replace("500000", "187500"), encoding="utf-8")
+    config = plant_of(tmp_path, directory / "1", baud=187_500)
     sim = start("sim", str(config), "--port", str(directory / "0"), "--baud", "auto")
     run = start("run", str(config), "--json")
     run.wait_for_slaves(3)
@@ -208,9 +203,7 @@ def test_slaves_follow_to_another_rate_without_a_restart(
         answer: dict[str, Any] = cli.json("ctl", str(port), *order)
         return answer
 
-    config = tmp_path / "plant.toml"
-    text = PLANT.format(port=segment / "1").replace("[[slave]]", "[[slave]]\nwatchdog_ms = 500")
-    config.write_text(text, encoding="utf-8")
+    config = plant_of(tmp_path, segment / "1", each={"watchdog_ms": 500})
     sim = start("sim", str(config), "--port", str(segment / "0"), "--baud", "auto", "--json")
     listening = start("run", str(config), "--baud", "auto")
     listening.wait_for("searching for the baud rate on")
@@ -278,9 +271,9 @@ def test_nothing_to_be_found_on_a_silent_bus(start: Starter, segment: Path) -> N
     )
 
 
-def test_a_reader_that_has_seen_enough_is_no_traceback(plant_file: str) -> None:
+def test_a_reader_that_has_seen_enough_is_no_traceback(virtual_plant: str) -> None:
     """The bus is left in order, nothing is said of it."""
-    run = [sys.executable, "-m", "dpstack.cli.main", "run", plant_file, "--json", "--seconds", "600"]
+    run = [sys.executable, "-m", "dpstack.cli.main", "run", virtual_plant, "--json", "--seconds", "600"]
     with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -303,9 +296,9 @@ def test_a_reader_that_has_seen_enough_is_no_traceback(plant_file: str) -> None:
 )
 @pytest.mark.parametrize("command", ["run --rotations 20", "plan"])
 def test_standard_output_that_takes_nothing(
-    plant_file: str, command: str, redirected: str, code: int, line: str
+    virtual_plant: str, command: str, redirected: str, code: int, line: str
 ) -> None:
-    script = f'exec "{sys.executable}" -m dpstack.cli.main {command} "{plant_file}" {redirected}'
+    script = f'exec "{sys.executable}" -m dpstack.cli.main {command} "{virtual_plant}" {redirected}'
     ended = subprocess.run(["sh", "-c", script], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
     assert ended.returncode == code
     assert ended.stderr.startswith(line)
@@ -320,7 +313,7 @@ def test_a_terminal_that_is_closed_ends_in_order(tmp_path: Path, start: Starter,
 
 
 @pytest.fixture
-def plant_file(tmp_path: Path) -> str:
+def virtual_plant(tmp_path: Path) -> str:
     return plant(tmp_path, "virtual")
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from api_kit import slave_in
+from bus_kit import add_station
 from cli_kit import Cli
 from far_ends import HANG_S
 from programs import Starter, plant_of
@@ -24,8 +25,6 @@ from dpstack.cli.commands import on_bus
 from dpstack.cli.main import main
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import PortBusyError
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack_drives import demag, fuji
 
@@ -42,61 +41,59 @@ def bus(tmp_path: Path, start: Starter) -> Path:
     return directory
 
 
-@pytest.fixture
-def world(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same slaves in virtual time: there every port leads to them."""
+def in_virtual_time(monkeypatch: pytest.MonkeyPatch) -> dpstack.World:
+    """There every port leads to this world."""
     made = dpstack.World()
-    slave_in(made, demag.DRIVE.device("PPO1"), 3)
-    slave_in(made, fuji.DRIVE.device("PPO3"), 4)
-    slave_in(made, MirrorDevice(0x1234, b"\x20\x10"), 9)
-    monkeypatch.setattr(on_bus, "Bus", functools.partial(dpstack.Bus, world=made))
-    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
-
-
-@pytest.fixture
-def owned(monkeypatch: pytest.MonkeyPatch) -> dpstack.World:
-    """A bus in virtual time with master 2, which is there first."""
-    made = dpstack.World()
-    station = ActiveStation(BusParams.preset(500_000, address=2), [])
-    made.add(station)
-    made.command(station, GoOnline())
-    made.run_for(100_000_000)
-    assert station.in_ring
     monkeypatch.setattr(on_bus, "Bus", functools.partial(dpstack.Bus, world=made))
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     return made
 
 
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same slaves in virtual time."""
+    made = in_virtual_time(monkeypatch)
+    slave_in(made, demag.DRIVE.device("PPO1"), 3)
+    slave_in(made, fuji.DRIVE.device("PPO3"), 4)
+    slave_in(made, MirrorDevice(0x1234, b"\x20\x10"), 9)
+
+
+@pytest.fixture
+def scan(cli: Cli) -> Cli:
+    """``dpstack scan`` in virtual time."""
+    return cli.of("scan", "--port", str(PORT), "--baud", "500000")
+
+
+@pytest.fixture
+def owned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bus in virtual time with master 2, which is there first."""
+    made = in_virtual_time(monkeypatch)
+    station = add_station(made, BusParams.preset(500_000, address=2))
+    made.run_for(100_000_000)
+    assert station.in_ring
+
+
 @pytest.mark.usefixtures("owned")
 @pytest.mark.parametrize("command", [("scan",), ("address", "126", "5")])
-def test_an_address_in_use_is_told_once(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    code = main([*command, "--port", str(PORT), "--baud", "500000", "--address", "2"])
-    printed = capsys.readouterr()
-    assert (code, printed.out) == (1, "")
-    assert printed.err == (
+def test_an_address_in_use_is_told_once(command: tuple[str, ...], cli: Cli) -> None:
+    assert cli(*command, "--port", str(PORT), "--baud", "500000", "--address", "2", code=1) == (
+        "",
         "dpstack: another station on the bus sends as address 2: staying out of the ring; give one of the two another "
-        "address\n"
+        "address\n",
     )
 
 
 @pytest.mark.usefixtures("owned")
-def test_a_master_that_is_there_first_is_waited_for(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = scan(capsys, PORT, "--json")
-    assert (code, err) == (0, "")
+def test_a_master_that_is_there_first_is_waited_for(scan: Cli) -> None:
+    out, err = scan("--json")
+    assert err == ""
     assert [station["type"] for station in json.loads(out)["stations"]] == ["master_in_ring"]
 
 
-def scan(capsys: pytest.CaptureFixture[str], port: Path, *more: str) -> tuple[int, str, str]:
-    code = main(["scan", "--port", str(port), "--baud", "500000", *more])
-    printed = capsys.readouterr()
-    return code, printed.out, printed.err
-
-
 @pytest.mark.usefixtures("world")
-def test_a_silent_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str], cli: Cli) -> None:
-    code, out, err = scan(capsys, PORT, "--json")
-    assert (code, err) == (0, "")
-    assert out.count("\n") == 1
+def test_a_silent_bus(tmp_path: Path, scan: Cli, cli: Cli) -> None:
+    out, err = scan("--json")
+    assert (err, out.count("\n")) == ("", 1)
     told: dict[str, Any] = json.loads(out)
     assert told["baud"] == 500_000
     cause = "it waits for parameters: no master has it"
@@ -104,8 +101,8 @@ def test_a_silent_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str], cli: C
         {"address": address, "type": "slave", "ident": ident, "state": "wait_prm", "master": None, "cause": cause}
         for address, (ident, _) in zip((3, 4, 9), SLAVES, strict=True)
     ]
-    code, out, err = scan(capsys, PORT, "--config")
-    assert (code, err) == (0, "")
+    out, err = scan("--config")
+    assert err == ""
     path = tmp_path / "found.toml"
     path.write_text(out, encoding="utf-8")
     config = load_config(path)
@@ -115,7 +112,7 @@ def test_a_silent_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str], cli: C
 
 @pytest.mark.usefixtures("world")
 def test_the_configuration_takes_modules_from_gsd_files(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, scan: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     head = "#Profibus_DP\nGSD_Revision = 3\nIdent_Number = 0x1234\n500_supp = 1\nModular_Station = 1\nMax_Module = 4\n"
@@ -125,26 +122,22 @@ def test_the_configuration_takes_modules_from_gsd_files(
         head + "Max_Input_Len = 4\nMax_Output_Len = 4\nMax_Data_Len = 8\n" + modules
     )
     (tmp_path / "files" / "no.gsd").write_text("nothing\n")
-    code, out, err = scan(capsys, PORT, "--config", "--gsd", "files")
-    assert code == 0
+    out, err = scan("--config", "--gsd", "files")
     assert 'gsd = "files/raw slave.gsd"\nmodules = ["8 DO", "8 DI"]\n' in out
     assert "no.gsd: 1: " in err
     assert "slave 3" not in err  # a known drive needs no file
     (tmp_path / "found.toml").write_text(out, encoding="utf-8")
     assert [slave.params.config.hex() for slave in load_config("found.toml").slaves][-1] == "2010"
-    code, _, err = scan(capsys, PORT, "--gsd", "files")
-    assert (code, err) == (
-        2,
-        "dpstack: scan: --gsd finds modules for a configuration file: add --config, or leave --gsd out\n",
-    )
-    code, _, err = scan(capsys, PORT, "--config", "--gsd", "nowhere")
-    assert (code, err) == (2, "dpstack: nowhere: this is no folder; give the folder of the plant's GSD files\n")
+    says = "dpstack: scan: --gsd finds modules for a configuration file: add --config, or leave --gsd out\n"
+    assert scan.err("--gsd", "files") == says
+    says = "dpstack: nowhere: this is no folder; give the folder of the plant's GSD files\n"
+    assert scan.err("--config", "--gsd", "nowhere") == says
 
 
 @pytest.mark.usefixtures("world")
-def test_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = scan(capsys, PORT, "--address", "7")
-    assert (code, err) == (0, "")
+def test_for_people(scan: Cli) -> None:
+    out, err = scan("--address", "7")
+    assert err == ""
     lines = out.splitlines()
     assert lines[0] == "3 stations at 500 kbit/s, asked by 7"
     assert lines[1].split() == ["address", "type", "ident", "state", "master", "device"]
@@ -163,11 +156,10 @@ def test_a_run_that_holds_the_port_can_be_asked(
     assert text.rstrip().endswith("; or let that run ask: dpstack ctl /dev/ttyX scan") is says
 
 
-def test_nobody(tmp_path: Path, start: Starter, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nobody(tmp_path: Path, start: Starter, cli: Cli) -> None:
     directory = tmp_path / "bus"
     start.segment(directory)
-    code, out, err = scan(capsys, directory / "0", "--json")
-    assert code == 1
+    out, err = cli("scan", "--port", str(directory / "0"), "--baud", "500000", "--json", code=1)
     assert json.loads(out)["stations"] == []
     assert err == "dpstack: nobody answers at 500 kbit/s: check rate, power, A and B, and the termination\n"
 
@@ -195,7 +187,8 @@ def test_beside_a_master_and_read_only(
     # processor with its token makes the scan claim one after T_TO (that the scan itself does not:
     # dp/master/test_scanner.py). Both pass, the second one perhaps not soon.
     while (found, err) != (there, "") and (found != there or time.monotonic() < end - HANG_S / 2):
-        code, out, err = scan(capsys, bus / "2", "--json")
+        code = main(["scan", "--port", str(bus / "2"), "--baud", "500000", "--json"])
+        out, err = capsys.readouterr()
         found = [(s["address"], s["type"], s["state"], s["master"]) for s in json.loads(out)["stations"]]
         unasked = [(address, kind, None, None) for address, kind, *_ in there]
         assert set(found) <= {*there, *unasked, (2, "master_ready", None, None)}

@@ -9,29 +9,15 @@ from pathlib import Path
 
 import pytest
 from cli_kit import SIMULATED, Cli
+from plant_files import plant_file
 
 import dpstack
 from dpstack.api.control.handlers import control_run
 from dpstack.cli.main import main
 
 Out = pytest.CaptureFixture[str]
-PLANT = """
-[bus]
-port = "virtual"
-baud = 500000
-
-[[slave]]
-name = "io"
-address = 8
-gsd = "io-station"
-modules = ["8 DI", "8 DO"]
-
-[[slave]]
-name = "pump"
-address = 3
-drive = "demag-dedrive"
-simulated = { ready = true }
-"""
+IO = {"name": "io", "address": 8, "gsd": "io-station", "modules": ["8 DI", "8 DO"]}
+PUMP = {"name": "pump", "address": 3, "drive": "demag-dedrive", "simulated": {"ready": True}}
 IM0 = ["acyclic", "PLANT", "8", "im", "2"]
 COMMANDS = [IM0, [*IM0, "--class", "2"], ["drive", "PLANT", "pump", "status"]]
 
@@ -40,9 +26,7 @@ pytestmark = pytest.mark.usefixtures("alone")
 
 @pytest.fixture
 def plant(tmp_path: Path) -> str:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT, encoding="utf-8")
-    return str(path)
+    return str(plant_file(tmp_path, IO, PUMP))
 
 
 def given(command: list[str], plant: str) -> list[str]:
@@ -62,8 +46,7 @@ def test_in_one_line_beside_the_json(command: list[str], plant: str, cli: Cli, m
 
 
 def test_an_order_refused_before_the_bus_opens_is_one_line(plant: str, capsys: Out) -> None:
-    path = Path(plant)
-    path.write_text(PLANT.replace("[bus]", "[bus]\nread_only = true"), encoding="utf-8")
+    plant_file(Path(plant).parent, IO, PUMP, read_only=True)
     for command in COMMANDS:
         assert main(given(command, plant)) == 2
         (line,) = capsys.readouterr().err.splitlines()

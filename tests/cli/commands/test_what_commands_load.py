@@ -194,14 +194,12 @@ asyncio.run(main())
 """
 
 
-def test_the_first_service_loads_construct_beside_the_bus() -> None:
-    done = subprocess.run([sys.executable, "-c", _SERVICE], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["", "False"]
-
-
-def test_a_bus_with_alarms_loads_construct_before_it_begins() -> None:
-    done = subprocess.run([sys.executable, "-c", _SERVICE, "1"], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["True", "True"]
+@pytest.mark.parametrize(("alarms", "printed"), [([], ["", "False"]), (["1"], ["True", "True"])], ids=["none", "some"])
+def test_construct_is_loaded_beside_the_bus_or_with_alarms_before_it_begins(
+    alarms: list[str], printed: list[str]
+) -> None:
+    done = subprocess.run([sys.executable, "-c", _SERVICE, *alarms], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == printed
 
 
 _SERVER = """

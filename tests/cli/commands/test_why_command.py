@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 from api_kit import RAW, bench_of, in_virtual_time, operating
+from bus_kit import add_station, setup
 from cli_kit import Cli
+from plant_files import plant_file
 from slave_kit import make_slave
 
 import dpstack
@@ -19,30 +21,14 @@ from dpstack.api.control.remote import WhyAnswer
 from dpstack.cli.commands import on_bus
 from dpstack.cli.terminal import causes
 from dpstack.cli.terminal.causes import CauseLines, as_json
-from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveFaulted, SlaveState
 from dpstack.dp.master.fault_texts import absent
 from dpstack.dp.master.master import Master
-from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 
 pytestmark = pytest.mark.usefixtures("alone")
-PLANT = """
-[bus]
-port = "/dev/ttyNone"
-baud = 500000
-address = MASTER
-
-[[slave]]
-name = "rig"
-address = 8
-ident = 0x1234
-config = "20 10"
-"""
 
 
 class Field:
@@ -53,11 +39,8 @@ class Field:
         params = BusParams.preset(500_000, address=2, gap=gap)
         self.slave = make_slave(8, MirrorDevice(0x1234, bytes.fromhex("20 10")), params)
         self.world.add(self.slave)
-        self.owner = Master(params, [SlaveParams(address=8, name="rig", ident=0x1234, config=bytes.fromhex("20 10"))])
-        self.station = ActiveStation(params, [self.owner], now=self.world.now)
-        self.world.add(self.station)
-        self.world.command(self.station, GoOnline())
-        self.world.command(self.station, SetMode(Mode.OPERATE))
+        self.owner = Master(params, [setup(8, name="rig", config=bytes.fromhex("20 10"))])
+        self.station = add_station(self.world, params, self.owner)
         self.world.run_for(300_000_000)
 
     def bus(self, config: Any, *, on_event: Any = None, world: object = None) -> dpstack.Bus:
@@ -76,10 +59,8 @@ def field(monkeypatch: pytest.MonkeyPatch, gap: int = 1) -> Field:
     return found
 
 
-def plant(tmp_path: Path, master: int) -> str:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT.replace("MASTER", str(master)), encoding="utf-8")
-    return str(path)
+def plant(tmp_path: Path, master: int, *more: dict[str, object]) -> str:
+    return str(plant_file(tmp_path, {**RAW, "name": "rig", "address": 8}, *more, port="/dev/ttyNone", address=master))
 
 
 def test_beside_its_own_master(tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,16 +78,12 @@ def test_beside_its_own_master(tmp_path: Path, cli: Cli, monkeypatch: pytest.Mon
 
 def test_without_a_name_every_slave_is_asked(tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     there = field(monkeypatch)
-    path = Path(plant(tmp_path, 2))
-    gone = '\n[[slave]]\nname = "gone"\naddress = 9\nident = 0x1234\nconfig = "20 10"\n'
-    path.write_text(path.read_text() + gone, encoding="utf-8")
-    first, *rest = cli.out("why", str(path), code=1).splitlines()
+    first, *rest = cli.out("why", plant(tmp_path, 2, {**RAW, "name": "gone"}), code=1).splitlines()
     assert first == "slave 8 (rig): data_exchange, seen by a class 2 master beside it, healthy"
     assert rest[0] == "slave 9 (gone): offline, seen by a class 2 master beside it"
     assert "not_there" in " ".join(rest)
     assert there.is_undisturbed()
-    path.write_text(PLANT.replace("MASTER", "2"), encoding="utf-8")
-    assert cli.out("why", str(path)).count("\n") == 1
+    assert cli.out("why", plant(tmp_path, 2)).count("\n") == 1
 
 
 def test_a_slave_of_another_master_is_locked(tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import threading
 
 from far_ends import PtyFarEnd
@@ -15,12 +16,18 @@ ROUND = TOKEN + REQUEST + ANSWER
 
 
 class SpeakingPty(PtyFarEnd):
-    """``octets`` are sent every 2 ms to whoever has ``path`` open; ``heard``: the octets sent to this end."""
+    """``octets`` are sent every 2 ms to whoever has ``path`` open; ``heard``: the octets sent to this end.
 
-    def __init__(self, octets: bytes) -> None:
+    After ``stop_after`` rounds that could be heard it ends the command with a signal.
+    """
+
+    stop_after = 0
+
+    def __init__(self, octets: bytes = ROUND) -> None:
         super().__init__()
         self.octets = octets
         self.heard = b""
+        self.rounds = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._send)
         self._thread.start()
@@ -31,6 +38,9 @@ class SpeakingPty(PtyFarEnd):
                 os.write(self.fd, self.octets)
             with contextlib.suppress(OSError):  # nobody has it open
                 self.heard += self.take()
+                self.rounds += 1
+                if self.rounds == self.stop_after:
+                    os.kill(os.getpid(), signal.SIGTERM)
 
     def end(self) -> None:
         self._ended.set()

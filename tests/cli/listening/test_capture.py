@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import io
 import os
 import resource
@@ -11,12 +10,14 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from api_kit import RAW
 from cli_kit import Cli
-from far_ends import HANG_S, PtyFarEnd
+from far_ends import HANG_S, eventually
+from plant_files import plant_file
 
 from dpstack.api.listen.listening import ListenedLine, OctetsLost
 from dpstack.capture.pcapng import PROFIBUS_DL, Packet, Reader
@@ -25,67 +26,21 @@ from dpstack.cli.listening import capture
 from dpstack.cli.main import main
 from dpstack.fdl.baud_search import BaudFound, Confidence
 from dpstack.trace import Event
+from tests.cli.listening.speaking_pty import ANSWER, REQUEST, TOKEN, SpeakingPty
 
-TOKEN = bytes.fromhex("DC 02 02")
-REQUEST = bytes.fromhex("68 05 05 68 83 82 6D 3C 3E EC 16")
-ANSWER = bytes.fromhex("68 0B 0B 68 82 83 08 3E 3C 02 05 00 FF 12 34 D3 16")
 T = 1_790_000_000_000_000_000
-ROUND = TOKEN + REQUEST + ANSWER
-
-
-class Bus(PtyFarEnd):
-    """The other end of the pty: a bus that sends the same round again and again; ``heard``: the octets sent to it.
-
-    After ``stop_after`` rounds that could be heard it ends the capture with a signal.
-    """
-
-    stop_after = 0
-
-    def __init__(self, octets: bytes) -> None:
-        super().__init__()
-        self.octets = octets
-        self.heard = b""
-        self.rounds = 0
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._send)
-        self._thread.start()
-
-    def _send(self) -> None:
-        while not self._ended.wait(0.002):
-            with contextlib.suppress(BlockingIOError):  # nobody reads yet
-                os.write(self.fd, self.octets)
-            with contextlib.suppress(OSError):  # nobody has it open
-                self.heard += self.take()
-                self.rounds += 1
-                if self.rounds == self.stop_after:
-                    os.kill(os.getpid(), signal.SIGTERM)
-
-    def end(self) -> None:
-        self._ended.set()
-        self._thread.join()
-        self.hang_up()
 
 
 @pytest.fixture
-def bus() -> Iterator[Bus]:
-    bus = Bus(ROUND)
-    yield bus
-    bus.end()
-
-
-@pytest.fixture
-def short_bus(bus: Bus) -> Bus:
+def short_bus(speaking: SpeakingPty) -> SpeakingPty:
     """It ends the capture of this process after some rounds."""
-    bus.stop_after = 40
-    return bus
+    speaking.stop_after = 40
+    return speaking
 
 
 def wait_for_octets(path: Path) -> None:
     """Until the capture has written some telegrams to ``path``."""
-    end = time.monotonic() + HANG_S
-    while not (path.exists() and path.stat().st_size > 2_000):
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    eventually(lambda: path.exists() and path.stat().st_size > 2_000, "some telegrams")
 
 
 def packets(path: Path) -> list[Packet]:
@@ -93,7 +48,7 @@ def packets(path: Path) -> list[Packet]:
         return list(Reader(file, path.name))
 
 
-def test_a_file(cli: Cli, short_bus: Bus, tmp_path: Path, alone: None) -> None:
+def test_a_file(cli: Cli, short_bus: SpeakingPty, tmp_path: Path, alone: None) -> None:
     path = tmp_path / "a.pcapng"
     lines = cli.jsons("capture", "--port", short_bus.path, "--baud", "500000", "--write", str(path))
     found = packets(path)
@@ -108,11 +63,8 @@ def test_a_file(cli: Cli, short_bus: Bus, tmp_path: Path, alone: None) -> None:
     assert short_bus.heard == b""
 
 
-def test_the_screen_with_a_filter_and_names(cli: Cli, short_bus: Bus, tmp_path: Path, alone: None) -> None:
-    plant = tmp_path / "plant.toml"
-    plant.write_text(
-        '[bus]\n[[slave]]\nname = "valves"\naddress = 3\nident = 0x1234\nconfig = "20 10"\n', encoding="utf-8"
-    )
+def test_the_screen_with_a_filter_and_names(cli: Cli, short_bus: SpeakingPty, tmp_path: Path, alone: None) -> None:
+    plant = plant_file(tmp_path, {**RAW, "name": "valves", "address": 3})
     listen = ("capture", "--port", short_bus.path, "--baud", "500000")
     out = cli.out(*listen, "--filter", "service==slave_diag", "--config", str(plant))
     shown = [line for line in out.splitlines() if "Slave_Diag" in line]
@@ -122,7 +74,7 @@ def test_the_screen_with_a_filter_and_names(cli: Cli, short_bus: Bus, tmp_path: 
     assert " telegrams in " in out.splitlines()[-1]
 
 
-def test_the_link_type_of_profibus(cli: Cli, short_bus: Bus, tmp_path: Path, alone: None) -> None:
+def test_the_link_type_of_profibus(cli: Cli, short_bus: SpeakingPty, tmp_path: Path, alone: None) -> None:
     path = tmp_path / "a.pcapng"
     args = ("--port", short_bus.path, "--baud", "500000", "--write", str(path), "--linktype", "257")
     assert "show only octets" in cli("capture", *args)[1]
@@ -142,7 +94,7 @@ def test_no_file_is_left_where_the_port_cannot_be_opened(cli: Cli, tmp_path: Pat
     assert not path.exists()
 
 
-def test_a_ring_of_triggered_windows(cli: Cli, short_bus: Bus, tmp_path: Path, alone: None) -> None:
+def test_a_ring_of_triggered_windows(cli: Cli, short_bus: SpeakingPty, tmp_path: Path, alone: None) -> None:
     name = tmp_path / "ring.pcapng"
     args = ("--port", short_bus.path, "--baud", "500000", "--write", str(name), "--ring", "2", "--size", "0.001")
     summary = cli.json("capture", *args, "--trigger", "dc 02 02", "--before", "0", "--after", "0")
@@ -158,7 +110,7 @@ def test_a_ring_of_triggered_windows(cli: Cli, short_bus: Bus, tmp_path: Path, a
     assert summary["triggers"]["dc 02 02"] >= summary["windows"]
 
 
-def test_the_screen_around_a_trigger(cli: Cli, short_bus: Bus, alone: None) -> None:
+def test_the_screen_around_a_trigger(cli: Cli, short_bus: SpeakingPty, alone: None) -> None:
     args = ("--port", short_bus.path, "--baud", "500000")
     lines = cli.jsons("capture", *args, "--trigger", "station 3", "--before", "0", "--after", "0")
     services = [line["service"] for line in lines if line.get("service")]
@@ -184,16 +136,16 @@ def test_options_that_do_not_go_together(cli: Cli, args: tuple[str, ...], text: 
     assert text in cli.err("capture", "--port", "/dev/none", *args)
 
 
-def test_a_port_that_vanishes_and_comes_back(cli: Cli, bus: Bus, tmp_path: Path, alone: None) -> None:
+def test_a_port_that_vanishes_and_comes_back(cli: Cli, speaking: SpeakingPty, tmp_path: Path, alone: None) -> None:
     port, path = tmp_path / "port", tmp_path / "a.pcapng"
-    port.symlink_to(bus.path)
-    again: list[Bus] = []
+    port.symlink_to(speaking.path)
+    again: list[SpeakingPty] = []
 
     def replug() -> None:
         wait_for_octets(path)
         port.unlink()
-        bus.end()
-        again.append(Bus(ROUND))
+        speaking.end()
+        again.append(SpeakingPty())
         port.symlink_to(again[0].path)
         end = time.monotonic() + HANG_S
         while b"gap: " not in path.read_bytes() and time.monotonic() < end:
@@ -213,7 +165,7 @@ def test_a_port_that_vanishes_and_comes_back(cli: Cli, bus: Bus, tmp_path: Path,
 
 
 def test_standard_output_carries_the_file(
-    short_bus: Bus, capfdbinary: pytest.CaptureFixture[bytes], alone: None
+    short_bus: SpeakingPty, capfdbinary: pytest.CaptureFixture[bytes], alone: None
 ) -> None:
     assert main(["capture", "--port", short_bus.path, "--baud", "500000", "--write", "-"]) == 0
     out, err = capfdbinary.readouterr()
@@ -248,10 +200,10 @@ class Forked:
         return self._path.read_text(encoding="utf-8")
 
 
-def test_killed_and_on_a_full_disk(bus: Bus, tmp_path: Path, alone: None) -> None:
+def test_killed_and_on_a_full_disk(speaking: SpeakingPty, tmp_path: Path, alone: None) -> None:
     """Killed, a file is readable to its last whole block. A full disk ends the capture with one line."""
     killed, full = tmp_path / "killed.pcapng", tmp_path / "full.pcapng"
-    args = ("capture", "--port", bus.path, "--baud", "500000", "--write")
+    args = ("capture", "--port", speaking.path, "--baud", "500000", "--write")
     program = Forked(tmp_path / "1", *args, str(full), most=6_000)
     assert program.end() == 1
     lines = program.out.splitlines()
@@ -269,9 +221,9 @@ def test_killed_and_on_a_full_disk(bus: Bus, tmp_path: Path, alone: None) -> Non
         assert {TOKEN, REQUEST, ANSWER} <= {one.octets for one in packets(path)}
 
 
-def test_signals_end_it_in_order(bus: Bus, tmp_path: Path, alone: None) -> None:
+def test_signals_end_it_in_order(speaking: SpeakingPty, tmp_path: Path, alone: None) -> None:
     path = tmp_path / "a.pcapng"
-    program = Forked(tmp_path / "1", "capture", "--port", bus.path, "--baud", "500000", "--write", str(path))
+    program = Forked(tmp_path / "1", "capture", "--port", speaking.path, "--baud", "500000", "--write", str(path))
     wait_for_octets(path)
     os.kill(program.pid, signal.SIGTERM)
     assert program.end() == 0

@@ -1,6 +1,6 @@
 """``dpstack wireshark`` with the folders of a made-up Wireshark, and its extcap program.
 
-Tests with the real tshark: tests/strangers/test_wireshark_fields.py, tests/strangers/test_wireshark_extcap.py.
+Tests with the real tshark: tests/strangers/test_tshark.py.
 """
 
 from __future__ import annotations

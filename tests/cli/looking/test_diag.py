@@ -13,6 +13,7 @@ from bus_kit import add_station
 from cli_kit import Cli
 from faults.devices import Deaf
 from octet_slave import sd1, sd2
+from plant_files import plant_file
 
 import dpstack
 from dpstack.api.config.config import Config, load_config
@@ -27,19 +28,8 @@ from dpstack.units import NEVER
 
 pytestmark = pytest.mark.usefixtures("alone")
 
-PLANT = """
-[bus]
-port = "/dev/ttyNone"
-baud = 500000
-address = 2
-cycle_ms = 10.0
-[[slave]]
-name = "io"
-address = 8
-gsd = "io-station"
-modules = ["8 DI", "2 AI"]
-inputs = { level = { at = "i16@1", scale = 0.1, unit = "bar" } }
-"""
+LEVEL = {"at": "i16@1", "scale": 0.1, "unit": "bar"}
+IO = {"name": "io", "address": 8, "gsd": "io-station", "modules": ["8 DI", "2 AI"], "inputs": {"level": LEVEL}}
 #: Ext_Diag; an identifier related block for module 1, a channel related one: module 1, channel 0, word, line break
 ILL = bytes.fromhex("08 0C 00 06 10D5 42 02 81 40 A6")
 
@@ -102,9 +92,7 @@ def field_bus(monkeypatch: pytest.MonkeyPatch) -> Field:
 
 @pytest.fixture
 def plant(tmp_path: Path) -> Path:
-    path = tmp_path / "plant.toml"
-    path.write_text(PLANT, encoding="utf-8")
-    return path
+    return plant_file(tmp_path, IO, port="/dev/ttyNone", cycle_ms=10.0)
 
 
 def test_station_of_octets_beside_its_master(field_bus: Field, plant: Path, cli: Cli) -> None:
@@ -230,7 +218,7 @@ def reading_is_kept(reading: StationReading) -> None:
 @in_virtual_time
 async def test_any_station_through_the_run(plant: Path) -> None:
     """The run's own slave, one of another master, and one that is not there."""
-    plant.write_text(PLANT.replace("/dev/ttyNone", "/dev/plant"), encoding="utf-8")
+    plant_file(plant.parent, IO, port="/dev/plant", cycle_ms=10.0)
     config = load_config(plant)
     world = dpstack.World(referee=False)
     dpstack.simulate(world, config.slaves, baud=500_000)
@@ -266,7 +254,7 @@ async def test_any_station_through_the_run(plant: Path) -> None:
 
 @in_virtual_time
 async def test_through_a_run_that_only_reads(plant: Path) -> None:
-    plant.write_text(PLANT.replace("/dev/ttyNone", "/dev/plant").replace("cycle_ms = 10.0\n", ""), encoding="utf-8")
+    plant_file(plant.parent, IO, port="/dev/plant")
     config = load_config(plant).with_bus(read_only=True)
     world = dpstack.World(referee=False)
     station = OctetStation(8, {60: bytes.fromhex("00 0C 00 06 10D5"), 59: b"\x10\x51", 56: bytes(5)})
@@ -287,7 +275,7 @@ async def test_no_run_answers(plant: Path) -> None:
 
 @in_virtual_time
 async def test_the_only_run_on_virtual_and_one_by_its_name(plant: Path) -> None:
-    plant.write_text(PLANT.replace("/dev/ttyNone", "virtual").replace("cycle_ms = 10.0\n", ""), encoding="utf-8")
+    plant_file(plant.parent, IO)
     async with dpstack.open_bus(load_config(plant)) as bus:
         await bus.operate()
         await bus.ready()

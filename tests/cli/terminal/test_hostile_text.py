@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from api_kit import HOIST
 from control_kit import socket_of
+from plant_files import plant_file
 
 from dpstack.api.control.socket_path import Sockets, own_name
 from dpstack.capture.pcapng import Writer
@@ -100,26 +102,8 @@ EndSlotDefinition
 @pytest.fixture
 def config(tmp_path: Path, gsd: Path) -> Path:
     (tmp_path / "evil.gsd").write_bytes(gsd.read_bytes())
-    path = tmp_path / "plant.toml"
-    path.write_text(
-        """
-[bus]
-port = "virtual"
-baud = 500000
-[[slave]]
-name = "valves"
-address = 8
-gsd = "evil.gsd"
-modules = [1, 2]
-inputs = { limit = "bool@0.0" }
-[[slave]]
-name = "hoist"
-address = 3
-drive = "demag-dedrive"
-""",
-        encoding="utf-8",
-    )
-    return path
+    valves = {"name": "valves", "address": 8, "gsd": "evil.gsd", "modules": [1, 2], "inputs": {"limit": "bool@0.0"}}
+    return plant_file(tmp_path, valves, HOIST)
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:

@@ -9,10 +9,12 @@ import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from ends.telegrams import heard, is_in_order
 from far_ends import HANG_S
+from plant_files import plant_file
 from process_kit import SPEC, octet_slaves
 from programs import Starter
 
@@ -22,20 +24,8 @@ from dpstack.cli.main import main
 from dpstack.cli.terminal import signals
 from dpstack.cli.terminal.signals import StopSignal
 
-RUN = """
-[bus]
-port = "{port}"
-baud = 1500000
-gap = 0
-max_retry = 15
-
-[[slave]]
-name = "valves"
-address = 4
-ident = 0x1234
-config = "21 11"
-safe = "A5 5A"
-"""
+VALVES = {"name": "valves", "address": 4, "ident": 0x1234, "config": "21 11", "safe": "A5 5A"}
+BUS: dict[str, Any] = {"baud": 1_500_000, "gap": 0, "max_retry": 15}
 
 
 class Clock:
@@ -184,8 +174,7 @@ def test_the_double_that_comes_as_the_interpreter_ends_does_nothing(monkeypatch:
 def test_run_ends_with_1_where_the_end_could_not_be_sent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plant = tmp_path / "plant.toml"
-    plant.write_text(RUN.format(port="virtual"), encoding="utf-8")
+    plant = plant_file(tmp_path, VALVES, **BUS)
     assert main(["run", str(plant), "--rotations", "5"]) == 0, capsys.readouterr().err
     monkeypatch.setattr(OrderedEnd, "failed", property(lambda _: True, lambda *_: None), raising=False)
     assert main(["run", str(plant), "--rotations", "5"]) == 1
@@ -226,8 +215,7 @@ def test_an_exception_of_the_work_is_raised() -> None:
 @pytest.mark.usefixtures("alone")
 def test_run_under_a_wrapper_that_sends_its_signal_twice(start: Starter, tmp_path: Path) -> None:
     with octet_slaves(SPEC) as (path, there):
-        plant = tmp_path / "plant.toml"
-        plant.write_text(RUN.format(port=path), encoding="utf-8")
+        plant = plant_file(tmp_path, VALVES, port=path, **BUS)
         run = start("run", str(plant), "--outputs", "4=1122", "--json")
         run.wait_for_slaves(1)
         with heard(there) as words:

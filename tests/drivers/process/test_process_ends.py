@@ -14,14 +14,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from far_ends import until
+from far_ends import eventually, until
 from process_kit import (
     LAMPS,
     LAMPS_SPEC,
     SPEC,
     VALVES,
     bus_on,
-    eventually,
     octet_slaves,
     process_of,
     ready_bus,

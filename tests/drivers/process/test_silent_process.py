@@ -1,4 +1,5 @@
-"""A bus process that is killed or stopped: what the application sees of it, and what becomes of its orders."""
+"""A bus process that is killed or stopped: what the application sees of it, and what becomes of its orders. An
+application that hangs: its watchdog with the bus in a process of its own."""
 
 from __future__ import annotations
 
@@ -6,20 +7,22 @@ import asyncio
 import contextlib
 import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from api_kit import FAN
 from ends.telegrams import heard, is_in_order
-from far_ends import until
+from far_ends import eventually, until
 from process_kit import (
+    DRIVERS,
     LAMPS,
     LAMPS_SPEC,
     SPEC,
     VALVES,
+    Driver,
     bus_on,
-    eventually,
     octet_slaves,
     process_of,
     ready_bus,
@@ -36,7 +39,8 @@ from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import make_config
 from dpstack.api.control.handlers import control_run, run_status
 from dpstack.api.slave_side.simulation import Segment, Simulation
-from dpstack.dp.master.commands import DriveCommand
+from dpstack.dp.master.commands import DriveCommand, Mode
+from dpstack.dp.master.events import ApplicationSilent, ForcedClear
 from dpstack.drivers.process.channel import Channel
 from dpstack.drivers.runtime import BusProcessBack, BusProcessSilent, OutputsDropped
 from dpstack.errors import BusError, OrderDropped
@@ -305,3 +309,39 @@ async def test_the_end_of_a_bus_with_a_stopped_process_reports_the_watchdogs(
     assert bus.end_failed
     assert "The slaves' watchdogs make their outputs safe within 500 ms" in told[-1]
     assert "it did not answer at the end of the bus and was killed" in told[-1]
+
+
+OUT = b"\x11\x22"
+
+
+async def test_the_application_hangs() -> None:
+    """The outputs of the slave become zeros although nothing runs in the application."""
+    async with ready_bus(VALVES, application_watchdog_ms=1000, after_stall="safe") as (bus, there):
+        bus.slave("valves").outputs = OUT
+        await bus.operate()
+        await until(lambda: there.slaves[4].outputs == OUT, "its outputs")
+        eventually(lambda: there.slaves[4].outputs == bytes(2), "Clear while the application hangs")
+        await until(lambda: bus.mode is Mode.CLEAR, "the application is told")
+        assert isinstance(bus.forced_clear, ApplicationSilent)
+        await bus.operate()
+        await until(lambda: there.slaves[4].outputs == OUT, "its outputs again")
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+async def test_an_application_that_is_alive(driver: Driver) -> None:
+    """The bus process reads every sign of life, however many come, and answers orders between them."""
+    told: list[object] = []
+    async with ready_bus(
+        VALVES, application_watchdog_ms=20_000, after_stall="resume", on_event=told.append, driver=driver
+    ) as (bus, there):
+        bus.slave("valves").outputs = OUT
+        await bus.operate()
+        await until(lambda: there.slaves[4].outputs == OUT, "its outputs")
+        end = time.monotonic() + 0.3
+        while time.monotonic() < end:
+            for _ in range(100):
+                bus.alive()
+            await asyncio.sleep(0)
+        assert bus.stats.slaves[4].exchanges
+        assert not [event for event in told if isinstance(event, ForcedClear)]
+        assert there.slaves[4].outputs == OUT

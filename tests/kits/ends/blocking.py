@@ -15,7 +15,8 @@ import time
 from collections.abc import Callable
 
 from ends.programs import LIVE, LIVE_LAMPS, LONG_S, SLAVES
-from process_kit import UNHURRIED, eventually
+from far_ends import eventually
+from process_kit import UNHURRIED
 
 import dpstack.blocking
 from dpstack.trace import Event, Severity

@@ -32,6 +32,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from ends.telegrams import after_live
+from far_ends import eventually
+from plant_files import plant_text
 
 KITS: Final = Path(__file__).resolve().parents[1]
 ROOT: Final = KITS.parents[1]
@@ -49,32 +51,14 @@ ALIVE_S: Final = 1.5
 #: and after which one without data exchange does
 LONG_ALIVE_S: Final = 8.0
 
-PLANT: Final = """
-[bus]
-port = "{port}"
-baud = 1500000
-gap = 0
-max_retry = 15
-driver = "{driver}"
-on_connector_loss = "{on_loss}"
-
-[[slave]]
-name = "valves"
-address = 4
-ident = 0x1234
-config = "21 11"
-safe = "A5 5A"
-watchdog_ms = 1000
-inputs = {{ level = "i16@0" }}
-outputs = {{ target = "u16@0" }}
-
-[[slave]]
-name = "lamps"
-address = 5
-ident = 0x1234
-config = "20 10"
-watchdog_ms = 0
-"""
+TABLES: Final[tuple[dict[str, object], ...]] = (
+    {
+        "name": "valves", "address": 4, "ident": 0x1234, "config": "21 11", "safe": "A5 5A", "watchdog_ms": 1000,
+        "inputs": {"level": "i16@0"}, "outputs": {"target": "u16@0"},
+    },
+    {"name": "lamps", "address": 5, "ident": 0x1234, "config": "20 10", "watchdog_ms": 0},
+)  # fmt: skip
+BUS: Final[dict[str, Any]] = {"baud": 1_500_000, "gap": 0, "max_retry": 15}
 #: the connectors; the broker is not there
 CONNECTORS: Final = """
 [metrics]
@@ -183,9 +167,8 @@ class Program:
         environment |= row.environment
         if row.program == "run":
             plant = folder / "plant.toml"
-            text = PLANT.format(port=link, driver=row.driver, on_loss=row.on_loss) + row.tables.replace(
-                "FOLDER", str(folder)
-            )
+            text = plant_text(*TABLES, port=link, driver=row.driver, on_connector_loss=row.on_loss, **BUS)
+            text += row.tables.replace("FOLDER", str(folder))
             plant.write_text(text, encoding="utf-8")
             files = [argument.replace("FOLDER", str(folder)) for argument in row.arguments]
             main = "ends.run" if "[probe]" in row.tables else "dpstack.cli.main"
@@ -227,7 +210,7 @@ class Program:
     def bus_process(self) -> int:
         """Its only child. The list of children may miss one that is there (proc_pid_children(5))."""
         path = Path(f"/proc/{self.pid}/task/{self.pid}/children")
-        wait_for(lambda: bool(path.read_text().split()), "a bus process", 5)
+        eventually(lambda: bool(path.read_text().split()), "a bus process", 5)
         return int(path.read_text().split()[0])
 
     def follow(self, name: str, pipe: Any) -> threading.Thread:
@@ -371,13 +354,13 @@ def send_twice(number: int) -> Act:
 def end_beside_a_connector(program: Program, recorder: Recorder) -> None:
     """The outputs are safe while the program still waits for its connector, or for what that has left behind."""
     os.kill(program.pid, signal.SIGTERM)
-    wait_for(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
+    eventually(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
     assert program.process.poll() is None, "nobody has waited for the connector"
 
 
 def go(program: Program, _: Recorder) -> None:
     """The connector, which has ordered the outputs, fails."""
-    wait_for(lambda: "ordered" in program.written["out"], "the order of the connector")
+    eventually(lambda: "ordered" in program.written["out"], "the order of the connector")
     (program.folder / "go").touch()
 
 
@@ -385,15 +368,15 @@ def go_and_settle(program: Program, recorder: Recorder) -> None:
     """The connector blocks the event loop until outputs are safe, or for the time in which they would be."""
     go(program, recorder)
     if program.row.driver == "asyncio":
-        wait_for(functools.partial(watchdog_acted, recorder), "the watchdog")
+        eventually(functools.partial(watchdog_acted, recorder), "the watchdog")
     elif program.row.on_loss == "safe":
-        wait_for(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
+        eventually(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
     else:
         time.sleep(1.5 * CONNECTORS_HANG_S)
 
 
 def order_and_kill(program: Program, _: Recorder) -> None:
-    wait_for(lambda: "ordered" in program.written["out"], "the order of the connector")
+    eventually(lambda: "ordered" in program.written["out"], "the order of the connector")
     os.kill(program.pid, signal.SIGKILL)
 
 
@@ -415,9 +398,9 @@ def stop(program: Program, recorder: Recorder) -> None:
     """Stopped until outputs are safe; with a bus process and no watchdog for the time in which they would be."""
     os.kill(program.pid, signal.SIGSTOP)
     if program.row.way == "waits_alive":
-        wait_for(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
+        eventually(lambda: "clear" in recorder.record("look")["4"]["words"], "Clear")
     elif program.row.driver == "asyncio":
-        wait_for(functools.partial(watchdog_acted, recorder), "the watchdog")
+        eventually(functools.partial(watchdog_acted, recorder), "the watchdog")
     else:
         time.sleep(1.5 * WATCHDOG_MS / 1000)
 
@@ -425,20 +408,20 @@ def stop(program: Program, recorder: Recorder) -> None:
 def stop_and_go_on(program: Program, recorder: Recorder) -> None:
     stop(program, recorder)
     os.kill(program.pid, signal.SIGCONT)
-    wait_for(functools.partial(exchanges, recorder), "data exchange")
+    eventually(functools.partial(exchanges, recorder), "data exchange")
 
 
 def stop_bus_process(program: Program, recorder: Recorder) -> None:
     """Stopped until the watchdog has acted, and the program knows of it."""
     os.kill(program.bus_process, signal.SIGSTOP)
-    wait_for(functools.partial(watchdog_acted, recorder), "the watchdog")
-    wait_for(lambda: any("no sign of life" in line for line in program.written["out"]), "the program's word")
+    eventually(functools.partial(watchdog_acted, recorder), "the watchdog")
+    eventually(lambda: any("no sign of life" in line for line in program.written["out"]), "the program's word")
 
 
 def stop_bus_process_and_go_on(program: Program, recorder: Recorder) -> None:
     stop_bus_process(program, recorder)
     os.kill(program.bus_process, signal.SIGCONT)
-    wait_for(functools.partial(exchanges, recorder), "data exchange")
+    eventually(functools.partial(exchanges, recorder), "data exchange")
 
 
 def stop_bus_process_and_end(program: Program, recorder: Recorder) -> None:
@@ -448,13 +431,6 @@ def stop_bus_process_and_end(program: Program, recorder: Recorder) -> None:
 
 def watchdog_acted(recorder: Recorder) -> bool:
     return recorder.record("look")["4"]["expired_ms"] is not None
-
-
-def wait_for(condition: Callable[[], bool], what: str, seconds: float = HANG_S) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, f"did not happen: {what}"
-        time.sleep(0.02)
 
 
 def no_room(program: Program) -> None:
@@ -467,7 +443,7 @@ def full_store(program: Program, recorder: Recorder) -> None:
     """No file may grow, the store of MQTT meets this, and the bus goes on; then comes an ordered end."""
     no_room(program)
     text = "are not kept on the disk"
-    wait_for(lambda: any(text in line for line in program.written["out"]), "the remark of the store")
+    eventually(lambda: any(text in line for line in program.written["out"]), "the remark of the store")
     assert exchanges(recorder), "the bus does not go on"
     os.kill(program.pid, signal.SIGTERM)
 
@@ -733,7 +709,7 @@ def measure(row: Row) -> dict[str, str]:
         program = Program(row, recorder.link, Path(name))
         try:
             if row.writes:
-                wait_for(lambda: row.writes in program.written["out"], "the program's own word")
+                eventually(lambda: row.writes in program.written["out"], "the program's own word")
             is_live = not row.writes and wait_until_live(program, recorder)
             if (is_live or row.writes) and row.act is not None:
                 recorder.say("mark")
@@ -760,7 +736,7 @@ def wait_until_live(program: Program, recorder: Recorder) -> bool:
     if not slaves_are_live(program, recorder):
         return False
     if program.row.program != "run" and program.row.act is not None and program.process.stdout is not None:
-        wait_for(lambda: "live" in program.written["out"], "the application's own word")
+        eventually(lambda: "live" in program.written["out"], "the application's own word")
     return True
 
 

@@ -22,8 +22,7 @@ def main() -> None:
             with plugged(chip, options=("--far", far, "--swap", "--late", late)) as adapter:
                 words = ("run", config, "--port", adapter.tty, "--seconds", "1", "--json", "--outputs", "9=01000000")
                 code, text = dpstack(*words)
-                lines = events(text)
-                summary = lines[-1] if lines and lines[-1]["event"] == "summary" else {}
+                lines, summary = events(text)
                 row(
                     "damage",
                     chip=word,

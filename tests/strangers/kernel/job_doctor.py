@@ -213,15 +213,8 @@ def main() -> None:
     path = "/dev/ttyS1"
     with opened(path) as fd:
         can = abilities(fd, path)
-    row(
-        "adapter",
-        chip="uart",
-        driver=Adapter(path).driver,
-        usb=None,
-        rates=rates(path, None),
-        **can,
-        doctor=doctor(path),
-    )
+    of_pc = {"driver": Adapter(path).driver, "usb": None, "rates": rates(path, None), "doctor": doctor(path)}
+    row("adapter", chip="uart", **of_pc, **can)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vm_lab import dpstack, events, plant, plugged, row, slaves
+from vm_lab import dpstack, events, of_slaves, plant, plugged, row, slaves
 
 
 def main() -> None:
@@ -10,10 +10,8 @@ def main() -> None:
     with slaves(config) as far, plugged("ft232r", options=("--far", far)) as adapter:
         words = ("run", config, "--port", adapter.tty, "--seconds", "4", "--driver", "process", "--json")
         code, text = dpstack(*words)
-        lines = events(text)
-        summary = lines[-1] if lines else {}
-        states = {address: one["state"] for address, one in summary.get("slaves", {}).items()}
-        exchanges = {address: one["exchanges"] for address, one in summary.get("slaves", {}).items()}
+        lines, summary = events(text)
+        states, exchanges = (of_slaves(summary, key) for key in ("state", "exchanges"))
         driver = lines[0].get("driver") if lines else None
         row("process", code=code, driver=driver, states=states, exchanges=exchanges, text=text[-3000:])
 

@@ -120,6 +120,11 @@ class Chip:
     def set_lines(self, dtr: int, rts: int) -> None:
         self.host.log("lines", dtr=dtr, rts=rts)
 
+    def change_lines(self, value: int) -> None:
+        """DTR and RTS in bits 0 and 1, where bits 8 and 9 say that they change."""
+        changed = {name: value >> bit & 1 for bit, name in enumerate(("dtr", "rts")) if value >> 8 >> bit & 1}
+        self.host.log("lines", **changed)
+
     # --- octets ---
 
     def out(self, data: bytes, taken: Callable[[], None]) -> None:
@@ -195,8 +200,7 @@ class Ft232r(Chip):
         if request == 0x00 and value == 1:
             self.received.clear()
         elif request == 0x01:
-            changed = {name: value >> bit & 1 for bit, name in enumerate(("dtr", "rts")) if value >> 8 >> bit & 1}
-            self.host.log("lines", **changed)
+            self.change_lines(value)
         elif request == 0x03:
             self._divide(value, index)
         elif request == 0x04:
@@ -278,8 +282,7 @@ class Cp2102n(Chip):
         elif request == 0x03:
             self.set_frame(value >> 8, _PARITY[value >> 4 & 7])
         elif request == 0x07:
-            changed = {name: value >> bit & 1 for bit, name in enumerate(("dtr", "rts")) if value >> 8 >> bit & 1}
-            self.host.log("lines", **changed)
+            self.change_lines(value)
         elif request == 0x13:
             handshake, flow = struct.unpack_from("<2I", data)
             self.set_lines(handshake & 3, flow >> 6 & 3)

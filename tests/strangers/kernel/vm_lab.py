@@ -19,6 +19,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from plant_files import plant_file
+
 HERE = Path(__file__).resolve().parent
 DPSTACK = [sys.executable, "-P", "-m", "dpstack"]
 #: a user of the machine who is a member of dialout, and one who is not
@@ -26,27 +28,12 @@ USER, DIALOUT = 1000, 20
 _NEW_TTY_S = 10.0
 _SETTLE_S = 0.05
 
-PLANT = """
-[bus]
-port = "/dev/none"
-baud = 187500
-address = 2
-[[slave]]
-name = "a"
-address = 8
-ident = 0x1234
-config = "20 10"
-[[slave]]
-name = "b"
-address = 9
-ident = 0x1235
-config = "13 23"
-[[slave]]
-name = "c"
-address = 10
-ident = 0x1236
-config = "17 27"
-"""
+
+SLAVES: list[dict[str, object]] = [
+    {"name": "a", "address": 8, "ident": 0x1234, "config": "20 10"},
+    {"name": "b", "address": 9, "ident": 0x1235, "config": "13 23"},
+    {"name": "c", "address": 10, "ident": 0x1236, "config": "17 27"},
+]
 
 
 def row(kind: str, **words: object) -> None:
@@ -141,18 +128,20 @@ def member_of_dialout() -> None:
     os.setuid(USER)
 
 
+def _program(as_user: bool) -> dict[str, Any]:
+    """How a program is started: its rights, its environment, and where its output goes."""
+    return {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.STDOUT,
+        "text": True,
+        "preexec_fn": member_of_dialout if as_user else None,
+        "env": {**os.environ, "COLUMNS": "400", "XDG_RUNTIME_DIR": "/tmp/user" if as_user else "/run"},
+    }
+
+
 def dpstack(*words: str, as_user: bool = False, limit_s: float = 120) -> tuple[int, str]:
     """Run a command of dpstack: its exit code and what it says."""
-    done = subprocess.run(
-        [*DPSTACK, *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=limit_s,
-        check=False,
-        preexec_fn=member_of_dialout if as_user else None,
-        env={**os.environ, "COLUMNS": "400", "XDG_RUNTIME_DIR": "/tmp/user" if as_user else "/run"},
-    )
+    done = subprocess.run([*DPSTACK, *words], timeout=limit_s, check=False, **_program(as_user))
     return done.returncode, done.stdout
 
 
@@ -166,22 +155,16 @@ def dpstack_json(*words: str, as_user: bool = False) -> Any:
 
 
 def start(*words: str, as_user: bool = False) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [*DPSTACK, *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        preexec_fn=member_of_dialout if as_user else None,
-        env={**os.environ, "COLUMNS": "400", "XDG_RUNTIME_DIR": "/tmp/user" if as_user else "/run"},
-    )
+    return subprocess.Popen([*DPSTACK, *words], **_program(as_user))
 
 
-def plant(text: str = PLANT) -> str:
-    """The path of a configuration."""
-    path = tempfile.mkstemp(suffix=".toml")[1]
-    os.chmod(path, 0o644)
-    Path(path).write_text(text)
-    return path
+def plant(*slaves: dict[str, object], **bus: Any) -> str:
+    """The path of a configuration; its slaves are :data:`SLAVES` where none is given."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o755)
+    path = plant_file(folder, *(slaves or SLAVES), port="/dev/none", baud=187_500, address=2, **bus)
+    path.chmod(0o644)
+    return str(path)
 
 
 @contextlib.contextmanager
@@ -201,9 +184,15 @@ def slaves(config: str | None = None, baud: int = 187_500) -> Iterator[str]:
             process.kill()
 
 
-def events(text: str) -> list[dict[str, Any]]:
-    """The JSON lines of ``run --json``, the summary last."""
-    return [json.loads(line) for line in text.splitlines() if line.startswith('{"event":')]
+def events(text: str) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """The JSON lines of ``run --json``, and the summary, which is the last one."""
+    lines = [json.loads(line) for line in text.splitlines() if line.startswith('{"event":')]
+    return lines, lines[-1] if lines and lines[-1]["event"] == "summary" else {}
+
+
+def of_slaves(summary: dict[str, Any], key: str) -> dict[str, Any]:
+    """A value of each slave in the summary of a run."""
+    return {address: one[key] for address, one in summary.get("slaves", {}).items()}
 
 
 def serial_line(fd: int) -> tuple[int, int]:

@@ -248,6 +248,7 @@ def boot(*jobs: str, icount: bool = True) -> Result:
     for name in ("dpstack", "drives"):
         _add_python(own, ROOT / name, f"app/{name}", ("page",))
     _add_python(own, HERE, "job", [path.name for path in HERE.glob("test_*")])
+    _add_python(own, ROOT / "tests/kits/plant_files.py", "job")
     lines = [f'python3 -m {job} || echo \'{{"row": "failed"}}\'\n' for job in jobs]
     own.data("job/start.sh", "".join(lines).encode())
     (kernel,) = root.glob("boot/vmlinuz-*")
