@@ -4,7 +4,7 @@ it."""
 from __future__ import annotations
 
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 
 class About(NamedTuple):
@@ -16,200 +16,172 @@ class About(NamedTuple):
 
 
 class Cause(Enum):
-    """The values are those of ``why --json``."""
+    """The causes; :attr:`word` is that of ``why --json``."""
 
-    NOT_THERE = "not_there"
-    WRONG_ADDRESS = "wrong_address"
-    IDENT = "ident"
-    MODULE_ORDER = "module_order"
-    MODULE_MISSING = "module_missing"
-    MODULE_EXTRA = "module_extra"
-    MODULE_TYPE = "module_type"
-    USER_PARAMETER = "user_parameter"
-    USER_PARAMETER_LENGTH = "user_parameter_length"
-    LOCKED = "locked"
-    WATCHDOG_SHORT = "watchdog_short"
-    DUPLICATE_ADDRESS = "duplicate_address"
-    NOISE_ON_STUB = "noise_on_stub"
-    NOISE_ON_SEGMENT = "noise_on_segment"
-    ANSWERS_LATE = "answers_late"
-    REBOOTS = "reboots"
-    NOT_READY = "not_ready"
-    STATIC_DIAGNOSIS = "static_diagnosis"
-    DATA_LENGTH = "data_length"
-    SERVICE_REFUSED = "service_refused"
-    NOT_SUPPORTED = "not_supported"
-    MIN_TSDR = "min_tsdr"
-    DPV1_MISMATCH = "dpv1_mismatch"
-    ANOTHER_PROGRAM = "another_program"
-    NO_TOKEN = "no_token"
-    SECOND_MASTER_SAME_ADDRESS = "second_master_same_address"
-    BUS_JAMMED = "bus_jammed"
-    RATE_MISMATCH = "rate_mismatch"
-    DEACTIVATED = "deactivated"
-    HEALTHY = "healthy"
-
-    @property
-    def about(self) -> About:
-        return _ABOUT[self]
-
-
-_ABOUT: Final[dict[Cause, About]] = {
-    Cause.NOT_THERE: About(
+    NOT_THERE = About(
         "nobody answers at the address: no power, a cut or swapped wire, another address, or deaf at this rate; these "
         "look the same on the wire",
         "Slave_Diag is not answered, other stations answer, no station with its ident was found",
         "look at the device: is its power on, does its bus LED light, are its address switches right? Then "
         "`dpstack scan` (does its ident appear at another address?), then measure A and B at its connector, then check "
         "that it knows this rate",
-    ),
-    Cause.WRONG_ADDRESS: About(
+    )
+    WRONG_ADDRESS = About(
         "the device has another address than the configuration says",
         "nobody, or another device, answers at the address, and a station with its ident answers at another one, where "
         "no such device is configured",
         "set the address switches of the device (or use `dpstack address`), or correct address in the configuration",
-    ),
-    Cause.IDENT: About(
+    )
+    IDENT = About(
         "another device, or another edition of it, is at the address",
         "the ident number in its diagnosis is not the configured one",
         "compare the type plate with the configuration; name the GSD file of the device that is there",
-    ),
-    Cause.MODULE_ORDER: About(
+    )
+    MODULE_ORDER = About(
         "the modules are the right ones in another order",
         "Cfg_Fault, or Prm_Fault; Get_Cfg has the same identifiers in another order",
         "put `modules` into the order in which they are plugged, from the head station on",
-    ),
-    Cause.MODULE_MISSING: About(
+    )
+    MODULE_MISSING = About(
         "a module of the configuration is not in the station",
         "Cfg_Fault, or Prm_Fault; Get_Cfg lacks identifiers of the configuration",
         "plug the missing module (is it pushed in fully, does it have power?), or take it out of `modules`",
-    ),
-    Cause.MODULE_EXTRA: About(
+    )
+    MODULE_EXTRA = About(
         "the station has a module that is not in the configuration",
         "Cfg_Fault, or Prm_Fault; Get_Cfg has identifiers that the configuration lacks",
         "add the module to `modules` at its place, or pull it",
-    ),
-    Cause.MODULE_TYPE: About(
+    )
+    MODULE_TYPE = About(
         "a module of another type is in a slot",
         "Cfg_Fault, or Prm_Fault; Get_Cfg has other identifiers in a slot",
         "compare the order numbers of the modules with `modules`, slot by slot",
-    ),
-    Cause.USER_PARAMETER: About(
+    )
+    USER_PARAMETER = About(
         "the slave does not accept the value of a user parameter",
         "Prm_Fault after Set_Prm, with the right ident and the right number of octets",
         "compare the user parameters with the GSD file (`dpstack gsd show`); begin with its defaults and change one "
         "parameter after the other",
-    ),
-    Cause.USER_PARAMETER_LENGTH: About(
+    )
+    USER_PARAMETER_LENGTH = About(
         "the slave wants another number of octets of user parameters",
         "Prm_Fault or no answer to Set_Prm, and the GSD file gives another length",
         "let the GSD file make the parameters (`gsd`, `modules`, no `user_prm`); each module adds its own octets",
-    ),
-    Cause.LOCKED: About(
+    )
+    LOCKED = About(
         "another master has parameterised the slave and keeps it",
         "octet 4 of its diagnosis names another master",
         "stop the other master or take the slave out of its configuration; after a crash switch the slave off and on",
-    ),
-    Cause.WATCHDOG_SHORT: About(
+    )
+    WATCHDOG_SHORT = About(
         "the watchdog of the slave is shorter than the time between two requests",
         "the slave leaves data exchange by itself and wants parameters, with its watchdog on; requests are further "
         "apart than its watchdog time",
         "raise watchdog_ms above the longest rotation of `dpstack plan`, or leave it out: the plan chooses then",
-    ),
-    Cause.DUPLICATE_ADDRESS: About(
+    )
+    DUPLICATE_ADDRESS = About(
         "two stations have the address",
         "more answers than requests, nearly all answers unreadable, or answers of two different devices",
         "take one of the two off the bus and ask again: if somebody still answers, that is the second one",
-    ),
-    Cause.NOISE_ON_STUB: About(
+    )
+    NOISE_ON_STUB = About(
         "the connection of this slave is disturbed: loose contact, stub too long, shield, termination in its plug",
         "answers of this slave are damaged or missing now and then, those of the others are not",
         "look at its connector: A and B tight, shield on, termination switch off between two others; swap its cable",
-    ),
-    Cause.NOISE_ON_SEGMENT: About(
+    )
+    NOISE_ON_SEGMENT = About(
         "the whole segment is disturbed: termination, shield, a cable beside a drive, too long for the rate",
         "answers of several slaves are damaged or missing now and then",
         "check that exactly both ends are terminated and have power; halve the segment and look which half is quiet",
-    ),
-    Cause.ANSWERS_LATE: About(
+    )
+    ANSWERS_LATE = About(
         "the slave answers after the slot time",
         "its answers come, but when nobody waits for them any more",
         "raise t_sl (in [bus]) above its max_Tsdr at this rate (GSD file), or take the repeater's delay into account",
-    ),
-    Cause.REBOOTS: About(
+    )
+    REBOOTS = About(
         "the slave restarts again and again",
         "it falls silent or refuses, and comes back without master and parameters",
         "measure its supply voltage while it runs (peaks of neighbours?), and look at its fault memory",
-    ),
-    Cause.NOT_READY: About(
+    )
+    NOT_READY = About(
         "the slave has accepted everything, and its application does not get ready",
         "Station_Not_Ready stays set after Chk_Cfg",
         "look at the device: it may wait for modules, for its own start-up, or for a release",
-    ),
-    Cause.STATIC_DIAGNOSIS: About(
+    )
+    STATIC_DIAGNOSIS = About(
         "the slave reports that it cannot give valid data",
         "Stat_Diag is set in its diagnosis",
         "look at its own fault display and at the extended diagnosis",
-    ),
-    Cause.DATA_LENGTH: About(
+    )
+    DATA_LENGTH = About(
         "the slave exchanges another number of octets than configured",
         "Data_Exchange brings another number of octets, or the slave refuses the outputs with Cfg_Fault",
         "compare the configuration with what Get_Cfg says, and both with the GSD file",
-    ),
-    Cause.SERVICE_REFUSED: About(
+    )
+    SERVICE_REFUSED = About(
         "the slave refuses a service of the bring-up",
         "RS, RR or UE as an answer to Slave_Diag, Set_Prm, Chk_Cfg or Data_Exchange",
         "RS: is it a DP slave at all? RR, UE: switch it off and on, and look at its fault display",
-    ),
-    Cause.NOT_SUPPORTED: About(
+    )
+    NOT_SUPPORTED = About(
         "the slave lacks a function that was asked for: SYNC, FREEZE or another one",
         "Not_Supported in its diagnosis after Set_Prm",
         "take sync and freeze out of its configuration",
-    ),
-    Cause.MIN_TSDR: About(
+    )
+    MIN_TSDR = About(
         "the slave does not keep min T_SDR: it answers too early, or not at all after Set_Prm has set it",
         "its answers begin before min T_SDR; or it answers until Set_Prm, and not after it",
         "look for newer firmware of the device; a repeater between master and slave may shorten the pause, too",
-    ),
-    Cause.DPV1_MISMATCH: About(
+    )
+    DPV1_MISMATCH = About(
         "master and slave disagree about DP-V1",
         "Prm_Fault, and DPV1_Enable is set for a slave without DP-V1, or is missing although the slave needs it",
         "set dpv1 as the GSD file says: dpv1 = false for a slave without it",
-    ),
-    Cause.ANOTHER_PROGRAM: About(
+    )
+    ANOTHER_PROGRAM = About(
         "another program of this computer has the port open, too, or has changed its settings",
         "when slaves fell silent, the tty was set to another rate or frame, or another program had it open",
         "end that program, and keep it off the adapter: `dpstack doctor --port P` names it",
-    ),
-    Cause.NO_TOKEN: About(
+    )
+    NO_TOKEN = About(
         "the master of the slave does not run, or does not get the token",
         "it is not in the ring, or holds no token; nobody asks the slave",
         "look at the list of masters: HSA of the other masters must be above this address; is the master running?",
-    ),
-    Cause.SECOND_MASTER_SAME_ADDRESS: About(
+    )
+    SECOND_MASTER_SAME_ADDRESS = About(
         "another station sends with the address of this master",
         "telegrams from this master's own address that it has not sent",
         "give one of the two another address",
-    ),
-    Cause.BUS_JAMMED: About(
+    )
+    BUS_JAMMED = About(
         "a station sends without end, or noise covers everything",
         "octets come all the time that are no telegrams; the token gets lost, or cannot be taken",
         "take stations off the bus one after the other until it is quiet (begin with the last change)",
-    ),
-    Cause.RATE_MISMATCH: About(
+    )
+    RATE_MISMATCH = About(
         "nobody answers at this rate",
         "no slave of the configuration answers, and no other station",
         "`dpstack baud --port P` listens for the rate; without a master try the rates that the GSD files have; then A "
         "and B swapped at the adapter, and its supply",
-    ),
-    Cause.DEACTIVATED: About(
+    )
+    DEACTIVATED = About(
         "the application has taken the slave out of service",
         "deactivate() was called; nothing is sent to it",
         "activate() brings it back",
-    ),
-    Cause.HEALTHY: About(
+    )
+    HEALTHY = About(
         "the slave is in data exchange, and nothing speaks against it",
         "data exchange with valid inputs, hardly a repetition, no loss",
         "nothing",
-    ),
-}
+    )
+
+    @property
+    def about(self) -> About:
+        """The texts of this cause."""
+        return self.value
+
+    @property
+    def word(self) -> str:
+        """``not_there``."""
+        return self.name.lower()

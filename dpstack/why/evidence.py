@@ -41,20 +41,18 @@ class Ring:
 
     ``asks``: the master may send to slaves (not in Stop).
 
-    ``without_token``: stations that send requests and never passed a token. ``collision``: text, if another station
-    sends with the master's address. ``refused``: why the ring could not be joined, empty if it could.
+    ``collision``: text, if another station sends with the master's address. ``refused``: why the ring could not be
+    joined, empty if it could.
     """
 
     own: int
     joined: bool = True
     asks: bool = True
     masters: frozenset[int] = frozenset()
-    without_token: tuple[int, ...] = ()
     collision: str = ""
     refused: str = ""
     tokens: int = 0
     tokens_lost: int = 0
-    withdrawn: int = 0
     token_retries: int = 0
 
 
@@ -69,9 +67,7 @@ class LineCounters:
     baud: int
     slot_bits: int
     min_tsdr: int = 11
-    sent: int = 0
     heard: int = 0
-    stray: int = 0
     bad: Mapping[str, int] = field(default_factory=dict)
     longest_ns: int = 0
     planned_ns: int = 0
@@ -88,7 +84,7 @@ class Evidence:
     gives for these modules, or the plugin of its drive. ``exchanged_ns``: time of its last good Data_Exchange, 0: none.
     ``rates``: baud rates that the device knows, empty: not known. ``config``: the identifier octets that the slave says
     to have (Get_Cfg), None: not asked, or not answered. ``found``: the stations of a scan, None: the bus was not
-    scanned; ``found_all``: of all addresses. ``unreadable``: addresses whose answers the scan could not read.
+    scanned. ``unreadable``: addresses whose answers the scan could not read.
     ``since_ns``: the counters of stations and line count from this time on; a bus that runs for long is watched for a
     moment, as its counters from the start would hide a trouble of now.
     ``unknown``: addresses of stations that GAP polls have found, and that the configuration does not have.
@@ -119,7 +115,6 @@ class Evidence:
     config: bytes | None = None
     found: tuple[Found, ...] | None = None
     unreadable: frozenset[int] = frozenset()
-    found_all: bool = True
     unknown: frozenset[int] = frozenset()
     asked: tuple[Step, ...] = ()
     asked_in_vain: int = 0

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Final
 
 from dpstack.dp.acyclic.job import ATTEMPTS
-from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, SLAVE_DIAG, WRONG, Loss, Step
+from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, WRONG, Step
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.master.verdicts import foreign_owner
@@ -18,7 +18,7 @@ from dpstack.gsd.module_comparison import Comparison, Difference, compare_module
 from dpstack.units import BITS_PER_CHAR, NS_PER_MS, NS_PER_S, bits_to_ns
 from dpstack.why.evidence import CLASS2, Evidence, Neighbour
 from dpstack.why.parameters import ParameterFacts, parameter_facts
-from dpstack.why.steps import CHK_CFG, SET_PRM
+from dpstack.why.steps import CHK_CFG, REFUSALS, SET_PRM
 
 #: requests from which a share of failures says something
 ENOUGH: Final = 20
@@ -88,12 +88,12 @@ class Facts:
         self.evidence = evidence
         self.setup = evidence.setup
         self.link = evidence.link
+        self.neighbours = evidence.neighbours
+        self.losses = evidence.history.losses
+        self.lost = evidence.history.lost
+        self.steps = evidence.steps
 
     # --- the last answers ---
-
-    @cached_property
-    def steps(self) -> tuple[Step, ...]:
-        return self.evidence.steps
 
     @cached_property
     def last_step(self) -> Step | None:
@@ -107,12 +107,6 @@ class Facts:
         known = self.evidence.history.idents or self.evidence.source == CLASS2
         return read or (self.evidence.diagnosis if known else None)
 
-    @cached_property
-    def prm_diagnosis(self) -> Diagnosis | None:
-        """The newest diagnosis after a Set_Prm of this master."""
-        after = self.after(SET_PRM)
-        return next((one for step in reversed(after) if (one := step.diagnosis) is not None), None)
-
     def after(self, service: str) -> tuple[Step, ...]:
         """The steps behind the last ``service`` of the last bring-up that has one."""
         for up in reversed(self.evidence.history.bring_ups):
@@ -123,9 +117,12 @@ class Facts:
 
     def step_of(self, service: str) -> Step | None:
         """The last step of ``service``."""
-        ups = reversed(self.evidence.history.bring_ups)
-        every = (step for up in ups for step in reversed(up.steps) if step.asked == service)
-        return next(every, None)
+        return next((step for step in self._newest_first if step.asked == service), None)
+
+    @cached_property
+    def _newest_first(self) -> tuple[Step, ...]:
+        """The steps of all bring-ups."""
+        return tuple(step for up in reversed(self.evidence.history.bring_ups) for step in reversed(up.steps))
 
     @cached_property
     def exchanging(self) -> bool:
@@ -156,15 +153,18 @@ class Facts:
     def answers_now(self) -> bool:
         """The last request was answered, or one of those that were asked now."""
         last = self.last_step
-        if any(step.answered not in (NOTHING, DAMAGED) for step in self.evidence.asked):
-            return True
-        return self.exchanging or (last is not None and last.answered not in (NOTHING, DAMAGED))
+        return self._is_up or (last is not None and last.answered not in (NOTHING, DAMAGED))
+
+    @cached_property
+    def _is_up(self) -> bool:
+        """It exchanges data, or has answered one of the requests of now."""
+        return self.exchanging or any(step.answered not in (NOTHING, DAMAGED) for step in self.evidence.asked)
 
     @cached_property
     def silent_now(self) -> bool:
         """The last request was not answered, and nothing unreadable came either; nor was any that was asked now."""
         last = self.last_step
-        if self.exchanging or any(step.answered not in (NOTHING, DAMAGED) for step in self.evidence.asked):
+        if self._is_up:
             return False
         if last is None:
             return self.evidence.state is SlaveState.OFFLINE and not self.present and attempts(self.link) > 0
@@ -174,9 +174,7 @@ class Facts:
     def garbled_now(self) -> bool:
         """The last answers could not be read."""
         last = self.last_step
-        if self.exchanging or any(step.answered not in (NOTHING, DAMAGED) for step in self.evidence.asked):
-            return False
-        return last is not None and last.answered == DAMAGED
+        return not self._is_up and last is not None and last.answered == DAMAGED
 
     @cached_property
     def mixed(self) -> bool:
@@ -196,10 +194,6 @@ class Facts:
         unreadable = sum(weight for weight, answered in weights if answered in (DAMAGED, WRONG))
         every = sum(weight for weight, _ in weights)
         return unreadable if unreadable >= _ALWAYS_DAMAGED and unreadable >= _ALL_DAMAGED * every else 0
-
-    @cached_property
-    def garbled_polls(self) -> int:
-        return sum(step.times for step in self.steps if step.answered == DAMAGED)
 
     @cached_property
     def silent_polls(self) -> int:
@@ -242,14 +236,6 @@ class Facts:
     # --- its losses ---
 
     @cached_property
-    def losses(self) -> tuple[Loss, ...]:
-        return self.evidence.history.losses
-
-    @cached_property
-    def lost(self) -> int:
-        return self.evidence.history.lost
-
-    @cached_property
     def lost_since(self) -> int:
         """Losses in the time that the counters cover."""
         if self.evidence.since_ns <= self.evidence.started_ns:
@@ -271,10 +257,6 @@ class Facts:
         return sum(loss.how == DAMAGED for loss in self.losses)
 
     # --- the line ---
-
-    @cached_property
-    def neighbours(self) -> tuple[Neighbour, ...]:
-        return self.evidence.neighbours
 
     @cached_property
     def answering(self) -> tuple[Neighbour, ...]:
@@ -421,11 +403,10 @@ class Facts:
         """Diagnoses after ``service`` of this master; on a bus that was only looked at, the newest one."""
         if self.evidence.source == CLASS2:
             return () if self.diagnosis is None else (self.diagnosis,)
-        return tuple(one for step in self.after(service) if (one := step.diagnosis) is not None)
+        return self.diagnoses_after(service)
 
-    @cached_property
-    def after_prm(self) -> tuple[Step, ...]:
-        return self.after(SET_PRM)
+    def diagnoses_after(self, service: str) -> tuple[Diagnosis, ...]:
+        return tuple(one for step in self.after(service) if (one := step.diagnosis) is not None)
 
     @cached_property
     def silent_after_prm(self) -> bool:
@@ -433,7 +414,7 @@ class Facts:
         step = self.step_of(SET_PRM)
         if step is None or not self.evidence.history.idents:
             return False
-        later = self.after_prm
+        later = self.after(SET_PRM)
         if self.evidence.history.brought_up or not later:
             return False
         return all(one.answered == NOTHING for one in later) and sum(one.times for one in later) > 0
@@ -449,22 +430,11 @@ class Facts:
     @cached_property
     def wrong_data(self) -> Step | None:
         """A Data_Exchange that brought another number of octets than configured."""
-        for up in reversed(self.evidence.history.bring_ups):
-            for step in reversed(up.steps):
-                if step.asked != DATA_EXCHANGE or step.answered not in ("DL", "DH", "SC", "OK"):
-                    continue
-                if len(step.received) != self.setup.input_len:
-                    return step
-        return None
+        good = ("DL", "DH", "SC", "OK")
+        found = (step for step in self._newest_first if step.asked == DATA_EXCHANGE and step.answered in good)
+        return next((step for step in found if len(step.received) != self.setup.input_len), None)
 
     def refused(self, *services: str) -> Step | None:
         """The last step of ``services`` that was refused with RS, RR or UE again and again."""
-        for up in reversed(self.evidence.history.bring_ups):
-            for step in reversed(up.steps):
-                if step.asked in services and step.answered in ("RS", "RR", "UE"):
-                    return step
-        return None
-
-    @cached_property
-    def slave_diag_refused(self) -> Step | None:
-        return self.refused(SLAVE_DIAG)
+        found = (step for step in self._newest_first if step.asked in services)
+        return next((step for step in found if step.answered in REFUSALS), None)

@@ -590,7 +590,7 @@ def _drops(f: Facts, service: str) -> bool:
     step = f.step_of(service)
     if step is None or step.answered != NOTHING or not f.is_fault("refused"):
         return False
-    return any(one.diagnosis is not None for one in f.after(service))
+    return bool(f.diagnoses_after(service))
 
 
 _BY_DIFFERENCE: Final = {
@@ -642,10 +642,7 @@ def _lengths(f: Facts) -> Findings:
         yield Finding(
             Cause.DATA_LENGTH, 0.92, [f"Data_Exchange brought {got} of inputs, the configuration has {wanted}."]
         )
-    refused = next(
-        (one for one in f.after(DATA_EXCHANGE) if one.diagnosis is not None and one.diagnosis.cfg_fault), None
-    )
-    if refused is not None and f.evidence.history.brought_up:
+    if _refuses_outputs(f) and f.evidence.history.brought_up:
         said = [
             "It accepted Chk_Cfg, refused Data_Exchange, and says Cfg_Fault since (octet 1 bit 2 of its diagnosis).",
             f"Data_Exchange carries {octets_text(f.setup.output_len)} of outputs.",
@@ -655,7 +652,7 @@ def _lengths(f: Facts) -> Findings:
 
 def _refuses_outputs(f: Facts) -> bool:
     """Whether a diagnosis after Data_Exchange says Cfg_Fault."""
-    return any(one.cfg_fault for step in f.after(DATA_EXCHANGE) if (one := step.diagnosis) is not None)
+    return any(one.cfg_fault for one in f.diagnoses_after(DATA_EXCHANGE))
 
 
 def _refusals(f: Facts) -> Findings:
@@ -708,9 +705,9 @@ def _readiness(f: Facts) -> Findings:
 
 def _watchdog(f: Facts) -> Findings:
     wants_again = f.is_fault("not_ready") and f.diagnosis is not None and f.diagnosis.prm_req
-    if not (f.lost_by_itself or wants_again) or f.prm_fault or f.cfg_fault or f.wrong_data is not None:
+    if not (f.lost_by_itself or wants_again) or f.prm_fault or f.cfg_fault:
         return
-    if _refuses_outputs(f):
+    if f.wrong_data is not None or _refuses_outputs(f):
         return
     watchdog, line = f.evidence.watchdog_ns, f.evidence.line
     every = f.setup.every

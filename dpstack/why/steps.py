@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import contextlib
-
-from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, SLAVE_DIAG, WRONG, Step
+from dpstack.dp.master.bring_ups import DAMAGED, NOTHING, SLAVE_DIAG, WRONG, Step
 from dpstack.dp.master.verdicts import foreign_owner
 from dpstack.dp.pdu.diag_bits import Reaction, SetBy
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.pdu.requests import SET_PRM_LEN, SetPrm
-from dpstack.errors import PduError
 from dpstack.text import octets_text, printable
 from dpstack.why.evidence import Evidence
 
 SET_PRM, CHK_CFG, GET_CFG = "Set_Prm", "Chk_Cfg", "Get_Cfg"
 #: octets of a request or an answer in one line for people
 _SHOWN = 24
-_REFUSALS = {
+_UNREAD = {
+    NOTHING: "no answer",
+    DAMAGED: "an answer that cannot be read",
+    WRONG: "an answer that belongs to no request of this master",
+}
+REFUSALS = {
     "RS": "the service is not open in this slave now",
     "RR": "it has no resources for it",
     "UE": "its application reports an error",
 }
 
 
-def hex_text(octets: bytes, most: int = _SHOWN) -> str:
+def hex_text(octets: bytes) -> str:
     """Octets for people; the end of a long row is left out."""
-    text = octets[:most].hex(" ").upper()
-    return f"{text} ... ({len(octets)} octets)" if len(octets) > most else text
+    text = octets[:_SHOWN].hex(" ").upper()
+    return f"{text} ... ({len(octets)} octets)" if len(octets) > _SHOWN else text
 
 
 def bit_text(octet: int, mask: int) -> str:
@@ -36,7 +37,7 @@ def bit_text(octet: int, mask: int) -> str:
 
 def refused_by(step: Step, evidence: Evidence) -> str:
     """The octet or status that refuses, as far as the answer says; empty if it does not refuse."""
-    if step.answered in _REFUSALS:
+    if step.answered in REFUSALS:
         return f"status {step.answered}"
     diagnosis = step.diagnosis
     if diagnosis is None:
@@ -64,17 +65,12 @@ def words(step: Step, evidence: Evidence) -> str:
 
 
 def _meaning(step: Step, evidence: Evidence) -> str:
-    match step.answered:
-        case _ if step.answered == NOTHING:
-            return "no answer"
-        case _ if step.answered == DAMAGED:
-            return "an answer that cannot be read"
-        case _ if step.answered == WRONG:
-            return "an answer that belongs to no request of this master"
-        case "SC":
-            return "acknowledged" + (" (the next diagnosis says whether it was accepted)" if step.sent else "")
-    if step.answered in _REFUSALS:
-        return f"refused with {step.answered}, {_REFUSALS[step.answered]}"
+    if step.answered in _UNREAD:
+        return _UNREAD[step.answered]
+    if step.answered == "SC":
+        return "acknowledged" + (" (the next diagnosis says whether it was accepted)" if step.sent else "")
+    if step.answered in REFUSALS:
+        return f"refused with {step.answered}, {REFUSALS[step.answered]}"
     if step.asked == SLAVE_DIAG:
         diagnosis = step.diagnosis
         if diagnosis is None:
@@ -82,8 +78,6 @@ def _meaning(step: Step, evidence: Evidence) -> str:
         return f"{hex_text(step.received)}: {diagnosis_words(diagnosis, evidence)}"
     if step.asked == GET_CFG:
         return f"the slave has {hex_text(step.received)}"
-    if step.asked == DATA_EXCHANGE:
-        return f"{step.answered} {hex_text(step.received)}".rstrip()
     return f"{step.answered} {hex_text(step.received)}".rstrip()
 
 
@@ -103,18 +97,6 @@ def diagnosis_words(diagnosis: Diagnosis, evidence: Evidence) -> str:
     if not said:
         said.append("ready" + (", watches its master" if diagnosis.wd_on else ""))
     return ", ".join(said) + "".join(f"; {text}" for text in setup.block_texts(diagnosis)[:3])
-
-
-def prm_words(octets: bytes) -> str:
-    """The fixed octets of Set_Prm in words."""
-    with contextlib.suppress(PduError):
-        prm = SetPrm.parse(octets)
-        watchdog = "watchdog off" if prm.watchdog is None else f"watchdog factors {prm.watchdog[0]} x {prm.watchdog[1]}"
-        more = [word for word, on in (("SYNC", prm.sync), ("FREEZE", prm.freeze)) if on]
-        user = octets_text(len(octets) - SET_PRM_LEN)
-        parts = [f"ident 0x{prm.ident:04X}", watchdog, f"min T_SDR {prm.min_tsdr}", *more, f"{user} of user parameters"]
-        return ", ".join(parts)
-    return octets_text(len(octets))
 
 
 def as_dict(step: Step, evidence: Evidence) -> dict[str, object]:

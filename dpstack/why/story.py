@@ -17,7 +17,7 @@ from dpstack.why.judge import Finding, judge
 from dpstack.why.steps import as_dict, words
 
 #: the cause of a slave that nothing speaks against
-HEALTHY: Final = Cause.HEALTHY.value
+HEALTHY: Final = Cause.HEALTHY.word
 #: causes with less confidence are left out, unless no other is left
 _LEAST = 0.2
 _MOST = 6
@@ -139,19 +139,19 @@ def glance(found: Found) -> str:
     if found.kind is not StationType.SLAVE or found.state is SlaveView.DATA_EXCHANGE:
         return ""
     if diagnosis is None:
-        return f"{Cause.SERVICE_REFUSED.value}: it does not answer Slave_Diag"
+        return f"{Cause.SERVICE_REFUSED.word}: it does not answer Slave_Diag"
     if diagnosis.not_supported:
-        return f"{Cause.NOT_SUPPORTED.value}: Not_Supported after Set_Prm"
+        return f"{Cause.NOT_SUPPORTED.word}: Not_Supported after Set_Prm"
     if diagnosis.prm_fault:
-        return f"{Cause.USER_PARAMETER.value}: it refuses its parameters (Prm_Fault)"
+        return f"{Cause.USER_PARAMETER.word}: it refuses its parameters (Prm_Fault)"
     if diagnosis.cfg_fault:
-        return f"{Cause.MODULE_TYPE.value}: it refuses its configuration (Cfg_Fault)"
+        return f"{Cause.MODULE_TYPE.word}: it refuses its configuration (Cfg_Fault)"
     if diagnosis.stat_diag and not diagnosis.prm_req:
-        return f"{Cause.STATIC_DIAGNOSIS.value}: it cannot give valid data (Stat_Diag)"
+        return f"{Cause.STATIC_DIAGNOSIS.word}: it cannot give valid data (Stat_Diag)"
     if diagnosis.prm_req or diagnosis.master is None:
         return "it waits for parameters: no master has it"
     if diagnosis.not_ready:
-        return f"{Cause.NOT_READY.value}: master {diagnosis.master} has parameterised it, it is not ready"
+        return f"{Cause.NOT_READY.word}: master {diagnosis.master} has parameterised it, it is not ready"
     return ""
 
 
@@ -182,7 +182,7 @@ def _unknown(evidence: Evidence) -> Finding:
 def _likely(one: Finding) -> Likely:
     about = one.cause.about
     return Likely(
-        one.cause.value,
+        one.cause.word,
         round(one.confidence, 2),
         tuple(printable(text) for text in _distinct(one.speaks_for)),
         tuple(printable(text) for text in _distinct(one.against)),

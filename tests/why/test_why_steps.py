@@ -270,9 +270,9 @@ def test_hostile_texts_are_printable_and_60_columns_are_kept() -> None:
 def test_every_cause_is_in_the_page() -> None:
     page = DOCS.read_text(encoding="utf-8")
     missing = [
-        cause.value
+        cause.word
         for cause in Cause
-        if f"| `{cause.value}` | {cause.about.meaning} | {cause.about.told} | {cause.about.next} |" not in page
+        if f"| `{cause.word}` | {cause.about.meaning} | {cause.about.told} | {cause.about.next} |" not in page
     ]
     assert missing == []
 
@@ -345,7 +345,8 @@ EVIDENCE = st.builds(
 def test_any_evidence_gives_a_story(evidence: Evidence) -> None:
     story = tell(evidence)
     assert story.causes
-    assert all(0 < one.confidence <= 1 and one.next and one.cause in Cause._value2member_map_ for one in story.causes)
+    words = {cause.word for cause in Cause}
+    assert all(0 < one.confidence <= 1 and one.next and one.cause in words for one in story.causes)
     confidences = [one.confidence for one in story.causes]
     assert confidences == sorted(confidences, reverse=True)
     assert all(line.isprintable() and len(line) <= 60 for line in story.lines(60))

@@ -106,9 +106,7 @@ def _counted_since(before: Evidence, now: Evidence) -> Evidence:
     was = before.line
     line = dataclasses.replace(
         now.line,
-        sent=now.line.sent - was.sent,
         heard=now.line.heard - was.heard,
-        stray=now.line.stray - was.stray,
         bad={cause: more for cause, count in now.line.bad.items() if (more := count - was.bad.get(cause, 0)) > 0},
     )
     link = _difference(now.link, before.link)
@@ -183,20 +181,16 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
             joined=snapshot.in_ring,
             asks=view.read_only or snapshot.mode >= Mode.CLEAR,
             masters=snapshot.las,
-            without_token=tuple(link.without_token),
             collision=bus.collision or "",
             tokens=link.tokens,
             tokens_lost=link.tokens_lost,
-            withdrawn=link.withdrawn,
             token_retries=link.token_retries,
         ),
         line=LineCounters(
             baud=bus.params.baud,
             slot_bits=bus.params.t_sl,
             min_tsdr=bus.params.min_tsdr,
-            sent=link.sent,
             heard=link.heard,
-            stray=link.stray,
             bad=bad,
             longest_ns=counters.rotation.max_ns,
             planned_ns=bus.rotation_limit_ns,
@@ -312,4 +306,4 @@ async def _scanned(bus: BusBase, evidence: Evidence, scan: Scan) -> Evidence:
             whole = True
     if not whole and not found:
         return evidence
-    return dataclasses.replace(evidence, found=tuple(found), unreadable=frozenset(unreadable), found_all=whole)
+    return dataclasses.replace(evidence, found=tuple(found), unreadable=frozenset(unreadable))
