@@ -12,10 +12,9 @@
 from __future__ import annotations
 
 import logging
-from datetime import UTC, datetime
 from typing import Final
 
-from dpstack.text import json_text, printable
+from dpstack.text import iso_time, json_text, printable
 
 __all__ = ["JsonFormatter"]
 
@@ -30,9 +29,7 @@ class JsonFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         line: dict[str, object] = {
-            "time": datetime.fromtimestamp(record.created, UTC)
-            .isoformat(timespec="milliseconds")
-            .replace("+00:00", "Z"),
+            "time": iso_time(record.created),
             "level": record.levelname.lower(),
             "logger": record.name,
             "text": printable(record.getMessage()),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import unicodedata
+from datetime import UTC, datetime
 from enum import Enum, IntEnum
 from typing import Final, Self
 
@@ -105,6 +106,11 @@ def shortened(text: str, most: int = 60) -> str:
 def brief(value: object) -> str:
     """``value`` in a message about it: its representation, cut if it would hide what follows."""
     return shortened(repr(value))
+
+
+def iso_time(wall_s: float) -> str:
+    """A time since 1970 in s as ISO text with ms and Z."""
+    return datetime.fromtimestamp(wall_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def json_text(value: object, *, encoding: str = "utf-8", **how: object) -> str:

@@ -16,6 +16,7 @@ from dpstack.errors import UsageError
 from dpstack.text import decimal, shortened
 from dpstack.units import BAUD_RATES
 
+_T = TypeVar("_T")
 _N = TypeVar("_N", bound=float)
 
 
@@ -48,6 +49,18 @@ def baud_or(word: str) -> Callable[[str], int | str]:
 
 
 baud_or_auto: Final = baud_or(AUTO)
+
+
+def parsed(read: Callable[[str], _T]) -> Callable[[str], _T]:
+    """The type of an argument that ``read`` reads, which raises UsageError."""
+
+    def checked(text: str) -> _T:
+        try:
+            return read(text)
+        except UsageError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return checked
 
 
 def number(read: Callable[[str], _N | None], low: float, below: float, what: str) -> Callable[[str], _N]:

@@ -15,7 +15,8 @@ from dpstack.plant.items import DriveValues, SlaveValues
 from dpstack.plant.judge import exchanging, judged
 from dpstack.record.columns import Cell, Column, Kind
 from dpstack.record.reader import Recording, Row
-from dpstack.record.rows import END, iso_time
+from dpstack.record.rows import END
+from dpstack.text import iso_time
 
 Item = dict[str, dict[str, Any]]
 #: seconds between two snapshots

@@ -130,11 +130,6 @@ class Rows:
         return f"{self._second_text}.{rest // NS_PER_MS:03}Z"
 
 
-def iso_time(wall_s: float) -> str:
-    """A time since 1970 in s as ISO text with ms and Z."""
-    return datetime.fromtimestamp(wall_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
 def csv_text(text: str) -> str:
     """A text as a cell of CSV (RFC 4180), on one line."""
     text = printable(text)

@@ -24,9 +24,8 @@ from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.errors import DpError, PortError
 from dpstack.plant.items import CheckedItem, check_item
 from dpstack.plant.state import end_of
-from dpstack.record.rows import iso_time
 from dpstack.tcp_address import Listen, Origins, is_local, join
-from dpstack.text import printable
+from dpstack.text import iso_time, printable
 from dpstack.web.asks import Asks
 from dpstack.web.fan_out import FanOut, Reader
 from dpstack.web.messages import MOST_OCTETS, Ask, Hello, MessageError, PageOrder, answer, encode, parse

@@ -29,8 +29,8 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.plant.items import Item, all_of
 from dpstack.plant.pending import Pending
 from dpstack.plant.state import end_of
-from dpstack.record.rows import iso_time
 from dpstack.stats import Histogram
+from dpstack.text import iso_time
 from dpstack.trace import Event
 from dpstack.units import NS_PER_US, ns_to_s
 

@@ -55,7 +55,7 @@ class ProgramTap:
         self.program = ""
         #: rate in bit/s; None while the program searches for it
         self.baud: int | None = None
-        #: see :class:`dpstack.api.listen.listening.Line`
+        #: see :class:`dpstack.api.listen.listening.ListenedLine`
         self.paced = self.exact = False
         self._client = client
         self._on_event = on_event

@@ -17,8 +17,7 @@ from typing import Final
 from dpstack.api.files import open_alone, write_error
 from dpstack.api.recording.line_file import LineFile, trouble_text
 from dpstack.api.recording.writer_thread import WriterThread
-from dpstack.record.rows import iso_time
-from dpstack.text import json_text, printable
+from dpstack.text import iso_time, json_text, printable
 
 MOST_OCTETS: Final = 10_000_000
 #: older files that are kept

@@ -6,32 +6,32 @@ import argparse
 import asyncio
 import contextlib
 from collections.abc import Mapping
-from datetime import UTC, datetime
-from time import monotonic_ns, time_ns
+from time import monotonic_ns, time, time_ns
 from typing import Final, NamedTuple
 
 from dpstack import __version__
 from dpstack.api.bus.events_json import PortLost, event_json
 from dpstack.api.config.bus import AUTO
 from dpstack.api.listen.capture_file import STDOUT, CaptureFile, Ring
-from dpstack.api.listen.listening import PORT_LOSSES, BaudFound, ListenedLine, Listening, OctetsLost, keep_listening
+from dpstack.api.listen.listening import BaudFound, ListenedLine, OctetsLost
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0
 from dpstack.capture.recording import Gaps, PortAbout, Recording
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
-from dpstack.cli.listening.telegram_lines import add_names, filter_argument, names_of, show
+from dpstack.cli.listening.port_listener import PortListener, start_json, start_text
+from dpstack.cli.listening.telegram_lines import add_names_and_filter, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
-from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
+from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal, first_of
 from dpstack.decode.filter import Match
 from dpstack.decode.telegram import Explained, Explainer
 from dpstack.errors import CaptureFileError, DpError, UsageError
 from dpstack.monitor.evidence import finding
-from dpstack.monitor.triggers import Trigger, Triggers, Window, parse_trigger
-from dpstack.text import decimal
+from dpstack.monitor.triggers import Triggers, Window, parse_trigger
+from dpstack.text import decimal, iso_time
 from dpstack.trace import Event
-from dpstack.units import baud_text, ns_to_s, s_to_ns
+from dpstack.units import ns_to_s, s_to_ns
 
 #: pause between two writes to the file, in s
 _FLUSH_S: Final = 0.1
@@ -69,8 +69,7 @@ def add_to(parser: Parser) -> None:
         choices=(USER0, PROFIBUS_DL),
         default=USER0,
     )
-    add_names(parser)
-    parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/how-to/decode.md", type=filter_argument)
+    add_names_and_filter(parser)
     parser.value("--ring", "N", "keep N files at most, the oldest goes; needs --write and --size", type=_files)
     parser.value("--size", "MB", "of each file of the ring, in 10^6 octets", type=_megabytes)
     parser.value(
@@ -78,7 +77,7 @@ def add_to(parser: Parser) -> None:
         "COND",
         'keep only what lies around it: lost, diagnosis, "retry>2", "bad fcs", "station 5", octets in hex (see '
         "docs/how-to/capture.md); may be given several times",
-        type=_trigger,
+        type=options.parsed(parse_trigger),
         action="append",
         default=[],
     )
@@ -86,13 +85,6 @@ def add_to(parser: Parser) -> None:
     parser.value("--after", "S", f"seconds to keep after a trigger (default {_AFTER_S:g})", type=_period)
     parser.value("--seconds", "S", "end after S seconds", type=options.seconds)
     parser.run_by(execute)
-
-
-def _trigger(text: str) -> Trigger:
-    try:
-        return parse_trigger(text)
-    except UsageError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -115,13 +107,12 @@ def execute(args: argparse.Namespace) -> int:
     return run_unhurried(_Capture(args).run(), json=args.json)
 
 
-class _Capture:
+class _Capture(PortListener):
     """One capture: from the port through filter and triggers to the file or the screen, and the summary."""
 
     def __init__(self, args: argparse.Namespace) -> None:
-        self._args = args
+        super().__init__(args)
         names = names_of(args)
-        self._json: bool = args.json
         self._filter: Match | None = args.filter
         #: standard output carries the file
         self._quiet = args.write == STDOUT
@@ -129,9 +120,6 @@ class _Capture:
         self._file = None if args.write is None else CaptureFile(args.write, ring)
         self._recording: Recording | None = None
         self._about: PortAbout | None = None
-        self._listening: Listening | None = None
-        self._line: ListenedLine | None = None
-        self._early: list[Event] = []  # before the start line
         self._triggers = Triggers(args.trigger)
         self._window: Window[_Heard] | None = None
         if args.trigger:
@@ -142,7 +130,6 @@ class _Capture:
         self._unjudged: tuple[Transmission, Explained, str] | None = None
         self._kept = 0
         self._too_slow = 0  # transmissions since the last flush that the disk was too slow for
-        self._port_damage: dict[str, int] = {}
         self._began = monotonic_ns()
 
     async def run(self) -> int:
@@ -158,7 +145,7 @@ class _Capture:
                 return INTERRUPTED
             if self._unjudged is not None:
                 self._judge(*self._unjudged)
-            self._look_at_port()
+            self._look_at_port(_WATCH_S)
             failure = await self._close() or failure
             self._summary(whole=failure is None)
         if failure is not None:
@@ -167,46 +154,22 @@ class _Capture:
 
     async def _work(self) -> None:
         """Listen until the time is over. Raises the errors of the port and of the file."""
-        tasks = {asyncio.create_task(self._listen()), asyncio.create_task(self._watch_port())}
+        works = [self._listen(self._on_transmission), self._watch_port()]
         if self._file is not None:
-            tasks.add(asyncio.create_task(self._write(self._file)))
-        try:
-            done, _ = await asyncio.wait(tasks, timeout=self._args.seconds, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            works.append(self._write(self._file))
+        await first_of(*works, timeout=self._args.seconds)
 
-    async def _listen(self) -> None:
-        """Listen to the port; if a program that held it ends, wait until one is there again."""
-        baud = None if self._args.baud == AUTO else self._args.baud
-        await keep_listening(
-            lambda own: Listening(self._args.port, baud, self._on_transmission, self._on_event, own=own),
-            self._start,
-            self._interrupt,
-        )
-
-    def _interrupt(self, reason: str) -> None:
-        self._listening = None
-        self._gap(monotonic_ns(), reason)
+    def _interrupted(self, reason: str) -> None:
+        self._lost(reason)
         self._say(monotonic_ns(), "notice", "waiting until a program holds the port again")
 
     async def _watch_port(self) -> None:
-        """Octets that the port has lost are a gap. It counts them, and does not say where they were."""
         while True:
             await asyncio.sleep(_WATCH_S)
-            self._look_at_port()
+            self._look_at_port(_WATCH_S)
 
-    def _look_at_port(self) -> None:
-        if self._listening is None:
-            return
-        before, self._port_damage = self._port_damage, self._listening.damage()
-        lost = sum(self._port_damage.get(cause, 0) - before.get(cause, 0) for cause in PORT_LOSSES)
-        if lost > 0:
-            where = f"within the last {_WATCH_S:g} s"
-            self._gap(monotonic_ns(), f"this computer read the port too late: {lost} octets were lost {where}")
+    def _lost(self, text: str) -> None:
+        self._gap(monotonic_ns(), text)
 
     async def _write(self, file: CaptureFile) -> None:
         while True:
@@ -217,24 +180,15 @@ class _Capture:
                 self._gap(monotonic_ns(), f"the disk was too slow: {count} transmissions were not written", count)
 
     # --- what is heard ---
-    def _start(self, listening: Listening) -> None:
-        self._listening, line = listening, listening.line
-        again = self._line is not None
-        self._line = line
-        if again:
-            self._say(monotonic_ns(), "port", f"the {line.program} on {line.port} is back", lost=False)
-            return
+    def _is_back(self, line: ListenedLine, text: str) -> None:
+        self._say(monotonic_ns(), "port", text, lost=False)
+
+    def _started(self, line: ListenedLine) -> None:
         self._about = PortAbout(line.port, line.source, line.paced, line.exact, line.damaged)
         if self._json and not self._quiet:
-            start = {"event": "start", "time": _now(), "port": line.port, "baud": line.baud}
-            output.json_line({**start, "source": line.source, "program": line.program, "paced": line.paced})
+            output.json_line({**start_json(line), "paced": line.paced})
         else:
-            through = f" through the {line.program} that holds it" if line.program else ""
-            rate = "the rate is searched" if line.baud is None else baud_text(line.baud)
-            self._print(f"listening on {line.port}{through}, {rate}; nothing is sent (Ctrl-C ends)", "bold")
-        early, self._early = self._early, []
-        for event in early:
-            self._on_event(event)
+            self._print(f"{start_text(line, 'the rate is searched')}; nothing is sent (Ctrl-C ends)", "bold")
 
     def _on_transmission(self, one: Transmission) -> None:
         reason = self._triggers.add(one)
@@ -293,9 +247,6 @@ class _Capture:
         return self._recording
 
     def _on_event(self, event: Event) -> None:
-        if self._line is None:
-            self._early.append(event)
-            return
         match event:
             case OctetsLost(count=count):
                 self._gap(event.t_ns, event.text, count)
@@ -356,7 +307,7 @@ class _Capture:
         if self._json and not self._quiet:
             summary: dict[str, object] = {
                 "event": "summary",
-                "time": _now(),
+                "time": iso_time(time()),
                 "port": line.port,
                 "baud": baud,
                 "seconds": round(seconds, 3),
@@ -400,7 +351,3 @@ class _Heard(NamedTuple):
 
 def _counts(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.items())
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

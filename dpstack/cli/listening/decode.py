@@ -10,7 +10,7 @@ from dpstack.capture.cutter import split
 from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Transmission
 from dpstack.cli.listening.source_file import STDIN, is_growing, transmissions_of
-from dpstack.cli.listening.telegram_lines import add_names, filter_argument, names_of, show
+from dpstack.cli.listening.telegram_lines import add_names_and_filter, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.decode.filter import one_later
@@ -27,8 +27,7 @@ def add_to(parser: Parser) -> None:
     )
     what = "a pcapng file, or a text file of hex digits; octets; or - for standard input"
     parser.add_argument("source", metavar="FILE|HEX|-", nargs="+", help=what)
-    add_names(parser)
-    parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/how-to/decode.md", type=filter_argument)
+    add_names_and_filter(parser)
     parser.run_by(execute)
 
 

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from datetime import UTC, datetime
 from time import monotonic_ns, time_ns
 from typing import Final
 
 from dpstack.api.bus.events_json import PortBack, PortLost
-from dpstack.api.config.bus import AUTO
-from dpstack.api.listen.listening import PORT_LOSSES, ListenedLine, Listening, OctetsLost, keep_listening
+from dpstack.api.listen.listening import ListenedLine, OctetsLost
 from dpstack.api.listen.report_file import SIMULATED, ReportFile, port_lines
 from dpstack.capture.timing import ADAPTER
 from dpstack.cli.listening.monitor_view import LiveView, event_line, show_summary, write_report
+from dpstack.cli.listening.port_listener import PortListener, start_json, start_text
 from dpstack.cli.terminal import output
-from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
+from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal, first_of
 from dpstack.errors import PortError
 from dpstack.monitor.monitor import Happening, Monitor
 from dpstack.monitor.verdict import CRITICAL
 from dpstack.trace import Event
-from dpstack.units import NS_PER_S, baud_text
+from dpstack.units import NS_PER_S
 
 _TICK_S: Final = 0.5
 #: octets of a tap or an adapter are no later
@@ -31,20 +30,15 @@ _CONVERTER: Final = (
 )
 
 
-class LiveMonitor:
+class LiveMonitor(PortListener):
     """Judges the bus at a port."""
 
     def __init__(self, args: argparse.Namespace, monitor: Monitor, report: ReportFile | None) -> None:
-        self._args = args
+        super().__init__(args)
         self._report = report
         self._add = monitor.add if report is None else report.add
-        self._json: bool = args.json
         self._monitor = monitor
-        self._line: ListenedLine | None = None
         self._begun = asyncio.Event()
-        self._port_damage: dict[str, int] = {}
-        self._early: list[Event] = []  # before the start line
-        self._listening: Listening | None = None  # while it is entered
         self._view = LiveView(monitor, args.port) if output.redraws() and not args.json else None
         self._failure: PortError | None = None
         self._clock_ns = time_ns() - monotonic_ns()
@@ -83,20 +77,12 @@ class LiveMonitor:
 
     async def _work(self) -> None:
         """Listen until the time is over. Raises PortError if the port cannot be listened to any more."""
-        listening = asyncio.ensure_future(self._listen())
-        watching = [asyncio.ensure_future(self._tick())]
+        works = [self._listen(self._add), self._tick()]
         if self._view is not None:
-            watching.append(asyncio.ensure_future(self._watch(self._view)))
+            works.append(self._watch(self._view))
         if self._args.seconds is not None:
-            watching.append(asyncio.ensure_future(self._listened_for(self._args.seconds)))
-        try:
-            done, _ = await asyncio.wait([listening, *watching], return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
-        finally:
-            for task in (listening, *watching):
-                task.cancel()
-            await asyncio.gather(listening, *watching, return_exceptions=True)
+            works.append(self._listened_for(self._args.seconds))
+        await first_of(*works)
 
     async def _listened_for(self, seconds: float) -> None:
         """Wait until the time is over. It begins when the port is open."""
@@ -112,58 +98,30 @@ class LiveMonitor:
         while True:
             await asyncio.sleep(_TICK_S)
             self._monitor.tick(time_ns() - _LATE_NS)
-            self._look_at_port()
+            self._look_at_port(_TICK_S)
 
-    def _look_at_port(self) -> None:
-        """Report octets that the port has lost since the last look."""
-        if self._listening is None:
-            return
-        before, self._port_damage = self._port_damage, self._listening.damage()
-        lost = sum(self._port_damage.get(cause, 0) - before.get(cause, 0) for cause in PORT_LOSSES)
-        if lost > 0:
-            text = f"this computer read the port too late: {lost} octets were lost within the last {_TICK_S:g} s"
-            self._monitor.gap(time_ns(), text)
+    def _lost(self, text: str) -> None:
+        self._monitor.gap(time_ns(), text)
 
-    async def _listen(self) -> None:
-        """Listen to the port; if a program that held it ends, wait until one is there again."""
-        baud = None if self._args.baud == AUTO else self._args.baud
-        await keep_listening(
-            lambda own: Listening(self._args.port, baud, self._add, self._on_event, own=own),
-            self._begin,
-            self._interrupt,
-        )
-
-    def _interrupt(self, reason: str) -> None:
-        self._listening = None
+    def _interrupted(self, reason: str) -> None:
         self._monitor.lost(time_ns(), f"{reason}; waiting until a program holds the port again")
 
-    def _begin(self, listening: Listening) -> None:
-        self._listening, line = listening, listening.line
-        again, self._line = self._line is not None, line
+    def _is_back(self, line: ListenedLine, text: str) -> None:
         self._monitor.timing = line.timing
-        if again:
-            self._monitor.back(time_ns(), f"the {line.program} on {line.port} is back")
-            return
+        self._monitor.back(time_ns(), text)
+
+    def _started(self, line: ListenedLine) -> None:
+        self._monitor.timing = line.timing
         self._monitor.begin(time_ns())
         if self._json:
-            now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-            start = {"event": "start", "time": now, "port": line.port, "baud": line.baud, "source": line.source}
-            output.json_line({**start, "program": line.program})
+            output.json_line(start_json(line))
         elif self._view is None:
-            through = f" through the {line.program} that holds it" if line.program else ""
-            rate = "its rate is searched" if line.baud is None else baud_text(line.baud)
-            output.line(f"listening on {line.port}{through}, {rate}; Ctrl-C ends", "bold")
+            output.line(f"{start_text(line, 'its rate is searched')}; Ctrl-C ends", "bold")
         if line.program is None and line.source == ADAPTER:
             output.warn(_CONVERTER)
         self._begun.set()
-        early, self._early = self._early, []
-        for event in early:
-            self._on_event(event)
 
     def _on_event(self, event: Event) -> None:
-        if self._line is None:
-            self._early.append(event)
-            return
         t_ns = event.t_ns + self._clock_ns
         match event:
             case OctetsLost():

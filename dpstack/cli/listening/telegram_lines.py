@@ -10,13 +10,13 @@ from typing import Final
 
 import msgspec
 
+from dpstack.cli import options
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.decode.fields import Fields
-from dpstack.decode.filter import Match, parse_filter
+from dpstack.decode.filter import parse_filter
 from dpstack.decode.names import DriveWords, Names, SlaveNames
 from dpstack.decode.telegram import Explained
-from dpstack.errors import UsageError
 from dpstack.text import json_text
 from dpstack.units import NS_PER_S
 
@@ -24,16 +24,18 @@ from dpstack.units import NS_PER_S
 _LEFT_OUT: Final = {"Ext_Diag_Data": frozenset({"module", "modules"})}
 
 
-def add_names(parser: Parser) -> None:
-    """The options ``--config`` and ``--gsd``."""
+def add_names_and_filter(parser: Parser) -> None:
+    """The options ``--config``, ``--gsd`` and ``--filter``."""
     parser.value("--config", "CONFIG", "names of this configuration: slaves, process data, modules, parameters, drives")
     what = "a GSD file or a folder of them, for slaves that are not in CONFIG; can be given several times"
     parser.value("--gsd", "FILE", what, action="append", default=[])
+    expression = options.parsed(parse_filter)
+    parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/how-to/decode.md", type=expression)
 
 
 def names_of(args: argparse.Namespace) -> Names:
-    """The names that the options of :func:`add_names` say; else those of drives that are known here, read when a
-    station gives its ident number. Raises ConfigError."""
+    """The names that ``--config`` and ``--gsd`` say; else those of drives that are known here, read when a station
+    gives its ident number. Raises ConfigError."""
     if args.config is None and not args.gsd:
         return Names({}, _recognise, _record)
     from dpstack.api.config.config import load_config
@@ -55,14 +57,6 @@ def _known_names() -> Names:
     from dpstack.api.listen.names import decode_names  # with all that it knows about drives
 
     return decode_names()
-
-
-def filter_argument(text: str) -> Match:
-    """The type of the argument EXPR of ``--filter``."""
-    try:
-        return parse_filter(text)
-    except UsageError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 @functools.cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import contextlib
 import re
 from collections.abc import Iterator
@@ -52,7 +51,7 @@ def execute(args: argparse.Namespace) -> int:
     except ImportError as error:
         raise UsageError(f"dpstack fleet needs more packages ({error}): pip install 'dpstack[mqtt]'") from None
     from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
-    from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
+    from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal, first_of
 
     fleet = Fleet(None if args.group is None else _name(args.group, "--group"))
     rebirth = None if args.rebirth is None else _gateways(args.rebirth)
@@ -65,17 +64,8 @@ def execute(args: argparse.Namespace) -> int:
             reader = FleetReader(broker, fleet, changed=view.show, told=view.tell, rebirth=rebirth)
         view.begin(reader)
         with StopSignal() as stop:
-            reading = asyncio.ensure_future(reader.run())
-            watching = [reading, *([asyncio.ensure_future(view.watch())] if view.redraws else [])]
-            try:
-                await stop.or_done(asyncio.wait(watching, timeout=args.seconds, return_when=asyncio.FIRST_COMPLETED))
-                for task in watching:
-                    if task.done():
-                        task.result()
-            finally:
-                for task in watching:
-                    task.cancel()
-                await asyncio.gather(*watching, return_exceptions=True)
+            works = [reader.run(), *([view.watch()] if view.redraws else [])]
+            await stop.or_done(first_of(*works, timeout=args.seconds))
         if stop.hurried:
             return INTERRUPTED
         return int(view.end() or not reader.was_connected)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import textwrap
-from datetime import UTC, datetime
+from datetime import datetime
 from time import time
 from typing import TYPE_CHECKING, Any, Final
 
 from dpstack.boottime import boottime_s
 from dpstack.cli.terminal import output
-from dpstack.text import printable, shortened
+from dpstack.text import iso_time, printable, shortened
 
 if TYPE_CHECKING:
     from dpstack.bridge.mqtt.fleet import Fleet, Segment
@@ -56,14 +56,14 @@ class FleetView:
         """Print the first line."""
         self._reader = reader
         if self._json:
-            output.json_line({"event": "start", "time": _time(time()), "broker": self._place})
+            output.json_line({"event": "start", "time": iso_time(time()), "broker": self._place})
         elif not self.redraws:
             output.line(f"{self._remark}; Ctrl-C ends", "bold")
 
     def show(self, segment: Segment) -> None:
         """A segment has changed."""
         if self._json:
-            output.json_line({"event": "segment", "time": _time(time()), **self._as_dict(segment)})
+            output.json_line({"event": "segment", "time": iso_time(time()), **self._as_dict(segment)})
         elif not self.redraws:
             where, why = printable(f"{segment.group}/{segment.node}"), _why(segment)
             text = f"{_clock(time())}  {where}: {segment.state.value}{': ' if why else ''}{why}"
@@ -75,7 +75,7 @@ class FleetView:
         assert self._reader is not None
         if self._json:
             connected = self._reader.connected
-            output.json_line({"event": "broker", "time": _time(time()), "connected": connected, "text": text})
+            output.json_line({"event": "broker", "time": iso_time(time()), "connected": connected, "text": text})
         elif not self.redraws:
             output.warn(text)
 
@@ -88,7 +88,7 @@ class FleetView:
         states = {state.value.replace(" ", "_"): count for state, count in self._fleet.counts().items()}
         found = any(one.state in BAD for one in self._fleet)
         if self._json:
-            summary = {"event": "summary", "time": _time(time()), "segments": len(self._fleet), "states": states}
+            summary = {"event": "summary", "time": iso_time(time()), "segments": len(self._fleet), "states": states}
             output.json_line(summary | self._losses())
             return found
         if self.redraws:
@@ -203,7 +203,7 @@ class FleetView:
             "group": one.group,
             "node": one.node,
             "state": one.state.value.replace(" ", "_"),
-            "since": _time(_wall(one.since)),
+            "since": iso_time(_wall(one.since)),
             "age_s": round(max(0.0, boottime_s() - one.heard), 1),
             "verdict": status.verdict,
             "reasons": one.reasons,
@@ -249,10 +249,6 @@ def _why(one: Segment) -> str:
 def _wall(at: float) -> float:
     """A time of :func:`boottime_s` in s since 1970, by the clock of this computer."""
     return time() - (boottime_s() - at)
-
-
-def _time(seconds: float) -> str:
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def _clock(seconds: float) -> str:

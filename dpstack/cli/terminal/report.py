@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from datetime import UTC, datetime
+from time import time
 from typing import Any, Final
 
 from msgspec import structs
@@ -25,6 +25,7 @@ from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import BusStats, SlaveStats
 from dpstack.api.streams import Flapping
 from dpstack.cli.terminal import output
+from dpstack.text import iso_time
 from dpstack.units import baud_text, ms_text, ns_to_s
 
 #: limits, in s and as a part of its time, for the remark on a simulated bus that fell behind real time
@@ -91,8 +92,8 @@ class Reporter:
         bus = self._bus
         name, rate = core_of(bus).runtime.port_name, bus.params.baud
         if self._json:
-            now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-            output.json_line({"event": "start", "time": now, "port": name, "baud": rate, "driver": bus.driver})
+            start = {"event": "start", "time": iso_time(time()), "port": name, "baud": rate}
+            output.json_line({**start, "driver": bus.driver})
         elif not self.quiet:
             output.line(f"master {bus.params.address} on {name} at {baud_text(rate)}", "bold")
 

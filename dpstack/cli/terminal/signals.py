@@ -123,6 +123,19 @@ class StopSignal:
             await asyncio.gather(task, waiting, return_exceptions=True)
 
 
+async def first_of(*works: Coroutine[object, object, None], timeout: float | None = None) -> None:
+    """Run ``works`` until the first of them ends, or for ``timeout`` in s; raises its exception. Cancels the others."""
+    tasks = [asyncio.ensure_future(work) for work in works]
+    try:
+        done, _ = await asyncio.wait(tasks, timeout=timeout, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
 def run_to_result(work: Coroutine[object, object, _T], before: str) -> _T:
     """Run ``work``. Returns its result. Raises BusError ("ended before ...") if a signal ended it first."""
 

@@ -22,7 +22,7 @@ from plant_files import plant_file
 from dpstack.api.listen.listening import ListenedLine, OctetsLost
 from dpstack.capture.pcapng import PROFIBUS_DL, Packet, Reader
 from dpstack.capture.transmission import Damage, Transmission
-from dpstack.cli.listening import capture
+from dpstack.cli.listening import port_listener
 from dpstack.cli.main import main
 from dpstack.fdl.baud_search import BaudFound, Confidence
 from dpstack.trace import Event
@@ -269,7 +269,7 @@ class ScriptedLine:
 
 
 def test_gaps_rates_and_damage_are_in_the_file(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(capture, "Listening", ScriptedLine)
+    monkeypatch.setattr(port_listener, "Listening", ScriptedLine)
     path = tmp_path / "a.pcapng"
     lines = cli.jsons("capture", "--port", "x", "--write", str(path), "--seconds", "0.05")
     token, request, answer = packets(path)

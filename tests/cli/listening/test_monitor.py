@@ -212,7 +212,7 @@ def test_the_seconds_begin_when_the_port_is_open(
         await asyncio.sleep(0.1)
         await keep_listening(*ways)
 
-    monkeypatch.setattr("dpstack.cli.listening.monitor_live.keep_listening", slow)
+    monkeypatch.setattr("dpstack.cli.listening.port_listener.keep_listening", slow)
     summary = cli.jsons("monitor", "--port", speaking.path, "--baud", "500000", "--seconds", "0.12")[-1]
     assert summary["seconds"] >= 0.12
 
