@@ -4,7 +4,6 @@
 - ``evidence``: Evidence about one slave: plain frozen data, from a running master or from a class 2 look at the bus
 - ``facts``: Facts drawn from the evidence of one slave, each computed once
 - ``judge``: Causes of a slave that is not in data exchange, each with what speaks for and against it
-- ``parameters``: User parameters of Set_Prm held against the GSD file
 - ``steps``: Steps of a bring-up in words: the request, the answer, and the octet that refuses
 - ``story``: The story of one slave: its last bring-up in words, and the causes in order
 """

@@ -1,8 +1,11 @@
-"""Facts drawn from the evidence of one slave, each computed once: what its answers and its counters say."""
+"""Facts drawn from the evidence of one slave, each computed once: what its answers and its counters say, and what is
+odd about its user parameters."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -12,12 +15,16 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.master.verdicts import foreign_owner
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.requests import SET_PRM_LEN
+from dpstack.errors import GsdError
 from dpstack.fdl.interface import StationStats
 from dpstack.fdl.telegram import StationType
+from dpstack.gsd.model import in_ranges
 from dpstack.gsd.module_comparison import Comparison, Difference, compare_modules
+from dpstack.gsd.prm import UserPrm
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.units import BITS_PER_CHAR, NS_PER_MS, NS_PER_S, bits_to_ns
 from dpstack.why.evidence import CLASS2, Evidence, Neighbour
-from dpstack.why.parameters import ParameterFacts, parameter_facts
 from dpstack.why.steps import CHK_CFG, REFUSALS, SET_PRM
 
 #: requests from which a share of failures says something
@@ -42,6 +49,8 @@ _STALE: Final = 4
 #: share of the time that a station takes that sends without end, at least
 _JAM_LOAD: Final = 0.4
 _STALE_NS: Final = 200 * NS_PER_MS
+#: user parameters named in a story at most
+_SHOWN: Final = 4
 
 
 def attempts(link: StationStats) -> int:
@@ -376,7 +385,15 @@ class Facts:
 
     @cached_property
     def parameters(self) -> ParameterFacts:
-        return parameter_facts(self.evidence)
+        """The facts about the user parameters of the slave, as its configuration has them."""
+        setup, expected = self.setup, self.evidence.expected_prm
+        sent, dpv1 = setup.user_octets(None), setup.dpv1 is not None
+        if expected is None:
+            return ParameterFacts(sent, dpv1=dpv1)
+        wanted = len(expected) + len(sent) - len(setup.user_prm)
+        if len(setup.user_prm) != len(expected):
+            return ParameterFacts(sent, wanted, dpv1=dpv1)
+        return ParameterFacts(sent, wanted, *_named(self.evidence, expected), dpv1)
 
     @cached_property
     def cfg_fault(self) -> bool:
@@ -438,3 +455,55 @@ class Facts:
         """The last step of ``services`` that was refused with RS, RR or UE again and again."""
         found = (step for step in self._newest_first if step.asked in services)
         return next((step for step in found if step.answered in REFUSALS), None)
+
+
+# --- user parameters held against the GSD file ---
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterFacts:
+    """``sent``: octets behind the seven fixed ones. ``wanted``: their number by the GSD file, None: not known.
+
+    ``impossible``: sentences about values that the file excludes; ``changed``: about values that are not the file's
+    own; ``dpv1``: the slave is parameterised for DP-V1. ``only_status``: there is nothing behind DPV1_Status.
+    """
+
+    sent: bytes
+    wanted: int | None = None
+    impossible: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+    dpv1: bool = False
+
+    @property
+    def only_status(self) -> bool:
+        return self.dpv1 and len(self.sent) == DPV1_STATUS_LEN
+
+    @property
+    def wrong_length(self) -> bool:
+        return self.wanted is not None and len(self.sent) != self.wanted
+
+
+def _named(evidence: Evidence, expected: bytes) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """``impossible`` and ``changed`` of :class:`ParameterFacts`."""
+    setup = evidence.setup
+    impossible: list[str] = []
+    changed: list[str] = []
+    covered: set[int] = set()
+    with contextlib.suppress(GsdError):
+        if evidence.device is not None:
+            prm = UserPrm(evidence.device, evidence.modules)
+            for own, usual in zip(prm.read(setup.user_prm), prm.read(expected), strict=True):
+                covered |= set(range(own.at, own.at + own.parameter.type.size))
+                where = f"Octet {SET_PRM_LEN + 1 + own.at} of Set_Prm, {own.parameter.name!r}"
+                low, high = own.parameter.type.limits
+                if not (low <= own.value <= high and in_ranges(own.value, own.parameter.allowed)):
+                    impossible.append(f"{where}: {own.value} is not allowed by the GSD file.")
+                elif own.value != usual.value:
+                    changed.append(f"{where}: {own.text} instead of the default {usual.text}.")
+    has_status = setup.dpv1 is not None or (evidence.device is not None and evidence.device.dpv1.slave)
+    status = DPV1_STATUS_LEN if has_status or setup.fail_safe_told or setup.wd_base_1ms else 0
+    for at, (octet, default) in enumerate(zip(setup.user_prm, expected, strict=True)):
+        if octet != default and at not in covered and at >= status:
+            where = f"Octet {SET_PRM_LEN + 1 + at} of Set_Prm"
+            changed.append(f"{where}: {octet:02X}, the GSD file has {default:02X}.")
+    return tuple(impossible[:_SHOWN]), tuple(changed[:_SHOWN])
