@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from msgspec import to_builtins
+from msgspec import structs, to_builtins
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.parts import SEARCHING
@@ -209,7 +209,7 @@ def _diag(bus: Bus, where: str) -> LongCommand:
         reading = await read_station(bus.class2, address, own, "run", bus.snapshot.las)
         config = None if known is None else known.config
         devices = KnownDevices(slave.config for slave in bus.slaves)
-        return {**station_report(reading, config, devices), "reading": reading.as_dict()}
+        return {**station_report(reading, config, devices), "reading": structs.asdict(reading)}
 
     async def long_command(send: Send) -> dict[str, object]:
         return await kept_alive(work(), lambda: {"state": "asking"}, send)

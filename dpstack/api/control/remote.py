@@ -18,11 +18,9 @@ from dpstack.api.control.errors import failure
 from dpstack.api.control.record_orders import COMMANDS, OnProgress
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue, Readable
 from dpstack.api.lists.record_list import ListedValues
-from dpstack.api.slave.station_report import StationReading
+from dpstack.api.slave.station_report import Hex, StationReading
 from dpstack.errors import ParameterError, PortError
 from dpstack.profile import ListedParam
-
-Hex = Annotated[str, msgspec.Meta(pattern=r"^(?:[0-9a-fA-F]{2})*$")]
 
 
 class Status(TypedDict):
@@ -116,24 +114,10 @@ class ImAnswer(_OfSlave):
     im: dict[str, dict[str, Any]]
 
 
-class ReadingAnswer(TypedDict):
-    """The JSON of :meth:`dpstack.api.slave.station_report.StationReading.as_dict`."""
-
-    address: Annotated[int, msgspec.Meta(ge=0, le=126)]
-    own: int
-    source: str
-    status: str
-    diagnosis: Hex | None
-    config: Hex | None
-    inputs: Hex | None
-    outputs: Hex | None
-    errors: dict[str, str]
-
-
 class StationAnswer(TypedDict):
     """``diag``: the reading; its other keys are those of :func:`dpstack.api.slave.station_report.station_report`."""
 
-    reading: ReadingAnswer
+    reading: StationReading
 
 
 class WhyStep(TypedDict):
@@ -192,19 +176,23 @@ _ANSWERS: Final[dict[str, dict[str, type]]] = {
 }
 
 
-async def _carry_out(
-    client: ControlClient, command: str, name: str, order: ParsedCommand, progress: OnProgress | None = None
+async def _asked(
+    client: ControlClient, *request: str, kind: type | None, progress: OnProgress | None = None
 ) -> dict[str, Any]:
-    """The answer of the run to ``order``. A cancellation closes the connection, and thereby cancels the order."""
-    kind = _ANSWERS[command].get(order.word, StatusAnswer if command == "drive" else None)
+    """The answer of the run to ``request``. A cancellation closes the connection, and thereby cancels the order."""
     try:
-        answer = await asyncio.to_thread(
-            client.call, command, name, order.word, *order.texts, kind=kind, progress=progress
-        )
+        answer = await asyncio.to_thread(client.call, *request, kind=kind, progress=progress)
     except asyncio.CancelledError:
         client.close()
         raise
     return dict(answer)
+
+
+async def _carry_out(
+    client: ControlClient, command: str, name: str, order: ParsedCommand, progress: OnProgress | None = None
+) -> dict[str, Any]:
+    kind = _ANSWERS[command].get(order.word, StatusAnswer if command == "drive" else None)
+    return await _asked(client, command, name, order.word, *order.texts, kind=kind, progress=progress)
 
 
 async def through_run(
@@ -235,12 +223,8 @@ async def reading_through_run(port: str, config: Config | None, station: str) ->
     if client is None:
         return None
     with client:
-        try:
-            answer = await asyncio.to_thread(client.call, "diag", station, kind=StationAnswer)
-        except asyncio.CancelledError:
-            client.close()
-            raise
-    return StationReading.of(answer["reading"])
+        answer = await _asked(client, "diag", station, kind=StationAnswer)
+    return msgspec.convert(answer["reading"], StationReading)
 
 
 async def why_through_run(config: Config, slave: int) -> dict[str, Any] | None:
@@ -251,12 +235,7 @@ async def why_through_run(config: Config, slave: int) -> dict[str, Any] | None:
     if client is None:
         return None
     with client:
-        try:
-            answer = await asyncio.to_thread(client.call, "why", str(slave), kind=WhyAnswer)
-        except asyncio.CancelledError:
-            client.close()
-            raise
-    return dict(answer)
+        return await _asked(client, "why", str(slave), kind=WhyAnswer)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

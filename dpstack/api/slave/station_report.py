@@ -9,9 +9,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
-from msgspec import Struct, field
+from msgspec import Meta, Struct
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
@@ -44,39 +44,27 @@ _NO_ANSWER: Final = (
 _NO_SLAVE: Final = "answers, and refuses Slave_Diag ({status}): it may be a master, or no DP slave"
 
 
+Hex = Annotated[str, Meta(pattern=r"^(?:[0-9a-fA-F]{2})*$")]
+
+
 class StationReading(Struct, frozen=True):
-    """The octets that the station at ``address`` gave; None if it gave none, then ``errors`` has the reason by the
-    name of the service.
+    """The octets that the station at ``address`` gave, in hex; None if it gave none, then ``errors`` has the reason
+    by the name of the service. In the JSON of ``diag``.
 
     ``own``: address of the master that asked; ``source``: "run" or "class2". ``status`` is "" if the diagnosis was
     read or nobody answered; otherwise the negative answer to Slave_Diag ("RS", "UE" ...), "unreadable", or "master" for
     a station of the token ring.
     """
 
-    address: int
+    address: Annotated[int, Meta(ge=0, le=126)]
     own: int
     source: str
-    diagnosis: bytes | None = None
-    config: bytes | None = None
-    inputs: bytes | None = None
-    outputs: bytes | None = None
-    status: str = ""
-    errors: Mapping[str, str] = field(default_factory=dict)
-
-    def as_dict(self) -> dict[str, object]:
-        """As plain data, octets in hex."""
-        octets = {name: None if (found := getattr(self, name)) is None else found.hex() for name in SERVICES}
-        head = {"address": self.address, "own": self.own, "source": self.source, "status": self.status}
-        return {**head, **octets, "errors": dict(self.errors)}
-
-    @classmethod
-    def of(cls, given: Mapping[str, Any]) -> StationReading:
-        """The reverse of :meth:`as_dict`."""
-        octets: dict[str, Any] = {
-            name: None if given[name] is None else bytes.fromhex(given[name]) for name in SERVICES
-        }
-        head = (given["address"], given["own"], given["source"])
-        return cls(*head, **octets, status=given["status"], errors=given["errors"])
+    status: str
+    diagnosis: Hex | None
+    config: Hex | None
+    inputs: Hex | None
+    outputs: Hex | None
+    errors: Mapping[str, str]
 
 
 async def read_station(
@@ -86,8 +74,9 @@ async def read_station(
 
     ``masters``: the stations in the token ring. Raises UsageError, BusError.
     """
-    found: dict[str, Any] = {}
+    found: dict[str, str | None] = dict.fromkeys(SERVICES)
     errors: dict[str, str] = {}
+    status = ""
     try:
         diagnosis = await class2.diagnosis(address)
     except SlaveError as error:
@@ -95,19 +84,19 @@ async def read_station(
             status = "master"
         elif isinstance(error, ServiceRefused):
             status = error.status
-        else:
-            status = "" if isinstance(error, SlaveTimeout) else "unreadable"
-        return StationReading(address, own, source, status=status, errors={SERVICES["diagnosis"]: str(error)})
-    found["diagnosis"] = diagnosis.build()
+        elif not isinstance(error, SlaveTimeout):
+            status = "unreadable"
+        return StationReading(address, own, source, status, **found, errors={SERVICES["diagnosis"]: str(error)})
+    found["diagnosis"] = diagnosis.build().hex()
     wanted: dict[str, Callable[[], Any]] = {"config": lambda: class2.config(address)}
     if view_of(diagnosis) is SlaveView.DATA_EXCHANGE:
         wanted |= {"inputs": lambda: class2.inputs(address), "outputs": lambda: class2.outputs(address)}
     for name, read in wanted.items():
         try:
-            found[name] = (await read()).octets
+            found[name] = (await read()).octets.hex()
         except SlaveError as error:
             errors[SERVICES[name]] = str(error)
-    return StationReading(address, own, source, **found, errors=errors)
+    return StationReading(address, own, source, status, **found, errors=errors)
 
 
 # --- devices by their ident number ------------------------------------------------------------------------------------
@@ -162,7 +151,7 @@ def station_report(
 ) -> dict[str, Any]:
     """The report as plain data, its keys as docs/how-to/diag.md has them. ``slave``: as it is configured, None for a
     station that the configuration does not have."""
-    diagnosis = None if reading.diagnosis is None else Diagnosis.parse(reading.diagnosis)
+    diagnosis = None if reading.diagnosis is None else Diagnosis.parse(bytes.fromhex(reading.diagnosis))
     head: dict[str, Any] = {
         "address": reading.address,
         "slave": None if slave is None else slave.name,
@@ -178,8 +167,10 @@ def station_report(
             finding = "is a master in the token ring: it has no diagnosis of a slave"
         elif reading.status:
             finding = _NO_SLAVE.format(status=reading.status)
-        nothing = dict.fromkeys(("ident", "vendor", "model", "state", "master", "diagnosis", "config"))
-        return {**head, "healthy": False, "findings": [finding], **nothing, **_no_data(), "errors": {**reading.errors}}
+        nothing = dict.fromkeys(
+            ("ident", "vendor", "model", "state", "master", "diagnosis", "config", "inputs", "outputs")
+        )
+        return {**head, "healthy": False, "findings": [finding], **nothing, "errors": {**reading.errors}}
     device = None if devices is None else devices.find(diagnosis.ident)
     if slave is not None and slave.params.is_other_ident(diagnosis.ident):
         expected: SlaveConfig | None = None  # another device: its names and modules are not those of the configuration
@@ -187,7 +178,7 @@ def station_report(
         expected = slave
         if slave is not None and slave.device is not None:
             device = slave.device
-    config = None if reading.config is None else Configuration.of(reading.config)
+    config = None if reading.config is None else Configuration.of(bytes.fromhex(reading.config))
     modules = _modules(config, expected, device)
     texts = block_texts(
         diagnosis,
@@ -211,24 +202,18 @@ def station_report(
             "texts": [*diagnosis.texts, *texts],
         },
         "config": None if config is None else _config_dict(config, modules, device),
-        **_no_data(),
-        **_data("inputs", reading.inputs, None if expected is None else expected.input_fields),
-        **_data("outputs", reading.outputs, None if expected is None else expected.output_fields),
+        "inputs": _data(reading.inputs, None if expected is None else expected.input_fields),
+        "outputs": _data(reading.outputs, None if expected is None else expected.output_fields),
         "errors": dict(reading.errors),
     }
 
 
-def _no_data() -> dict[str, Any]:
-    return {"inputs": None, "outputs": None}
-
-
-def _data(key: str, octets: bytes | None, fields: FieldMap | None) -> dict[str, Any]:
+def _data(octets: str | None, fields: FieldMap | None) -> dict[str, Any] | None:
     if octets is None:
-        return {}
-    known = fields is not None and fields.length == len(octets)
-    named = as_json(fields.values(octets)) if fields is not None and known else {}
-    units = fields.units if fields is not None and known else {}
-    return {key: {"octets": octets.hex(), "fields": named, "units": units}}
+        return None
+    if fields is None or 2 * fields.length != len(octets):
+        return {"octets": octets, "fields": {}, "units": {}}
+    return {"octets": octets, "fields": as_json(fields.values(bytes.fromhex(octets))), "units": fields.units}
 
 
 def _is_dpv1(slave: SlaveConfig | None, device: Device | None) -> bool:
