@@ -40,10 +40,9 @@ _EVENTS: Final = {
 @dataclass(frozen=True, slots=True)
 class Happening:
     """Something that happened on the bus. ``t_ns``: since 1970. ``kind``: lost, back, state, diagnosis, alarm,
-    status_message, mode, joined, left, rate, gap,
-    notice. ``address``: of a station, None for the bus. ``text``: one line for
-    people. ``fields``: further keys of its JSON line. ``routine``: a step of a bring-up, which is no entry of the time
-    line."""
+    status_message, mode, joined, left, rate, gap, notice. ``address``: of a station, None for the bus. ``text``: one
+    line for people. ``fields``: further keys of its JSON line. ``routine``: a step of a bring-up, which is no entry of
+    the time line."""
 
     t_ns: int
     kind: str
@@ -184,8 +183,7 @@ class Monitor:
         state = self.counters.stations[address].state
         self._told[address] = state
         routine = state not in (State.DATA_EXCHANGE, State.OFFLINE) and kind != "lost"
-        name, line = self._name(address), self._line(address, text)
-        self._tell(Happening(t_ns, kind, address, name, line, {"state": state}, routine))
+        self._tell_of(t_ns, kind, address, text, {"state": state}, routine=routine)
 
     def _changed(self, change: Change) -> None:
         t_ns, kind, address = change.t_ns, change.kind, change.address
@@ -198,11 +196,9 @@ class Monitor:
                 self._diagnosed(t_ns, address, change.octets)
             case "mode":
                 mode = self.counters.masters[address].mode
-                text = self._line(address, f"is in {mode.capitalize()}", "master")
-                self._tell(Happening(t_ns, kind, address, self._name(address), text, {"mode": mode}))
+                self._tell_of(t_ns, kind, address, f"is in {mode.capitalize()}", {"mode": mode}, role="master")
             case "joined" | "left":
-                line = self._line(address, change.text.removeprefix(f"master {address} "), "master")
-                self._tell(Happening(t_ns, kind, address, self._name(address), line))
+                self._tell_of(t_ns, kind, address, change.text.removeprefix(f"master {address} "), {}, role="master")
             case "rate":
                 baud = self.counters.baud
                 self._forget_durations()
@@ -230,16 +226,9 @@ class Monitor:
         before = self._conspicuous.get(address, "")
         self._conspicuous[address] = found
         text = f"new diagnosis: {found}" if found else "its diagnosis is clear" if before else ""
-        happening = Happening(
-            t_ns,
-            "diagnosis",
-            address,
-            self._name(address),
-            self._line(address, text or "reads as in a bring-up"),
-            {"flags": list(diagnosis.flags), "texts": list(texts)},
-            routine=not text or found == before,
-        )
-        self._tell(happening)
+        fields = {"flags": list(diagnosis.flags), "texts": list(texts)}
+        routine = not text or found == before
+        self._tell_of(t_ns, "diagnosis", address, text or "reads as in a bring-up", fields, routine=routine)
         self._messages(t_ns, address, diagnosis, dpv1)
 
     def _messages(self, t_ns: int, address: int, diagnosis: Diagnosis, dpv1: bool) -> None:
@@ -255,16 +244,24 @@ class Monitor:
             if isinstance(message, Alarm):
                 fields |= {"sequence": message.sequence, "user_ack": message.add_ack}
             kind = "alarm" if isinstance(message, Alarm) else "status_message"
-            text = self._line(address, message.full_text)
-            self._tell(Happening(t_ns, kind, address, self._name(address), text, fields))
+            self._tell_of(t_ns, kind, address, message.full_text, fields)
 
-    def _name(self, address: int) -> str:
+    def _tell_of(
+        self,
+        t_ns: int,
+        kind: str,
+        address: int,
+        text: str,
+        fields: Mapping[str, object],
+        *,
+        role: str = "station",
+        routine: bool = False,
+    ) -> None:
+        """Tell something of the station ``address``; ``text`` goes on after its address and name."""
         station = self.counters.stations.get(address)
-        return self.devices.find(address, None if station is None else station.ident).name
-
-    def _line(self, address: int, text: str, role: str = "station") -> str:
-        name = self._name(address)
-        return f"{role} {address} ({name}): {text}" if name else f"{role} {address}: {text}"
+        name = self.devices.find(address, None if station is None else station.ident).name
+        who = f"{role} {address} ({name})" if name else f"{role} {address}"
+        self._tell(Happening(t_ns, kind, address, name, f"{who}: {text}", fields, routine))
 
     def _tell(self, happening: Happening) -> None:
         if not happening.routine:

@@ -11,32 +11,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from importlib import resources
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from dpstack.monitor import drawings
 from dpstack.monitor.counters import Counters
 from dpstack.monitor.drawings import text
-from dpstack.monitor.monitor import Monitor
-from dpstack.monitor.schedule import Rotation, ScheduleRecorder, Use
+from dpstack.monitor.monitor import Happening
+from dpstack.monitor.schedule import Rotation, Use
 from dpstack.monitor.summary import UNSEEN
 from dpstack.monitor.thresholds import limits
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_S, NS_PER_US, baud_text
 
 Summary = Mapping[str, Any]
-
-
-class Entry(Protocol):
-    """An entry of the time line. ``t_ns``: since 1970; ``address``: None for the bus; ``text``: one line."""
-
-    @property
-    def t_ns(self) -> int: ...
-    @property
-    def kind(self) -> str: ...
-    @property
-    def address(self) -> int | None: ...
-    @property
-    def text(self) -> str: ...
 
 
 #: stations whose histogram of T_SDR is drawn: those with the longest 99 % quantiles
@@ -59,23 +46,6 @@ CANNOT_SEE: Final = (
     "a station that nobody asks",
     "the bus before and after the time of this report",
 )
-_STATION_KEYS: Final = frozenset(
-    {
-        "role", "name", "ident", "model", "state", "master", "requests", "answers", "damaged", "no_answer",
-        "repetitions", "retry_depth", "repeated_polls", "late", "rs", "rr", "diagnoses", "diagnosis", "syncs", "lost",
-        "max_tsdr", "tsdr_us", "verdict", "reasons",
-    }
-)  # fmt: skip
-_MASTER_KEYS: Final = frozenset(
-    {"mode", "token_us", "rotation_us", "hold_us", "gap_polls", "drops", "in_ring", "silent", "slaves"}
-    | {"verdict", "reasons"}
-)
-_TOP_KEYS: Final = frozenset(
-    {
-        "event", "time", "baud", "seconds", "telegrams", "load", "damaged", "unattributed", "strays", "timing",
-        "masters", "stations", "verdict", "reasons", "telegrams_per_s", "profibus", "thresholds",
-    }
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,41 +63,13 @@ class Report:
     begun_ns: int
     version: str
     made: datetime
-    changes: Sequence[Entry] = ()
+    changes: Sequence[Happening] = ()
     changes_left_out: int = 0
     rotation: Rotation | None = None
     line: Mapping[str, object] = field(default_factory=dict)
     parameters: Mapping[str, object] = field(default_factory=dict)
     remarks: Sequence[str] = ()
     cannot_see: Sequence[str] = CANNOT_SEE
-
-    @classmethod
-    def of(
-        cls,
-        monitor: Monitor,
-        summary: Summary,
-        recorder: ScheduleRecorder,
-        *,
-        version: str,
-        made: datetime,
-        line: Mapping[str, object],
-        parameters: Mapping[str, object],
-        remarks: Sequence[str],
-    ) -> Report:
-        """The report of everything that ``monitor`` and ``recorder`` heard."""
-        return cls(
-            summary=summary,
-            counters=monitor.counters,
-            begun_ns=monitor.begun_ns,
-            version=version,
-            made=made,
-            changes=list(monitor.time_line),
-            changes_left_out=monitor.left_out,
-            rotation=recorder.typical(),
-            line=line,
-            parameters=parameters,
-            remarks=remarks,
-        )
 
     # --- the page ---
     def html(self) -> str:
@@ -181,7 +123,6 @@ class Report:
             "Damaged transmissions": _causes(s.get("damaged") or {}),
             "Not attributed to a station": s.get("unattributed"),
             "Answers that nobody asked for": s.get("strays"),
-            **_further(s, _TOP_KEYS),
         }
         remarks = "".join(f'<p class="remark">{text(one)}</p>' for one in self.remarks)
         return _section("Record", _pairs(rows) + self._timing() + remarks)
@@ -194,7 +135,6 @@ class Report:
             "Source of the times": f"{source}: {_SOURCES[source]}" if source in _SOURCES else source,
             "Resolution": "unknown" if resolution is None else f"{_plain(resolution)} us",
             "Telegrams that arrived together with others": _share(timing.get("batched")),
-            **_further(timing, frozenset({"source", "resolution_us", "batched"})),
         }
         note = (
             "Figures finer than this port can time are not given (n/a), and no verdict rests on them. Counts, "
@@ -266,12 +206,10 @@ class Report:
         rows, times = [], []
         for address, one in self._by_address("masters"):
             slaves = ", ".join(map(str, one.get("slaves") or ())) or "none"
-            rows.append(
-                (address, one.get("mode"), slaves, one.get("gap_polls"), one.get("drops"), _rest(one, _MASTER_KEYS))
-            )
+            rows.append((address, one.get("mode"), slaves, one.get("gap_polls"), one.get("drops")))
             for key, name in (("rotation_us", "DP cycle"), ("token_us", "token rotation"), ("hold_us", "token held")):
                 times.append((address, name, *_points(one.get(key), _TIMES)))
-        columns = ["Address", "Mode", "Slaves", "GAP polls", "Drops out of the ring", "Further"]
+        columns = ("Address", "Mode", "Slaves", "GAP polls", "Drops out of the ring")
         counters = _table("Masters", columns, rows, numbers=(3, 4))
         names = ("Address", "Time (us)", *_TIMES)
         return _section("Masters", counters + _table("Times of the masters", names, times, numbers=range(2, 8)))
@@ -287,8 +225,7 @@ class Report:
             depth = one.get("retry_depth")
             depths = ", ".join(map(str, depth)) if isinstance(depth, (list, tuple)) else depth
             diagnosis = _plain(one.get("diagnosis"), "none")
-            rest = _rest(one, _STATION_KEYS)
-            course.append((address, depths, *(one.get(key) for key in _COURSE), diagnosis, rest))
+            course.append((address, depths, *(one.get(key) for key in _COURSE), diagnosis))
             limit = self._max_tsdr_us(one)
             limit_us = "unknown" if limit is None else f"{limit:.1f}"
             bits = _plain(one.get("max_tsdr"), "unknown")
@@ -304,13 +241,7 @@ class Report:
             f"<p>{explained}</p>",
             _table(
                 "Repetitions by depth, data exchange, diagnosis",
-                (
-                    "Address",
-                    "Exchanges with 1, 2, ... repetitions",
-                    *_COURSE.values(),
-                    "Last diagnosis (hex)",
-                    "Further",
-                ),
+                ("Address", "Exchanges with 1, 2, ... repetitions", *_COURSE.values(), "Last diagnosis (hex)"),
                 course,
                 numbers=(2, 3, 4),
             ),
@@ -612,16 +543,6 @@ def _causes(damaged: Mapping[str, int]) -> str:
     total = sum(damaged.values())
     causes = ", ".join(f"{cause} {count}" for cause, count in sorted(damaged.items()))
     return f"{total} ({causes})" if causes else "0"
-
-
-def _further(values: Mapping[str, Any], known: frozenset[str]) -> dict[str, object]:
-    return {key.replace("_", " ").capitalize(): value for key, value in values.items() if key not in known}
-
-
-def _rest(values: Mapping[str, Any], known: frozenset[str]) -> str:
-    """Figures that have no column, in words."""
-    rest = {key: value for key, value in values.items() if key not in known}
-    return "; ".join(f"{key.replace('_', ' ')} {_plain(value)}" for key, value in rest.items())
 
 
 def _list(lines: object, empty: str) -> str:

@@ -103,8 +103,6 @@ def _doubt(station: Station, heard: Heard) -> str:
 
 # --- one station ---
 def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[Finding]:
-    if not heard.is_profibus:
-        return
     past = heard.history.of(station.address)
     device = heard.devices.find(station.address, station.ident)
     master = heard.counters.masters.get(station.address)
@@ -168,10 +166,8 @@ def _lost(station: Station, heard: Heard) -> Iterator[Finding]:
         back = "is back" if station.state == State.DATA_EXCHANGE else "is not back"
         yield (
             level,
-            (
-                f"left data exchange {_times(station.lost)}, {back}: look at its supply and its connector, "
-                "and whether its master was stopped then"
-            ),
+            f"left data exchange {_times(station.lost)}, {back}: look at its supply and its connector, "
+            "and whether its master was stopped then",
         )
 
 
@@ -213,19 +209,15 @@ def _answers(station: Station, heard: Heard) -> Iterator[Finding]:
     if station.late and station.late / station.requests >= limits.late_warning:
         yield (
             WARNING,
-            (
-                f"{_many(station.late, 'answer')} came after the master had given up: look at T_SL against MaxTsdr "
-                "of the device, and at repeaters or converters on the way"
-            ),
+            f"{_many(station.late, 'answer')} came after the master had given up: look at T_SL against MaxTsdr "
+            "of the device, and at repeaters or converters on the way",
         )
     refused = station.rs + station.rr
     if refused and refused / station.requests >= limits.refusals_warning:
         yield (
             WARNING,
-            (
-                f"refused {refused} requests (RS {station.rs}: service not active; RR {station.rr}: not ready): look "
-                "at the device's own fault display, and whether its master asks more than its GSD file allows"
-            ),
+            f"refused {refused} requests (RS {station.rs}: service not active; RR {station.rr}: not ready): look "
+            "at the device's own fault display, and whether its master asks more than its GSD file allows",
         )
 
 
@@ -251,35 +243,27 @@ def _tsdr(station: Station, past: Past, device: KnownDevice, heard: Heard) -> It
     if allowed and heard.timing.resolves(p99) and p99 > limits.tsdr_of_max * bits_to_ns(allowed, baud):
         yield (
             WARNING,
-            (
-                f"answers after {ns_to_bits(p99, baud)} bit times (p99), its GSD file allows {allowed} at "
-                f"{baud_text(baud)}: look at repeaters and converters on the way, and at the device's firmware"
-            ),
+            f"answers after {ns_to_bits(p99, baud)} bit times (p99), its GSD file allows {allowed} at "
+            f"{baud_text(baud)}: look at repeaters and converters on the way, and at the device's firmware",
         )
     t_sl = heard.devices.t_sl.get(baud)
     if t_sl and heard.timing.resolves(most) and most > limits.tsdr_of_t_sl * bits_to_ns(t_sl, baud):
         yield (
             WARNING,
-            (
-                f"answers after {ns_to_bits(most, baud)} bit times at most, the master waits T_SL = {t_sl}: look at "
-                "T_SL in the master, and at repeaters and converters on the way"
-            ),
+            f"answers after {ns_to_bits(most, baud)} bit times at most, the master waits T_SL = {t_sl}: look at "
+            "T_SL in the master, and at repeaters and converters on the way",
         )
     first, last = past.first_tsdr, past.last_tsdr
     if first and last and heard.timing.resolves(min(first, last)) and last > limits.tsdr_of_past * first:
         yield (
             WARNING,
-            (
-                f"answers after {ns_to_bits(last, baud)} bit times, in its first minute {ns_to_bits(first, baud)}: "
-                "look at the load of the device"
-            ),
+            f"answers after {ns_to_bits(last, baud)} bit times, in its first minute {ns_to_bits(first, baud)}: "
+            "look at the load of the device",
         )
 
 
 # --- the bus ---
 def _of_bus(used: list[Station], heard: Heard) -> Iterator[Finding]:
-    if not heard.is_profibus:
-        return
     counters, limits = heard.counters, heard.thresholds
     damaged = sum(counters.damaged.values())
     whole = counters.telegrams + damaged
@@ -291,7 +275,7 @@ def _of_bus(used: list[Station], heard: Heard) -> Iterator[Finding]:
     if many:
         yield (
             WARNING,
-            (f"{max(many)} stations failed in the same second, {_times(sum(many.values()))}: look at {_SEGMENT}"),
+            f"{max(many)} stations failed in the same second, {_times(sum(many.values()))}: look at {_SEGMENT}",
         )
 
 

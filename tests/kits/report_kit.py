@@ -13,6 +13,7 @@ from support import S
 from dpstack.capture.listener import Listener
 from dpstack.capture.transmission import Transmission
 from dpstack.monitor.counters import Counters
+from dpstack.monitor.monitor import Happening
 from dpstack.monitor.report import Report
 from dpstack.monitor.schedule import ScheduleRecorder
 from dpstack.params import BusParams
@@ -23,14 +24,9 @@ EPOCH = 1_790_000_000 * S
 MADE = datetime(2026, 9, 21, 15, tzinfo=UTC)
 
 
-@dataclass
-class Happened:
+def happened(t_ns: int, kind: str, address: int | None, text: str) -> Happening:
     """An entry of the time line."""
-
-    t_ns: int
-    kind: str
-    address: int | None
-    text: str
+    return Happening(t_ns, kind, address, "", text)
 
 
 @dataclass(repr=False)
@@ -40,13 +36,13 @@ class Heard:
     addresses: Sequence[int] = (3, 4)
     silent: Sequence[int] = ()
     world: World = field(default_factory=lambda: World(seed=5, keep=200_000, referee=False))
-    changes: list[Happened] = field(default_factory=list)
+    changes: list[Happening] = field(default_factory=list)
     heard: list[Transmission] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.counters = Counters(
             lambda one: self.changes.append(
-                Happened(one.t_ns, one.kind, None if one.address < 0 else one.address, one.text)
+                happened(one.t_ns, one.kind, None if one.address < 0 else one.address, one.text)
             )
         )
         self.recorder = ScheduleRecorder()
@@ -125,6 +121,7 @@ class Heard:
             "load": 0.7153,
             "damaged": {"fcs": 31, "parity": 32},
             "unattributed": 33,
+            "strays": 34,
             "timing": {"source": "tap", "resolution_us": 1.5, "batched": 0.0217},
             "masters": masters,
             "stations": stations,

@@ -11,9 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_kit import Page
-from report_kit import Happened, Heard
+from report_kit import Heard, happened
 from support import S
 
+from dpstack.capture.timing import TAP, LineTiming
+from dpstack.monitor.monitor import Monitor
 from dpstack.text import printable
 
 
@@ -77,8 +79,6 @@ def test_a_screen_reader_finds_language_headings_table_headers_and_words_for_eac
 @pytest.mark.parametrize("timed", [True, False])
 def test_every_figure_of_the_summary_is_in_the_report(heard: Heard, *, timed: bool) -> None:
     summary = {**heard.summary(timed=timed), "telegrams_per_s": 8642.5}
-    summary["stations"]["3"]["further"] = 4711
-    summary["masters"]["2"]["more"] = {"a": 4712}
     html = heard.report(summary=summary).html()
     text = Page.of(html).text
     numbers: list[str] = []
@@ -89,6 +89,19 @@ def test_every_figure_of_the_summary_is_in_the_report(heard: Heard, *, timed: bo
     assert "2026-09-21 14:13:20 UTC" in text
     assert ("n/a" in text) or timed
     assert ("Histogram of T_SDR" in html) == timed
+
+
+def test_each_key_of_a_summary_has_its_place(heard: Heard) -> None:
+    """A new one is to be put into the report, and then here."""
+    monitor = Monitor(LineTiming(TAP, None))
+    for one in heard.heard:
+        monitor.add(one)
+    summary: dict[str, Any] = monitor.summary()
+    shown = heard.summary()
+    assert summary.keys() == shown.keys() | {"telegrams_per_s", "profibus", "thresholds"}
+    assert summary["timing"].keys() == shown["timing"].keys()
+    assert summary["masters"]["2"].keys() == shown["masters"]["2"].keys() | {"in_ring", "silent"}
+    assert summary["stations"]["3"].keys() == shown["stations"]["3"].keys()
 
 
 def _leaves(value: Any, numbers: list[str], words: list[str]) -> None:
@@ -129,7 +142,7 @@ def _with_texts(name: str, reason: str, line: str) -> Page:
     summary = heard.summary()
     summary["stations"]["3"] |= {"name": name, "model": name, "reasons": [reason], "diagnosis": reason, "state": line}
     summary["reasons"] = [reason]
-    return Page.of(heard.report(summary=summary, changes=[Happened(1, "alarm", 3, line)], line={"Port": line}).html())
+    return Page.of(heard.report(summary=summary, changes=[happened(1, "alarm", 3, line)], line={"Port": line}).html())
 
 
 @given(_HOSTILE, _HOSTILE, _HOSTILE)
@@ -149,7 +162,7 @@ def test_foreign_text_is_text_and_nothing_else(name: str, reason: str, line: str
 def test_kinds_and_verdicts_nobody_knows_are_shown(heard: Heard) -> None:
     summary = heard.summary()
     summary["verdict"] = summary["stations"]["3"]["verdict"] = '"><b>'
-    page = Page.of(heard.report(summary=summary, changes=[Happened(1, '"><b>', None, "x")]).html())
+    page = Page.of(heard.report(summary=summary, changes=[happened(1, '"><b>', None, "x")]).html())
     assert page.faults == []
     assert not page.all("b")
     assert '"><b>' in page.text
@@ -168,7 +181,7 @@ def test_a_report_of_nothing(heard: Heard) -> None:
 def test_a_full_bus_gives_a_bounded_report() -> None:
     heard = Heard(addresses=range(3, 60))
     heard.world.run_for(S // 10)
-    changes = [Happened(heard.counters.begun_ns or 0, "diagnosis", n % 126, f"change {n}") for n in range(5000)]
+    changes = [happened(heard.counters.begun_ns or 0, "diagnosis", n % 126, f"change {n}") for n in range(5000)]
     html = heard.report(changes=changes, changes_left_out=7).html()
     page = Page.of(html)
     assert page.faults == []

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from report_kit import Happened, Heard
+from report_kit import Heard, happened
 from support import S
 
 from tests.strangers.stranger_kit import HANGS_S, program, run_program
@@ -45,7 +45,7 @@ def report(heard: Heard, summary: dict[str, Any], tmp_path_factory: pytest.TempP
     begun = heard.counters.begun_ns or 0
     kinds = ("lost", "back", "diagnosis", "alarm", "left", "joined", "mode", "rate", "gap", "unheard of")
     changes = [
-        Happened(begun + n * S // 4, kinds[n % len(kinds)], None if n % 20 == 8 else 3 + n % 37, f"change {n} {_LONG}")
+        happened(begun + n * S // 4, kinds[n % len(kinds)], None if n % 20 == 8 else 3 + n % 37, f"change {n} {_LONG}")
         for n in range(240)
     ]
     path = tmp_path_factory.mktemp("report") / "report.html"

@@ -68,12 +68,16 @@ class ReportFile:
 
         Returns None, or one line that says why it could not be written: nothing is in the file then.
         """
-        report = Report.of(
-            self._monitor,
-            summary,
-            self._recorder,
+        monitor = self._monitor
+        report = Report(
+            summary=summary,
+            counters=monitor.counters,
+            begun_ns=monitor.begun_ns,
             version=__version__,
             made=datetime.now(UTC),
+            changes=list(monitor.time_line),
+            changes_left_out=monitor.left_out,
+            rotation=self._recorder.typical(),
             line=line,
             parameters=parameters or {},
             remarks=remarks,
