@@ -128,14 +128,23 @@ def close_written(fd: int, path: Path) -> bool:
 
 def _check_new(path: Path, found: os.stat_result, otherwise: str) -> None:
     """Raises UsageError if ``path`` is anything but an empty file."""
+    _check_writable(path, found, otherwise)
+    if found.st_size:
+        raise _taken(path)
+
+
+def _check_writable(path: Path, found: os.stat_result, otherwise: str = "") -> None:
+    """Raises UsageError if ``path`` is anything but an ordinary file."""
     if stat.S_ISLNK(found.st_mode):
         raise UsageError(f"{path}: {_LINK}")
     if stat.S_ISDIR(found.st_mode):
         raise UsageError(f"{path}: is a directory; name a file")
     if not stat.S_ISREG(found.st_mode):
         raise UsageError(f"{path}: is a device or a pipe; name an ordinary file{otherwise}")
-    if found.st_size:
-        raise UsageError(f"{path}: there is a file of that name; give the name of a new file")
+
+
+def _taken(path: Path) -> UsageError:
+    return UsageError(f"{path}: there is a file of that name; give the name of a new file")
 
 
 class AtomicFile:
@@ -204,14 +213,9 @@ class AtomicFile:
             return
         except (ValueError, OSError) as error:
             raise write_error(path, error) from None
-        if stat.S_ISLNK(found.st_mode):
-            raise UsageError(f"{path}: {_LINK}")
-        if stat.S_ISDIR(found.st_mode):
-            raise UsageError(f"{path}: is a directory; name a file")
-        if not stat.S_ISREG(found.st_mode):
-            raise UsageError(f"{path}: is a device or a pipe; name an ordinary file")
+        _check_writable(path, found)
         if self._is_earlier is None:
-            raise UsageError(f"{path}: there is a file of that name; give the name of a new file")
+            raise _taken(path)
         if found.st_size and not self._is_earlier(path):
             raise UsageError(
                 f"{path}: there is a file of that name, and it is no {self._what}; move it away, or name another file"

@@ -26,6 +26,12 @@ def add_other_port(parser: Parser) -> None:
     parser.value("--baud", "B|auto", 'another rate; "auto": listens', type=baud_or_auto)
 
 
+def add_own_address(parser: Parser, when: str) -> None:
+    """``--address``, ``when`` the command is a master of its own beside the others."""
+    text = f"{when}ask from this address (default: the lowest not heard)"
+    parser.value("--address", "A", text, type=address)
+
+
 def require(module: str, what: str, extra: str) -> None:
     """Raises UsageError if the package ``module`` is not installed, which ``what`` needs and ``extra`` brings."""
     if importlib.util.find_spec(module) is None:

@@ -18,6 +18,7 @@ from typing import Any, BinaryIO, Final, NamedTuple, TypeGuard
 from dpstack.errors import UsageError
 from dpstack.record.columns import NOTE, TIME, Cell, Column, T, unique
 from dpstack.text import printable, shortened
+from dpstack.units import NS_PER_S
 
 #: suffixes of recordings
 CSV: Final = ".csv"
@@ -123,8 +124,14 @@ def parts_of(path: Path) -> tuple[Path, ...]:
     raise UsageError(f"{path}: there is no such file, and no part of it ({path.stem}_00001_TIME{path.suffix})")
 
 
+def part_path(path: Path, number: int, wall_ns: int) -> Path:
+    """The path of a part of ``path`` that begins at ``wall_ns`` (ns since 1970)."""
+    when = datetime.fromtimestamp(wall_ns // NS_PER_S, UTC)
+    return path.with_name(f"{path.stem}_{number:05}_{when:%Y%m%dT%H%M%SZ}{path.suffix}")
+
+
 def part_pattern(path: Path) -> re.Pattern[str]:
-    """The names of the parts that rotation makes of ``path``; group 1 is the number."""
+    """The names that :func:`part_path` gives; group 1 is the number."""
     journal = f"(?:{re.escape(JOURNAL)})?" if path.suffix.lower() == PARQUET else ""
     return re.compile(rf"{re.escape(path.stem)}_(\d{{5,9}})_\d{{8}}T\d{{6}}Z{re.escape(path.suffix)}{journal}")
 

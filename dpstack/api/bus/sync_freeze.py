@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Mapping
-from types import TracebackType
 from typing import TypeVar
 
 from dpstack.api.bus.parts import BusBase
@@ -111,9 +110,7 @@ class Group(Sealed):
     async def __aenter__(self) -> Group:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         held = any(slave.synced or slave.frozen for slave in self.members)
         if held and self._bus.is_open:
             await self.release()

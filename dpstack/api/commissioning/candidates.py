@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import IntEnum
 from typing import Final
 
@@ -62,21 +62,7 @@ class Candidate:
         return kinds == 2, self.fit, self.keys is None, self.unknown_octets, kinds, self.gsd or self.drive or ""
 
     def as_dict(self) -> dict[str, object]:
-        return {
-            "kind": self.kind,
-            "fit": self.fit.name.lower(),
-            "text": self.text,
-            "gsd": self.gsd,
-            "drive": self.drive,
-            "telegrams": list(self.telegrams),
-            "vendor": self.vendor,
-            "model": self.model,
-            "revision": self.revision,
-            "unknown_octets": self.unknown_octets,
-            "readings": self.readings,
-            "ambiguous": self.ambiguous,
-            "keys": self.keys,
-        }
+        return {**asdict(self), "fit": self.fit.name.lower(), "telegrams": list(self.telegrams)}
 
 
 def candidates(folder: GsdFolder, ident: int | None, config: bytes | None) -> list[Candidate]:

@@ -143,9 +143,8 @@ def set_inputs(bench: Bench, program: BusCore | Simulation | None, args: list[st
         where, name, value = arguments.field_value(text)
         address = bench.address_of(where)
         unit = bench.units[address]
-        found = unit.input_field(name)
         try:
-            wanted[address] = found.put(wanted.get(address, unit.inputs), found.read(value))
+            wanted[address] = unit.put_input(wanted.get(address, unit.inputs), name, value)
         except ValueError as error:
             raise UsageError(f"{unit.who}: {error}") from None
         said.append((address, where, f"{name}={value}"))

@@ -10,20 +10,18 @@ import asyncio
 import contextlib
 import errno
 import os
-import re
 import stat
 import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from typing import Final
 
 from dpstack.api.files import NEW_FILE, close_written, open_alone, open_new
 from dpstack.errors import CaptureFileError, UsageError
-from dpstack.units import NS_PER_S
+from dpstack.record.reader import part_path, part_pattern
 
 #: octets that wait for the disk at most: a minute of a full bus at 1.5 Mbit/s
 MOST_WAITING: Final = 32 << 20
@@ -95,9 +93,7 @@ class CaptureFile:
     def begin(self, t_ns: int) -> None:
         """The blocks from here on belong into a new file of the ring, whose first transmission is of ``t_ns``."""
         self._number += 1
-        when = datetime.fromtimestamp(t_ns // NS_PER_S, UTC)
-        name = f"{self._path.stem}_{self._number:05}_{when:%Y%m%dT%H%M%SZ}{self._path.suffix}"
-        self._jobs.append(self._path.with_name(name))
+        self._jobs.append(part_path(self._path, self._number, t_ns))
         self._size = 0
 
     def write(self, block: bytes) -> None:
@@ -218,13 +214,9 @@ def _in_thread(work: Callable[[], None]) -> asyncio.Future[None]:
     return future
 
 
-def _pattern(path: Path) -> re.Pattern[str]:
-    return re.compile(rf"{re.escape(path.stem)}_(\d{{5,9}})_\d{{8}}T\d{{6}}Z{re.escape(path.suffix)}")
-
-
 def _files_of_ring(path: Path) -> list[Path]:
     """The files of earlier captures of the ring ``path``, the oldest one first. Raises UsageError."""
-    pattern = _pattern(path)
+    pattern = part_pattern(path)
     try:
         with os.scandir(path.parent) as entries:
             names = [one.name for one in entries if pattern.fullmatch(one.name) and one.is_file(follow_symlinks=False)]

@@ -16,9 +16,8 @@ from dpstack.api.recording.parquet import convert
 from dpstack.api.recording.rotation import Rotation
 from dpstack.errors import UsageError
 from dpstack.record.columns import Layout
-from dpstack.record.reader import CSV, JOURNAL, PARQUET, SUFFIXES, part_pattern
+from dpstack.record.reader import CSV, JOURNAL, PARQUET, SUFFIXES, part_path, part_pattern
 from dpstack.record.rows import END, Rows, Sample
-from dpstack.units import NS_PER_S
 
 #: octets that are written at once at most
 _BLOCK: Final = 1 << 16
@@ -157,13 +156,12 @@ class RecordFile:
                 return None
             self._complete()
             self._number += 1
-            when = datetime.fromtimestamp(sample.wall_ns // NS_PER_S, UTC)
-            name = f"{self.path.stem}_{self._number:05}_{when:%Y%m%dT%H%M%SZ}{self.path.suffix}"
+            part = part_path(self.path, self._number, sample.wall_ns)
             try:
-                self._open(self.path.with_name(name), exclusive=True)
+                self._open(part, exclusive=True)
             except OSError as error:
                 self._number -= 1
-                self._fail(self.path.with_name(name), error, 1)
+                self._fail(part, error, 1)
                 return None
         return self._begin(sample.layout)
 

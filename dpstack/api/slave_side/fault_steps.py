@@ -204,9 +204,7 @@ def _set(table: Table, given: Mapping[str, Any], bench: Bench, address: int) -> 
 
     def begin() -> End:
         target = bench.units[address]
-        before, image = target.held_inputs, target.inputs if octets is None else octets
-        for name, value in (values or {}).items():
-            image = put_input(target, image, name, value)
+        before, image = target.held_inputs, target.inputs_with(values or {}) if octets is None else octets
         target.set_inputs(image)
 
         def end() -> bool:
@@ -229,17 +227,10 @@ def _check_inputs(
         unit.check_settable()
         if octets is not None and len(octets) != length:
             raise UsageError(f"{unit.who} has {octets_text(length)} of inputs, {octets_text(len(octets))} given")
-        for name, value in (values or {}).items():
-            put_input(unit, bytes(length), name, value)
+        unit.inputs_with(values or {})
     except (UsageError, ValueError) as error:
         what, _, todo = str(error).partition("; ")
         table.fail("inputs" if octets is None else "octets", what, todo or "correct it")
-
-
-def put_input(unit: SimulatedSlave, image: bytes, name: str, value: object) -> bytes:
-    """``image`` with the named input as ``value``, a text or a number. Raises UsageError, ValueError."""
-    field = unit.input_field(name)
-    return field.put(image, field.read(value) if isinstance(value, str) else value)
 
 
 def _trip(table: Table, given: Mapping[str, Any], bench: Bench, address: int) -> Deed:

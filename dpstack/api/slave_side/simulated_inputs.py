@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, TextIO
 
 from dpstack.api.config.simulate import SimulateConfig
-from dpstack.api.slave_side.fault_steps import put_input
 from dpstack.api.slave_side.virtual_bench import Bench, SimulatedSlave, VirtualBench
 from dpstack.api.user_code import load_object
 from dpstack.errors import ConfigError, DpError, UsageError
@@ -190,7 +189,7 @@ class _Playback:
                 if value is None or value == "":
                     continue
                 try:
-                    image = put_input(unit, image, name, _as_field(value))
+                    image = unit.put_input(image, name, _as_field(value))
                 except (DpError, ValueError) as error:
                     if column not in self._wrong:
                         self._wrong.add(column)
@@ -330,10 +329,7 @@ class _Calls:
             return
         if not isinstance(value, Mapping):
             raise TypeError(f"{type(value).__name__}: give a mapping of named inputs, octets, or None")
-        image = unit.inputs
-        for name, one in value.items():
-            image = put_input(unit, image, str(name), one)
-        unit.set_inputs(image)
+        unit.set_inputs(unit.inputs_with({str(name): one for name, one in value.items()}))
 
 
 def _work(

@@ -182,12 +182,16 @@ class SimulatedSlave:
         return self.app.inputs or bytes(self._held.length)
 
     def inputs_with(self, values: Mapping[str, object]) -> bytes:
-        """:attr:`inputs` with named inputs set; a value is a number, or a text. Raises UsageError, ValueError."""
+        """:attr:`inputs` with named inputs set. Raises UsageError, ValueError."""
         image = self.inputs
         for name, value in values.items():
-            field = self.input_field(name)
-            image = field.put(image, field.read(value) if isinstance(value, str) else value)
+            image = self.put_input(image, name, value)
         return image
+
+    def put_input(self, image: bytes, name: str, value: object) -> bytes:
+        """``image`` with the named input as ``value``, a text or a number. Raises UsageError, ValueError."""
+        field = self.input_field(name)
+        return field.put(image, field.read(value) if isinstance(value, str) else value)
 
     @property
     def drive(self) -> DriveDevice | None:

@@ -69,12 +69,7 @@ def add_to(parser: Parser) -> None:
         choices=(1, 2),
         default=1,
     )
-    parser.value(
-        "--address",
-        "A",
-        "class 2 in the foreground: ask from this address (default: the lowest not heard)",
-        type=options.address,
-    )
+    options.add_own_address(parser, "class 2 in the foreground: ")
     options.add_other_port(parser)
     parser.run_by(execute)
 

@@ -20,7 +20,6 @@ from dpstack.cli import options
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import BusError, PortError, UsageError
-from dpstack.units import baud_text
 
 if TYPE_CHECKING:
     from dpstack.api.commissioning.live_list import MakeBus
@@ -38,7 +37,7 @@ def add_port(parser: Parser) -> None:
         type=options.baud_or_auto,
         default=AUTO,
     )
-    parser.value("--address", "A", "ask from this address (default: the lowest not heard)", type=options.address)
+    options.add_own_address(parser, "")
 
 
 def check_port(args: argparse.Namespace) -> None:
@@ -138,10 +137,6 @@ def slave_of(config: Config, name: str) -> SlaveConfig:
         return slave
     known = ", ".join(f"{slave.address} ({slave.name})" for slave in config.slaves) or "none"
     raise UsageError(f"no slave {name!r} in this configuration; there are: {known}")
-
-
-def nobody_text(baud: int) -> str:
-    return f"nobody answers at {baud_text(baud)}: check rate, power, A and B, and the termination"
 
 
 def warn_of_simulation(config: Config) -> None:

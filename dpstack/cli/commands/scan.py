@@ -40,7 +40,7 @@ def execute(args: argparse.Namespace) -> int:
     _show(structs.replace(result, notes=(*result.notes, *notes)), args, chosen)
     if result.stations:
         return 0
-    output.warn(on_bus.nobody_text(result.baud))
+    output.warn(f"nobody answers at {baud_text(result.baud)}: check rate, power, A and B, and the termination")
     return 1
 
 

@@ -33,12 +33,7 @@ def add_to(parser: Parser) -> None:
     )
     options.add_other_port(parser)
     parser.value("--gsd", "DIR", "folder of GSD files: models, modules and texts by ident number")
-    parser.value(
-        "--address",
-        "A",
-        "without a run: ask from this address (default: the lowest not heard)",
-        type=options.address,
-    )
+    options.add_own_address(parser, "without a run: ")
     parser.run_by(execute)
 
 

@@ -31,12 +31,7 @@ def add_to(parser: Parser) -> None:
     )
     parser.value("config", "CONFIG", "configuration file")
     parser.value("slave", "NAME", "the slave, by its name or address there; left out: every slave", nargs="?")
-    parser.value(
-        "--address",
-        "A",
-        "without a run: ask from this address (default: the lowest not heard)",
-        type=options.address,
-    )
+    options.add_own_address(parser, "without a run: ")
     options.add_other_port(parser)
     parser.run_by(execute)
 
