@@ -3,6 +3,8 @@
 Loggers are ``dpstack.bus`` and, for each slave, ``dpstack.slave.NAME``. A record has the text of the event as its
 message, its severity as its level, and as the attribute ``dpstack`` the fields of the event as ``run --json`` has them,
 with the port. An event whose level is disabled makes no record.
+
+The command line has its events from here: those imported ``as`` themselves.
 """
 
 from __future__ import annotations
@@ -19,49 +21,36 @@ from dpstack.dp.master.events import (
     ControlFailed,
     ControlSent,
     CyclesMissed,
-    DriveEvent,
-    FaultKind,
-    MasterStopped,
     ModeChanged,
     OperateWaits,
     PictureTaken,
-    SlaveDiagnosis,
     SlaveEvent,
-    SlaveFaulted,
     SlaveRemark,
-    SlaveState,
-    SlaveStateChanged,
-    Stalled,
 )
-from dpstack.dp.master.scanner import Found, StationSeen
+from dpstack.dp.master.events import DriveEvent as DriveEvent
+from dpstack.dp.master.events import FaultKind as FaultKind
+from dpstack.dp.master.events import MasterStopped as MasterStopped
+from dpstack.dp.master.events import SlaveDiagnosis as SlaveDiagnosis
+from dpstack.dp.master.events import SlaveFaulted as SlaveFaulted
+from dpstack.dp.master.events import SlaveState as SlaveState
+from dpstack.dp.master.events import SlaveStateChanged as SlaveStateChanged
+from dpstack.dp.master.events import Stalled as Stalled
+from dpstack.dp.master.scanner import Found as Found
+from dpstack.dp.master.scanner import StationSeen
 from dpstack.dp.pdu.alarm_blocks import message_dict
-from dpstack.dpv1.master.orders import AlarmDone, AlarmRaised, ConnectionOver, StatusTold
-from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
-from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
-from dpstack.trace import Event, Notice, Severity
+from dpstack.dpv1.master.orders import AlarmDone, ConnectionOver, StatusTold
+from dpstack.dpv1.master.orders import AlarmRaised as AlarmRaised
+from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped
+from dpstack.drivers.runtime import PortBack as PortBack
+from dpstack.drivers.runtime import PortLost as PortLost
+from dpstack.fdl.events import AddressCollision as AddressCollision
+from dpstack.fdl.events import MasterSeen as MasterSeen
+from dpstack.fdl.events import RingJoined as RingJoined
+from dpstack.fdl.events import RingLeft, StationFound, TokenLost
+from dpstack.trace import Event as Event
+from dpstack.trace import Notice as Notice
+from dpstack.trace import Severity as Severity
 from dpstack.units import NS_PER_MS, NS_PER_US, ns_to_s
-
-#: for the command line
-__all__ = [
-    "AddressCollision",
-    "AlarmRaised",
-    "DriveEvent",
-    "Event",
-    "FaultKind",
-    "Found",
-    "MasterSeen",
-    "MasterStopped",
-    "Notice",
-    "PortBack",
-    "PortLost",
-    "RingJoined",
-    "Severity",
-    "SlaveDiagnosis",
-    "SlaveFaulted",
-    "SlaveState",
-    "SlaveStateChanged",
-    "Stalled",
-]
 
 _BUS: Final = logging.getLogger("dpstack.bus")
 #: events whose JSON has no ``text``

@@ -260,11 +260,6 @@ class BusRecording:
 class _Source:
     """One slave of a recording."""
 
-    __slots__ = (
-        *("_before", "_key", "_read_ns", "_status", "address", "described", "drive", "has_inputs", "has_outputs"),
-        "slave",
-    )
-
     def __init__(self, slave: Slave, drive: Drive | None) -> None:
         self.slave = slave
         self.drive = drive

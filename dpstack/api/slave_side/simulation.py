@@ -9,28 +9,22 @@ from functools import partial
 from typing import Final, Literal
 
 from dpstack.api.config.config import AUTO, ECHO, Config, port_of, rate_findings
-from dpstack.api.slave_side.virtual_bench import Bench, SimulatedSlave, rates_of, set_rate, sim_event_json
+from dpstack.api.slave_side.virtual_bench import Bench, rates_of, set_rate
+from dpstack.api.slave_side.virtual_bench import SimulatedSlave as SimulatedSlave
+from dpstack.api.slave_side.virtual_bench import sim_event_json as sim_event_json
 from dpstack.api.streams import OnEvent, WallClock, call_on_event
 from dpstack.dp.pdu import layouts
 from dpstack.dp.slave.auto_baud import BaudState, PortBaudChanged, SearchingPort
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.rate import settle_ns_of
-from dpstack.drivers.segment.hub import Segment
+from dpstack.drivers.segment.hub import Segment as Segment
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.params import MAX_STATION, UNADDRESSED, BusParams
 from dpstack.phy.neighbours import t_sl_of_answers
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
-
-__all__ = [
-    "DEFAULT_BAUD",
-    "Segment",
-    "SimulatedSlave",
-    "Simulation",
-    "sim_event_json",
-]
 
 #: the rate in bit/s if neither the arguments nor the configuration give one
 DEFAULT_BAUD: Final = 500_000

@@ -66,18 +66,6 @@ class StationStats(Struct):
 class SegmentStation:
     """A pty of the segment and its state."""
 
-    __slots__ = (
-        "_arrived",
-        "_damaged",
-        "_receiver",
-        "_telegrams",
-        "master",
-        "present",
-        "reported",
-        "silent_until",
-        "stats",
-    )
-
     def __init__(self, master: PtyMaster, link: str) -> None:
         self.master = master
         self.present = False
