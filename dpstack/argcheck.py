@@ -8,7 +8,7 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 from dpstack.errors import UnknownAttribute, UsageError
-from dpstack.text import brief
+from dpstack.text import brief, did_you_mean, nearest
 
 
 def whole_number(what: str, value: Any, error: type[Exception] = UsageError) -> int:
@@ -101,10 +101,8 @@ class Sealed:
     def _read_hint(self, name: str) -> str:
         """The end of the message about the unknown attribute ``name``; empty if nothing comes near."""
         known = [key for key in dir(type(self)) if not key.startswith("_")]
-        import difflib  # here, as it is for mistakes
-
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.7)
-        return f"; did you mean {near[0]}?" if near else ""
+        near = nearest(name, known, 0.7)
+        return f"; did you mean {near}?" if near else ""
 
     def _sealed_name(self) -> str:
         return type(self).__name__.lower()
@@ -114,11 +112,7 @@ class Sealed:
         if method:
             return f"{self._sealed_name()}: {name} is a method: call it instead of assigning to it"
         settable = [key for key, value in _properties(type(self)).items() if value.fset is not None]
-        import difflib  # here, as it is for mistakes
-
-        near = difflib.get_close_matches(name, settable, n=1, cutoff=0.5)
-        known = ", ".join(settable)
-        hint = f"did you mean {near[0]}?" if near else f"these can be assigned: {known or 'none'}"
+        hint = did_you_mean(name, settable, f"these can be assigned: {', '.join(settable) or 'none'}")
         return f"{self._sealed_name()} has no attribute {name!r}; {hint}"
 
 

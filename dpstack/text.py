@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import unicodedata
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from enum import Enum, IntEnum
 from typing import Final, Self
@@ -106,6 +107,19 @@ def shortened(text: str, most: int = 60) -> str:
 def brief(value: object) -> str:
     """``value`` in a message about it: its representation, cut if it would hide what follows."""
     return shortened(repr(value))
+
+
+def nearest(word: str, known: Iterable[str], cutoff: float = 0.5) -> str | None:
+    """The one of ``known`` that ``word`` may mean; None where none comes near (``cutoff``, 1: the same)."""
+    import difflib  # here, as most names are right
+
+    return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)), None)
+
+
+def did_you_mean(word: str, known: Iterable[str], otherwise: str, *, quoted: bool = False) -> str:
+    """``did you mean speed?`` where one of ``known`` comes near to ``word``, ``otherwise`` where none does."""
+    near = nearest(word, known)
+    return otherwise if near is None else f"did you mean {near!r}?" if quoted else f"did you mean {near}?"
 
 
 def iso_time(wall_s: float) -> str:

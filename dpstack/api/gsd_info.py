@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import functools
 from collections.abc import Mapping
 from importlib import resources
@@ -25,6 +24,7 @@ from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.gsd.text import MAX_OCTETS
 from dpstack.profile import registry
 from dpstack.sim import io_station
+from dpstack.text import nearest
 
 
 def bundled() -> dict[str, str]:
@@ -49,8 +49,8 @@ def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
         if isinstance(error, FileNotFoundError):
             if str(path) in bundled():
                 return _bundled_octets(str(path))
-            near = difflib.get_close_matches(str(path), bundled(), n=1)
-            todo = f"did you mean {near[0]}, or {todo}?" if near else todo
+            near = nearest(str(path), bundled(), 0.6)
+            todo = f"did you mean {near}, or {todo}?" if near else todo
         raise ConfigError(f"{file}: {getattr(error, 'strerror', None) or error}; {todo}") from None
 
 

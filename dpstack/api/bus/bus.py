@@ -28,7 +28,7 @@ from dpstack.drivers.snapshots import BusSnapshot
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import BusParams
-from dpstack.text import brief
+from dpstack.text import brief, did_you_mean
 from dpstack.trace import Severity
 from dpstack.units import baud_text
 
@@ -472,8 +472,5 @@ def check_arguments(config: object, slaves: object, on_event: object, world: obj
     names = (*_OWN_ARGUMENTS, *keys_of(BusConfig))
     for name in bus:
         if name not in names:
-            import difflib  # here, as most names are right
-
-            near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names)}"
+            hint = did_you_mean(name.lower(), names, f"known: {', '.join(names)}", quoted=True)
             raise ConfigError(f"open_bus: unknown argument {name!r}; {hint}")

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from dpstack.errors import UsageError
+from dpstack.text import did_you_mean, nearest
 
 #: for each name in a usage: the keyword argument that it becomes, and the parser of its text
 Arguments = Mapping[str, tuple[str, Callable[[str], object]]]
@@ -120,10 +121,8 @@ def find_word(word: str, known: Sequence[Spec], who: str = "a drive") -> Spec:
     names = [spec.name for spec in known]
     if word in names:
         return known[names.index(word)]
-    import difflib  # here and below, as most commands are right
-
-    near = difflib.get_close_matches(word.lower().replace("-", "_"), names, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(names)}"
+    near = nearest(word.lower().replace("-", "_"), names, 0.6)
+    hint = f"did you mean {near}?" if near else f"it knows {', '.join(names)}"
     raise UsageError(f"{who} does not know {word!r}; {hint}")
 
 
@@ -135,8 +134,5 @@ def find(kind: str, specs: Iterable[Spec], name: str) -> Spec:
     who = [other for other, theirs in KINDS.items() if any(spec.name == name for spec in theirs)]
     if who:
         raise UsageError(f"{name} is a command of `dpstack {who[0]}`, this is a {kind}; it knows: {', '.join(known)}")
-    import difflib
-
-    near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]}?" if near else f"it knows: {', '.join(known)}"
+    hint = did_you_mean(name.lower(), known, f"it knows: {', '.join(known)}")
     raise UsageError(f"unknown command {name!r}; {hint}")

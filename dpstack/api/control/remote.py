@@ -131,18 +131,15 @@ class WhyStep(TypedDict):
     text: str
 
 
-#: ``for`` is no name of a field
-WhyCause = TypedDict(
-    "WhyCause",
-    {
-        "cause": str,
-        "confidence": float,
-        "meaning": str,
-        "for": list[str],
-        "against": list[str],
-        "next": str,
-    },
-)
+class WhyCause(msgspec.Struct):
+    """A cause of a :class:`WhyAnswer`; ``speaks_for`` is its key ``for``."""
+
+    cause: str
+    confidence: float
+    meaning: str
+    against: list[str]
+    next: str
+    speaks_for: list[str] = msgspec.field(name="for")
 
 
 class WhyAnswer(TypedDict):

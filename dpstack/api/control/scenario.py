@@ -6,7 +6,6 @@ slave does. The whole file is checked before the first step.
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from dpstack.api.slave_side.fault_steps import KINDS, Deed, End, Kind
 from dpstack.api.slave_side.simulated_inputs import SimulatedInputs
 from dpstack.api.slave_side.virtual_bench import Bench
 from dpstack.errors import ConfigError, DpError
-from dpstack.text import brief, shortened
+from dpstack.text import brief, did_you_mean, shortened
 from dpstack.trace import Event
 from dpstack.units import ns_to_s, s_to_ns
 
@@ -177,8 +176,7 @@ def kind_of(table: Table, do: str, handlers: Mapping[str, Handler]) -> Kind:
     spec = next((spec for spec in SLAVES if spec.name.replace("-", "_") == do and do not in _NOT_IN_STEPS), None)
     if spec is None or spec.name not in handlers:
         words = _words() if handlers else list(KINDS)
-        near = difflib.get_close_matches(do, words, n=1, cutoff=0.5)
-        todo = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(words)}"
+        todo = did_you_mean(do, words, f"known: {', '.join(words)}", quoted=True)
         raise table.error("do", f"unknown {'do' if handlers else 'fault'} {do!r}", todo)
     return Kind({"args": Key(read=_args)}, partial(_command, spec, handlers[spec.name]), lasting=False)
 
@@ -216,9 +214,9 @@ def _address(table: Table, wanted: object, bench: Bench) -> int:
     if found is not None:
         return found
     names = bench.names()
-    near = difflib.get_close_matches(str(wanted), names.values(), n=1, cutoff=0.5)
     known = ", ".join(f"{address} ({name})" for address, name in sorted(names.items())) or "none"
-    raise table.error("slave", f"no slave {wanted!r}", f"did you mean {near[0]!r}?" if near else f"there are: {known}")
+    todo = did_you_mean(str(wanted), names.values(), f"there are: {known}", quoted=True)
+    raise table.error("slave", f"no slave {wanted!r}", todo)
 
 
 #: time after the start in ns, ends (0) before begins (1), what happens

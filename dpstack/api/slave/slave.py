@@ -29,7 +29,7 @@ from dpstack.dpv1.master.ms1 import need_dpv1
 from dpstack.drivers.futures import run_through_cancellation
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
 from dpstack.errors import DpError, SlaveFault, SlaveTimeout, UsageError
-from dpstack.text import octets_text
+from dpstack.text import did_you_mean, nearest, octets_text
 from dpstack.units import ns_to_s
 
 T = TypeVar("T", bool, int, float, bytes)
@@ -71,20 +71,15 @@ class Slave(Sealed, RecordAccess):
 
     def _no_attribute(self, name: str, *, method: bool) -> str:
         """Named outputs are items, not attributes."""
-        outputs = tuple(self.config.output_fields)
-        import difflib  # here, as it is for mistakes
-
-        near = difflib.get_close_matches(name, outputs, n=1, cutoff=0.5)
+        near = nearest(name, self.config.output_fields)
         if near and not method:
-            return f"{self._sealed_name()} has no attribute {name!r}: write slave[{near[0]!r}] = ..."
+            return f"{self._sealed_name()} has no attribute {name!r}: write slave[{near!r}] = ..."
         return super()._no_attribute(name, method=method)
 
     def _read_hint(self, name: str) -> str:
         """Named process data are items, not attributes."""
-        import difflib  # here, as it is for mistakes
-
-        near = difflib.get_close_matches(name, tuple(self), n=1, cutoff=0.8)
-        return f": write slave[{near[0]!r}]" if near else super()._read_hint(name)
+        near = nearest(name, self, 0.8)
+        return f": write slave[{near!r}]" if near else super()._read_hint(name)
 
     def __repr__(self) -> str:
         return f"<Slave {self.address} {self.name!r} {self.state.value}>"
@@ -452,10 +447,7 @@ class Slave(Sealed, RecordAccess):
             if what == "input":
                 return UsageError(f"{who}: {name} is an output: give the name of an input")
             return UsageError(f"{who}: {name} is an input: only outputs can be set")
-        import difflib  # here, as it is for mistakes
-
-        near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(known) or 'none'}"
+        hint = did_you_mean(str(name), known, f"there are: {', '.join(known) or 'none'}")
         return UsageError(f"{who}: no {what} is called {name!r}; {hint}")
 
     @property

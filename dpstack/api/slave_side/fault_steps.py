@@ -5,7 +5,6 @@ A scenario and ``dpstack ctl PORT fault`` read them by :data:`KINDS`. All are ch
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
@@ -28,7 +27,7 @@ from dpstack.sim.slave_faults import (
     WrongLength,
     fault_text,
 )
-from dpstack.text import octets_text
+from dpstack.text import did_you_mean, octets_text
 from dpstack.units import NS_PER_MS
 
 #: ends a deed; False: it has ended before, or another one has replaced it
@@ -158,8 +157,8 @@ def _channel_error(table: Table, wanted: object, texts: DiagTexts | None, module
 
 
 def _unknown(table: Table, key: str, wanted: str, known: list[str], none: str) -> ConfigError:
-    near = difflib.get_close_matches(wanted.lower(), [text.lower() for text in known], n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}" if known else none
+    hint = f"known: {', '.join(known)}" if known else none
+    hint = did_you_mean(wanted.lower(), [text.lower() for text in known], hint, quoted=True)
     return table.error(key, f"unknown {key} {wanted!r}", hint)
 
 

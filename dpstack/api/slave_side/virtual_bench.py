@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -29,7 +28,7 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.sim.io_station import IDENT, NAME, IoStation
 from dpstack.sim.slave_faults import SlaveFaults, fault_text
 from dpstack.sim.world import World
-from dpstack.text import octets_text
+from dpstack.text import did_you_mean, octets_text
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
@@ -252,12 +251,9 @@ class SimulatedSlave:
             return found
         if name in self.config.output_fields:
             raise UsageError(f"{self.who}: {name} is an output, which its master sets")
-        near = difflib.get_close_matches(name, fields, n=1, cutoff=0.5)
         known = ", ".join(fields) or 'none; name them by its key inputs: { level = "i16@0" }'
-        raise UsageError(
-            f"{self.who}: no input is called {name!r}; "
-            + (f"did you mean {near[0]}?" if near else f"there are: {known}")
-        )
+        hint = did_you_mean(name, fields, f"there are: {known}")
+        raise UsageError(f"{self.who}: no input is called {name!r}; {hint}")
 
     def as_dict(self) -> dict[str, object]:
         """State and counters since it was switched on. ``watchdogs``: expiries of its watchdog. ``too_late``: answers

@@ -26,7 +26,7 @@ from dpstack.api.gsd_info import (
     write_gsd,
 )
 from dpstack.api.user_code import load_description
-from dpstack.cli.commands import gsd_configure
+from dpstack.cli.commands.gsd_configure import Dialogue
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError
@@ -108,7 +108,7 @@ def show(args: argparse.Namespace) -> int:
 
 
 def configure(args: argparse.Namespace) -> int:
-    return gsd_configure.run(read_gsd(args.file), args.file, args.config)
+    return Dialogue(read_gsd(args.file), args.file, args.config).run()
 
 
 def copy(args: argparse.Namespace) -> int:

@@ -35,11 +35,6 @@ _BACK: Final = "back"
 _NAMED: Final = 6
 
 
-def run(file: GsdFile, path: str, beside: str | None = None) -> int:
-    """Ask, then print the table. ``beside``: path of the configuration that the table is for; it need not exist."""
-    return _Dialogue(file, path, beside).run()
-
-
 def say(text: str) -> None:
     """One line for the person at the keyboard."""
     with output.guarded():
@@ -47,7 +42,9 @@ def say(text: str) -> None:
         sys.stderr.flush()
 
 
-class _Dialogue:
+class Dialogue:
+    """``beside``: path of the configuration that the table is for, None: there is none; it need not exist."""
+
     def __init__(self, file: GsdFile, path: str, beside: str | None) -> None:
         self._file = file
         self._device = file.device
@@ -56,6 +53,7 @@ class _Dialogue:
         self._ended = False
 
     def run(self) -> int:
+        """Ask, then print the table."""
         device = self._device
         say(f"{device.vendor} {device.model}".strip() or self._path)
         base = base_name(device.model)

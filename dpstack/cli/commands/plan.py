@@ -64,8 +64,11 @@ def execute(args: argparse.Namespace) -> int:
         return _all_rates(config, needs, json=args.json, octets=args.octets)
     plan = plan_bus(config, args.baud or config.baud)
     if args.json:
-        simulated = {} if args.simulate is None else {"simulated": _simulated_json(config, plan, args.simulate)}
-        output.json_line(_with_rates(plan.as_dict(), needs) | _loss_json(config) | simulated)
+        data = _with_rates(plan.as_dict(), needs) | _loss_json(config)
+        if args.simulate is not None:
+            found = _simulate(config, plan, args.simulate)
+            data["simulated"] = None if found is None else found.as_dict()
+        output.json_line(data)
     else:
         _show(plan, needs, _notes_on_loss(config))
         if args.octets:
@@ -145,15 +148,6 @@ class _Progress:
         self._show(_PROGRESS, round(done), round(self._seconds))
 
 
-def _simulated_json(config: Config, plan: Plan, seconds: float) -> dict[str, object] | None:
-    found = _simulate(config, plan, seconds)
-    return None if found is None else found.as_dict()
-
-
-def _rotation_text(plan: Plan, case: Case) -> str:
-    return _ms(plan.rotation_ns(case))
-
-
 def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
     """The plan with the slowest rate for each verdict on the cycle, null without one."""
     cycle = data.get("cycle")
@@ -203,7 +197,7 @@ def _show(plan: Plan, needs: Needs, more: Sequence[str]) -> None:
     output.table(
         "Bus rotation time",
         ("case", "bit times", "time"),
-        [(name, plan.rotations[case].bits, _rotation_text(plan, case)) for case, name in _CASES.items()],
+        [(name, plan.rotations[case].bits, _ms(plan.rotation_ns(case))) for case, name in _CASES.items()],
     )
     service = plan.figures.acyclic_bits
     output.line(f"one acyclic service makes it longer by {service} bit times at the most, {ms_text(p.ns(service))}")
@@ -301,7 +295,7 @@ def _show_rates(config: Config, plans: Mapping[int, Plan]) -> None:
     rows = [
         (
             baud_text(rate),
-            *(_rotation_text(plan, case) for case in _CASES),
+            *(_ms(plan.rotation_ns(case)) for case in _CASES),
             *([plan.cycle.verdict.value] if plan.cycle else []),
             f"{plan.watchdog_ms} ms",
             len(plan.findings) or "none",

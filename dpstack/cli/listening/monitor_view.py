@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 STYLES: Final = {GOOD: "green", UNKNOWN: "", WARNING: "yellow", CRITICAL: "bold red"}
 #: of events
 _EVENT_STYLES: Final = {"lost": "red", "left": "red", "alarm": "yellow", "gap": "yellow"}
-_REFRESH_S: Final = 0.5
 #: lines of events under the live list, at most
 _EVENTS: Final = 10
 #: lines of a table with one station, and of its title
@@ -98,17 +97,10 @@ def _narrow_row(address: str, station: Mapping[str, Any]) -> tuple[object, ...]:
 
 def _master_row(address: str, master: Mapping[str, Any]) -> tuple[object, ...]:
     slaves = ", ".join(map(str, master["slaves"])) or "none"
-    times = [_mean(master["token_us"]), _mean(master["rotation_us"]), _hold(master["hold_us"])]
+    shown = (("token_us", "mean"), ("rotation_us", "mean"), ("hold_us", "p50"))
+    times = ["-" if master[of] is None else f"{master[of][key]:g}" for of, key in shown]
     mode = "silent" if master["silent"] else master["mode"]
     return (address, mode, *times, master["gap_polls"], master["drops"], slaves)
-
-
-def _mean(figures: Mapping[str, float] | None) -> str:
-    return "-" if figures is None else f"{figures['mean']:g}"
-
-
-def _hold(figures: Mapping[str, float] | None) -> str:
-    return "-" if figures is None else f"{figures['p50']:g}"
 
 
 def _bus_line(summary: Mapping[str, Any]) -> str:
@@ -148,14 +140,10 @@ class LiveView:
 
     async def watch(self) -> None:
         """Redraw the list until cancelled; then the terminal has its text of before again."""
-        import asyncio  # a capture file needs none
+        from dpstack.cli.terminal import drawing
 
-        from rich.live import Live
-
-        with output.guarded(), Live(self.picture(time_ns()), auto_refresh=False, screen=True) as live:
-            while True:
-                await asyncio.sleep(_REFRESH_S)
-                live.update(self.picture(time_ns()), refresh=True)
+        with output.guarded():
+            await drawing.redrawn(lambda: self.picture(time_ns()))
 
     def picture(self, now_ns: int) -> Any:
         """The list at ``now_ns`` (ns since 1970), no higher than the terminal."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import textwrap
 from datetime import datetime
 from time import time
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from dpstack.bridge.mqtt.fleet import Fleet, Segment
     from dpstack.bridge.mqtt.fleet_reader import FleetReader
 
-_REFRESH_S: Final = 0.5
 #: by the state of a segment
 _STYLES: Final = {
     "dead": "bold red",
@@ -107,12 +105,10 @@ class FleetView:
 
     async def watch(self) -> None:
         """Redraw the table until cancelled; then the terminal has its text of before again."""
-        from rich.live import Live
+        from dpstack.cli.terminal import drawing
 
-        with output.guarded(), Live(self.picture(), auto_refresh=False, screen=True) as live:
-            while True:
-                await asyncio.sleep(_REFRESH_S)
-                live.update(self.picture(), refresh=True)
+        with output.guarded():
+            await drawing.redrawn(self.picture)
 
     def picture(self) -> Any:
         """The table at this moment, no higher than the terminal: the worst segments if there is no room for all."""

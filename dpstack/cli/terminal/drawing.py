@@ -21,6 +21,8 @@ from dpstack.text import printable
 #: words up to this length stay whole in every table: all numbers, names of states; longer ones (octets in hex, paths)
 #: may be folded, and no text is wrapped to less than this
 _WHOLE: Final = 24
+#: interval of the pictures of a screen in s
+_REFRESH_S: Final = 0.5
 
 
 def line(text: str, style: str) -> None:
@@ -93,6 +95,18 @@ def _widths(rows: Sequence[Sequence[Text]], room: int) -> list[int]:
 def _least(text: str, *, heading: bool) -> int:
     words = text.split() if heading or len(text.split()) == 2 else [text]  # 200 ms, in/out octets
     return max((min(cell_len(word), _WHOLE) for word in words), default=0)
+
+
+async def redrawn(picture: Callable[[], Group]) -> None:
+    """Draw a picture on a screen of its own again and again, until cancelled; then the terminal has its text again."""
+    import asyncio  # these here, as most drawings stand still
+
+    from rich.live import Live
+
+    with Live(picture(), auto_refresh=False, screen=True) as live:
+        while True:
+            await asyncio.sleep(_REFRESH_S)
+            live.update(picture(), refresh=True)
 
 
 #: called with the step, the number done, the number of all
