@@ -17,10 +17,8 @@ event loop, which runs in a thread of its own, and waits for the result; an asyn
 - ``proxies``: The classes and functions made from the asynchronous ones
 """
 
-from __future__ import annotations
-
 import functools
-from typing import Any
+from typing import Any as _Any
 
 from dpstack.api import streams as _streams
 from dpstack.api.bus import bus as _bus
@@ -37,53 +35,30 @@ from dpstack.api.slave import drive as _drive
 from dpstack.api.slave import record_parameters as _record_parameters
 from dpstack.api.slave import slave as _slave
 from dpstack.api.slave_side import slave_server as _server
-from dpstack.blocking.proxies import Items, blocking_class, blocking_function
+from dpstack.blocking.proxies import Items as Items
+from dpstack.blocking.proxies import blocking_class as _class
+from dpstack.blocking.proxies import blocking_function as _function
 
-__all__ = [
-    "AlarmStream",
-    "Bus",
-    "BusRecording",
-    "Class2",
-    "Connection",
-    "Drive",
-    "EventStream",
-    "Group",
-    "Items",
-    "LiveStream",
-    "Publishing",
-    "Reader",
-    "RecordParameters",
-    "ServedSlave",
-    "Slave",
-    "SlaveAlarm",
-    "SlaveServer",
-    "find_baud",
-    "open_bus",
-    "publish",
-    "serve_slave",
-    "serve_slaves",
-]
-
-Reader = blocking_class(_streams.Reader)
-EventStream = blocking_class(_streams.EventStream)
-LiveStream = blocking_class(_live.LiveStream)
-AlarmStream = blocking_class(_alarms.AlarmStream)
-SlaveAlarm = blocking_class(_alarms.SlaveAlarm)
-RecordParameters = blocking_class(_record_parameters.RecordParameters)
-Slave = blocking_class(_slave.Slave)
-Drive = blocking_class(_drive.Drive)
-Group = blocking_class(_sync_freeze.Group)
-Connection = blocking_class(_class2.Connection)
-Class2 = blocking_class(_class2.Class2)
-BusRecording = blocking_class(_recording.BusRecording)
-Bus = blocking_class(_bus.Bus)
-Publishing = blocking_class(_publishing.Publishing)
-ServedSlave = blocking_class(_server.ServedSlave)
-SlaveServer = blocking_class(_server.SlaveServer)
+Reader = _class(_streams.Reader)
+EventStream = _class(_streams.EventStream)
+LiveStream = _class(_live.LiveStream)
+AlarmStream = _class(_alarms.AlarmStream)
+SlaveAlarm = _class(_alarms.SlaveAlarm)
+RecordParameters = _class(_record_parameters.RecordParameters)
+Slave = _class(_slave.Slave)
+Drive = _class(_drive.Drive)
+Group = _class(_sync_freeze.Group)
+Connection = _class(_class2.Connection)
+Class2 = _class(_class2.Class2)
+BusRecording = _class(_recording.BusRecording)
+Bus = _class(_bus.Bus)
+Publishing = _class(_publishing.Publishing)
+ServedSlave = _class(_server.ServedSlave)
+SlaveServer = _class(_server.SlaveServer)
 
 
 @functools.wraps(_opening.open_bus)
-def _open_bus(config: Any = None, *, slaves: Any = (), **given: Any) -> _bus.Bus:
+def _open_bus(config: _Any = None, *, slaves: _Any = (), **given: _Any) -> _bus.Bus:
     slaves = tuple(slaves)
     bus = _opening.open_bus(config, slaves=slaves, **given)
     if given.get("world") is None and _is_free_for_process(bus.config):
@@ -91,8 +66,10 @@ def _open_bus(config: Any = None, *, slaves: Any = (), **given: Any) -> _bus.Bus
     return bus
 
 
-open_bus = blocking_function(_open_bus)
-publish = blocking_function(_publishing.publish)
-find_baud = blocking_function(_find_baud.find_baud)
-serve_slave = blocking_function(_server.serve_slave)
-serve_slaves = blocking_function(_server.serve_slaves)
+open_bus = _function(_open_bus)
+publish = _function(_publishing.publish)
+find_baud = _function(_find_baud.find_baud)
+serve_slave = _function(_server.serve_slave)
+serve_slaves = _function(_server.serve_slaves)
+
+__all__ = sorted(name for name, value in globals().items() if name[0].isalpha() and callable(value))
