@@ -94,6 +94,29 @@ def octets_text(count: int) -> str:
     return f"{count} octet" + ("" if count == 1 else "s")
 
 
+def runs_of(numbers: Iterable[int]) -> list[tuple[int, int]]:
+    """The first and the last of the runs of ``numbers``: of 4, 1, 2, 3, 6 they are (1, 4) and (6, 6)."""
+    runs: list[tuple[int, int]] = []
+    for number in sorted(set(numbers)):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1] = runs[-1][0], number
+        else:
+            runs.append((number, number))
+    return runs
+
+
+def times_text(count: int) -> str:
+    """``once``, ``5 times``."""
+    return "once" if count == 1 else f"{count} times"
+
+
+def some_of(labels: Iterable[str], shown: int = 3) -> str:
+    """The first ``shown`` labels, and the number of the others."""
+    listed = list(labels)
+    more = len(listed) - shown
+    return ", ".join(listed[:shown]) + (f" and {more} more" if more > 0 else "")
+
+
 def shortened(text: str, most: int = 60) -> str:
     """``text`` cut to ``most`` characters, but not within a number, which would become another one."""
     if len(text) <= most:

@@ -20,6 +20,7 @@ from dpstack.monitor.history import History, Past
 from dpstack.monitor.thresholds import Thresholds
 from dpstack.monitor.timing import Timing
 from dpstack.monitor.verdict import CRITICAL, GOOD, UNKNOWN, VERDICTS, WARNING, Finding, Verdict, verdict_of
+from dpstack.text import times_text
 from dpstack.units import NS_PER_S, baud_text, bits_to_ns, ns_to_bits
 
 _LINE: Final = "its connector, its stub and the segment's end"
@@ -125,7 +126,7 @@ def _of_master(master: Master, heard: Heard) -> Iterator[Finding]:
     if level:
         yield (
             level,
-            f"dropped out of the token ring {_times(drops)}: look at its connector, its load, and its bus "
+            f"dropped out of the token ring {times_text(drops)}: look at its connector, its load, and its bus "
             "parameters (T_SL, T_TR, HSA the same in all masters)",
         )
     if master.is_silent and heard.silent_s < limits.silence_s:
@@ -166,7 +167,7 @@ def _lost(station: Station, heard: Heard) -> Iterator[Finding]:
         back = "is back" if station.state == State.DATA_EXCHANGE else "is not back"
         yield (
             level,
-            f"left data exchange {_times(station.lost)}, {back}: look at its supply and its connector, "
+            f"left data exchange {times_text(station.lost)}, {back}: look at its supply and its connector, "
             "and whether its master was stopped then",
         )
 
@@ -275,7 +276,7 @@ def _of_bus(used: list[Station], heard: Heard) -> Iterator[Finding]:
     if many:
         yield (
             WARNING,
-            f"{max(many)} stations failed in the same second, {_times(sum(many.values()))}: look at {_SEGMENT}",
+            f"{max(many)} stations failed in the same second, {times_text(sum(many.values()))}: look at {_SEGMENT}",
         )
 
 
@@ -290,10 +291,6 @@ def _level(value: float, warning: float, critical: float) -> str:
     if not value:
         return ""
     return CRITICAL if value >= critical else WARNING if value >= warning else ""
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
 
 
 def _many(count: int, noun: str) -> str:

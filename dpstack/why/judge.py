@@ -7,7 +7,7 @@ explanation for the answers: an ident number, a master's address, a configuratio
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -15,7 +15,7 @@ from dpstack.dp.master.bring_ups import DATA_EXCHANGE, NOTHING, SLAVE_DIAG, Loss
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.requests import SET_PRM_LEN
 from dpstack.gsd.module_comparison import Difference
-from dpstack.text import octets_text
+from dpstack.text import octets_text, some_of, times_text
 from dpstack.units import NS_PER_S, baud_text, ms_text
 from dpstack.why.causes import Cause
 from dpstack.why.evidence import CLASS2
@@ -173,13 +173,13 @@ def _jam(f: Facts) -> Finding:
     ring, line = f.evidence.ring, f.evidence.line
     said = [f"{f.damage} damaged telegrams and octets outside of telegrams came, {line.heard} readable telegrams."]
     if ring.tokens_lost:
-        said.append(f"The token was lost {_times(ring.tokens_lost)}.")
+        said.append(f"The token was lost {times_text(ring.tokens_lost)}.")
     if not ring.joined:
         said.append("The master is out of the ring: the line is never quiet long enough for it.")
         return Finding(Cause.BUS_JAMMED, 0.87 if f.damage > line.heard else 0.7, said)
     others = [one.name for one in f.neighbours if one.state is SlaveState.DATA_EXCHANGE]
     if others:
-        return Finding(Cause.BUS_JAMMED, 0.3, said, [f"Others are in data exchange: {_some(others)}."])
+        return Finding(Cause.BUS_JAMMED, 0.3, said, [f"Others are in data exchange: {some_of(others)}."])
     sure = 0.8 if f.damage > 10 * line.heard or ring.tokens_lost > 2 else 0.6
     return Finding(Cause.BUS_JAMMED, sure, said)
 
@@ -231,10 +231,10 @@ def _absent(f: Facts) -> Findings:
         said.append(f"By its GSD file it does not know {baud_text(line.baud)}, only {rates}.")
     confidence = 0.7
     if f.answering:
-        said.append(f"Others answer at this rate: {_some(one.name for one in f.answering)}.")
+        said.append(f"Others answer at this rate: {some_of(one.name for one in f.answering)}.")
         confidence = 0.88
     elif f.others_found:
-        said.append(f"Others answer at this rate: {_some(str(one.address) for one in f.others_found)}.")
+        said.append(f"Others answer at this rate: {some_of(str(one.address) for one in f.others_found)}.")
         confidence = 0.85
     elif f.evidence.found is not None:
         against.append("No other station answers either: a common cause is likelier.")
@@ -244,7 +244,7 @@ def _absent(f: Facts) -> Findings:
         said.append(f"All {len(f.neighbours) + 1} slaves of the configuration are silent at once.")
         todo = _SHARED
     if f.evidence.found is None and f.evidence.unknown:
-        places = _some(map(str, sorted(f.evidence.unknown)))
+        places = some_of(map(str, sorted(f.evidence.unknown)))
         said.append(f"Address {places} answers, and no slave is configured there: has the device that address?")
         todo = f"read address {places} with `dpstack diag`: is it this device? {Cause.NOT_THERE.about.next}"
     if f.evidence.found is not None and not f.strangers and f.anybody:
@@ -253,7 +253,7 @@ def _absent(f: Facts) -> Findings:
         against.append(f"{f.link.late + f.link.wrong} answers of it came when nobody waited for them.")
         confidence = 0.3
     if f.lost_silently >= 2:
-        against.append(f"It came back {_times(f.lost_silently)} before.")
+        against.append(f"It came back {times_text(f.lost_silently)} before.")
         confidence = 0.55
     if f.damage_here > polls // 2:
         against.append("Octets that cannot be read came after requests to it.")
@@ -285,7 +285,7 @@ def _nobody(f: Facts) -> Findings:
         against.append(f"Masters {', '.join(map(str, others))} are understood at this rate.")
         confidence = 0.35
     if f.compared:
-        against.append(f"{_some(one.name for one in f.compared)} answered at this rate before.")
+        against.append(f"{some_of(one.name for one in f.compared)} answered at this rate before.")
         confidence = 0.35
     yield Finding(Cause.RATE_MISMATCH, confidence, said, against)
 
@@ -384,7 +384,7 @@ def _doubled(f: Facts) -> Findings:
         return
     against = []
     if f.disturbed_neighbours:
-        against.append(f"Answers of {_some(one.name for one in f.disturbed_neighbours)} are damaged, too.")
+        against.append(f"Answers of {some_of(one.name for one in f.disturbed_neighbours)} are damaged, too.")
         confidence = min(confidence, 0.55)
     yield Finding(Cause.DUPLICATE_ADDRESS, confidence, said, against)
 
@@ -402,10 +402,10 @@ def _noise(f: Facts) -> Findings:
         yield from _noise_of_others(f)
         return
     said = [f"{failures(link)} of {attempts(link)} requests had no good answer, {damaged(link)} of them a damaged one."]
-    lost = [f"It was lost {_times(f.lost)} by that."] if f.lost_damaged else []
+    lost = [f"It was lost {times_text(f.lost)} by that."] if f.lost_damaged else []
     if f.dropped_by_port:
         said.append(f"The port has dropped {f.marked} octets with a parity or framing error: answers came, damaged.")
-        lost = [f"It was lost {_times(f.lost)} by that."] if f.lost else []
+        lost = [f"It was lost {times_text(f.lost)} by that."] if f.lost else []
     most = 0.87
     against = []
     if not harmed:
@@ -415,7 +415,7 @@ def _noise(f: Facts) -> Findings:
         against.append("Its answers come late, and late answers run into other telegrams.")
         most = min(most, 0.4)
     if f.late_neighbours:
-        names = _some(one.name for one in f.late_neighbours)
+        names = some_of(one.name for one in f.late_neighbours)
         against.append(f"Late answers of {names} run into other telegrams.")
         most = min(most, 0.5)
     bad = f.disturbed_neighbours
@@ -423,8 +423,8 @@ def _noise(f: Facts) -> Findings:
     tokens = f.evidence.ring.token_retries
     if tokens >= 3:
         said.append(f"The token had to be sent again {tokens} times.")
-    too = [f"Answers of {_some(one.name for one in bad)} are damaged, too."] if bad else []
-    quiet = [f"Others are undisturbed: {_some(one.name for one in clean)}."] if clean else []
+    too = [f"Answers of {some_of(one.name for one in bad)} are damaged, too."] if bad else []
+    quiet = [f"Others are undisturbed: {some_of(one.name for one in clean)}."] if clean else []
     if bad and len(bad) >= len(clean):
         yield Finding(Cause.NOISE_ON_SEGMENT, most, [*said, *too, *lost], [*against, *quiet])
         yield Finding(Cause.NOISE_ON_STUB, min(0.3, most), said, [*against, *too])
@@ -444,7 +444,7 @@ def _noise_of_others(f: Facts) -> Findings:
     """Most others are disturbed, and requests to this slave failed, too."""
     bad = f.disturbed_neighbours
     if failures(f.link) and bad and 2 * len(bad) >= len(f.compared) and not (f.late_neighbours or is_late(f.link)):
-        said = [f"Answers of {_some(one.name for one in bad)} are damaged."]
+        said = [f"Answers of {some_of(one.name for one in bad)} are damaged."]
         missing = f"{failures(f.link)} of {attempts(f.link)} requests to this slave had no good answer."
         yield Finding(Cause.NOISE_ON_SEGMENT, 0.5, [*said, missing], ["Its own answers are not damaged."])
 
@@ -711,7 +711,7 @@ def _watchdog(f: Facts) -> Findings:
         return
     watchdog, line = f.evidence.watchdog_ns, f.evidence.line
     every = f.setup.every
-    said = [f"It left data exchange by itself {_times(f.lost_by_itself)} and wanted parameters again."]
+    said = [f"It left data exchange by itself {times_text(f.lost_by_itself)} and wanted parameters again."]
     if wants_again and not f.lost_by_itself:
         said = ["It acknowledges parameters and configuration, and wants parameters again."]
     restarts = 0.72 if f.lost_by_itself >= 2 else 0.5
@@ -744,7 +744,7 @@ def _restarts(f: Facts) -> Findings:
     steady = _steady(f, silent)
     if len(back) >= 2 or (back and len(silent) >= 2):
         said = [
-            f"It fell silent {_times(len(silent))} and came back without parameters, after "
+            f"It fell silent {times_text(len(silent))} and came back without parameters, after "
             f"{away[0]:.1f} to {away[-1]:.1f} s."
         ]
         against = ["Octets that cannot be read came as well."] if f.damage_here > 3 * len(silent) else []
@@ -756,7 +756,7 @@ def _restarts(f: Facts) -> Findings:
         yield found.less(0.25, steady) if steady else found
     kept = [loss for loss in silent if loss.back_ns and not loss.prm_req]
     if kept and not back and not is_late(f.link):
-        said = [f"It fell silent {_times(len(kept))} and kept its parameters: it had power meanwhile."]
+        said = [f"It fell silent {times_text(len(kept))} and kept its parameters: it had power meanwhile."]
         more = "That is a loose contact rather than a restart."
         unpaced = (
             [] if f.evidence.line.paced else ["No wire gives the octets their time here: the computer may be late."]
@@ -791,19 +791,9 @@ def _healthy(f: Facts, found: list[Finding]) -> list[Finding]:
     if failures(f.link) and attempts(f.link):
         said.append(f"{failures(f.link)} of {attempts(f.link)} requests had no good answer ({share(f.link):.2%}).")
     worst = max((one.confidence for one in found), default=0.0)
-    against = [f"It left data exchange {_times(f.lost)}."] if f.lost else []
+    against = [f"It left data exchange {times_text(f.lost)}."] if f.lost else []
     confidence = 0.95 if worst < 0.3 and not f.lost else 0.7 if worst < 0.5 else 0.4
     return [Finding(Cause.HEALTHY, confidence, said, against)]
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
-
-
-def _some(names: Iterable[str]) -> str:
-    """The first three of ``names``, and how many more there are."""
-    listed = list(names)
-    return ", ".join(listed[:3]) + (f" and {len(listed) - 3} more" if len(listed) > 3 else "")
 
 
 _RULES: Final[tuple[Callable[[Facts], Findings], ...]] = (

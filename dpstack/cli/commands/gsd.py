@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -31,7 +31,8 @@ from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
-from dpstack.gsd.model import Device, Diagnostic, GsdFile, Parameter, ranges_text
+from dpstack.gsd.model import Device, Diagnostic, GsdFile, Parameter, PrmBlock, ranges_text
+from dpstack.text import runs_of, some_of
 from dpstack.trace import Severity
 from dpstack.units import baud_text
 
@@ -202,7 +203,7 @@ def _show(file: GsdFile) -> None:
     if alarms is not None:
         rows.append(("alarms", alarms))
     if data["device_parameters"]:
-        rows.append(("parameters", _numbers(ref.number for ref in device.prm.refs)))
+        rows.append(("parameters", _numbers(device.prm)))
     if any(m.preset for m in device.modules):
         which = "fixed presets" if device.fix_preset_modules else "presets"
         rows.append((which, ", ".join(m.name for m in device.modules if m.preset)))
@@ -232,7 +233,7 @@ def _show(file: GsdFile) -> None:
                     m.config.hex(" "),
                     *("?" if length is None else length for length in module_lengths(m)),
                     module_prm(file, m).hex(" "),
-                    _numbers(ref.number for ref in m.prm.refs),
+                    _numbers(m.prm),
                 )
                 for m in device.modules
             ],
@@ -275,15 +276,9 @@ def _where(row: Mapping[str, object]) -> str:
             return f"channel error {row['value']}"
 
 
-def _numbers(numbers: Iterable[int]) -> str:
+def _numbers(prm: PrmBlock) -> str:
     """``1..4, 7``: numbers of parameters in ascending order, each once."""
-    pairs: list[tuple[int, int]] = []
-    for number in sorted(set(numbers)):
-        if pairs and number == pairs[-1][1] + 1:
-            pairs[-1] = pairs[-1][0], number
-        else:
-            pairs.append((number, number))
-    return ranges_text(tuple(pairs))
+    return ranges_text(tuple(runs_of(ref.number for ref in prm.refs)))
 
 
 def _users(device: Device) -> dict[int, str]:
@@ -292,7 +287,7 @@ def _users(device: Device) -> dict[int, str]:
     for title, prm in (("device", device.prm), *((m.name, m.prm) for m in device.modules)):
         for ref in prm.refs:
             found.get(ref.number, {})[title] = None
-    return {number: output.first_of(list(users)) for number, users in found.items()}
+    return {number: some_of(users) for number, users in found.items()}
 
 
 def _allowed(parameter: Parameter) -> str:

@@ -22,7 +22,7 @@ from dpstack.errors import GsdError, UsageError
 from dpstack.gsd.configuration import default_modules, find_module, fixed_modules, is_fixed, plug
 from dpstack.gsd.model import Device, GsdFile, Module, folded, ranges_text
 from dpstack.gsd.prm import PrmField, containing, is_slot_number, value_of
-from dpstack.text import printable
+from dpstack.text import printable, some_of
 
 _T = TypeVar("_T")
 #: longest list of modules that is printed without a request
@@ -201,10 +201,8 @@ class Dialogue:
             return find_module(device, answer)
         names = list(dict.fromkeys(module.name for module in named))
         if len(names) > 1:
-            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            raise GsdError(
-                f"{len(names)} modules begin with {answer!r}: {', '.join(names[:_NAMED])}{more}; type more of the name"
-            )
+            some = some_of(names, _NAMED)
+            raise GsdError(f"{len(names)} modules begin with {answer!r}: {some}; type more of the name")
         say(f"  {names[0]}")
         return find_module(device, names[0])
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from dpstack.api.lists.list_file import ListComparison, SavedList
 from dpstack.cli.terminal import output
+from dpstack.text import some_of
 
 
 def show_dump(
@@ -37,7 +38,7 @@ def show_comparison(
         for difference in found.differences:
             output.line(difference.text, "yellow")
         for why in dict.fromkeys(why for _, why in found.skipped):
-            labels = output.first_of([one.label for one, other in found.skipped if other == why])
+            labels = some_of([one.label for one, other in found.skipped if other == why])
             output.line(f"not compared: {labels}: {why}")
         output.line(f"{who}: {found.same} parameters are as in {head['file']}, {len(found.differences)} differ")
     return int(bool(found.differences))

@@ -27,6 +27,7 @@ from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.cli.terminal.suspension import Suspension
 from dpstack.errors import UsageError
 from dpstack.service.notify import BusState, ServiceReport
+from dpstack.text import some_of
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
@@ -266,7 +267,7 @@ def _service_state(bus: Bus, args: argparse.Namespace) -> BusState:
     served = [slave for slave in bus.slaves if not slave.deactivated]
     missing = [f"{slave.name} ({slave.address})" for slave in served if not slave.ready_now]
     text = f"{mode}, {len(served) - len(missing)} of {len(served)} slaves in data exchange"
-    return BusState(ready, tokens, f"{text}; not: {output.first_of(missing)}" if missing else text)
+    return BusState(ready, tokens, f"{text}; not: {some_of(missing)}" if missing else text)
 
 
 async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:

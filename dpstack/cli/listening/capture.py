@@ -29,7 +29,7 @@ from dpstack.decode.telegram import Explained, Explainer
 from dpstack.errors import CaptureFileError, DpError, UsageError
 from dpstack.monitor.evidence import finding
 from dpstack.monitor.triggers import Triggers, Window, parse_trigger
-from dpstack.text import decimal, iso_time
+from dpstack.text import decimal, iso_time, some_of
 from dpstack.trace import Event
 from dpstack.units import ns_to_s, s_to_ns
 
@@ -337,7 +337,7 @@ class _Capture(PortListener):
         if windows is not None:
             self._print(f"triggers: {_counts(self._triggers.fired)}; {windows} windows")
         if self._file is not None and whole:
-            places = output.first_of(files) if files else self._file.name
+            places = some_of(files) if files else self._file.name
             self._print(f"{self._kept} transmissions kept in {places}" if self._kept else "nothing was kept")
 
 

@@ -190,12 +190,6 @@ def line(text: str, style: str = "") -> None:
         _write(printable(text))
 
 
-def first_of(labels: Sequence[str], shown: int = 3) -> str:
-    """The first ``shown`` labels, and the number of the others."""
-    more = len(labels) - shown
-    return ", ".join(labels[:shown]) + (f" and {more} more" if more > 0 else "")
-
-
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a table: drawn on a terminal, aligned columns elsewhere."""
     cells = [[printable(str(cell)) for cell in row] for row in rows]

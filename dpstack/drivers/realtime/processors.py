@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from dpstack.errors import ConfigError
+from dpstack.text import runs_of
 
 #: an open descriptor with a number of microseconds written to it limits the wake-up time (linux/pm_qos.h)
 CPU_DMA_LATENCY: Final = Path("/dev/cpu_dma_latency")
@@ -94,13 +95,7 @@ def listed(path: Path) -> set[int]:
 
 def text_of(processors: Iterable[int]) -> str:
     """Processors as the kernel lists them: ``0-3,6``."""
-    parts: list[list[int]] = []
-    for number in sorted(processors):
-        if parts and number == parts[-1][1] + 1:
-            parts[-1][1] = number
-        else:
-            parts.append([number, number])
-    return ",".join(str(a) if a == b else f"{a}-{b}" for a, b in parts) or "none"
+    return ",".join(str(a) if a == b else f"{a}-{b}" for a, b in runs_of(processors)) or "none"
 
 
 def isolated(sysfs: Path) -> set[int]:
