@@ -191,16 +191,15 @@ class GsdFolder:
             number = head["ident_number"]
             ident = int(number, 16 if number[:2].lower() == "0x" else 10)
             vendor, model = head.get("vendor_name") or "", head.get("model_name") or ""
-            return GsdEntry(key=Path(key).as_posix(), path=path, ident=ident, vendor=vendor, model=model)
-        try:
-            device = read_gsd(path).device  # the parser reads what the search does not, and knows the reason
-        except ConfigError as error:
-            return str(error).removeprefix(f"{path}:").strip()
-        if device.ident is None:
-            return "it has no Ident_Number"
-        return GsdEntry(
-            key=Path(key).as_posix(), path=path, ident=device.ident, vendor=device.vendor, model=device.model
-        )
+        else:
+            try:
+                device = read_gsd(path).device  # the parser reads what the search does not, and knows the reason
+            except ConfigError as error:
+                return str(error).removeprefix(f"{path}:").strip()
+            if device.ident is None:
+                return "it has no Ident_Number"
+            ident, vendor, model = device.ident, device.vendor, device.model
+        return GsdEntry(key=Path(key).as_posix(), path=path, ident=ident, vendor=vendor, model=model)
 
 
 def _mark(path: Path) -> tuple[str, int, int]:

@@ -24,7 +24,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **how: Any) -> None:
         super().__init__(formatter_class=_ANY_WIDTH, **how)
 
-    def value(self, name: str, metavar: str | None, text: str, **how: Any) -> None:
+    def value(self, name: str, metavar: str | tuple[str, ...] | None, text: str, **how: Any) -> None:
         """Add an argument or option with a value; ``text`` is its help, ``how`` as ``add_argument`` has it."""
         self.add_argument(name, metavar=metavar, help=text, **how)
 

@@ -31,13 +31,7 @@ def add_to(parser: Parser) -> None:
     parser.value("--listen", "HOST:PORT", f"the address of the page (default {PAGE})", default=PAGE)
     parser.flag("--control", "orders may be given on the page; without a run, one can be started there")
     parser.value("--token", "FILE", "only for those with a token of this file, lines NAME TOKEN, mode 0600", type=Path)
-    parser.add_argument(
-        "--tls",
-        nargs=2,
-        metavar=("CERT", "KEY"),
-        type=Path,
-        help="serve over TLS, with a certificate and key (PEM files)",
-    )
+    parser.value("--tls", ("CERT", "KEY"), "serve over TLS, with a certificate and key (PEM files)", nargs=2, type=Path)
     parser.value("--replay", "FILE", "show a recording in place of a bus", type=Path)
     parser.value("--gsd", "DIR", "folder of GSD files for commissioning (default: that of CONFIG)", type=Path)
     parser.value("--join", "NAME", "join a running program by its name for `dpstack ctl`, without CONFIG")
