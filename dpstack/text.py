@@ -133,7 +133,7 @@ def brief(value: object) -> str:
 
 
 def nearest(word: str, known: Iterable[str], cutoff: float = 0.5) -> str | None:
-    """The one of ``known`` that ``word`` may mean; None where none comes near (``cutoff``, 1: the same)."""
+    """The one of ``known`` that ``word`` may mean; None if no word comes near (``cutoff``, 1: the same)."""
     import difflib  # here, as most names are right
 
     return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)), None)

@@ -14,7 +14,7 @@ class Items(Protocol):
     """The live stream of a bus (``bus.live()``), which merges what is not read."""
 
     def take(self) -> Item | None:
-        """The next item; None where there is none at this moment."""
+        """The next item; None if nothing waits at this moment."""
 
     async def wait(self) -> None:
         """Wait until :meth:`take` has an item."""

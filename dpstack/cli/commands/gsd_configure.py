@@ -43,7 +43,7 @@ def say(text: str) -> None:
 
 
 class Dialogue:
-    """``beside``: path of the configuration that the table is for, None: there is none; it need not exist."""
+    """``beside``: path of the configuration that the table is for, which need not exist; None: without one."""
 
     def __init__(self, file: GsdFile, path: str, beside: str | None) -> None:
         self._file = file
