@@ -238,7 +238,7 @@ class Publishing:
             task.add_done_callback(self._losing.discard)
 
     async def _watch(self) -> None:
-        """Find out that the connectors hang: by then also this loop, in which they run, stood still. Where the bus has
+        """Find out that the connectors hang: by then also this loop, in which they run, stood still. If the bus has
         a process of its own, that goes to Clear meanwhile if something from outside is in effect."""
         assert self._gateway is not None
         assert self._running is not None
@@ -373,5 +373,5 @@ class Publishing:
 
     async def _carry_out(self, name: str, order: SetOutputs | DriveOrder) -> object:
         if self._arms:
-            self._arm(True)  # before it is in effect; the next look switches it off where it is not
+            self._arm(True)  # before it is in effect; the next look switches it off if it is not
         return await self._outside.carry_out(name, order)
