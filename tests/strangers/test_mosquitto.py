@@ -379,7 +379,8 @@ async def test_a_run_publishes_its_plant_and_takes_the_orders_that_are_listed(
         assert "DDEATH" in kinds[-3:], kinds
         told = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
         texts = [line["text"] for line in told if line["text"].startswith("connectors: mqtt")]
-        assert texts[0] == f"connectors: mqtt: connected to 127.0.0.1:{broker.port}"
+        assert '(on_connector_loss = "safe")' in texts[0]
+        assert texts[1] == f"connectors: mqtt: connected to 127.0.0.1:{broker.port}"
         assert "connectors: mqtt: order valves.lamp: done" in texts
 
 
