@@ -333,9 +333,7 @@ def test_a_newcomer_reports_once_how_long_it_waits_and_what_the_others_need() ->
     waiting, advice = beside.notices(MasterSeen(t_ns=7, address=2, present=True))
     assert (waiting.severity, advice.severity) == (Severity.INFO, Severity.WARNING)
     assert waiting.t_ns == 7
-    assert waiting.message.startswith(
-        "waiting for master 2 to let station 5 into the ring: up to 26.4 s if it is set"
-    )
+    assert waiting.message.startswith("waiting for master 2 to let station 5 into the ring: up to 26.4 s if it is set")
     assert advice.message.startswith("other masters need t_sl = 3825 ")
     assert list(beside.notices(MasterSeen(t_ns=9, address=2, present=True))) == []
     bus = structs.replace(bus, patience=measured(2 * MS))
