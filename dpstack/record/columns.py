@@ -15,7 +15,11 @@ from dpstack.text import json_text
 #: the value of a cell; None: not valid, or not known
 Cell = Value | str | None
 
-VERSION: Final = 1
+#: 1: octets without a letter in front, no note in JSON lines without one
+VERSION: Final = 2
+#: type of a column of octets, and what stands in front of them in hex
+BYTES: Final = "bytes"
+OCTETS: Final = "x"
 TIME: Final = "time"
 T: Final = "t"
 NOTE: Final = "note"

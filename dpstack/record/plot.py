@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from dpstack.errors import UsageError
 from dpstack.plant.judge import DATA_EXCHANGE, DEACTIVATED
-from dpstack.record.columns import Cell, Column, Kind
+from dpstack.record.columns import BYTES, Cell, Column, Kind
 from dpstack.record.reader import Recording
 from dpstack.text import printable, shortened
 
@@ -142,7 +142,7 @@ def drawing_of(recording: Recording, names: Sequence[str] = ()) -> Drawing:
 
 
 def _chosen(recording: Recording, names: Sequence[str]) -> list[Column]:
-    columns = [column for column in recording.columns.values() if column.type != "bytes"]
+    columns = [column for column in recording.columns.values() if column.type != BYTES]
     if not names:
         return columns
     for name in names:

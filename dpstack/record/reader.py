@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple, TypeGuard
 
 from dpstack.errors import UsageError
-from dpstack.record.columns import NOTE, TIME, Cell, Column, T, unique
+from dpstack.record.columns import BYTES, NOTE, OCTETS, TIME, Cell, Column, T, unique
 from dpstack.text import printable, shortened
 from dpstack.units import NS_PER_S
 
@@ -273,7 +273,7 @@ def _json_row(line: bytes, head: _Head) -> _Cells | None:
     time, t, note = seconds_of(found.get(TIME)), found.get(T), found.get(NOTE, "")
     if time is None or not _is_time(t):
         return None
-    values = {column.name: _plain(found.get(column.name)) for column in head.columns}
+    values = {column.name: _plain(found.get(column.name), column) for column in head.columns}
     return time, float(t), values, note if isinstance(note, str) else ""
 
 
@@ -287,9 +287,17 @@ def _known(value: Any) -> Any:
     return None if isinstance(value, (int, float)) and not -_LARGEST <= value <= _LARGEST else value
 
 
-def _plain(value: object) -> Cell:
+def _plain(value: object, column: Column) -> Cell:
     """A value of JSON; None for lists, objects, and numbers beyond the range of a float."""
-    return _known(value) if isinstance(value, (bool, int, float, str)) else None
+    return _read(value, column) if isinstance(value, (bool, int, float, str)) else None
+
+
+def _read(value: Any, column: Column) -> Cell:
+    """A value of JSON or Parquet."""
+    if column.type == BYTES and isinstance(value, str):
+        return value.removeprefix(OCTETS)  # version 1 had none
+    found: Cell = _known(value)
+    return found
 
 
 def _cell(text: str, column: Column) -> Cell:
@@ -300,7 +308,7 @@ def _cell(text: str, column: Column) -> Cell:
     if column.type == "bool":
         return {"true": True, "false": False}.get(text)
     if column.type:
-        return text
+        return text.removeprefix(OCTETS) if column.type == BYTES else text
     plain = {"true": True, "false": False}.get(text.lower())
     number = _number(text) if plain is None else plain
     return text if number is None else number
@@ -393,6 +401,6 @@ def _parquet_rows(path: Path, head: _Head) -> Iterator[_Cells]:
                 seconds = time.timestamp() if isinstance(time, datetime) else seconds_of(time)
                 if seconds is None or not _is_time(t):
                     continue
-                cells = {c.name: _known(columns[place + 2][number]) for place, c in enumerate(head.columns)}
+                cells = {c.name: _read(columns[place + 2][number], c) for place, c in enumerate(head.columns)}
                 note = notes[number] if notes else None
                 yield seconds, float(t), cells, _note_of(note) if isinstance(note, str) else ""

@@ -6,7 +6,7 @@ import math
 from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
-from dpstack.record.columns import NOTE, TIME, Block, Cell, Layout, T, differs
+from dpstack.record.columns import NOTE, OCTETS, TIME, Block, Cell, Layout, T, differs
 from dpstack.text import json_text, printable
 from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
 
@@ -97,7 +97,10 @@ class Rows:
 
     def end(self, t_ns: int, wall_ns: int, note: str) -> bytes:
         """A last row without values."""
-        texts = ["," * (len(block.columns) - 1) for block in self.layout.blocks] if self._csv else []
+        if self._csv:
+            texts = ["," * (len(block.columns) - 1) for block in self.layout.blocks]
+        else:
+            texts = [f"{json_text(column.name)}:null" for block in self.layout.blocks for column in block.columns]
         return self._line(Sample(self.layout, t_ns, wall_ns, ()), texts, note)
 
     def _write(self, cells: _Cells) -> None:
@@ -118,8 +121,7 @@ class Rows:
                 note = note if len(description) > LONGEST_CELL else description
             line = ",".join((time, t, *texts, csv_text(note)))
         else:
-            tail = [f'"{NOTE}":{json_text(note)}'] if note else []
-            line = ",".join((f'{{"{TIME}":"{time}"', f'"{T}":{t}', *texts, *tail)) + "}"
+            line = ",".join((f'{{"{TIME}":"{time}"', f'"{T}":{t}', *texts, f'"{NOTE}":{json_text(note)}')) + "}"
         return f"{line}\n".encode()
 
     def _time(self, wall_ns: int) -> str:
@@ -136,8 +138,14 @@ def csv_text(text: str) -> str:
     return f'"{text.replace(chr(34), chr(34) * 2)}"' if _QUOTED & set(text) or text.strip() != text else text
 
 
+def octets_cell(octets: bytes) -> str:
+    """Octets as ``x`` and two digits for each. Bare, many programs read 1e05 as the number 100000.0; behind ``0x`` some
+    read a number, too."""
+    return f"{OCTETS}{octets.hex()}"
+
+
 def csv_cell(value: Cell) -> str:
-    """A value as a cell: numbers, true and false, octets as hex; empty if it is not valid."""
+    """A value as a cell: numbers, true and false, octets as :func:`octets_cell`; empty if it is not valid."""
     kind = type(value)
     if kind is float:
         return repr(value) if math.isfinite(value) else ""  # type: ignore[arg-type]
@@ -146,13 +154,13 @@ def csv_cell(value: Cell) -> str:
     if value is None:
         return ""
     if isinstance(value, bytes):
-        return value.hex()
+        return octets_cell(value)
     return csv_text(value) if isinstance(value, str) else str(value)
 
 
 def _json_cell(value: Cell) -> str:
     if isinstance(value, bytes):
-        return f'"{value.hex()}"'
+        return f'"{octets_cell(value)}"'
     if isinstance(value, float) and not math.isfinite(value):
         return "null"
     return json_text(value)

@@ -71,12 +71,37 @@ def test_the_lines_of_a_json_file() -> None:
     line = rows.row(sample(plant, 5, "data_exchange", bytes.fromhex("fff6 0000")))
     assert line == (
         b'{"time":"2026-01-31T12:00:00.005Z","t":0.005000,"boiler.state":"data_exchange","boiler.level":-1.0,'
-        b'"boiler.burner":false}\n'
+        b'"boiler.burner":false,"note":""}\n'
     )
     line = rows.row(sample(plant, 6, "offline", None), "lost")
     assert line is not None
     assert json.loads(line)["boiler.level"] is None
     assert json.loads(line)["note"] == "lost"
+
+
+def test_octets_are_no_number_for_anybody_and_are_read_as_before(tmp_path: Path) -> None:
+    """Bare hex was: 1e05 is 100000.0 for pandas, polars and pyarrow. Files of version 1 have it."""
+    raw = RecordedSlave(9, "scale", FieldMap({"code": Field.parse("code", "bytes@0:2")}, 2))
+    plant = layout(raw)
+    for form in ("csv", "jsonl"):
+        rows = Rows(plant, form)
+        lines = [rows.head(), rows.row(sample(plant, 5, "data_exchange", bytes.fromhex("1e05")))]
+        path, older = tmp_path / f"now.{form}", tmp_path / f"older.{form}"
+        path.write_bytes(b"".join(line or b"" for line in [*lines, rows.end(6_000_000, WALL + 6_000_000, "over")]))
+        assert b"x1e05" in path.read_bytes()
+        older.write_bytes(path.read_bytes().replace(b"x1e05", b"1e05").replace(b'"version":2', b'"version":1'))
+        for file in (path, older):
+            assert [row.values["scale.code"] for row in Recording(file).rows()] == ["1e05", None]
+
+
+def test_each_row_of_json_lines_has_all_columns() -> None:
+    plant = layout()
+    rows = Rows(plant, "jsonl")
+    first = rows.row(sample(plant, 5, "data_exchange", bytes.fromhex("fff6 0000")))
+    last = rows.end(6_000_000, WALL + 6_000_000, "end of the recording")
+    assert first is not None
+    assert [*json.loads(first)] == [*json.loads(last)] == ["time", "t", *(one.name for one in plant.columns), "note"]
+    assert json.loads(last)["boiler.level"] is None
 
 
 def test_a_drive_and_fields_called_like_its_quantities() -> None:

@@ -1,8 +1,6 @@
 """The connectors that there are, by the name of their table: module, package of the extra, and maker of each.
 
-A connector is loaded only if a table asks for it. A new one has a table in :mod:`dpstack.api.config.connectors`, a
-row here, an extra of its name in pyproject.toml, and its keys in docs/reference/configuration.md
-(``tools/make_config_docs.py``).
+A connector is loaded only if a table asks for it. The steps of a further one stand in docs/development/architecture.md.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ async def test_the_quantities_of_a_drive(tmp_path: Path) -> None:
         await asyncio.sleep(0.05)
         status = drive.status
     head, *rows = (json.loads(line) for line in path.read_text().splitlines())
-    assert head["recording"]["version"] == 1
+    assert head["recording"]["version"] == 2
     *_, row, _ = rows
     assert (row["hoist.drive_state"], row["hoist.setpoint"]) == ("running", 0.25)
     assert status.speed is not None

@@ -1,0 +1,65 @@
+"""Octets of recordings in the readers that people use: none of them makes a number of them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from dpstack.dp.process_data import Field, FieldMap
+from dpstack.record.columns import Layout, RecordedSlave
+from dpstack.record.rows import Rows, Sample
+from tests.strangers.stranger_kit import environment
+
+pytestmark = pytest.mark.strangers
+
+#: octets that look like numbers: 100000.0, 5, 12 and 10 to the 99th
+OCTETS: Final = ("1e05", "0005", "0012", "1e99")
+#: for each reader and form a program that prints the column of the octets in the file of its first argument
+READERS: Final = {
+    ("pandas", "csv"): "import pandas; found = pandas.read_csv(path)['scale.code'].tolist()",
+    ("pandas", "jsonl"): "import pandas; found = pandas.read_json(path, lines=True)['scale.code'].tolist()[1:]",
+    ("polars", "csv"): "import polars; found = polars.read_csv(path)['scale.code'].to_list()",
+    ("polars", "jsonl"): "import polars; found = polars.read_ndjson(path)['scale.code'].to_list()[1:]",
+    ("pyarrow", "csv"): "import pyarrow.csv; found = pyarrow.csv.read_csv(path)['scale.code'].to_pylist()",
+    ("duckdb", "csv"): "import duckdb; found = [row[0] for row in duckdb.read_csv(path)['scale.code'].fetchall()]",
+}
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = environment(tmp_path_factory.mktemp("readers"), "pandas==3.0.0")
+    others = ("polars==1.36.1", "pyarrow==22.0.0", "duckdb==1.4.3")
+    subprocess.run(
+        [made, "-m", "pip", "install", "-q", "--disable-pip-version-check", *others], check=True, timeout=300
+    )
+    return made
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("recordings")
+    scale = RecordedSlave(9, "scale", FieldMap({"code": Field.parse("code", "bytes@0:2")}, 2))
+    layout = Layout((scale,), 1_769_860_800.0, "plant.toml", False, {"port": "/dev/ttyX", "baud": 500_000})
+    for form in ("csv", "jsonl"):
+        rows = Rows(layout, form)
+        samples = [
+            Sample(layout, number * 1_000_000, 1_769_860_800_000_000_000, ("data_exchange", bytes.fromhex(octets)))
+            for number, octets in enumerate(OCTETS)
+        ]
+        lines = [rows.head(), *filter(None, map(rows.row, samples))]
+        (made / f"scale.{form}").write_bytes(b"".join(lines))
+    return made
+
+
+@pytest.mark.parametrize(("reader", "form"), READERS)
+def test_octets_stay_octets(python: Path, folder: Path, reader: str, form: str) -> None:
+    program = f"import json, sys; path = sys.argv[1]; {READERS[reader, form]}; print(json.dumps(found))"
+    done = subprocess.run(
+        [python, "-c", program, folder / f"scale.{form}"], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert json.loads(done.stdout) == [f"x{octets}" for octets in OCTETS]
