@@ -44,6 +44,8 @@ LOST: dict[str, Any] = GOOD | {
         ("--mqtt mqtt://x --password-file x --password-env y", "--password-env and --password-file are both there"),
         ("--mqtt mqtt://x --group a/b", "--group 'a/b': MQTT does not permit this name"),
         ("--mqtt mqtt://x --rebirth gateway", "write GROUP/NODE, or all"),
+        ("--mqtt mqtt://x --expect gateway", "--expect 'gateway': write GROUP/NODE"),
+        ("--mqtt mqtt://x --group hall --expect yard/saw", "--expect: yard is not the group of --group"),
         ("", "--mqtt"),
     ],
 )
@@ -124,6 +126,36 @@ def test_the_table_shows_the_worst_first_and_fits(width: int, height: int, monke
             assert "more segments, none of them worse" in flat
 
     in_loop(work)
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_expected_segments_that_are_missing_and_a_fleet_of_nobody_are_failures(
+    capsys: pytest.CaptureFixture[str], as_json: bool
+) -> None:
+    """A look by cron or Nagios: a plant whose gateway never came was a success."""
+
+    def end_of(*expected: tuple[str, str], nodes: tuple[str, ...] = ("press",)) -> tuple[bool, str]:
+        fleet = Fleet()
+        for node in nodes:
+            fleet.receive(f"dpstack/hall/{node}/status", json.dumps(GOOD).encode(), boottime_s())
+        view = FleetView(fleet, "broker:1883", json=as_json, redraws=False, expected=expected)
+        view.begin(cast("FleetReader", SimpleNamespace(lost=0, connected=True)))
+        capsys.readouterr()
+        return view.end(), capsys.readouterr().out
+
+    async def run() -> None:
+        assert end_of(("hall", "press"))[0] is False
+        failed, said = end_of(("hall", "press"), ("hall", "sa\x1bw"))
+        assert failed
+        if as_json:
+            assert json.loads(said)["missing"] == ["hall/sa\\x1bw"]
+        else:
+            assert "hall/sa\\x1bw: missing: broker:1883 has no status of it" in said
+        failed, said = end_of(nodes=())
+        assert failed
+        assert as_json or "broker:1883 has no status of any segment" in said
+
+    asyncio.run(run())
 
 
 def test_after_a_sleep_of_the_computer_nothing_old_is_drawn_as_alive(

@@ -27,7 +27,8 @@ _KEYS: Final = re.compile(r"(?<![\w./-])(url|ca|cert|key|password_env|password_f
 def add_to(parser: Parser) -> None:
     parser.epilog = (
         "examples: dpstack fleet --mqtt mqtt://broker.example; dpstack fleet --mqtt mqtts://broker.example --ca ca.pem "
-        "--user ops --password-file secret --json; dpstack fleet --mqtt mqtt://broker.example --seconds 15"
+        "--user ops --password-file secret --json; dpstack fleet --mqtt mqtt://broker.example --seconds 15 "
+        "--expect hall/press hall/saw"
     )
     parser.value("--mqtt", "URL", "the broker: mqtt://HOST:PORT, or with TLS mqtts://HOST:PORT", required=True)
     parser.value("--group", "GROUP", "only the segments of this group")
@@ -37,13 +38,17 @@ def add_to(parser: Parser) -> None:
     parser.value("--user", "NAME", "user at the broker", default="")
     parser.value("--password-env", "NAME", "environment variable that has the password", default="")
     parser.value("--password-file", "FILE", "file that has the password in its first line, mode 0600", type=Path)
+    parser.value(
+        "--expect", "GROUP/NODE", "segments that must be there: else the exit code is 1", nargs="+", default=[]
+    )
     parser.value("--rebirth", "GROUP/NODE|all", "ask this gateway, or all that are known, for all births, once")
     parser.value("--seconds", "S", "end after S seconds", type=options.seconds)
     parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 if the broker was never reached, or a segment is dead, silent or critical at the end."""
+    """Exit code 1 if the broker was never reached, no segment is there, an expected one is missing, or one is dead,
+    silent or critical at the end."""
     options.require("aiomqtt", "dpstack fleet", "mqtt")
     try:
         from dpstack.bridge.mqtt.fleet import Fleet
@@ -55,11 +60,18 @@ def execute(args: argparse.Namespace) -> int:
 
     fleet = Fleet(None if args.group is None else _name(args.group, "--group"))
     rebirth = None if args.rebirth is None else _gateways(args.rebirth)
+    expected = [_gateway(text, "--expect") for text in args.expect]
+    for group, _ in expected:
+        if args.group not in (None, group):
+            raise UsageError(
+                f"--expect: {printable(group)} is not the group of --group; leave --group out, or the other"
+            )
     broker = _broker(args)
     place = printable(f"{broker.host}:{broker.port}")
 
     async def run() -> int:
-        view = FleetView(fleet, place, json=args.json, redraws=output.redraws() and not args.json)
+        redraws = output.redraws() and not args.json
+        view = FleetView(fleet, place, json=args.json, redraws=redraws, expected=expected)
         with _own_words():
             reader = FleetReader(broker, fleet, changed=view.show, told=view.tell, rebirth=rebirth)
         view.begin(reader)
@@ -112,7 +124,12 @@ def _gateways(text: str) -> str | tuple[str, str]:
     """The value of ``--rebirth``."""
     if text == _ALL:
         return _ALL
+    return _gateway(text, "--rebirth", ", or all")
+
+
+def _gateway(text: str, option: str, more: str = "") -> tuple[str, str]:
+    """Group and node of a gateway. ``more``: what else the option takes."""
     group, slash, node = text.partition("/")
     if not slash:
-        raise UsageError(f"--rebirth {shortened(printable(text))!r}: write GROUP/NODE, or all")
-    return _name(group, "--rebirth"), _name(node, "--rebirth")
+        raise UsageError(f"{option} {shortened(printable(text))!r}: write GROUP/NODE{more}")
+    return _name(group, option), _name(node, option)

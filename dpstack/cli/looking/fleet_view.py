@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from datetime import datetime
 from time import time
 from typing import TYPE_CHECKING, Any, Final
@@ -42,12 +43,15 @@ _LAST: Final = 20
 class FleetView:
     """``redraws``: :meth:`watch` draws a table; else each change is a line. :meth:`begin` comes first."""
 
-    def __init__(self, fleet: Fleet, place: str, *, json: bool, redraws: bool) -> None:
+    def __init__(
+        self, fleet: Fleet, place: str, *, json: bool, redraws: bool, expected: Sequence[tuple[str, str]] = ()
+    ) -> None:
         self.redraws = redraws
         self._reader: FleetReader | None = None
         self._fleet = fleet
         self._place = place
         self._json = json
+        self._expected = expected
         self._remark = f"connecting to {place}"
 
     def begin(self, reader: FleetReader) -> None:
@@ -78,16 +82,18 @@ class FleetView:
             output.warn(text)
 
     def end(self) -> bool:
-        """Print the summary. Returns whether a segment is dead, silent or critical."""
+        """Print the summary. Returns whether a segment is dead, silent, critical or missing, or none is there."""
         from dpstack.bridge.mqtt.fleet import BAD
 
         for one in self._fleet.tick(boottime_s()):
             self.show(one)
         states = {state.value.replace(" ", "_"): count for state, count in self._fleet.counts().items()}
-        found = any(one.state in BAD for one in self._fleet)
+        there = {(one.group, one.node) for one in self._fleet}
+        missing = [printable(f"{group}/{node}") for group, node in self._expected if (group, node) not in there]
+        found = any(one.state in BAD for one in self._fleet) or bool(missing) or not there
         if self._json:
             summary = {"event": "summary", "time": iso_time(time()), "segments": len(self._fleet), "states": states}
-            output.json_line(summary | self._losses())
+            output.json_line(summary | ({"missing": missing} if self._expected else {}) | self._losses())
             return found
         if self.redraws:
             bad = [one for one in self._fleet if one.state in BAD]
@@ -98,7 +104,15 @@ class FleetView:
                 output.line(f"{where}: {one.state.value}: {_why(one)}", _STYLES[one.state.value])
             if len(bad) > _LAST:
                 output.line(f"and {len(bad) - _LAST} more")
+        for where in missing:
+            output.line(
+                f"{where}: missing: {self._place} has no status of it; does its run go, with [mqtt] to it?", "red"
+            )
         output.line(self._counts())
+        if not there and not missing and self._reader is not None and self._reader.connected:
+            output.line(
+                f"{self._place} has no status of any segment: each dpstack run with [mqtt] keeps one there", "red"
+            )
         if troubles := self._troubles():
             output.line(troubles)
         return found
