@@ -431,7 +431,7 @@ def test_a_trigger_holds_the_picture_and_csv_has_its_samples(browser: Browser) -
         shown.put(
             snapshot(t, {"8": {"fields": {"level": level, "limit": False}}, "3": {"drive": drive_of(speed=n / 1000)}})
         )
-        browser.until_js(t, "return window.dpstack.plant.t")
+        browser.until_js(t, "return window.dpstack.live.t")
     browser.sees("Picture of", ".status")
     hold = browser.js("return window.dpstack.scope.hold")
     assert hold["trigger"] == 1.6  # the first sample at or above 20
@@ -460,7 +460,7 @@ def test_a_trigger_on_an_event(browser: Browser, shown: ShownPlant) -> None:
         "const two = document.querySelector('#window'); two.value = '5'; two.dispatchEvent(new Event('change'))"
     )
     browser.click("#arm")
-    now = browser.js("return window.dpstack.plant.t")
+    now = browser.js("return window.dpstack.live.t")
     shown.put(event("diagnosis", now, "no alarm"), event("alarm", now + 0.05, "an alarm", address=8))
     browser.sees("Picture of", ".status")
     assert browser.js("return window.dpstack.scope.hold.trigger") == pytest.approx(now + 0.05)

@@ -400,8 +400,8 @@ def test_pictures_of_every_page(page: Browser, plant: Plant, tmp_path: Path) -> 
     for ticks, speed, full in steps:
         plant.call("drive", "fan", "speed", speed)
         plant.call("set", f"valves.full={full}")
-        begun = page.js("return window.dpstack.plant.t")
-        page.until(lambda b=begun, n=ticks: page.js("return window.dpstack.plant.t") > b + n * seconds)  # type: ignore[misc]
+        begun = page.js("return window.dpstack.live.t")
+        page.until(lambda b=begun, n=ticks: page.js("return window.dpstack.live.t") > b + n * seconds)  # type: ignore[misc]
     taken = []
     for width in (1280, 390):
         page.window(width, 860)
