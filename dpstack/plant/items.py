@@ -302,7 +302,7 @@ class Snapshot(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class EventValues(Struct, frozen=True):
-    """What the tree and the screen look at in an event; the item has more."""
+    """The keys of an event that tree and screen look at; the item has more."""
 
     event: str | None = None
     time: str | None = None

@@ -134,7 +134,7 @@ class DpSlave(Sealed, Device):
             #: raises alarms and sends status messages; None without DP-V1
             self.alarm_server = AlarmServer(description.alarm_support, self.max_diag_len - FIXED_LEN, self.name)
         self._diag = NO_DIAG
-        #: outputs while there are none of a master; empty for zeros
+        #: outputs until a master sends some; empty for zeros
         self.safe = safe or b""
         self._safe = b""  # in the length of the configuration in use
         #: serves Read, see the class; None: refused
