@@ -17,7 +17,8 @@ from dpstack.cli.parser import Parser
 #: of arguments whose value is neither a path, nor a port, nor one of a few words
 FREE = {
     "S", "N", "A", "I", "M", "T", "X", "P", "MB", "OLD", "NEW", "ADDRESS", "NAME", "HOST:PORT", "SLAVE=HEX",
-    "SECONDS", "SIZE|TIME", "EXPR", "COND", "COMMAND", "ARG", "ORDER", "MODULE:NAME", "URL", "GROUP", "GROUP/NODE|all",
+    "SECONDS", "SIZE|TIME", "EXPR", "COND", "COMMAND", "ARG", "ORDER", "MODULE:NAME", "URL", "GROUP", "GROUP/NODE",
+    "GROUP/NODE|all",
 }  # fmt: skip
 
 
