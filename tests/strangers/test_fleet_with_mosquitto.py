@@ -164,7 +164,7 @@ def test_a_wrong_password_and_a_rebirth(tmp_path: Path, starter: Starter) -> Non
         secret.write_text("sesame\n")
         asking = starter(*words, "--json", "--rebirth", "hall 3/north")
         asking.wait_for("asked for births: 1 gateway")
-        assert asking.end(signal.SIGINT) == 0
+        assert asking.end(signal.SIGINT) == 1  # no segment is there
         eventually(
             lambda: "'spBv1.0/hall 3/NCMD/north'" in broker.log.read_text(errors="replace"), "a rebirth is asked for"
         )
