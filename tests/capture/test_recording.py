@@ -1,4 +1,4 @@
-"""What a capture writes besides the octets: interfaces, damage with its cause, gaps, statistics; how finely a source
+"""A capture besides the octets: interfaces, damage with its cause, gaps, statistics; how finely a source
 times them."""
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def npm(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def told(words: list[str | Path], lines: list[str], folder: Path | None = None) -> list[str]:
-    """What a program writes for these lines."""
+    """The output of a program for these lines."""
     run = subprocess.run(
         words, input="\n".join(lines), cwd=folder, text=True, capture_output=True, timeout=60, check=False
     )

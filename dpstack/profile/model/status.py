@@ -23,9 +23,9 @@ class SettingsState(StrEnum):
 class DriveStatus:
     """State and values of a drive, from its last inputs and the master's own last command.
 
-    What the telegram does not carry is None. ``reached``: as the drive says; if it has no bit for it, running within
-    1 % of the reference around the set point. ``bits``: names of the status bits set. ``speed`` and ``frequency_hz``
-    are None while the drive has another scale.
+    Values that the telegram does not carry are None. ``reached``: as the drive says; if it has no bit for it, running
+    within 1 % of the reference around the set point. ``bits``: names of the status bits set. ``speed`` and
+    ``frequency_hz`` are None while the drive has another scale.
     """
 
     #: state of the drive; OFFLINE outside data exchange

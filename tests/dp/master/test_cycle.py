@@ -235,7 +235,7 @@ def real_outputs(bus: CycleBus, address: int) -> bytes:
 
 
 def order(bus: CycleBus, begin: int, cycle_ns: int = 10 * MS) -> list[str]:
-    """What was sent in one cycle: addresses of data, octets of Global_Control."""
+    """All that was sent in one cycle: addresses of data, octets of Global_Control."""
     told = []
     for entry in bus.wire:
         octets = entry.octets

@@ -1,4 +1,4 @@
-"""What a bus process takes of the computer: processors, sleep states, interrupts of a port, over made-up /sys, /proc
+"""A bus process and its computer: processors, sleep states, interrupts of a port, over made-up /sys, /proc
 and /dev; real-time rights where permitted, else a line that says what is missing."""
 
 from __future__ import annotations
