@@ -137,7 +137,8 @@ def test_damage_that_only_parity_shows(result: Result) -> None:
         # cdc_acm counts damage, now and then behind the octets: those that came so are not valid
         assert rows[chip]["slave"]["inputs"] == "00000000" or chip == "cdcacm"
         assert "offline" in rows[chip]["states"]
-        assert "likely noise_on_stub" in rows[chip]["text"]
+        # the cause is looked for at each fault and at the end; one that is healthy again by then has none
+        assert exchanging or "likely noise_on_stub" in rows[chip]["text"]
         assert "likely not_there" not in rows[chip]["text"]
     # nothing shows the damage to dpstack: it says beforehand that this can happen
     assert rows["ch340"]["slave"]["inputs"] == "00010000"
