@@ -1,4 +1,4 @@
-"""The form of the table of real diagnoses (diagnoses/*.toml): whole rows, octets that parse, sources, enough of each kind."""
+"""The form of the table of real diagnoses (diagnoses/*.toml): whole rows, octets that parse, sources, enough of a kind."""
 
 from __future__ import annotations
 
