@@ -1,4 +1,4 @@
-"""The form of the table of real diagnoses (diagnoses/*.toml): whole rows, octets that parse, sources, enough of a kind."""
+"""The form of the table of real diagnoses (diagnoses/*.toml): whole rows, octets that parse, sources, enough kinds."""
 
 from __future__ import annotations
 
@@ -90,3 +90,9 @@ def test_a_row_is_whole(row: Row) -> None:
 
 def test_each_id_occurs_once() -> None:
     assert [name for name, times in Counter(row["id"] for row in ROWS).items() if times > 1] == []
+
+
+def test_the_table_has_enough_rows_of_each_kind() -> None:
+    kinds = Counter(kind for row in ROWS for kind in {row["kind"], *row.get("also", [])})
+    assert {kind: kinds[kind] for kind, least in LEAST.items() if kinds[kind] < least} == {}
+    assert len(ROWS) >= 45
