@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
+from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.diag_texts import DiagTexts
@@ -143,6 +144,11 @@ class SlaveParams:
     def block_texts(self, diagnosis: Diagnosis) -> tuple[str, ...]:
         """The lines for the blocks of its ``diagnosis``, in the words of its GSD file."""
         return block_texts(diagnosis, self.texts, dpv1=self.dpv1 is not None)
+
+    @property
+    def slots(self) -> SlotMap:
+        """Slots, octets and channels, by its identifier octets and its GSD file."""
+        return slot_map(self.config, self.texts)
 
     @property
     def input_len(self) -> int:

@@ -13,6 +13,7 @@ from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.fixed_cycle import CycleData, CycleStats
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.master.slave_reports import AlarmCounts
+from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.decoder import DecoderStats
@@ -34,12 +35,20 @@ class SlaveSnapshot(Struct, frozen=True):
     watchdog_ns: int = 0
     #: counters of its alarms; None for a slave that is not parameterised for DP-V1
     alarms: AlarmCounts | None = None
+    #: the alarms whose slots are not good again
+    standing: tuple[Alarm, ...] = ()
+    #: how many times the diagnosis was another one than before
+    diagnoses: int = 0
+    #: time in ns at which it was read
+    diagnosis_ns: int = 0
 
 
 class ImageSnapshot(NamedTuple):
     """Inputs and outputs of one slave, see :class:`dpstack.dp.process_image.SlaveImage`; they change every round.
 
-    ``exchanges``: successful ones since the start.
+    ``exchanges``: successful ones since the start. ``announced``: an answer with DH has announced a diagnosis that is
+    not read yet. ``diagnoses``: as in :class:`SlaveSnapshot`; it is higher there or here, if one comes later than the
+    other.
     """
 
     inputs: bytes
@@ -47,6 +56,8 @@ class ImageSnapshot(NamedTuple):
     valid: bool
     exchanges: int
     input_time: int
+    announced: bool = False
+    diagnoses: int = 0
 
 
 class BusSnapshot(Struct, frozen=True):

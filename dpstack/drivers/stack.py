@@ -111,8 +111,16 @@ class Stack:
         handler = self.master.handlers.get(address)
         if handler is None:
             return SlaveSnapshot()
+        reports = handler.reports
         return SlaveSnapshot(
-            handler.state, handler.fault, handler.diagnosis, handler.watchdog_effective_ns, handler.alarm_counts
+            handler.state,
+            handler.fault,
+            handler.diagnosis,
+            handler.watchdog_effective_ns,
+            handler.alarm_counts,
+            reports.observer.standing,
+            reports.diagnoses,
+            reports.diagnosis_ns,
         )
 
     def bring_ups(self, address: int) -> History:
@@ -166,5 +174,13 @@ class Stack:
 
 def image_snapshot(handler: SlaveHandler) -> ImageSnapshot:
     """Inputs and outputs of one slave."""
-    image = handler.image
-    return ImageSnapshot(image.inputs, image.outputs, image.valid, handler.exchanges, image.input_time)
+    image, reports = handler.image, handler.reports
+    return ImageSnapshot(
+        image.inputs,
+        image.outputs,
+        image.valid,
+        handler.exchanges,
+        image.input_time,
+        reports.flagged > 0,
+        reports.diagnoses,
+    )

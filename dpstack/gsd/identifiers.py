@@ -42,6 +42,10 @@ class Identifier:
     output_consistent: bool
     #: manufacturer octets of the special format
     manufacturer: bytes = b""
+    #: the inputs count words, not octets
+    input_words: bool = False
+    #: the outputs count words, not octets
+    output_words: bool = False
 
     @property
     def empty(self) -> bool:
@@ -104,7 +108,7 @@ def config_for(inputs: int, outputs: int) -> bytes:
 def _identifier(config: bytes, start: int) -> Identifier:
     head, at = config[start], start + 1
     manufacturer = 0
-    inputs = outputs = (0, False)
+    inputs = outputs = (0, False, False)
     if head & _GENERAL:
         length = _length(head & ~_GENERAL)
         inputs = length if head & 0x10 else inputs
@@ -127,9 +131,12 @@ def _identifier(config: bytes, start: int) -> Identifier:
             f"{len(config) - at} are left"
         )
     end = at + manufacturer
-    return Identifier(config[start:end], inputs[0], outputs[0], inputs[1], outputs[1], config[at:end])
+    return Identifier(
+        config[start:end], inputs[0], outputs[0], inputs[1], outputs[1], config[at:end], inputs[2], outputs[2]
+    )
 
 
-def _length(octet: int) -> tuple[int, bool]:
-    """(number of data octets, consistent over the whole) of a length octet."""
-    return ((octet & 0x3F) + 1) << (octet >> 6 & 1), bool(octet & 0x80)
+def _length(octet: int) -> tuple[int, bool, bool]:
+    """(number of data octets, consistent over the whole, counted in words) of a length octet."""
+    words = octet >> 6 & 1
+    return ((octet & 0x3F) + 1) << words, bool(octet & 0x80), bool(words)

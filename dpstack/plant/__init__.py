@@ -12,6 +12,10 @@ the stream, docs/explanation/bridge.md the tree.
 - ``quality``: Values with quality, reason and source time; values of the stream by type
 - ``sender``: The live stream to a reader in another program, as fast as that one reads
 - ``state``: The plant as the items so far describe it
+- ``status_octet``: The status octet beside a value: quality and words of PROFIBUS PA, in the classic and the condensed
+  coding
 - ``tree``: The tree: items in; changed values, births, deaths and conditions out
+- ``value_quality``: The quality of the values of a slave: the reason why none of them is good, and the worse ones of
+  single values
 - ``verdicts``: Verdicts on a running bus and its slaves, by the counters of the run
 """

@@ -239,8 +239,34 @@ class DriveValues(Struct, frozen=True, kw_only=True):
     level: str | None = None
 
 
+class QualityValues(Struct, frozen=True):
+    """The quality of a value that is not good. ``quality``: uncertain, stale or bad; ``reason``: the name of a
+    :class:`dpstack.plant.quality.Reason`; ``since``: s after the start, None: not known."""
+
+    quality: str
+    reason: str
+    text: str
+    since: Number | None = None
+
+
+class DoubtValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A place that the slave's diagnosis throws doubt on. ``direction``: input or output; None: both."""
+
+    slot: int | None = None
+    channel: int | None = None
+    direction: str | None = None
+    quality: str
+    reason: str
+    text: str
+    since: Number | None = None
+
+
 class SlaveValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """State and values of a slave. ``inputs``, ``outputs``, ``held``: octets in hex; see docs/reference/live.md."""
+    """State and values of a slave. ``inputs``, ``outputs``, ``held``: octets in hex; see docs/reference/live.md.
+
+    ``quality``: that of all its values and of its drive, None while it is good; ``qualities``: those of named values
+    that are worse.
+    """
 
     state: str | None = None
     inputs: str | None = None
@@ -251,6 +277,9 @@ class SlaveValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     inputs_limit_ms: Number | None = None
     fields: dict[str, Any] | None = None
     held_fields: dict[str, Any] | None = None
+    quality: QualityValues | None = None
+    qualities: dict[str, QualityValues] | None = None
+    doubts: list[DoubtValues] | None = None
     fault: FaultValues | None = None
     diagnosis: DiagnosisValues | None = None
     conspicuous: str | None = None

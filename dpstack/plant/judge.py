@@ -13,10 +13,13 @@ from typing import Final
 from msgspec import structs
 
 from dpstack.plant.items import DriveValues, Remark, SlaveValues
+from dpstack.plant.quality import Quality
 from dpstack.trace import Severity
 
 #: keys of a slave that :func:`judged` looks at
-JUDGED: Final = frozenset({"state", "inputs_valid", "fault", "conspicuous", "drive", "injected", "master"})
+JUDGED: Final = frozenset(
+    {"state", "inputs_valid", "quality", "qualities", "doubts", "fault", "conspicuous", "drive", "injected", "master"}
+)
 
 
 class Level(Enum):
@@ -53,6 +56,10 @@ _DRIVE_STATES: Final = {
     "offline": Level.OFF,
     "unknown": Level.OFF,
 }
+#: qualities as :class:`dpstack.plant.quality.Quality` has them
+_GOOD, _UNCERTAIN, _BAD = Quality.GOOD.value, Quality.UNCERTAIN.value, Quality.BAD.value
+#: doubts in a remark: the first ones say where to look
+_MOST_DOUBTS: Final = 3
 #: of a slave in data exchange whose inputs are too old
 _NOT_VALID: Final = "not valid"
 
@@ -98,8 +105,17 @@ def _remark(values: SlaveValues) -> Remark | None:
         return _said(Severity.ERROR, "", [fault.text or fault.kind or "fault"])
     if drive.faults:
         return _said(Severity.ERROR, "drive fault: ", drive.faults)
+    doubts = [one for one in values.doubts or () if one.quality != _GOOD]
+    if doubts:
+        is_bad = any(one.quality == _BAD for one in doubts)
+        return _said(Severity.ERROR if is_bad else Severity.WARNING, "", [one.text for one in doubts[:_MOST_DOUBTS]])
     if values.conspicuous:
         return _said(Severity.WARNING, "", [values.conspicuous])
+    own = [(name, one) for name, one in (values.qualities or {}).items() if one.quality in (_BAD, _UNCERTAIN)]
+    if own:
+        is_bad = any(one.quality == _BAD for _, one in own)
+        words = [f"{name}: {one.text}" for name, one in own[:_MOST_DOUBTS]]
+        return _said(Severity.ERROR if is_bad else Severity.WARNING, "", words)
     if drive.warnings:
         return _said(Severity.WARNING, "drive warning: ", drive.warnings)
     if values.injected:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from enum import Enum, IntEnum, unique
+from enum import Enum, StrEnum, unique
 from typing import Final, NamedTuple
 
 from dpstack.text import printable, shortened
@@ -30,17 +30,30 @@ LIMITS: Final[dict[str, tuple[int, int]]] = {
 TYPES: Final = frozenset({BOOL, TEXT, BYTES, "f32", FLOAT, *LIMITS})
 
 
-class Quality(IntEnum):
-    """Quality of a value, with the numbers of Sparkplug B 3.0 (6.4.7, property ``Quality``)."""
+@unique
+class Quality(StrEnum):
+    """Quality of a value."""
 
-    BAD = 0
-    GOOD = 192
-    STALE = 500
+    GOOD = "good"
+    #: it is of this moment, and something is known that may make it wrong
+    UNCERTAIN = "uncertain"
+    #: it was good once, and is old
+    STALE = "stale"
+    #: it is wrong, or no value exists
+    BAD = "bad"
+
+    @property
+    def sparkplug(self) -> int:
+        """The number of Sparkplug B 3.0 (6.4.7, property ``Quality``), which has one for old and doubtful values."""
+        return {Quality.GOOD: 192, Quality.BAD: 0}.get(self, 500)
 
 
 @unique
 class Reason(Enum):
-    """Reason of a quality: text for people, quality, status code of OPC UA (Part 4, 7.39; Part 8, 6.3.2)."""
+    """Reason of a quality: text for people, quality, status code of OPC UA (Part 4, 7.39; Part 8, 6.3.2).
+
+    The names from ANNOUNCED on are those of :class:`dpstack.dp.doubts.DoubtKind`; words come with the note.
+    """
 
     GOOD = "", Quality.GOOD, 0x0000_0000
     #: no value yet, or none since the bus began (BadWaitingForInitialData)
@@ -64,23 +77,71 @@ class Reason(Enum):
     ENDED = "the bus has ended", Quality.STALE, 0x408F_0000
     #: for instance its process was killed
     FAILED = "a fault has ended the bus", Quality.STALE, 0x408F_0000
+    # --- by the diagnosis of the slave
+    #: Uncertain
+    ANNOUNCED = "diagnosis announced", Quality.UNCERTAIN, 0x4000_0000
+    #: BadSensorFailure
+    CHANNEL_FAULT = "channel fault", Quality.BAD, 0x808C_0000
+    #: UncertainEngineeringUnitsExceeded
+    CHANNEL_LIMIT = "limit exceeded", Quality.UNCERTAIN, 0x4094_0000
+    #: UncertainSubNormal
+    SLOT_FAULT = "diagnosis of the slot", Quality.UNCERTAIN, 0x4095_0000
+    #: BadDeviceFailure
+    SLOT_INVALID = "data of the slot invalid", Quality.BAD, 0x808B_0000
+    #: BadConfigurationError
+    SLOT_WRONG = "wrong module", Quality.BAD, 0x8089_0000
+    #: BadNotConnected
+    SLOT_MISSING = "no module", Quality.BAD, 0x808A_0000
+    #: Uncertain
+    SLAVE_FAULT = "diagnosis of the slave", Quality.UNCERTAIN, 0x4000_0000
+    UNLISTED = "more diagnosis than fits", Quality.UNCERTAIN, 0x4000_0000
+    #: BadOutOfService
+    NO_VALID_DATA = "the slave has no valid data", Quality.BAD, 0x808D_0000
+    # --- by the value itself (Bad), and by a status octet beside it
+    NOT_A_NUMBER = "not a number (NaN or infinite)", Quality.BAD, 0x8000_0000
+    STATUS_BAD = "bad", Quality.BAD, 0x8000_0000
+    STATUS_CONFIGURATION = "configuration error", Quality.BAD, 0x8089_0000
+    STATUS_NOT_CONNECTED = "not connected", Quality.BAD, 0x808A_0000
+    STATUS_DEVICE_FAILURE = "device failure", Quality.BAD, 0x808B_0000
+    STATUS_SENSOR_FAILURE = "sensor failure", Quality.BAD, 0x808C_0000
+    STATUS_NO_COMMUNICATION = "no communication", Quality.BAD, 0x8031_0000
+    STATUS_OUT_OF_SERVICE = "out of service", Quality.BAD, 0x808D_0000
+    STATUS_UNCERTAIN = "uncertain", Quality.UNCERTAIN, 0x4000_0000
+    STATUS_LAST_USABLE = "last usable value", Quality.UNCERTAIN, 0x4090_0000
+    STATUS_SUBSTITUTE = "substitute value", Quality.UNCERTAIN, 0x4091_0000
+    STATUS_INITIAL = "initial value", Quality.UNCERTAIN, 0x4092_0000
+    STATUS_NOT_ACCURATE = "sensor conversion not accurate", Quality.UNCERTAIN, 0x4093_0000
+    STATUS_RANGE = "range of the unit exceeded", Quality.UNCERTAIN, 0x4094_0000
+    STATUS_SUBNORMAL = "subnormal", Quality.UNCERTAIN, 0x4095_0000
+    #: good with something to report
+    STATUS_GOOD = "good", Quality.GOOD, 0x0000_0000
 
     def __init__(self, text: str, quality: Quality, status: int) -> None:
         self.text = text
         self.quality = quality
         self.opcua_status = status
 
+    @property
+    def is_by_slave(self) -> bool:
+        """Whether the slave itself throws doubt on the value, in words of its own: the number is still the one that it
+        sends."""
+        return self in _BY_SLAVE
+
     def with_note(self, note: str) -> str:
-        """The reason and further facts in one line."""
-        return f"{self.text}: {note}" if note else self.text
+        """The reason and further facts in one line. The note of a diagnosis has words of its own."""
+        if self.is_by_slave or not note:
+            return note or self.text
+        return f"{self.text}: {note}"
 
 
+_BY_SLAVE: Final = frozenset(list(Reason)[list(Reason).index(Reason.ANNOUNCED) :])
 #: BadNoCommunication: there is not even an old value
 _NO_COMMUNICATION: Final = 0x8031_0000
 
 
 class Reading(NamedTuple):
-    """Value of a node. ``value``: the last good one while the quality is stale; None exactly while it is bad.
+    """Value of a node. ``value``: the last good one while the quality is stale; of a bad one the number that the slave
+    sends, or None without any. Readers that see no quality beside it get :attr:`plain`.
 
     ``time``: source time of ``value`` in s since 1970 by the clock of the stream; 0 before the first. ``note``: further
     facts about the reason, printable.
@@ -94,6 +155,11 @@ class Reading(NamedTuple):
     @property
     def quality(self) -> Quality:
         return Quality.BAD if self.value is None else self.reason.quality
+
+    @property
+    def plain(self) -> Value:
+        """The value for a reader who sees no quality beside it: None while it is bad."""
+        return None if self.quality is Quality.BAD else self.value
 
     @property
     def opcua_status(self) -> int:

@@ -6,7 +6,8 @@ A value is good while all of this holds; else the tree says which part does not:
 - for process data and drives: the slave is in data exchange, its inputs are valid by the rule of the master
   (:func:`dpstack.dp.process_image.inputs_are_valid`), and no older than their limit: the watchdog of the slave, 1 s
   without one, two poll intervals at least
-- the value has the type of its node
+- the value has the type of its node, and the snapshot says of no diagnosis that is about it
+  (:mod:`dpstack.plant.value_quality`)
 
 The caller gives the time in s by a clock that nobody sets (that of the event loop). :meth:`PlantTree.tick` finds out
 that nothing comes any more, so it must be called at least once in ``silent_s``.
@@ -34,7 +35,8 @@ from dpstack.plant.items import (
 )
 from dpstack.plant.judge import exchanging
 from dpstack.plant.nodes import MOST_NODES, Described, Kind, Node, OfferedOrder, Source, bus_of, slave_of
-from dpstack.plant.quality import FLOAT, TEXT, Reading, Reason, Value, clean, is_news, value_of
+from dpstack.plant.quality import FLOAT, TEXT, Quality, Reading, Reason, Value, clean, is_news, value_of
+from dpstack.plant.value_quality import GOOD, Judged, read_back, trouble_of, worse
 from dpstack.text import printable, shortened
 from dpstack.trace import Severity
 
@@ -465,17 +467,11 @@ class PlantTree:
             return Reason.WAITING, ""
         values = branch.slave_values
         waited = max(now - branch.heard, 0.0 if branch.awaited is None else now - branch.awaited)
-        if not exchanging(values):
-            return Reason.NOT_EXCHANGING, clean(values.state if values.fault is None else values.fault.text)
-        if waited > self._silent_s:
+        replay = self._plant is not None and self._plant.is_replay  # a recording of named values has no ages
+        trouble = trouble_of(values, self._limit_ms(branch), has_ages=not replay)
+        if waited > self._silent_s and (trouble is None or trouble[0] is not Reason.NOT_EXCHANGING):
             return Reason.NOT_SENT, ""  # the counters of a slave in data exchange never stand still
-        if values.inputs_valid is not True:
-            return Reason.NOT_VALID, ""
-        age, limit = values.inputs_age_ms, self._limit_ms(branch)
-        if age is None:
-            # a recording of named values has no ages
-            return None if self._plant is not None and self._plant.is_replay else (Reason.NOT_VALID, "")
-        return None if age <= limit else (Reason.TOO_OLD, f"limit {limit:.0f} ms")
+        return trouble
 
     def _limit_ms(self, branch: _Branch) -> float:
         values = branch.slave_values
@@ -536,7 +532,12 @@ class PlantTree:
         if given is None and node.source in (Source.MASTER, Source.DRIVE):
             return Reading(None, Reason.NOT_THERE, time)
         value = value_of(given, node.type)
-        return Reading(value, Reason.NO_VALUE if value is None else Reason.GOOD, time)
+        judged = GOOD if by_master else _judged(branch.slave_values, node)
+        if judged.quality is Quality.STALE:
+            return before._replace(reason=judged.reason, note=judged.note)
+        if value is None and judged.quality is not Quality.BAD:
+            return Reading(None, Reason.NO_VALUE, time)
+        return Reading(value, judged.reason, time, judged.note)
 
     def _time(self, t: float) -> float:
         return min(max(0.0, self._started + t), _LATEST)
@@ -661,6 +662,14 @@ class PlantTree:
             return []
         self._told.add(text)
         return [Remark(text)]
+
+
+def _judged(values: SlaveValues, node: Node) -> Judged:
+    """The quality that the snapshot gives to process data and drive."""
+    found = read_back(values.quality) or GOOD
+    if node.kind is Kind.VALUE and values.qualities:
+        found = worse(read_back(values.qualities.get(node.keys[-1])) or GOOD, found)
+    return found
 
 
 def _look_up(branch: _Branch, node: Node) -> tuple[object, bool]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from decimal import Decimal
 
 import pytest
@@ -36,6 +37,18 @@ OCTETS = bytes.fromhex("80 01 FF FE 7F FF FF FF 3F C0 00 00 00 00 00 05")
         ("i64le@8", 0x0500_0000_0000_C03F),
         ("f64@8", 0.12500000000000014),
         ("bytes@14:2", b"\x00\x05"),
+        ("u32ws@4", 0xFFFF7FFF),
+        ("i32ws@8", 0x3FC0),
+        ("f32ws@6", struct.unpack(">f", bytes.fromhex("3FC0FFFF"))[0]),
+        ("u31@4", 0x7FFFFFFF),
+        ("u31@8", 0x3FC00000),
+        ("u4@0.4", 8),
+        ("u4@0", 0),
+        ("i4@0.4", -8),
+        ("i12@2", -2),
+        ("u12@0.4", 0x800),
+        ("u24@1", 0x01FFFE),
+        ("u12le@0", 0x180),
         (" I16 @ 2 ", -2),
     ],
 )
@@ -162,7 +175,13 @@ def test_overlaps() -> None:
         return {f"f{n}": Field.parse(f"f{n}", text) for n, text in enumerate(texts)}
 
     assert overlap(fields("bool@0.0", "bool@0.1", "u8@1", "i16@2", "bytes@4:2")) is None
-    for texts in (("bool@0.3", "bool@0.3"), ("u8@0", "bool@0.7"), ("i32@0", "i16@3"), ("bytes@0:4", "u8@3")):
+    for texts in (
+        ("bool@0.3", "bool@0.3"),
+        ("u8@0", "u8@0"),
+        ("i32@0", "i16@3"),
+        ("bytes@0:4", "u8@3"),
+        ("u16@0", "u12@1"),
+    ):
         shared = overlap(fields("u8@9", *texts))
         assert shared is not None
         assert (shared[0].name, shared[1].name) == ("f2", "f1")

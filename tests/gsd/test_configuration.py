@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import pytest
@@ -173,7 +174,7 @@ def test_lengths_consistency_and_manufacturer_octets(
 ) -> None:
     (identifier,) = parse_identifiers(bytes.fromhex(octets))
     whole = Identifier(bytes.fromhex(octets), inputs[0], outputs[0], inputs[1], outputs[1], bytes.fromhex(manufacturer))
-    assert identifier == whole
+    assert dataclasses.replace(identifier, input_words=False, output_words=False) == whole
     assert not identifier.empty
 
 

@@ -245,7 +245,7 @@ class Rig:
                 if node.path[0] == "Statistics":
                     continue  # they are given out every 10 s
                 known = host.metric("/".join(node.path), device)
-                assert known.quality == int(reading.quality), (node, reading, known)
+                assert known.quality == reading.quality.sparkplug, (node, reading, known)
                 if isinstance(reading.value, float):
                     assert abs(known.value - reading.value) <= node.dead_band
                 else:

@@ -10,20 +10,24 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from msgspec import structs
 
+from dpstack.api.slave.quality import seconds
 from dpstack.api.slave.slave import sent_outputs
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.process_data import as_json
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
+from dpstack.dp.slot_map import Direction
 from dpstack.plant.items import (
     DiagnosisValues,
     DriveNotice,
     DriveValues,
     FaultValues,
+    QualityValues,
     SlaveValues,
     all_of,
     changes_of,
 )
 from dpstack.plant.judge import JUDGED, drive_level, judged
+from dpstack.plant.value_quality import GOOD, Judged, trouble_of
 from dpstack.units import NS_PER_MS, ns_to_s
 
 if TYPE_CHECKING:
@@ -52,10 +56,12 @@ class SlavePicture:
         self._is_new = True
         self._seen: object = None
         self._octets: object = None
+        self._judged: object = None
 
     def end(self) -> dict[str, Any]:
         """The bus has ended: nothing is alive. Returns the keys that change."""
-        return self._put(structs.replace(self.values, state=SlaveState.OFFLINE.value, inputs_valid=False))
+        values = structs.replace(self.values, state=SlaveState.OFFLINE.value, inputs_valid=False)
+        return self._put(self._with_quality(values, (b"", b"")))
 
     def take(self, now: BusSnapshot) -> dict[str, Any]:
         """Take the values of this moment. Returns the keys that change, as plain data; the first time all.
@@ -74,26 +80,31 @@ class SlavePicture:
             self._octets = octets
             sent = b"" if view.read_only else sent_outputs(setup, image.outputs, now.mode, exchanging=ready)
             values = _with_octets(values, slave.config, image.inputs, image.outputs, sent)
+        doubted = slave.process_quality.standing
         age_ns = max(0, runtime.now() - image.input_time) if image.input_time else None
         limit_ns = inputs_limit_ns(snapshot.watchdog_ns, bus.poll_interval_ns(setup))
         link, drive = view.link.station(slave.address), bus.find_drive(slave.address)
-        return self._put(
-            structs.replace(
-                values,
-                inputs_valid=inputs_are_valid(exchanging=image.valid and ready, age_ns=age_ns, limit_ns=limit_ns),
-                inputs_age_ms=None if age_ns is None else round(ns_to_s(age_ns) * 1000, 1),
-                inputs_limit_ms=round(limit_ns / NS_PER_MS, 1),
-                drive=None if drive is None else _drive_values(bus, drive),
-                exchanges=image.exchanges,
-                retries=link.retries,
-                timeouts=link.timeouts,
-                telegrams=link.telegrams,
-                late=link.late,
-                wrong=link.wrong,
-                bad=dict(link.bad),
-                injected=[] if bus.bench is None else bus.bench.injected(slave.address),
-            )
+        values = structs.replace(
+            values,
+            inputs_valid=inputs_are_valid(exchanging=image.valid and ready, age_ns=age_ns, limit_ns=limit_ns),
+            inputs_age_ms=None if age_ns is None else round(ns_to_s(age_ns) * 1000, 1),
+            inputs_limit_ms=round(limit_ns / NS_PER_MS, 1),
+            drive=None if drive is None else _drive_values(bus, drive),
+            exchanges=image.exchanges,
+            retries=link.retries,
+            timeouts=link.timeouts,
+            telegrams=link.telegrams,
+            late=link.late,
+            wrong=link.wrong,
+            bad=dict(link.bad),
+            injected=[] if bus.bench is None else bus.bench.injected(slave.address),
         )
+        trouble = trouble_of(values, values.inputs_limit_ms or 0)
+        judged = octets, doubted, trouble, slave.config
+        if judged != self._judged:
+            self._judged = judged
+            values = self._with_quality(values, octets)
+        return self._put(values)
 
     def _put(self, values: SlaveValues) -> dict[str, Any]:
         before, self.values = self.values, values
@@ -106,6 +117,35 @@ class SlavePicture:
             self.values = judged(values)
             changes |= changes_of(values, self.values)
         return changes
+
+    def _with_quality(self, values: SlaveValues, octets: tuple[bytes, bytes]) -> SlaveValues:
+        """The qualities that are not good; one that lasts keeps its time."""
+        slave, started = self._slave, self._bus.started_ns
+        judge, config = slave.process_quality, slave.config
+
+        def shown(judged: Judged, before: QualityValues | None) -> QualityValues:
+            now = judged._replace(since=seconds(judged.since, started)).values
+            return now if before is None or (before.reason, before.text) != (now.reason, now.text) else before
+
+        of_all = judge.of_all(values, values.inputs_limit_ms or 0)
+        is_good = of_all is GOOD and not judge.standing
+        before = values.qualities or {}
+        qualities = {}
+        sides = ((Direction.INPUT, config.input_fields), (Direction.OUTPUT, config.output_fields))
+        for (direction, fields), image in zip(sides, octets, strict=True):
+            for name, field in fields.fields.items():
+                if is_good and not field.speaks_for_itself:
+                    continue
+                own = judge.of_field(field, direction, image, of_all)
+                if own is not of_all and own is not GOOD:
+                    qualities[name] = shown(own, before.get(name))
+        doubts = [structs.replace(one, since=seconds(one.since, started)) for one in judge.doubts()]
+        return structs.replace(
+            values,
+            quality=None if of_all is GOOD else shown(of_all, values.quality),
+            qualities=qualities or None,
+            doubts=doubts or None,
+        )
 
     def _with_state(self, values: SlaveValues, snapshot: SlaveSnapshot, found: Found | None) -> SlaveValues:
         slave = self._slave

@@ -27,8 +27,9 @@ from dpstack.api.config.slave_source import (
     remarks,
 )
 from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
-from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale
+from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale, with_status
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
+from dpstack.dp.slot_map import SlotMap
 from dpstack.errors import ConfigError, UsageError
 from dpstack.gsd.dpv1_keywords import NO_GSD, DpV1
 from dpstack.gsd.identifiers import io_lengths
@@ -47,14 +48,15 @@ _MOST: Final = 1e9
 _UNIT_LENGTH: Final = 20
 
 
-def read_fields(table: Table, input_len: int, output_len: int) -> tuple[FieldMap, FieldMap]:
-    """The fields of a slave with so many octets of inputs and outputs. Raises ConfigError.
+def read_fields(table: Table, params: SlaveParams) -> tuple[FieldMap, FieldMap]:
+    """The fields of a slave with ``params``. Raises ConfigError.
 
-    Fields of inputs may overlap: a program may read the same octets in several ways. Fields of outputs may not: a
-    program that writes one field must not change another. A name stands for one field of a slave.
+    Fields of inputs may overlap: a program may read the same octets in several ways. Fields of outputs may only if one
+    is a word and the other one some of its bits: a program that writes one field must not change another by chance. A
+    name stands for one field of a slave.
     """
-    inputs = _fields(table, "inputs", input_len)
-    outputs = _fields(table, "outputs", output_len)
+    inputs = _fields(table, "inputs", params)
+    outputs = _fields(table, "outputs", params)
     both = next((name for name in outputs if name in inputs), None)
     if both is not None:
         table.fail("outputs", f"{both!r} is an input and an output", "give one of them another name")
@@ -64,9 +66,9 @@ def read_fields(table: Table, input_len: int, output_len: int) -> tuple[FieldMap
         table.fail(
             "outputs",
             f"{later.name} ({later.spec}) and {first.name} ({first.spec}) share bits",
-            "move one of them, or name the bits that are left",
+            "move one of them; only a word and some of its bits may share them",
         )
-    return FieldMap(inputs, input_len), FieldMap(outputs, output_len)
+    return FieldMap(inputs, params.input_len), FieldMap(outputs, params.output_len)
 
 
 class FieldKeys(TypedDict, total=False):
@@ -78,6 +80,8 @@ class FieldKeys(TypedDict, total=False):
     unit: the unit of the value, for people, up to 20 characters. Left out: none
     dead_band: a [recording on change](record.md#on-change) leaves out changes up to this. Left out: 0, every change
         counts
+    status: the status octet of the value, for instance `"u8@4"`; only beside `quality`. Left out: none
+    quality: the coding of that octet: `"pa-classic"` or `"pa-condensed"`, see [quality.md](quality.md). Left out: none
     """
 
     at: str
@@ -85,23 +89,26 @@ class FieldKeys(TypedDict, total=False):
     offset: Annotated[float, Key(-_MOST, _MOST)]
     unit: str
     dead_band: Annotated[float, Key(0, _MOST)]
+    status: str
+    quality: Literal["pa-classic", "pa-condensed"]
 
 
-def _fields(table: Table, key: str, length: int) -> dict[str, Field]:
+def _fields(table: Table, key: str, params: SlaveParams) -> dict[str, Field]:
     found: dict[str, Field] = {}
     if table.raw(key) is not None:
-        inside = table.table(key)
+        inside, slots = table.table(key), params.slots
+        length = params.input_len if key == "inputs" else params.output_len
         for name in inside:
             if isinstance(inside.raw(name), Mapping):
-                found[name] = _scaled_field(inside, name, length, key)
+                found[name] = _scaled_field(inside, name, length, key, slots)
                 continue
             text = inside.text(name)
             with inside.blaming(name):
-                found[name] = field_of(name, text, length, key)
+                found[name] = field_of(name, text, length, key, slots)
     return found
 
 
-def _scaled_field(table: Table, name: str, length: int, what: str) -> Field:
+def _scaled_field(table: Table, name: str, length: int, what: str, slots: SlotMap) -> Field:
     keys = table.table(name)
     given = keys.read(keys_of(FieldKeys))
     if "at" not in given:
@@ -114,9 +121,26 @@ def _scaled_field(table: Table, name: str, length: int, what: str) -> Field:
         )
     keys.title = table.title  # messages about a field begin with its name
     with keys.blaming("at"):
-        found = field_of(name, given.pop("at"), length, what)
+        found = field_of(name, given.pop("at"), length, what, slots)
+    found = _with_status(keys, found, given, length, what, slots)
     with keys.blaming(next(iter(given), None)):
         return with_scale(found, given)
+
+
+def _with_status(keys: Table, found: Field, given: dict[str, Any], length: int, what: str, slots: SlotMap) -> Field:
+    """``found`` with the keys ``status`` and ``quality``, which are taken out of ``given``."""
+    place, coding = given.pop("status", None), given.pop("quality", None)
+    if place is None and coding is None:
+        return found
+    if place is None or coding is None:
+        missing = (
+            'status, for instance status = "u8@4"' if place is None else 'quality = "pa-classic" or "pa-condensed"'
+        )
+        keys.fail("status" if coding is None else "quality", "status and quality go together", f"add {missing}")
+    if what == "outputs":
+        keys.fail("status", "an output has no status of the slave", "leave status and quality out")
+    with keys.blaming("status"):
+        return with_status(found, field_of(found.name, place, length, what, slots), coding)
 
 
 #: commands take a name or an address: a name that is a number could mean another slave
@@ -314,7 +338,7 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     changes = _changes(slave, table, given)
     with table.blaming():
         params = dataclasses.replace(known, **changes)
-    inputs, outputs = read_fields(table, params.input_len, params.output_len)
+    inputs, outputs = read_fields(table, params)
     simulate = read_simulate(table, drive=slave.profile is not None)
     slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs, simulate=simulate)
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, given) if note)
@@ -393,8 +417,8 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
     if reason is not None:
         raise ConfigError(f"{where}: {reason}")
     try:
-        inputs = slave.input_fields.fitted(params.input_len, "inputs")
-        outputs = slave.output_fields.fitted(params.output_len, "outputs")
+        inputs = slave.input_fields.fitted(params.input_len, "inputs", params.slots)
+        outputs = slave.output_fields.fitted(params.output_len, "outputs", params.slots)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}; a named field would be lost") from None
     return dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs)

@@ -4,6 +4,8 @@
 - ``class2``: ``bus.class2``: the services of a class 2 master, and its connections (MS2) to slaves
 - ``drive``: ``Drive``: orders, status and parameters of a drive
 - ``host``: Protocol of the bus that slaves, drives and class 2 services use
+- ``quality``: The quality of the process data of a slave at a moment: what its diagnosis, its inputs and their age say
+  together
 - ``record_parameters``: PROFIdrive parameter access (record 47) for asyncio programs
 - ``records``: Read, Write, I&M and PROFIdrive parameters of DP-V1 at one slave, over MS1 or MS2
 - ``service_errors``: Exceptions of failed acyclic services

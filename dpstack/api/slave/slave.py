@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping
-from typing import TypeVar, Unpack
+from typing import TypeVar, Unpack, overload
 
 from dpstack import argcheck
 from dpstack.api.config.slave import Changes, SlaveConfig, changed
 from dpstack.api.slave.alarms import AlarmStream
 from dpstack.api.slave.host import Host
+from dpstack.api.slave.quality import QualifiedValue, SlaveQuality, qualified
 from dpstack.api.slave.records import RecordAccess, RecordWay
 from dpstack.api.slave.typed import Inputs, Outputs, typed
 from dpstack.api.streams import Reader
@@ -22,13 +23,15 @@ from dpstack.dp.pdu.alarm_blocks import Status
 from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.process_data import Field, NamedValues, Value
+from dpstack.dp.process_data import Field, ReadValues, Value
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dp.slot_map import Direction
 from dpstack.dpv1.master.ms1 import need_dpv1
 from dpstack.drivers.futures import run_through_cancellation
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
 from dpstack.errors import DpError, SlaveFault, SlaveTimeout, UsageError
+from dpstack.plant.quality import Quality
 from dpstack.text import did_you_mean, nearest, octets_text
 from dpstack.units import ns_to_s
 
@@ -59,6 +62,7 @@ class Slave(Sealed, RecordAccess):
         self._setup = setup
         self._has_plugin = has_plugin
         self.config = config
+        self._quality = SlaveQuality(self)
         self._seal(Slave)
 
     def _sealed_name(self) -> str:
@@ -105,7 +109,13 @@ class Slave(Sealed, RecordAccess):
         return self._bus.view.slave(self.address)
 
     @property
-    def _image(self) -> ImageSnapshot:
+    def process_quality(self) -> SlaveQuality:
+        """The judge of the quality of its process data."""
+        return self._quality
+
+    @property
+    def image(self) -> ImageSnapshot:
+        """Inputs and outputs of one exchange, as its master has them."""
         return self._bus.view.image(self._setup)
 
     @property
@@ -197,12 +207,12 @@ class Slave(Sealed, RecordAccess):
     @property
     def inputs(self) -> bytes:
         """The last valid inputs, zeros before the first exchange; see :attr:`inputs_valid` and :attr:`inputs_age`."""
-        return self._image.inputs
+        return self.image.inputs
 
     @property
     def inputs_valid(self) -> bool:
         """True while the inputs are those of a slave in data exchange, and no older than :attr:`inputs_limit`."""
-        exchanging = self._image.valid and self.ready_now
+        exchanging = self.image.valid and self.ready_now
         return inputs_are_valid(exchanging=exchanging, age_ns=self._inputs_age_ns, limit_ns=self.inputs_limit_ns)
 
     @property
@@ -224,7 +234,7 @@ class Slave(Sealed, RecordAccess):
 
     @property
     def _inputs_age_ns(self) -> int | None:
-        at = self._image.input_time
+        at = self.image.input_time
         return max(0, self._bus.runtime.now() - at) if at else None
 
     @property
@@ -246,7 +256,7 @@ class Slave(Sealed, RecordAccess):
     @property
     def outputs_held(self) -> bytes:
         """The octets of :attr:`outputs`, also before the bus is open and after its end."""
-        return self._image.outputs
+        return self.image.outputs
 
     @property
     def outputs_sent(self) -> bytes:
@@ -330,17 +340,37 @@ class Slave(Sealed, RecordAccess):
         """
         self.outputs = put_values(self, self.outputs, values)
 
-    def value(self, name: str, kind: type[T]) -> T:
-        """A named input or output as ``kind``: bool, int, float (also of a whole number), bytes.
+    @overload
+    def value(self, name: str) -> QualifiedValue: ...
+    @overload
+    def value(self, name: str, kind: type[T]) -> T: ...
+    def value(self, name: str, kind: type[T] | None = None) -> QualifiedValue | T:
+        """A named input or output with its quality: ``slave.value("level").quality``.
 
-        Raises UsageError if the field has another type, and as ``slave[name]`` does.
+        With ``kind`` the value alone, whatever its quality, as bool, int, float (also of a whole number), bytes. Raises
+        UsageError if the field has another type, and as ``slave[name]`` does.
         """
         value = self[name]
+        if kind is None:
+            return self._qualified(name)
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if type(value) is not kind:
             raise UsageError(f"{self.who}: {name} is {type(value).__name__}, not {kind.__name__}")
         return value
+
+    def quality(self, name: str) -> Quality:
+        """The quality of a named input or output: good, uncertain, stale or bad; :meth:`value` has the reason.
+
+        Raises UsageError as ``slave[name]`` does.
+        """
+        return self.value(name).quality
+
+    def _qualified(self, name: str) -> QualifiedValue:
+        field = self.config.input_fields.fields.get(name)
+        if field is not None:
+            return qualified(self, field, Direction.INPUT)
+        return qualified(self, self.config.output_fields.fields[name], Direction.OUTPUT)
 
     def inputs_as(self, kind: type[In]) -> In:
         """The last valid inputs as an object of ``kind``, a class of :class:`dpstack.Inputs`; all of one exchange.
@@ -369,14 +399,23 @@ class Slave(Sealed, RecordAccess):
         """Wait until ``condition(inputs)`` is true: ``await slave.until(lambda v: v["limit"])``. It gets the named
         inputs of each round while they are valid.
 
-        ``timeout`` in seconds. Raises what ``condition`` raises, SlaveTimeout with the reason, and the reason of the
-        end when the bus ends meanwhile.
+        ``timeout`` in seconds. Raises what ``condition`` raises, SlaveFault if an input that it looks at is bad by the
+        slave's own diagnosis (line break ...), SlaveTimeout with the reason, and the reason of the end when the bus
+        ends meanwhile. An uncertain input counts.
         """
 
         plain_function("condition", condition, 'until(lambda v: v["limit"])')
 
         def holds() -> bool:
-            return self.inputs_valid and condition(NamedValues(self.input_values))
+            if not self.inputs_valid:
+                return False
+            values = ReadValues(self.input_values)
+            reached = condition(values)
+            for name in values.read:
+                found = self._qualified(name)
+                if found.quality is Quality.BAD:
+                    raise SlaveFault(self.address, f"{self.who}: {name} is bad, nothing can wait for it: {found.text}")
+            return reached
 
         try:
             await self._bus.until_round(holds, timeout)
@@ -386,9 +425,34 @@ class Slave(Sealed, RecordAccess):
                 why = self.fault.text if self.fault else f"its inputs are not valid, it is in {self.state.value}"
             raise SlaveTimeout(self.address, f"{self.who}: not reached in {timeout:g} s: {why}") from None
 
+    async def readings(self, name: str) -> AsyncIterator[QualifiedValue]:
+        """A named input with its quality: the present one, then each time that value, quality or reason is another
+        one, seen at the ends of rounds. A slow reader gets the latest one. Ends with the bus.
+
+        Raises UsageError for a name that is no input.
+        """
+        self._input_field(name)
+        self._bus.check_open()
+        told: tuple[Value, str] | None = None
+
+        def changed() -> bool:
+            found = self._qualified(name)
+            return (found.value, found.text) != told
+
+        while True:
+            try:
+                if not changed():
+                    await self._bus.until_round(changed)
+            except DpError:
+                return
+            found = self._qualified(name)
+            told = found.value, found.text
+            yield found
+
     async def changes(self, name: str) -> AsyncIterator[Value]:
         """Each new value of a named input, seen at the ends of rounds while the inputs are valid. A slow reader gets
-        the latest one. Ends with the bus. The value at the beginning is none of them: for it see :meth:`follow`.
+        the latest one. Ends with the bus. The value at the beginning is none of them: for it see :meth:`follow`. Their
+        quality is not looked at: :meth:`readings` has it.
 
         Raises UsageError for a name that is no input.
         """
@@ -453,7 +517,7 @@ class Slave(Sealed, RecordAccess):
     @property
     def exchanges(self) -> int:
         """Successful data exchanges since the start."""
-        return self._image.exchanges
+        return self.image.exchanges
 
     @property
     def retries(self) -> int:
@@ -589,10 +653,12 @@ async def all_ready(bus: Host, slaves: Collection[Slave], timeout: float | None)
 
 
 def put_values(slave: Slave, octets: bytes, values: Mapping[str, object]) -> bytes:
-    """The outputs ``octets`` of ``slave`` with the named ``values`` in them. Raises UsageError as ``Slave.update``."""
-    for name, value in values.items():
+    """The outputs ``octets`` of ``slave`` with the named ``values`` in them, words before their bits. Raises UsageError
+    as ``Slave.update``."""
+    names = values if len(values) < 2 else sorted(values, key=lambda name: -slave.output_field(name).width)
+    for name in names:
         try:
-            octets = slave.output_field(name).put(octets, value)
+            octets = slave.output_field(name).put(octets, values[name])
         except ValueError as error:
             raise UsageError(f"{slave.who}: {error}") from None
     return octets

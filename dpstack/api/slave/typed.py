@@ -33,7 +33,7 @@ _AT: Final = "dpstack.at"
 _NO_SCALE: Final[Mapping[str, object]] = {"scale": 1, "offset": 0, "unit": ""}
 #: annotation of a field -> its name here, and the declarations that fit
 _KINDS: Final[Mapping[object, tuple[str, Callable[[Field], bool]]]] = {
-    bool: ("Bool", lambda found: found.bit is not None),
+    bool: ("Bool", lambda found: found.is_bool),
     int: ("Int", lambda found: found.is_number and not found.is_scaled and not found.type.startswith("f")),
     float: ("Scaled", lambda found: found.is_number),
     bytes: ("Octets", lambda found: found.type == "bytes"),

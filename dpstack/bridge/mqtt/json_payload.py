@@ -29,7 +29,6 @@ _MOST_DIGITS: Final = 4300
 #: characters of a name or reason in a result
 _MOST_TEXT: Final = 300
 _EXAMPLE: Final = '{"value": true, "time": "2026-11-23T13:00:00Z"}'
-_NAMES: Final = {Quality.GOOD: "good", Quality.STALE: "stale", Quality.BAD: "bad"}
 
 
 def time_text(seconds: float) -> str:
@@ -44,7 +43,7 @@ def values_payload(readings: Iterable[tuple[str, Node, Reading]], offset: float,
     times: dict[float, str] = {}  # many values of a slave have the same one
     found: dict[str, object] = {}
     for name, node, reading in readings:
-        value, quality, reason = reading.value, reading.quality, reading.text
+        value, quality, reason = reading.plain, reading.quality, reading.text
         if ended and quality is Quality.GOOD:
             quality, reason = Quality.STALE, ended
         time = None
@@ -55,7 +54,7 @@ def values_payload(readings: Iterable[tuple[str, Node, Reading]], offset: float,
         found[name] = {
             "value": value.hex(" ") if isinstance(value, bytes) else value,
             "unit": node.unit,
-            "quality": _NAMES[quality],
+            "quality": quality.value,
             "reason": clean(reason),
             "time": time,
         }

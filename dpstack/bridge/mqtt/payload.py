@@ -292,7 +292,7 @@ def _put(metric: pb.Metric | pb.PropertyValue, type_: DataType, value: bool | in
 
 def _add_quality(properties: pb.PropertySet, reading: Reading) -> None:
     """Quality (6.4.9) and its reason, which is empty for a good value, so that it replaces an earlier one."""
-    _add_property(properties, "Quality", DataType.INT32, int(reading.quality))
+    _add_property(properties, "Quality", DataType.INT32, reading.quality.sparkplug)
     _add_property(properties, "Quality reason", DataType.STRING, _short(reading.text))
 
 

@@ -447,6 +447,7 @@ class SlaveHandler:
         if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
             self.reports.clear()
         if state is SlaveState.DATA_EXCHANGE:
+            self.reports.flagged = 0
             self.bring_ups.entered_exchange()
             self.plugin_host.remind(now)
             self.reports.observer.opened(self.reports.diagnosis, now)

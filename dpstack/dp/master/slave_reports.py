@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveRemark
 from dpstack.dp.master.verdicts import deviations
+from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.report_once import Novelty, ReportOnce
@@ -52,6 +53,11 @@ class DiagObserver:
         """The counts of its alarms; None for a slave that can have none."""
         return None
 
+    @property
+    def standing(self) -> tuple[Alarm, ...]:
+        """The alarms whose slots are not good again since data exchange began."""
+        return ()
+
     def opened(self, last: Diagnosis | None, now: int) -> None:
         """Data exchange begins; ``last`` was read before it."""
 
@@ -79,6 +85,8 @@ class SlaveReports:
         self.fault: Fault | None = None
         self.diagnosis: Diagnosis | None = None
         self.ident = setup.ident
+        #: how many times the diagnosis was another one than before, and the time of the last one in ns
+        self.diagnoses = self.diagnosis_ns = 0
         #: number of the first exchange with DH since the last diagnosis was read, 0 without one
         self.flagged = 0
         self.observer = NO_ALARMS
@@ -136,6 +144,8 @@ class SlaveReports:
             return None
         if diagnosis != self.diagnosis:
             self.diagnosis = diagnosis
+            self.diagnoses += 1
+            self.diagnosis_ns = now
             self.mark_changed()
             self.event(SlaveDiagnosis, now, diagnosis=diagnosis, texts=self._setup.block_texts(diagnosis))
         if self.ident is None:

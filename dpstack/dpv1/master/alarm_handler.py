@@ -19,6 +19,7 @@ from msgspec import Struct, field, structs
 
 from dpstack.dp.acyclic.job import ACKS, Outcome, ServiceFailure
 from dpstack.dp.acyclic.queue import Provider
+from dpstack.dp.doubts import standing_after
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.master.slave_reports import NO_ALARMS, AlarmCounts, DiagObserver
 from dpstack.dp.pdu.alarm_blocks import HEAD, Alarm, Status, alarm_name, kind_of, parse_block
@@ -216,6 +217,7 @@ class AlarmHandler(DiagObserver):
         self._read_after = 0
         self._unsure = False
         self._statuses: dict[tuple[int, int], bytes] = {}
+        self._standing: tuple[Alarm, ...] = ()
 
     # --- from the diagnosis -------------------------------------------------------------------------------------
 
@@ -276,6 +278,7 @@ class AlarmHandler(DiagObserver):
             self._reports.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
             return
         key = Key.of(alarm)
+        self._standing = standing_after(self._standing, alarm)
         self._conclude(alarm, octets, now)
         known = self._open.get(key)
         fresh = octets not in self._before
@@ -355,6 +358,10 @@ class AlarmHandler(DiagObserver):
     def busy(self) -> bool:
         """True while :meth:`next_ack` may return an alarm, now or later."""
         return bool(self._open) or self._settling.look_at != NEVER
+
+    @property
+    def standing(self) -> tuple[Alarm, ...]:
+        return self._standing
 
     def next_ack(self, now: int) -> OpenAlarm | None:
         """The alarm to be acknowledged now: one at a time, in the order they came. Called in every token hold while
@@ -445,6 +452,7 @@ class AlarmHandler(DiagObserver):
         self._open.clear()
         self._settling.clear()
         self._statuses.clear()
+        self._standing = ()
         self._last = self._asked = None
         self._dropped = False
 

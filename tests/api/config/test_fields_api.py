@@ -59,8 +59,8 @@ def test_a_configuration() -> None:
             'inputs: level = "i16@3" ends in octet 4; its configuration has octets 0..3',
         ),
         (
-            'outputs = { a = "i16@2", b = "bool@3.7" }',
-            "b (bool@3.7) and a (i16@2) share bits; move one of them, or name",
+            'outputs = { a = "i16@2", b = "i8@3" }',
+            "b (i8@3) and a (i16@2) share bits; move one of them; only a word and some of its bits may share them",
         ),
         (
             'inputs = { a = "u8@0" }\noutputs = { a = "u8@0" }',

@@ -334,7 +334,9 @@ def test_arguments_of_a_drives_order_always_go_over() -> None:
 U64 = st.integers(0, 2**64 - 1)
 OCTETS = st.binary(max_size=244)
 SLAVES = st.dictionaries(
-    st.integers(0, 126), st.builds(ImageSnapshot, OCTETS, OCTETS, st.booleans(), U64, U64), max_size=5
+    st.integers(0, 126),
+    st.builds(ImageSnapshot, OCTETS, OCTETS, st.booleans(), U64, U64, st.booleans(), U64),
+    max_size=5,
 )
 
 #: writes pictures whose octets are all alike, of every length, as quickly as it can
@@ -389,8 +391,8 @@ def test_pictures_and_outputs_come_back_as_they_were(
 
 def test_the_octets_of_a_picture_and_of_outputs(memory: int, both: tuple[SharedImage, SharedImage]) -> None:
     image, there = both
-    image.inputs.write(Picture(3, 2, {4: ImageSnapshot(b"\x11\x22", b"\x33", True, 5, 6)}))
-    octets = bytes.fromhex("93 03 02 81 04 95 C4 02 11 22 C4 01 33 C3 05 06")
+    image.inputs.write(Picture(3, 2, {4: ImageSnapshot(b"\x11\x22", b"\x33", True, 5, 6, True, 7)}))
+    octets = bytes.fromhex("93 03 02 81 04 97 C4 02 11 22 C4 01 33 C3 05 06 C3 07")
     assert os.pread(memory, len(octets) + 1, 4096 + 80 * 1024) == octets + b"\0"
     there.outputs.write({4: Outputs(0x0102, b"\x11\x22"), 5: Outputs(3, b"")})
     octets = bytes.fromhex("82 04 92 CD 01 02 C4 02 11 22 05 92 03 C4 00")
@@ -399,10 +401,11 @@ def test_the_octets_of_a_picture_and_of_outputs(memory: int, both: tuple[SharedI
 
 def test_126_slaves_with_all_the_octets_there_can_be(memory: int, both: tuple[SharedImage, SharedImage]) -> None:
     image, there = both
-    full = {address: ImageSnapshot(b"\x11" * 244, b"\x22" * 244, True, 2**64 - 1, 2**64 - 1) for address in range(127)}
-    image.inputs.write(Picture(2**64 - 1, 2**64 - 1, full))
-    assert there.inputs.read_new() == Picture(2**64 - 1, 2**64 - 1, full)
-    outputs = {address: Outputs(2**64 - 1, bytes(244)) for address in range(127)}
+    most = 2**64 - 1
+    full = {n: ImageSnapshot(b"\x11" * 244, b"\x22" * 244, True, most, most, True, most) for n in range(127)}
+    image.inputs.write(Picture(most, most, full))
+    assert there.inputs.read_new() == Picture(most, most, full)
+    outputs = {address: Outputs(most, bytes(244)) for address in range(127)}
     there.outputs.write(outputs)
     assert image.outputs.read_new() == outputs
     assert os.fstat(memory).st_size == SIZE

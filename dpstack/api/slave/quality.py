@@ -1,0 +1,198 @@
+"""The quality of the process data of a slave at a moment: what its diagnosis, its inputs and their age say together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final, NamedTuple, Protocol
+
+from dpstack.dp.doubts import ALL, ANNOUNCED, Doubt, DoubtKind, doubts_of, worst
+from dpstack.dp.master.events import Fault, SlaveState
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.process_data import Field, Value
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.dp.slot_map import Direction
+from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
+from dpstack.plant.items import DoubtValues, FaultValues, SlaveValues
+from dpstack.plant.quality import Quality, Reason
+from dpstack.plant.status_octet import read_status
+from dpstack.plant.value_quality import GOOD, Judged, trouble_of, worse
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+#: stands with the time since which it holds, in ns by the clock of the bus
+Standing = tuple[Doubt, int]
+
+_REASONS: Final[dict[DoubtKind, Reason]] = {
+    kind: Reason[kind.name] for kind in DoubtKind if kind is not DoubtKind.NO_PLACE
+}
+
+
+class Process(Protocol):
+    """A slave as its judge sees it, see :class:`dpstack.api.slave.slave.Slave`."""
+
+    @property
+    def setup(self) -> SlaveParams: ...
+    @property
+    def snapshot(self) -> SlaveSnapshot: ...
+    @property
+    def image(self) -> ImageSnapshot: ...
+    @property
+    def state(self) -> SlaveState: ...
+    @property
+    def ready_now(self) -> bool: ...
+    @property
+    def fault(self) -> Fault | None: ...
+    @property
+    def diagnosis(self) -> Diagnosis | None: ...
+    @property
+    def inputs_valid(self) -> bool: ...
+    @property
+    def inputs_age(self) -> float | None: ...
+    @property
+    def inputs_limit_ns(self) -> int: ...
+    @property
+    def process_quality(self) -> SlaveQuality: ...
+
+
+class QualifiedValue(NamedTuple):
+    """A named value with its quality, as :meth:`dpstack.api.slave.slave.Slave.value` gives it."""
+
+    #: the value in the octets; the last one that arrived while the quality is stale
+    value: Value
+    #: good, uncertain, stale or bad
+    quality: Quality
+    #: the reason in words, fault first, then the place; empty for a good value without a remark
+    text: str
+    #: kind of the reason
+    reason: Reason
+    #: time since which the quality holds in ns by the clock of the bus; of a good value the arrival of its inputs
+    since_ns: int
+
+    @property
+    def good(self) -> bool:
+        """Whether the value can be trusted as it is."""
+        return self.quality is Quality.GOOD
+
+
+class SlaveQuality:
+    """Quality of all process data of ``slave``. Its doubts are read again only if the diagnosis is another one."""
+
+    def __init__(self, slave: Process) -> None:
+        self._slave = slave
+        self._seen: object = None
+        self._standing: tuple[Standing, ...] = ()
+        #: qualities of single values by these doubts
+        self._judged_for: tuple[Standing, ...] = ()
+        self._judged: dict[Field, Judged] = {}
+
+    @property
+    def standing(self) -> tuple[Standing, ...]:
+        """The doubts at this moment; none outside data exchange, where everything is old."""
+        slave, snapshot, setup = self._slave, self._slave.snapshot, self._slave.setup
+        if not slave.ready_now:
+            self._seen, self._standing = None, ()
+            return ()
+        diagnosis = slave.diagnosis
+        seen = diagnosis, snapshot.standing, setup
+        if seen != self._seen:
+            self._seen = seen
+            before = dict(self._standing)
+            found = doubts_of(setup.slots, diagnosis, snapshot.standing, texts=setup.texts, dpv1=setup.dpv1 is not None)
+            at = snapshot.diagnosis_ns
+            self._standing = tuple((doubt, before.get(doubt, at)) for doubt in found)
+        image = slave.image
+        if image.announced or image.diagnoses > snapshot.diagnoses:
+            return ((ANNOUNCED, image.input_time), *self._standing)
+        return self._standing
+
+    def of_all(self, values: SlaveValues, limit_ms: float) -> Judged:
+        """The quality of everything that the slave sends and gets. ``values``: its state and the age of its inputs;
+        times in ns."""
+        standing = self.standing
+        of_all = {doubt: at for doubt, at in standing if doubt.inputs == ALL}
+        by_slave = _judged(of_all)
+        trouble = trouble_of(values, limit_ms)
+        if trouble is None:
+            return by_slave
+        return worse(by_slave, Judged(*trouble, self._slave.image.input_time or None))
+
+    def of_field(self, field: Field, direction: Direction, octets: bytes, of_all: Judged) -> Judged:
+        """The quality of a named value in ``octets``."""
+        own = self._by_diagnosis(field, direction) if self.standing else GOOD
+        if field.speaks_for_itself:
+            own = worse(own, self._of_octets(field, octets))
+        return worse(own, of_all)
+
+    def _by_diagnosis(self, field: Field, direction: Direction) -> Judged:
+        standing = self.standing
+        if standing != self._judged_for:
+            self._judged_for, self._judged = standing, {}
+        found = self._judged.get(field)
+        if found is None:
+            about = {doubt: at for doubt, at in standing if doubt.inputs != ALL and doubt.is_about(field, direction)}
+            found = self._judged[field] = _judged(about)
+        return found
+
+    def _of_octets(self, field: Field, octets: bytes) -> Judged:
+        """The quality by the value itself, and by the status octet beside it."""
+        at = self._slave.image.input_time
+        if field.status is not None and field.status < len(octets):
+            meaning = read_status(field.coding, octets[field.status])
+            if meaning.reason is not Reason.GOOD:
+                return worse(Judged(meaning.reason, meaning.text, at), _number(field, octets, at))
+        return _number(field, octets, at)
+
+    def doubts(self) -> Iterator[DoubtValues]:
+        """The doubts for people and for a rack view; times in ns."""
+        for doubt, at in self.standing:
+            place = None if bool(doubt.inputs) == bool(doubt.outputs) else "input" if doubt.inputs else "output"
+            reason = _REASONS.get(doubt.kind, Reason.GOOD)
+            yield DoubtValues(
+                slot=doubt.slot,
+                channel=doubt.channel,
+                direction=place,
+                quality=reason.quality.value,
+                reason=reason.name.lower(),
+                text=doubt.text,
+                since=at,
+            )
+
+
+def _judged(standing: dict[Doubt, int]) -> Judged:
+    found = worst(standing)
+    return (
+        GOOD
+        if found is None or found.kind not in _REASONS
+        else Judged(_REASONS[found.kind], found.text, standing[found])
+    )
+
+
+def _number(field: Field, octets: bytes, at: int) -> Judged:
+    if not field.type.startswith("f") or len(octets) < field.octet + field.length:
+        return GOOD
+    value = field.get(octets)
+    return Judged(Reason.NOT_A_NUMBER, "", at) if isinstance(value, float) and not math.isfinite(value) else GOOD
+
+
+def qualified(slave: Process, field: Field, direction: Direction) -> QualifiedValue:
+    """A named value of ``slave`` with its quality at this moment."""
+    image = slave.image
+    octets = image.inputs if direction is Direction.INPUT else image.outputs
+    quality = slave.process_quality
+    age, limit_ms = slave.inputs_age, slave.inputs_limit_ns / NS_PER_MS
+    fault = slave.fault
+    values = SlaveValues(
+        state=slave.state.value,
+        inputs_valid=slave.inputs_valid,
+        inputs_age_ms=None if age is None else age * 1000,
+        fault=None if fault is None else FaultValues(fault.text, fault.kind.value),
+    )
+    judged = quality.of_field(field, direction, octets, quality.of_all(values, limit_ms))
+    since = image.input_time if judged.since is None else round(judged.since)
+    text = judged.reason.with_note(judged.note)
+    return QualifiedValue(field.get(octets), judged.quality, text, judged.reason, since)
+
+
+def seconds(at_ns: float | None, started_ns: int) -> float | None:
+    """A time in ns by the clock of the bus as s after its start, as the live stream has it; None: not known."""
+    return None if at_ns is None or not at_ns else round(max(0.0, (at_ns - started_ns) / NS_PER_S), 3)

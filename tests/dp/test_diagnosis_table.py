@@ -1,0 +1,120 @@
+"""Diagnoses of real makers (diagnoses/*.toml, made from manuals apart from the code): the quality of each value."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from gsd_kit import made
+
+from dpstack.api.slave.quality import QualifiedValue, SlaveQuality, qualified
+from dpstack.api.slave.slave import Slave
+from dpstack.dp.doubts import standing_after
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.pdu.alarm_blocks import Alarm, parse_block
+from dpstack.dp.pdu.diag_blocks import DeviceBlock
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dp.process_data import Field, field_of, with_status
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.dp.slot_map import Direction, SlotMap
+from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
+from dpstack.errors import PduError
+from dpstack.gsd.diag_texts import DiagTexts
+
+ROWS: list[dict[str, Any]] = [
+    row
+    for path in sorted((Path(__file__).parent / "diagnoses").glob("*.toml"))
+    for row in tomllib.loads(path.read_text())["row"]
+]
+
+
+def texts_of(row: dict[str, Any]) -> DiagTexts | None:
+    """Of the row's GSD file; its Modul_Offset is ``first_slot``."""
+    if "gsd" not in row and row["first_slot"] == 1:
+        return None
+    lines = row.get("gsd", "#Profibus_DP\nGSD_Revision = 3")
+    return DiagTexts(made(f"{lines}\nModul_Offset = {row['first_slot']}\n").device)
+
+
+def alarms_of(diagnosis: Diagnosis, *, dpv1: bool) -> list[Alarm]:
+    found = []
+    for block in diagnosis.blocks if dpv1 else ():
+        if isinstance(block, DeviceBlock):
+            try:
+                message = parse_block(block.octets)
+            except PduError:
+                continue
+            found += [message] if isinstance(message, Alarm) else []
+    return found
+
+
+def slave_of(row: dict[str, Any]) -> Slave:
+    """A slave in data exchange after these diagnoses, read as a master reads them."""
+    dpv1: bool = row["dpv1"]
+    setup = SlaveParams(
+        address=3,
+        name="rack",
+        ident=0,
+        config=bytes.fromhex(row["config"]),
+        user_prm=b"\x80\0\0",
+        dpv1=Dpv1() if dpv1 else None,
+        texts=texts_of(row),
+    )
+    standing: tuple[Alarm, ...] = ()
+    diagnosis: Diagnosis | None = None
+    for octets in row["diagnoses"]:
+        diagnosis = Diagnosis.parse(bytes.fromhex(octets))
+        assert diagnosis is not None
+        if diagnosis.prm_req or diagnosis.not_ready:
+            standing = ()  # a new bring-up
+        for alarm in alarms_of(diagnosis, dpv1=dpv1):
+            standing = standing_after(standing, alarm)
+    inputs = bytes.fromhex(row.get("inputs", "")) or bytes(setup.input_len)
+    image = ImageSnapshot(inputs, bytes(setup.output_len), True, 9, 5_000_000)
+    found = SimpleNamespace(
+        setup=setup,
+        image=image,
+        state=SlaveState.DATA_EXCHANGE,
+        ready_now=True,
+        fault=None,
+        diagnosis=diagnosis,
+        inputs_valid=not (diagnosis and diagnosis.stat_diag),
+        inputs_age=0.001,
+        inputs_limit_ns=10**9,
+        snapshot=SlaveSnapshot(SlaveState.DATA_EXCHANGE, None, diagnosis, 0, None, standing, 1, 4_000_000),
+    )
+    found.process_quality = SlaveQuality(cast(Slave, found))
+    return cast(Slave, found)
+
+
+def declared(
+    name: str, place: str, row: dict[str, Any], slots: SlotMap, lengths: tuple[int, int]
+) -> tuple[Field, Direction]:
+    out = place.startswith("out ")
+    what = "outputs" if out else "inputs"
+    field = field_of(name, place.removeprefix("out "), lengths[out], what, slots)
+    status = row.get("status", {}).get(name)
+    if status is not None:
+        field = with_status(field, field_of(name, status["at"], lengths[out], what, slots), status["quality"])
+    return field, Direction(what.removesuffix("s"))
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: str(row["id"]))
+def test_each_value_has_the_quality_of_the_table(row: dict[str, Any]) -> None:
+    slave = slave_of(row)
+    lengths = slave.setup.input_len, slave.setup.output_len
+    found: dict[str, QualifiedValue] = {}
+    for name, place in row["values"].items():
+        found[name] = qualified(slave, *declared(name, place, row, slave.setup.slots, lengths))
+    got = {name: [one.quality.value, one.text] for name, one in found.items()}
+    wanted = row["expect"]
+    assert {name: one[0] for name, one in got.items()} == {name: one[0] for name, one in wanted.items()}, (
+        got,
+        row["why"],
+    )
+    for name, (_, words) in wanted.items():
+        assert words in got[name][1].lower(), got[name]
