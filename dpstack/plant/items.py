@@ -57,10 +57,13 @@ class Held(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class FieldPlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A named value. ``at``: type and place in the octets."""
+    """A named value. ``at``: type and place in the octets; ``slot``: the slot that has its first octet; ``channel``: as
+    the configuration names it."""
 
     name: str
     at: str
+    slot: int | None = None
+    channel: int | None = None
     type: str | None = None
     scale: Number | None = None
     offset: Number | None = None
@@ -69,12 +72,19 @@ class FieldPlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class ModulePlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A module. ``config``: its identifier octets in hex; ``inputs``, ``outputs``: numbers of octets."""
+    """A slot. ``name``: of its module; ``config``: its identifier octets in hex; ``inputs``, ``outputs``: numbers of
+    octets; ``input_at``, ``output_at``: the first of them in the image; ``input_width``, ``output_width``: bits of a
+    channel, 0: not known."""
 
+    slot: int | None = None
     name: str | None = None
     config: Cell = None
     inputs: Cell = None
     outputs: Cell = None
+    input_at: int | None = None
+    output_at: int | None = None
+    input_width: int | None = None
+    output_width: int | None = None
 
 
 class DrivePlant(Struct, frozen=True, kw_only=True, omit_defaults=True):

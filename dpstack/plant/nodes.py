@@ -12,7 +12,7 @@ from typing import Final
 
 from dpstack.plant.items import FieldPlant, Plant, SlavePlant
 from dpstack.plant.orders import Argument, DriveOrder, Operation, SetOutputs
-from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, LIMITS, TEXT, TYPES, Value, clean, value_of
+from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, LIMITS, TEXT, TYPES, Value, base_type, clean, value_of
 
 #: named values of one slave: its 244 octets of inputs and of outputs have this many bits
 MOST_FIELDS: Final = 2 * 244 * 8
@@ -296,7 +296,7 @@ def _field_node(
 
 def _type(given: FieldPlant) -> str:
     """The type of a field: ``type``, or that in front of ``at``. A recording calls every number so."""
-    raw = given.at.partition("@")[0].removesuffix("le") if given.type is None else given.type
+    raw = base_type(given.at) if given.type is None else given.type
     return FLOAT if raw == "number" else raw
 
 

@@ -174,6 +174,16 @@ class Reading(NamedTuple):
         return self.reason.with_note(self.note)
 
 
+def base_type(declared: str) -> str:
+    """The type of the values of a field that is declared as ``declared``: ``u31`` and ``u32ws`` give u32, ``i16le``
+    i16."""
+    base = declared.partition("@")[0].removesuffix("le").removesuffix("ws")
+    bits = base[1:]
+    if base in TYPES or base[:1] not in ("u", "i") or not bits.isdecimal() or len(bits) > 2:
+        return base
+    return next((f"{base[0]}{size}" for size in (8, 16, 32, 64) if int(bits) <= size), base)
+
+
 def clean(text: object) -> str:
     """``text`` for people, short and without control characters; empty if it is no text."""
     return shortened(printable(text[: MOST_TEXT + 1]), MOST_TEXT) if isinstance(text, str) else ""

@@ -13,6 +13,7 @@ from msgspec import convert, structs, to_builtins
 from dpstack.errors import UsageError
 from dpstack.plant.items import DriveValues, SlaveValues
 from dpstack.plant.judge import exchanging, judged
+from dpstack.plant.quality import base_type
 from dpstack.record.columns import Cell, Column, Kind
 from dpstack.record.reader import Recording, Row
 from dpstack.record.rows import END
@@ -211,8 +212,9 @@ def _shown(cell: Cell) -> str:
 def _field(column: Column) -> dict[str, Any]:
     return {
         "name": column.field,
-        "type": column.at.partition("@")[0].removesuffix("le") or column.type,
+        "type": base_type(column.at) or column.type,
         "at": column.at,
+        **dict.fromkeys(("slot", "channel")),
         "scale": column.scale,
         "offset": column.offset,
         "unit": column.unit,

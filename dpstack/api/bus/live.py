@@ -23,9 +23,9 @@ from dpstack.api.streams import when_dropped
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState, SlaveStateChanged
 from dpstack.dp.process_data import Field
+from dpstack.dp.slot_map import Direction
 from dpstack.drivers.snapshots import Counters
 from dpstack.errors import UsageError
-from dpstack.gsd.identifiers import io_lengths
 from dpstack.plant.items import Item, all_of
 from dpstack.plant.pending import Pending
 from dpstack.plant.state import end_of
@@ -427,8 +427,8 @@ def named_values(config: SlaveConfig) -> dict[str, object]:
     ``drive``, here without its facts."""
     return {
         "name": config.name,
-        "inputs": [_field(field) for field in config.input_fields.fields.values()],
-        "outputs": [_field(field) for field in config.output_fields.fields.values()],
+        "inputs": [_field(config, field, Direction.INPUT) for field in config.input_fields.fields.values()],
+        "outputs": [_field(config, field, Direction.OUTPUT) for field in config.output_fields.fields.values()],
         "drive": None if config.profile is None else {},
     }
 
@@ -442,23 +442,29 @@ def _ident(slave: Slave) -> str | None:
 
 
 def _modules(config: SlaveConfig) -> list[dict[str, object]]:
-    """The modules in slot order; a slave without a GSD file has one, with the name of its telegram."""
-    if config.modules is None:
-        modules = [(config.telegram or "", config.params.config)]
-    else:
-        modules = [("", b"") if module is None else (module.name, module.config) for module in config.modules]
+    """The slots in order; a drive's telegram without a GSD file has its name in the first."""
     found: list[dict[str, object]] = []
-    for name, octets in modules:
-        inputs, outputs = io_lengths(octets) if octets else (0, 0)
-        found.append({"name": name, "config": octets.hex(), "inputs": inputs, "outputs": outputs})
+    for slot in config.params.slots.slots:
+        name = slot.name or (config.telegram or "" if config.modules is None and not found else "")
+        made: dict[str, object] = {"slot": slot.number, "name": name, "config": slot.config.hex()}
+        for direction, area in slot.areas():
+            made |= {
+                f"{direction}s": area.octets,
+                f"{direction}_at": area.at,
+                f"{direction}_width": area.width,
+            }
+        found.append(made)
     return found
 
 
-def _field(field: Field) -> dict[str, object]:
+def _field(config: SlaveConfig, field: Field, direction: Direction) -> dict[str, object]:
+    slot = config.params.slots.at(direction, field.octet)
     return {
         "name": field.name,
         "type": field.type,
         "at": field.spec,
+        "slot": None if slot is None else slot.number,
+        "channel": field.channel,
         "scale": field.scale,
         "offset": field.offset,
         "unit": field.unit,

@@ -74,10 +74,17 @@ async def test_the_picture_is_that_of_the_devices() -> None:
         assert fan.running is True
         assert state.plant is not None
         described = items[0]["plant"]["slaves"]["8"]
+        place = {"type": "i16", "at": "i16@0", "slot": 2, "channel": None}
         assert described["inputs"] == [
-            {"name": "level", "type": "i16", "at": "i16@0", "scale": 0.5, "offset": 0, "unit": "bar", "dead_band": 0}
+            {"name": "level", **place, "scale": 0.5, "offset": 0, "unit": "bar", "dead_band": 0}
         ]
-        assert described["modules"] == [{"name": "", "config": "2111", "inputs": 2, "outputs": 2}]
+        out = {"outputs": 2, "output_at": 0, "output_width": 1}
+        into = {"inputs": 2, "input_at": 0, "input_width": 1}
+        none = {"inputs": 0, "input_at": 0, "input_width": 0}, {"outputs": 0, "output_at": 2, "output_width": 0}
+        assert described["modules"] == [
+            {"slot": 1, "name": "", "config": "21", **none[0], **out},
+            {"slot": 2, "name": "", "config": "11", **into, **none[1]},
+        ]
         summary = bus.stats.summary()
         bodies = [item["snapshot"]["bus"] for item in items if "snapshot" in item]
         assert set(summary) - {"slaves"} <= {key for body in bodies for key in body}
