@@ -298,7 +298,8 @@ async def test_replay(suffix: str, tmp_path: Path) -> None:
     assert "plant" in items[0]
     assert [plant[key] for key in ("port", "baud", "address", "config")] == ["/dev/ttyX", 500_000, 2, "plant.toml"]
     assert plant["slaves"]["12"]["inputs"][0] == {
-        **{"slot": None, "channel": None},
+        "slot": None,
+        "channel": None,
         "name": "level",
         "type": "i16",
         "at": "i16@0",
