@@ -6,8 +6,9 @@ rows: docs/reference/quality.md#status-octets.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from dpstack.plant.quality import Reason
 
@@ -92,3 +93,23 @@ def read_status(table: str, octet: int) -> StatusMeaning:
 
 
 _GOOD: Final = StatusMeaning(Reason.GOOD, "")
+_NOT_A_NUMBER: Final = StatusMeaning(Reason.NOT_A_NUMBER, "")
+
+
+class OwnStatus(Protocol):
+    """A named value whose octets may say that it is bad, see :class:`dpstack.dp.process_data.Field`."""
+
+    @property
+    def status(self) -> int | None: ...
+    @property
+    def coding(self) -> str: ...
+    def get(self, octets: bytes) -> object: ...
+
+
+def read_octets(field: OwnStatus, octets: bytes) -> StatusMeaning:
+    """The quality that the octets of an image give to a value: a float that is no number, or its status octet.
+    ``octets`` are long enough for both."""
+    value = field.get(octets)
+    if isinstance(value, float) and not math.isfinite(value):
+        return _NOT_A_NUMBER
+    return _GOOD if field.status is None else read_status(field.coding, octets[field.status])

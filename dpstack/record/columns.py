@@ -6,10 +6,11 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final
+from typing import Final, NamedTuple
 
 from dpstack.dp.process_data import Field, FieldMap, Value
-from dpstack.plant.quality import is_news
+from dpstack.plant.quality import Quality, is_news
+from dpstack.plant.status_octet import read_octets
 from dpstack.text import json_text
 
 #: the value of a cell; None: not valid, or not known
@@ -48,6 +49,22 @@ class Kind(StrEnum):
     INPUT = "input"
     OUTPUT = "output"
     DRIVE = "drive"
+    #: the quality of a named value, in its word
+    QUALITY = "quality"
+
+
+#: behind the name of a value in that of its quality
+QUALITY: Final = " quality"
+_GOOD, _STALE, _BAD = Quality.GOOD.value, Quality.STALE.value, Quality.BAD.value
+#: what a name that is taken gets in front
+_PREFIXES: Final = {Kind.STATE: "slave", Kind.DRIVE: "drive", Kind.QUALITY: "its"}
+
+
+class Judged(NamedTuple):
+    """Octets with the words of quality of their named values by the slave's diagnosis, in the order of the fields."""
+
+    octets: bytes
+    words: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,28 +149,61 @@ class Block:
     columns: tuple[Column, ...]
     fields: tuple[Field, ...] = ()
     length: int = 0
+    #: columns of qualities stand beside: a bad value keeps its number
+    has_quality: bool = False
 
     def cells(self, source: object) -> tuple[Cell, ...]:
-        """The values of the columns; ``source``: octets, the text of a state, the quantities of a drive, or None."""
-        if isinstance(source, bytes):
-            if len(source) >= self.length:
-                return tuple(found.get(source) for found in self.fields)
+        """The values of the columns; ``source``: octets (with qualities, or without: by the diagnosis all are good),
+        the text of a state, the quantities of a drive, or None."""
+        if self.kind is Kind.QUALITY:
+            return self._qualities(source)
+        if isinstance(source, (bytes, Judged)):
+            octets = source if isinstance(source, bytes) else source.octets
+            if len(octets) >= self.length:
+                values = tuple(found.get(octets) for found in self.fields)
+                if self.has_quality:
+                    return values
+                words = self._words(source)
+                return tuple(None if word == _BAD else value for value, word in zip(values, words, strict=True))
         elif isinstance(source, str):
             return (source,)
         elif isinstance(source, tuple):
             return tuple(round(value, _DIGITS) if isinstance(value, float) else value for value in source)
         return (None,) * len(self.columns)
 
+    def _words(self, source: bytes | Judged) -> tuple[str, ...]:
+        """The quality of each field, its own octets included."""
+        octets, words = (source, (_GOOD,) * len(self.fields)) if isinstance(source, bytes) else source
+        return tuple(
+            _worse(word, read_octets(one, octets).reason.quality.value) if one.speaks_for_itself else word
+            for one, word in zip(self.fields, words, strict=True)
+        )
+
+    def _qualities(self, source: object) -> tuple[Cell, ...]:
+        """``source``: as of the block whose qualities these are; None: its slave is not in data exchange."""
+        if not isinstance(source, (bytes, Judged)):
+            return (_STALE,) * len(self.columns)
+        octets = source if isinstance(source, bytes) else source.octets
+        return self._words(source) if len(octets) >= self.length else (_BAD,) * len(self.columns)
+
+
+def _worse(one: str, other: str) -> str:
+    return max(one, other, key=_ORDER.index)
+
+
+_ORDER: Final = (_GOOD, Quality.UNCERTAIN.value, _STALE, _BAD)
+
 
 @dataclass(frozen=True, slots=True)
 class RecordedSlave:
-    """One slave of a recording, with the names of its process data."""
+    """One slave of a recording, with the names of its process data. ``quality``: with a column for that of each."""
 
     address: int
     name: str
     inputs: FieldMap = field(default_factory=FieldMap)
     outputs: FieldMap = field(default_factory=FieldMap)
     is_drive: bool = False
+    quality: bool = False
 
     def blocks(self) -> Iterator[Block]:
         """Its state, its named inputs and outputs, and the quantities of a drive."""
@@ -163,7 +213,10 @@ class RecordedSlave:
             if fields:
                 found = tuple(fields.fields.values())
                 columns = tuple(_column_of(self, one, kind) for one in found)
-                yield Block(kind, columns, found, fields.length)
+                yield Block(kind, columns, found, fields.length, self.quality)
+                if self.quality:
+                    names = (self._column(one.name + QUALITY, taken, Kind.QUALITY, "text") for one in found)
+                    yield Block(Kind.QUALITY, tuple(names), found, fields.length)
         if self.is_drive:
             columns = tuple(self._column(name, taken, Kind.DRIVE, kind, unit) for name, kind, unit in DRIVE_QUANTITIES)
             yield Block(Kind.DRIVE, columns)
@@ -174,9 +227,9 @@ class RecordedSlave:
         return {"name": self.name, "address": self.address, "columns": columns}
 
     def _column(self, name: str, taken: set[str], kind: Kind, type_: str, unit: str = "") -> Column:
-        """A column that is no field; if a field has its name, ``slave`` or ``drive`` stands in front."""
+        """A column that is no field; if a field has its name, a word stands in front."""
         while name in taken:
-            name = f"{'slave' if kind is Kind.STATE else 'drive'} {name}"
+            name = f"{_PREFIXES[kind]} {name}"
         taken.add(name)
         return Column(self.name, name, kind, type_, unit, self.address)
 

@@ -11,10 +11,10 @@ from typing import Any, Final
 from msgspec import convert, structs, to_builtins
 
 from dpstack.errors import UsageError
-from dpstack.plant.items import DriveValues, SlaveValues
+from dpstack.plant.items import DriveValues, QualityValues, SlaveValues
 from dpstack.plant.judge import exchanging, judged
-from dpstack.plant.quality import base_type
-from dpstack.record.columns import Cell, Column, Kind
+from dpstack.plant.quality import Quality, base_type
+from dpstack.record.columns import QUALITY, Cell, Column, Kind
 from dpstack.record.reader import Recording, Row
 from dpstack.record.rows import END
 from dpstack.text import iso_time
@@ -41,7 +41,6 @@ _NOT_RECORDED_OF_SLAVE: Final = (
         "inputs_limit_ms",
         "held_fields",
         "quality",
-        "qualities",
         "doubts",
         "fault",
         "diagnosis",
@@ -51,7 +50,7 @@ _NOT_RECORDED_OF_SLAVE: Final = (
     *("exchanges", "retries", "timeouts", "telegrams", "late", "wrong", "bad", "watchdog_ms", "master", "injected"),
 )
 #: keys of a slave that a recording has, or that follow from it
-_RECORDED: Final = ("state", "inputs_valid", "drive", "alive", "level", "state_text", "remark")
+_RECORDED: Final = ("state", "inputs_valid", "qualities", "drive", "alive", "level", "state_text", "remark")
 #: severity of an event about a state
 _WARNING_STATES: Final = ("fault", "offline", "diagnosis")
 
@@ -163,7 +162,10 @@ class Replay:
         drive = {c.field: value for c, value in values.items() if c.kind is Kind.DRIVE}
         found = SlaveValues(state=None if given is None else _shown(given), drive=_drive(drive) if drive else None)
         valid = any(value is not None for value in inputs) if given is None else exchanging(found)
-        found = judged(structs.replace(found, inputs_valid=valid))
+        words = {
+            column.field.removesuffix(QUALITY): value for column, value in values.items() if column.kind is Kind.QUALITY
+        }
+        found = judged(structs.replace(found, inputs_valid=valid, qualities=_qualities(words) or None))
         return {"fields": fields} | {key: to_builtins(getattr(found, key)) for key in _RECORDED}
 
     def _note_states(self, row: Row) -> Iterator[tuple[Column, Cell]]:
@@ -199,6 +201,15 @@ def _addresses(columns: Mapping[str, list[Column]]) -> dict[str, int]:
     taken = set(given.values())
     free = (address for address in itertools.count(1) if address not in taken)
     return {name: next(free) if address is None else address for name, address in given.items()}
+
+
+def _qualities(words: Mapping[str, Cell]) -> dict[str, QualityValues]:
+    """The qualities that a recording has columns for, but those that are good; it keeps no reasons."""
+    return {
+        name: QualityValues(word, "", word)
+        for name, word in words.items()
+        if word in (Quality.UNCERTAIN, Quality.BAD) and isinstance(word, str)
+    }
 
 
 def _address(columns: Sequence[Column]) -> int | None:

@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.dp.process_data import Field, FieldMap, with_scale
+from dpstack.dp.process_data import Field, FieldMap, with_scale, with_status
 from dpstack.errors import UsageError
 from dpstack.plant.state import LiveState
-from dpstack.record.columns import Column, Layout, RecordedSlave
+from dpstack.record.columns import Column, Judged, Layout, RecordedSlave
 from dpstack.record.reader import Recording
 from dpstack.record.replay import Item, Replay, replay_items
 from dpstack.record.rows import Rows, Sample
@@ -286,6 +286,51 @@ async def _items(path: Path, start: float = 0.0) -> tuple[list[Item], list[float
 
 def _of(items: list[Item], kind: str) -> list[dict[str, Any]]:
     return [item[kind] for item in items if kind in item]
+
+
+def rack(*, quality: bool) -> Layout:
+    level = with_status(Field.parse("level", "f32@0"), Field.parse("status", "u8@4"), "pa-classic")
+    fields = {"level": level, "door": Field.parse("door", "bool@5.0")}
+    return layout(RecordedSlave(12, "rack", FieldMap(fields, 6), quality=quality))
+
+
+ALL_GOOD = bytes.fromhex("3f800000 80 01")
+BAD_STATUS = bytes.fromhex("3f800000 10 01")
+
+
+def test_a_bad_value_has_a_number_only_beside_its_quality() -> None:
+    judged = Judged(ALL_GOOD, ("bad", "uncertain"))
+    plain, beside = rack(quality=False), rack(quality=True)
+    rows = Rows(plain, "csv", described=True)
+    assert rows.head() == b"time,t,rack.state,rack.level,rack.door,note\n"
+
+    def cells(of: Layout, rows: Rows, *sources: object) -> list[str]:
+        line = rows.row(sample(of, 5, "data_exchange", *sources))
+        assert line is not None
+        return next(csv.reader(io.StringIO(line.decode())))[3:-1]
+
+    assert cells(plain, rows, ALL_GOOD) == ["1.0", "true"]
+    assert cells(plain, rows, judged) == ["", "true"]
+    assert cells(plain, rows, BAD_STATUS) == ["", "true"]
+    rows = Rows(beside, "csv", described=True)
+    assert rows.head() == b"time,t,rack.state,rack.level,rack.door,rack.level quality,rack.door quality,note\n"
+    assert cells(beside, rows, ALL_GOOD, ALL_GOOD) == ["1.0", "true", "good", "good"]
+    assert cells(beside, rows, judged, judged) == ["1.0", "true", "bad", "uncertain"]
+    assert cells(beside, rows, BAD_STATUS, BAD_STATUS) == ["1.0", "true", "bad", "good"]
+    assert cells(beside, rows, None, None) == ["", "", "stale", "stale"]
+
+
+async def test_a_replay_has_the_qualities_of_the_recording(tmp_path: Path) -> None:
+    path, plant = tmp_path / "plant.csv", rack(quality=True)
+    rows = Rows(plant, "csv")
+    judged = Judged(ALL_GOOD, ("bad", "uncertain"))
+    lines = [rows.row(sample(plant, 5 + n, "data_exchange", judged, judged)) for n in range(3)]
+    path.write_bytes(rows.head() + b"".join(line for line in lines if line))
+    items, _ = await _items(path)
+    slave = _of(items, "snapshot")[0]["slaves"]["12"]
+    assert slave["fields"] == {"level": 1.0, "door": True}
+    assert {name: one["quality"] for name, one in slave["qualities"].items()} == {"level": "bad", "door": "uncertain"}
+    assert slave["level"] == "error"
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".jsonl"])

@@ -383,6 +383,7 @@ class Bus(Sealed):
         path: str | Path | BusRecording,
         *,
         on_change: bool = False,
+        quality: bool = False,
         dead_band: float = 0.0,
         rotate: str | None = None,
     ) -> BusRecording:
@@ -390,9 +391,10 @@ class Bus(Sealed):
         .jsonl or .parquet (docs/how-to/record.md). Recording begins at once, and never delays the bus.
 
         ``on_change``: only rounds in which a value has changed by more than its ``dead_band`` (here: of all numbers, in
-        their units; the key ``dead_band`` of a field if it is greater). ``rotate``: a new file after a size or a time,
-        "100MB" or "1h". It ends with ``await recording.stop()``, with its ``async with`` block, or with the bus.
-        ``paths``, ``rows``, ``lost`` and ``troubles`` show how far it is.
+        their units; the key ``dead_band`` of a field if it is greater). ``quality``: a column with the quality of each
+        named value, which keeps its number while it is bad; without it a bad value has none. ``rotate``: a new file
+        after a size or a time, "100MB" or "1h". It ends with ``await recording.stop()``, with its ``async with`` block,
+        or with the bus. ``paths``, ``rows``, ``lost`` and ``troubles`` show how far it is.
 
         Raises UsageError for a file that is there already or cannot be made, for .parquet without pyarrow, on a bus
         that is not open, and on a read-only one.
@@ -401,7 +403,7 @@ class Bus(Sealed):
 
         self._core.check_open()
         if not isinstance(path, BusRecording):
-            path = BusRecording(path, on_change=on_change, dead_band=dead_band, rotate=rotate)
+            path = BusRecording(path, on_change=on_change, dead_band=dead_band, rotate=rotate, quality=quality)
         self._core.record(path)
         return path
 

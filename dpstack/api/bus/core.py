@@ -287,9 +287,8 @@ class BusCore(BusBase):
             self._ordered_end.on_event(event)
             if self.services.handle_event(event):  # only the caller that awaits this service gets it
                 continue
-            if isinstance(event, ModeChanged):
-                for recording in self._recordings:
-                    recording.mode = event.mode
+            for recording in self._recordings:
+                recording.event(event)
             match event:
                 case DriveEvent(address=address, payload=payload):
                     drive = self._drives.get(address)

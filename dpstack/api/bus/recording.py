@@ -15,13 +15,16 @@ from dpstack.api.recording.rotation import Rotation
 from dpstack.api.recording.writer_thread import WriterThread
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.commands import Mode
-from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.events import ModeChanged, SlaveDiagnosis, SlaveState, SlaveStateChanged
+from dpstack.dp.slot_map import Direction
+from dpstack.dpv1.master.orders import AlarmRaised
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.snapshots import View
 from dpstack.errors import UsageError
-from dpstack.record.columns import Layout, RecordedSlave
+from dpstack.plant.quality import Quality
+from dpstack.record.columns import Judged, Layout, RecordedSlave
 from dpstack.record.rows import Sample
-from dpstack.trace import Severity
+from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -47,7 +50,13 @@ class BusRecording:
     troubles: list[str]
 
     def __init__(
-        self, path: str | Path, *, on_change: bool = False, dead_band: float = 0.0, rotate: str | None = None
+        self,
+        path: str | Path,
+        *,
+        on_change: bool = False,
+        dead_band: float = 0.0,
+        rotate: str | None = None,
+        quality: bool = False,
     ) -> None:
         """Makes the file; :meth:`start` begins. Raises UsageError as ``bus.record()`` does."""
         if not 0 <= dead_band < float("inf"):
@@ -55,6 +64,7 @@ class BusRecording:
         rotation = Rotation() if rotate is None else Rotation.parse(rotate)
         self._file = RecordFile(path, rotation, dead_band, self._tell)
         self._on_change = on_change
+        self._quality = quality
         self._bus: BusBase | None = None
         self._view: View | None = None
         self._started_ns = 0
@@ -65,6 +75,9 @@ class BusRecording:
         self._sources: list[_Source] = []
         self._layout = Layout(())
         self._published = 0
+        #: slaves that have announced a diagnosis, and those with news of theirs
+        self._announced: frozenset[int] = frozenset()
+        self._news: set[int] = set()
         self._missed = 0  # rounds that this process did not see
         self._lost = 0  # rounds that are missing before the next sample
         self._last_ns = 0  # the last sample, bus time
@@ -171,7 +184,7 @@ class BusRecording:
     # --- samples ---
     def _set_layout(self, bus: BusBase) -> None:
         drives = {drive.address: drive for drive in bus.drives}
-        self._sources = [_Source(slave, drives.get(slave.address)) for slave in bus.slaves]
+        self._sources = [_Source(slave, drives.get(slave.address), quality=self._quality) for slave in bus.slaves]
         started = time.time_ns() - (bus.runtime.now() - bus.started_ns)
         self._layout = Layout(
             tuple(source.described for source in self._sources),
@@ -199,6 +212,14 @@ class BusRecording:
             self._lost += missed
         self._published = data.published
         self._is_silent = False
+        if data.announced != self._announced:
+            self._news |= data.announced ^ self._announced
+            self._announced = data.announced
+        if self._news:
+            for source in self._sources:
+                if source.address in self._news and not source.look(source.address in data.announced):
+                    self._news.discard(source.address)
+            self._news &= data.inputs.keys()
         self._take(view, data.inputs, data.t_ns, bus.runtime.now())
 
     def _take(self, view: View, inputs: Mapping[int, bytes], t_ns: int, now: int) -> None:
@@ -214,16 +235,27 @@ class BusRecording:
                 continue
             sources.append(_EXCHANGING)
             if source.has_inputs:
-                sources.append(octets)
+                words = source.words[0]
+                given: bytes | Judged | None = octets if words is None else Judged(octets, words)
+                sources += (given, given) if source.has_quality else (given,)
             if source.has_outputs or source.drive is not None:
                 held = view.image(source.slave.setup).outputs
                 if source.has_outputs:
-                    sources.append(held if operating else source.outputs_in(mode, held))
+                    sent, words = held if operating else source.outputs_in(mode, held), source.words[1]
+                    given = sent if sent is None or words is None else Judged(sent, words)
+                    sources += (given, given) if source.has_quality else (given,)
                 if source.drive is not None:
                     sources.append(source.quantities(source.drive, (octets, held), now))
         assert self._writer is not None
         sample = Sample(self._layout, t_ns - self._started_ns, wall_ns, tuple(sources), self._lost)
         self._lost = 0 if self._writer.put(sample) else self._lost + 1
+
+    def event(self, event: Event) -> None:
+        """Take an event of the bus: another mode, or news of a slave's diagnosis."""
+        if isinstance(event, ModeChanged):
+            self.mode = event.mode
+        elif isinstance(event, (SlaveDiagnosis, SlaveStateChanged, AlarmRaised)):
+            self._news.add(event.address)
 
     def _look(self) -> None:
         """Now and then: other slaves, no rounds, a thread that ended."""
@@ -260,7 +292,7 @@ class BusRecording:
 class _Source:
     """One slave of a recording."""
 
-    def __init__(self, slave: Slave, drive: Drive | None) -> None:
+    def __init__(self, slave: Slave, drive: Drive | None, *, quality: bool = False) -> None:
         self.slave = slave
         self.drive = drive
         self.address = slave.address
@@ -268,8 +300,11 @@ class _Source:
         self.has_inputs = bool(config.input_fields)
         self.has_outputs = bool(config.output_fields)
         self.described = RecordedSlave(
-            slave.address, slave.name, config.input_fields, config.output_fields, drive is not None
+            slave.address, slave.name, config.input_fields, config.output_fields, drive is not None, quality
         )
+        self.has_quality = quality
+        #: the words of quality by the slave's diagnosis, of inputs and of outputs; None: all are good
+        self.words: list[tuple[str, ...] | None] = [None, None]
         self._status: tuple[object, ...] | None = None
         self._key: object = None
         self._before: object = None
@@ -278,7 +313,21 @@ class _Source:
     def add_invalid(self, sources: list[object]) -> None:
         """Append the state of a slave that is not in data exchange; nothing else of it is valid."""
         sources.append(self.slave.state.value)
-        sources.extend((None,) * (self.has_inputs + self.has_outputs + (self.drive is not None)))
+        of_values = self.has_inputs + self.has_outputs
+        sources.extend((None,) * (of_values * (2 if self.has_quality else 1) + (self.drive is not None)))
+
+    def look(self, announced: bool) -> bool:
+        """Judge by the diagnosis anew. ``announced``: a diagnosis that is not read yet. Returns whether to look again
+        in the next round: a bus process has read one that has not come yet."""
+        slave = self.slave
+        judge, image = slave.process_quality, slave.image
+        sides = ((Direction.INPUT, slave.config.input_fields), (Direction.OUTPUT, slave.config.output_fields))
+        for side, (direction, fields) in enumerate(sides):
+            words = tuple(
+                judge.by_diagnosis(one, direction, announced=announced).quality.value for one in fields.fields.values()
+            )
+            self.words[side] = words if any(word != Quality.GOOD.value for word in words) else None
+        return announced or image.diagnoses > slave.snapshot.diagnoses
 
     def outputs_in(self, mode: Mode, held: bytes) -> bytes | None:
         """The outputs on the wire in another mode than Operate."""

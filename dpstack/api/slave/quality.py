@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Final, NamedTuple, Protocol
 
@@ -15,7 +14,7 @@ from dpstack.dp.slot_map import Direction
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
 from dpstack.plant.items import DoubtValues, FaultValues, SlaveValues
 from dpstack.plant.quality import Quality, Reason
-from dpstack.plant.status_octet import read_status
+from dpstack.plant.status_octet import read_octets
 from dpstack.plant.value_quality import GOOD, Judged, trouble_of, worse
 from dpstack.units import NS_PER_MS, NS_PER_S
 
@@ -133,14 +132,20 @@ class SlaveQuality:
             found = self._judged[field] = _judged(about)
         return found
 
+    def by_diagnosis(self, field: Field, direction: Direction, *, announced: bool) -> Judged:
+        """The quality of a named value by the diagnosis alone. ``announced``: at another moment, a round ago."""
+        standing = ((ANNOUNCED, 0), *self.standing) if announced else self.standing
+        if not standing:
+            return GOOD
+        of_all = _judged({doubt: at for doubt, at in standing if doubt.inputs == ALL})
+        return worse(self._by_diagnosis(field, direction), of_all)
+
     def _of_octets(self, field: Field, octets: bytes) -> Judged:
         """The quality by the value itself, and by the status octet beside it."""
-        at = self._slave.image.input_time
-        if field.status is not None and field.status < len(octets):
-            meaning = read_status(field.coding, octets[field.status])
-            if meaning.reason is not Reason.GOOD:
-                return worse(Judged(meaning.reason, meaning.text, at), _number(field, octets, at))
-        return _number(field, octets, at)
+        if len(octets) < max(field.octet + field.length, 0 if field.status is None else field.status + 1):
+            return GOOD
+        meaning = read_octets(field, octets)
+        return GOOD if meaning.reason is Reason.GOOD else Judged(*meaning, self._slave.image.input_time)
 
     def doubts(self) -> Iterator[DoubtValues]:
         """The doubts for people and for a rack view; times in ns."""
@@ -165,13 +170,6 @@ def _judged(standing: dict[Doubt, int]) -> Judged:
         if found is None or found.kind not in _REASONS
         else Judged(_REASONS[found.kind], found.text, standing[found])
     )
-
-
-def _number(field: Field, octets: bytes, at: int) -> Judged:
-    if not field.type.startswith("f") or len(octets) < field.octet + field.length:
-        return GOOD
-    value = field.get(octets)
-    return Judged(Reason.NOT_A_NUMBER, "", at) if isinstance(value, float) and not math.isfinite(value) else GOOD
 
 
 def qualified(slave: Process, field: Field, direction: Direction) -> QualifiedValue:

@@ -70,6 +70,7 @@ def add_to(parser: Parser) -> None:
         "--record", "FILE", "keep named values, states and drive quantities, a new file: .csv, .jsonl or .parquet"
     )
     parser.flag("--on-change", "with --record: only rows in which a value has left its dead band")
+    parser.flag("--quality", "with --record: a column with the quality of each named value; a bad one keeps its number")
     parser.value("--rotate", "SIZE|TIME", "with --record: a new file after this size (100MB, 1GB) or time (30min, 1h)")
     parser.value("--log", "FILE", "write events with wall clock, JSON if it ends in .jsonl; 10 MB, then a new file")
     parser.flag("--plain", "plain lines on a terminal, too, instead of the live screen")
@@ -115,7 +116,7 @@ def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
     report = _report(config, args)
-    files = RunFiles(args.record, args.log, on_change=args.on_change, rotate=args.rotate)
+    files = RunFiles(args.record, args.log, on_change=args.on_change, rotate=args.rotate, quality=args.quality)
     with files, report or contextlib.nullcontext(), StopSignal() as stop, contextlib.ExitStack() as stack:
         stack.enter_context(reader_watched())
 
@@ -285,10 +286,16 @@ class RunFiles:
     """
 
     def __init__(
-        self, record: str | None, log: str | None, *, on_change: bool = False, rotate: str | None = None
+        self,
+        record: str | None,
+        log: str | None,
+        *,
+        on_change: bool = False,
+        rotate: str | None = None,
+        quality: bool = False,
     ) -> None:
-        if record is None and (on_change or rotate is not None):
-            option = "--on-change" if on_change else "--rotate"
+        if record is None and (on_change or quality or rotate is not None):
+            option = "--on-change" if on_change else "--quality" if quality else "--rotate"
             raise UsageError(f"{option} is about a recording: add --record FILE, or leave it out")
         self.recording: BusRecording | None = None
         self._log: EventLog | None = None
@@ -297,7 +304,7 @@ class RunFiles:
         if record is not None:
             from dpstack.api.bus.recording import BusRecording  # these here, as a run without files needs none of them
 
-            self.recording = BusRecording(record, on_change=on_change, rotate=rotate)
+            self.recording = BusRecording(record, on_change=on_change, rotate=rotate, quality=quality)
         if log is not None:
             from dpstack.api.recording.event_log import EventLog
 

@@ -36,6 +36,7 @@ _STOP: Final = Mode.STOP
 _DIAGNOSIS: Final = 32
 #: octets of the answers with a known length, by SAP
 _ANSWERS: Final = {SAP_SET_PRM: 0, SAP_CHK_CFG: 0, SAP_GET_CFG: 244}
+_NOBODY: Final = frozenset[int]()
 
 
 class Round:
@@ -273,7 +274,7 @@ class Round:
         self._published += 1
         cadence = self._cadence
         started_at = cadence.started_at
-        exchanging = self._turns.exchanging
+        exchanging, announced = self._turns.exchanging, self._context.announced
         return CycleData(
             number=cadence.number,
             published=self._published,
@@ -282,4 +283,5 @@ class Round:
             inputs={h.setup.address: h.image.inputs for h in exchanging},
             fresh=frozenset([h.setup.address for h in exchanging if h.image.input_time >= started_at]),
             missed=cadence.book.missed,
+            announced=frozenset(announced) if announced else _NOBODY,
         )

@@ -54,7 +54,8 @@ class CycleData(Struct, frozen=True, kw_only=True):
     ``published`` counts these objects, so that a program sees how many it did not receive. ``t_ns`` is the first bit of
     the first request of the round, ``due_ns`` the time when it was due (free running: the same). ``inputs``: of each
     slave in data exchange by address, at the end of the round. ``fresh``: the slaves whose inputs came in this round.
-    ``missed`` counts the deadline misses up to this round.
+    ``missed`` counts the deadline misses up to this round. ``announced``: the slaves that have announced a diagnosis
+    which is not read yet.
     """
 
     number: int
@@ -64,6 +65,7 @@ class CycleData(Struct, frozen=True, kw_only=True):
     inputs: Mapping[int, bytes]
     fresh: frozenset[int]
     missed: int
+    announced: frozenset[int] = frozenset()
 
     @property
     def late_ns(self) -> int:

@@ -59,6 +59,8 @@ class MasterContext:
         self.events: list[Event] = []
         #: addresses of slaves whose state, fault, diagnosis or alarm counts have changed, until somebody takes them
         self.changed: set[int] = set()
+        #: addresses of slaves whose last answer announced a diagnosis that is not read yet
+        self.announced: set[int] = set()
         #: called as a round begins: outputs that it puts into the process image go out in that round
         self.on_begin: Callable[[], None] = lambda: None
         #: gives the addresses of the masters in the token ring, None if they are not known

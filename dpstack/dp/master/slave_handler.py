@@ -170,7 +170,9 @@ class SlaveHandler:
                     if not self._odd.none:
                         self._odd.clear()
                     if status == _DH:
-                        self.reports.flagged = self.reports.flagged or self.exchanges
+                        if not self.reports.flagged:
+                            self.reports.flagged = self.exchanges
+                            self._context.announced.add(self.setup.address)
                         self.want_diagnosis(now)
                     return
         self._odd_data(outcome, now)
@@ -377,8 +379,12 @@ class SlaveHandler:
         self._step(verdict, now, fault_texts.refusal(self.setup, diagnosis, self._prm_sent) if refused else None)
         if self.state is SlaveState.DATA_EXCHANGE:
             self.reports.observer.read(diagnosis, self.reports.flagged, self.exchanges, now)
-            self.reports.flagged = 0
+            self._forget_announcement()
         self._changed(self, now)
+
+    def _forget_announcement(self) -> None:
+        self.reports.flagged = 0
+        self._context.announced.discard(self.setup.address)
 
     def operate_ordered(self, now: int) -> None:
         """An event before the order of Operate is no stall. A slave that was not asked until then, as in Stop, wants
@@ -447,7 +453,6 @@ class SlaveHandler:
         if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
             self.reports.clear()
         if state is SlaveState.DATA_EXCHANGE:
-            self.reports.flagged = 0
             self.bring_ups.entered_exchange()
             self.plugin_host.remind(now)
             self.reports.observer.opened(self.reports.diagnosis, now)
@@ -465,6 +470,7 @@ class SlaveHandler:
     def _leave_exchange(self, now: int, *, silent: bool) -> None:
         """Make the inputs invalid, end pending orders of the plugin, begin the next bring-up with a first request."""
         self.image.valid = False
+        self._forget_announcement()
         self.bring_ups.left_exchange(now, now - self.since)
         self.diag_due = False
         self.restart = True

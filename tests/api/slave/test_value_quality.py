@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import csv
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -198,6 +200,26 @@ async def test_readings_of_a_value() -> None:
         assert found == [(0, "good"), (0, "uncertain"), (0, "bad"), (0, "good")]
         with pytest.raises(UsageError, match="no input is called"):
             await anext(slave.readings("nothing"))
+
+
+async def test_a_recording_keeps_the_number_of_a_bad_value_only_beside_its_quality(tmp_path: Path) -> None:
+    rows: dict[bool, list[dict[str, str]]] = {}
+    for quality in (False, True):
+        path = tmp_path / f"{quality}.csv"
+        async with rack() as (bus, slave, served), bus.record(path, quality=quality):
+            await asyncio.sleep(0.1)
+            device(served).diag = UserDiag.of(LINE_BREAK)
+            await told(bus, slave, level="bad")
+            await asyncio.sleep(0.1)
+            await slave.deactivate()
+            await asyncio.sleep(1)
+        with path.open(encoding="utf-8") as file:
+            rows[quality] = list(csv.DictReader(file))
+    values = [row["rack.level"] for row in rows[False] if row["rack.state"] == "data_exchange"]
+    assert (values[0], values[-1]) == ("0", "")
+    seen = list(dict.fromkeys((row["rack.level"], row["rack.level quality"]) for row in rows[True]))
+    assert [one for one in seen if one[1]] == [("0", "good"), ("0", "uncertain"), ("0", "bad"), ("", "stale")]
+    assert {row["rack.valve quality"] for row in rows[True][:-1]} == {"good", "uncertain", "stale"}
 
 
 async def test_a_status_octet_and_a_float_that_is_no_number() -> None:
