@@ -7,6 +7,7 @@
 - ``evidence``: Evidence that the telegrams on a line are PROFIBUS and not another protocol of the same form
 - ``history``: The past of each station, second by second and minute by minute, in a few numbers: bursts, failures at
   once, T_SDR
+- ``markup``: HTML of what is printed: the acceptance report and the commissioning sheet
 - ``monitor``: A bus judged by listening: transmissions in, events and a summary with verdicts out. No clock, memory
   bounded
 - ``report``: The acceptance report of a bus: one HTML file that a customer reads, prints and signs

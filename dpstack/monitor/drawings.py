@@ -6,9 +6,9 @@ Each drawing has a text alternative, and is readable without colours: shades, pl
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from typing import Final, NamedTuple
 
+from dpstack.monitor.markup import text
 from dpstack.monitor.schedule import Rotation, Slot, Use
 from dpstack.stats import Histogram
 from dpstack.text import printable
@@ -43,11 +43,6 @@ MARKS: Final[Mapping[str, tuple[str, str]]] = {
 }
 _OTHER: Final = ("M-3 0A3 3 0 1 0 3 0A3 3 0 1 0 -3 0Z", "other")
 _HOLLOW: Final = frozenset({"back", "alarm", "status_message"})
-
-
-def text(value: object) -> str:
-    """``value`` as text of HTML or SVG: foreign text has neither mark-up nor controls any more."""
-    return escape(printable(str(value)))
 
 
 def microseconds(ns: float) -> str:

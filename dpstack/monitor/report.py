@@ -6,16 +6,26 @@ files) is escaped.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from importlib import resources
 from typing import Any, Final
 
 from dpstack.monitor import drawings
 from dpstack.monitor.counters import Counters
-from dpstack.monitor.drawings import text
+from dpstack.monitor.markup import (
+    NOT_TIMED,
+    Html,
+    html_inputs,
+    html_list,
+    html_page,
+    html_pairs,
+    html_section,
+    html_table,
+    join_lines,
+    plain_text,
+    text,
+)
 from dpstack.monitor.monitor import Happening
 from dpstack.monitor.schedule import Rotation, Use
 from dpstack.monitor.summary import UNSEEN
@@ -31,7 +41,6 @@ MOST_HISTOGRAMS: Final = 24
 #: rows of the time line, and of the table of one rotation
 MOST_CHANGES: Final = 200
 MOST_SLOTS: Final = 200
-_POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'"
 _SIGNS: Final = {"good": "✓", "warning": "!", "critical": "✕", "unknown": "?"}
 _SOURCES: Final = {
     "tap": "the octets of a dpstack program that holds the port; telegrams that it sends have exact times",
@@ -93,17 +102,8 @@ class Report:
         name = "PROFIBUS acceptance report" if is_profibus else "Report of a line that was not recognised as PROFIBUS"
         title = f"{name}, {self._begun():%Y-%m-%d}"
         made = f"dpstack {self.version}, report made {_time(self.made)}"
-        style = resources.files(__package__).joinpath("report.css").read_text(encoding="utf-8")
-        return (
-            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f'<meta name="generator" content="dpstack {text(self.version)}">\n'
-            f"<title>{text(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-            f"<header><h1>{name}</h1><p>Made of the octets on the bus; listening sends none.</p>"
-            f"</header>\n<main>\n{_join(sections)}</main>\n<footer><p>{text(made)}</p></footer>\n"
-            "</body>\n</html>\n"
-        )
+        header = f"<h1>{name}</h1><p>Made of the octets on the bus; listening sends none.</p>"
+        return html_page(title, header, join_lines(sections), made, self.version)
 
     # --- sections ---
     def _record(self) -> str:
@@ -113,7 +113,7 @@ class Report:
         rows: dict[str, object] = {
             "Begin": _time(begun),
             "End": _time(begun + timedelta(seconds=seconds)),
-            "Duration": f"{_duration(seconds)} ({_plain(s.get('seconds'))} s)",
+            "Duration": f"{_duration(seconds)} ({plain_text(s.get('seconds'))} s)",
             **self.line,
             "Rate": "unknown" if not s.get("baud") else f"{baud_text(s['baud'])} ({s['baud']} bit/s)",
             "Recognised as PROFIBUS": s.get("profibus"),
@@ -125,7 +125,7 @@ class Report:
             "Answers that nobody asked for": s.get("strays"),
         }
         remarks = "".join(f'<p class="remark">{text(one)}</p>' for one in self.remarks)
-        return _section("Record", _pairs(rows) + self._timing() + remarks)
+        return html_section("Record", html_pairs(rows) + self._timing() + remarks)
 
     def _timing(self) -> str:
         timing = self.summary.get("timing") or {}
@@ -133,30 +133,30 @@ class Report:
         resolution = timing.get("resolution_us")
         rows = {
             "Source of the times": f"{source}: {_SOURCES[source]}" if source in _SOURCES else source,
-            "Resolution": "unknown" if resolution is None else f"{_plain(resolution)} us",
+            "Resolution": "unknown" if resolution is None else f"{plain_text(resolution)} us",
             "Telegrams that arrived together with others": _share(timing.get("batched")),
         }
         note = (
             "Figures finer than this port can time are not given (n/a), and no verdict rests on them. Counts, "
             "repetitions, load and mean rotation need no such timing."
         )
-        return f"<h3>Adapter and its limits</h3>{_pairs(rows)}<p>{note}</p>"
+        return f"<h3>Adapter and its limits</h3>{html_pairs(rows)}<p>{note}</p>"
 
     def _fields(self) -> str:
         names = ("Customer", "Plant", "Segment or machine", "Order or report number", "Inspector", "Company")
         note = '<p class="screen">Fill in here, or on paper; the browser keeps nothing after the page is closed.</p>'
-        return _section("Acceptance", f'{note}<div class="fields">{_inputs(names, "f")}</div>')
+        return html_section("Acceptance", f'{note}<div class="fields">{html_inputs(names, "f")}</div>')
 
     def _signatures(self) -> str:
         names = [f"Place, date, signature of the {who}" for who in ("inspector", "customer")]
-        return _section("Signatures", f'<div class="fields signed">{_inputs(names, "s")}</div>', "whole")
+        return html_section("Signatures", f'<div class="fields signed">{html_inputs(names, "s")}</div>', "whole")
 
     def _verdict(self) -> str:
         verdict = self.summary.get("verdict", "unknown")
-        reasons = _list(self.summary.get("reasons"), "No reason to object." if verdict == "good" else "")
+        reasons = html_list(self.summary.get("reasons"), "No reason to object." if verdict == "good" else "")
         css = verdict if verdict in _SIGNS else "unknown"
         words = f"<p><strong>The bus: {_badge(verdict)}</strong></p>{reasons}"
-        return _section("Verdict", f'<div class="verdict v-{css}">{words}</div>')
+        return html_section("Verdict", f'<div class="verdict v-{css}">{words}</div>')
 
     def _verdicts(self) -> str:
         rows = []
@@ -164,11 +164,11 @@ class Report:
             for address, one in entries:
                 if one.get("verdict") is not None:
                     role, name = one.get("role") or kind, one.get("name") or one.get("model") or ""
-                    reasons = _Html(_list(one.get("reasons"), ""))
-                    rows.append((address, role, name, _Html(_badge(one["verdict"])), reasons))
+                    reasons = Html(html_list(one.get("reasons"), ""))
+                    rows.append((address, role, name, Html(_badge(one["verdict"])), reasons))
         columns = ("Address", "Role", "Name", "Verdict", "Reasons")
-        table = _table("Verdict on each station", columns, rows, numbers=())
-        return _section("Verdicts on stations", table if rows else "<p>No station was heard.</p>")
+        table = html_table("Verdict on each station", columns, rows, numbers=())
+        return html_section("Verdicts on stations", table if rows else "<p>No station was heard.</p>")
 
     def _parameters(self) -> str:
         counters, s = self.counters, self.summary
@@ -183,7 +183,7 @@ class Report:
         if self.parameters:
             own = ", ".join(f"{name} {value}" for name, value in self.parameters.items())
             rows["The master of this program runs with (bit times, unless another unit is named)"] = own
-        return _section("Bus parameters seen", _pairs(rows) + self._set_prm())
+        return html_section("Bus parameters seen", html_pairs(rows) + self._set_prm())
 
     def _set_prm(self) -> str:
         """The parameters that masters gave to slaves, as far as a bring-up was heard."""
@@ -200,7 +200,7 @@ class Report:
         if not rows:
             return "<p>No bring-up was heard: the parameters of the slaves are not known.</p>"
         columns = ("Address", "Watchdog", "min T_SDR (bits)", "Ident", "Groups", "User parameters (hex)")
-        return _table("Parameters of the slaves (Set_Prm heard)", columns, rows, numbers=(2,))
+        return html_table("Parameters of the slaves (Set_Prm heard)", columns, rows, numbers=(2,))
 
     def _masters(self) -> str:
         rows, times = [], []
@@ -210,25 +210,25 @@ class Report:
             for key, name in (("rotation_us", "DP cycle"), ("token_us", "token rotation"), ("hold_us", "token held")):
                 times.append((address, name, *_points(one.get(key), _TIMES)))
         columns = ("Address", "Mode", "Slaves", "GAP polls", "Drops out of the ring")
-        counters = _table("Masters", columns, rows, numbers=(3, 4))
+        counters = html_table("Masters", columns, rows, numbers=(3, 4))
         names = ("Address", "Time (us)", *_TIMES)
-        return _section("Masters", counters + _table("Times of the masters", names, times, numbers=range(2, 8)))
+        return html_section("Masters", counters + html_table("Times of the masters", names, times, numbers=range(2, 8)))
 
     def _stations(self) -> str:
         who, counts, course, times = [], [], [], []
         for address, one in self._by_address("stations"):
             verdict = one.get("verdict")
-            sign = _Html(_badge(verdict)) if verdict is not None else ""
+            sign = Html(_badge(verdict)) if verdict is not None else ""
             about = {**one, "state": str(one.get("state") or "").replace("_", " ")}
-            who.append((address, *(_plain(about.get(key), "") for key in _WHO), sign))
+            who.append((address, *(plain_text(about.get(key), "") for key in _WHO), sign))
             counts.append((address, *(one.get(key) for key in _COUNTS)))
             depth = one.get("retry_depth")
             depths = ", ".join(map(str, depth)) if isinstance(depth, (list, tuple)) else depth
-            diagnosis = _plain(one.get("diagnosis"), "none")
+            diagnosis = plain_text(one.get("diagnosis"), "none")
             course.append((address, depths, *(one.get(key) for key in _COURSE), diagnosis))
             limit = self._max_tsdr_us(one)
             limit_us = "unknown" if limit is None else f"{limit:.1f}"
-            bits = _plain(one.get("max_tsdr"), "unknown")
+            bits = plain_text(one.get("max_tsdr"), "unknown")
             times.append((address, *_points(one.get("tsdr_us"), _ANSWER), bits, limit_us))
         explained = (
             "Requests = answers + damaged + no answer. Repetitions: requests with an unturned frame count bit. "
@@ -236,23 +236,23 @@ class Report:
             "of the service, or of resources."
         )
         tables = (
-            _table("Stations", ("Address", *_WHO.values(), "Verdict"), who, numbers=()),
-            _table("Requests and answers", ("Address", *_COUNTS.values()), counts, numbers=range(1, 10)),
+            html_table("Stations", ("Address", *_WHO.values(), "Verdict"), who, numbers=()),
+            html_table("Requests and answers", ("Address", *_COUNTS.values()), counts, numbers=range(1, 10)),
             f"<p>{explained}</p>",
-            _table(
+            html_table(
                 "Repetitions by depth, data exchange, diagnosis",
                 ("Address", "Exchanges with 1, 2, ... repetitions", *_COURSE.values(), "Last diagnosis (hex)"),
                 course,
                 numbers=(2, 3, 4),
             ),
-            _table(
+            html_table(
                 "T_SDR in us: from the end of a request to the begin of the answer",
                 ("Address", *_ANSWER, "MaxTsdr (bits)", "MaxTsdr (us)"),
                 times,
                 numbers=range(1, 7),
             ),
         )
-        return _section("Stations", _join(tables))
+        return html_section("Stations", join_lines(tables))
 
     def _histograms(self) -> str:
         figures: list[str] = []
@@ -289,12 +289,12 @@ class Report:
         note = "" if left <= 0 else f"<p>{left} stations with shorter T_SDR have no histogram here.</p>"
         untimed += [] if timed else ["T_SDR of the stations"]
         none = f"<p>This port cannot time, or not finely enough: {text(', '.join(untimed))}.</p>" if untimed else ""
-        grid = f'<div class="grid">{_join(figures)}</div>' if figures else ""
-        return _section("Histograms", overview + grid + note + none)
+        grid = f'<div class="grid">{join_lines(figures)}</div>' if figures else ""
+        return html_section("Histograms", overview + grid + note + none)
 
     def _time_line(self) -> str:
         if not self.changes and not self.changes_left_out:
-            return _section(
+            return html_section(
                 "Time line", "<p>No station was lost or came back, no diagnosis changed, no alarm came.</p>"
             )
         seconds = max(float(self.summary.get("seconds") or 0), 1e-3)
@@ -314,8 +314,8 @@ class Report:
         note = f"<p>{left_out} earlier changes are not shown.</p>" if left_out else ""
         drawing = _figure_of("Changes by station", drawings.time_line(changes, seconds, names))
         legend = drawings.marks_legend(one.kind for one in shown)
-        table = _table("Changes", ("Seconds", "Address", "Change", "Text"), rows, numbers=(), head_is_number=True)
-        return _section("Time line", drawing + legend + note + table)
+        table = html_table("Changes", ("Seconds", "Address", "Change", "Text"), rows, numbers=(), head_is_number=True)
+        return html_section("Time line", drawing + legend + note + table)
 
     def _seconds(self, t_ns: int) -> float:
         return (t_ns - self.begun_ns) / NS_PER_S
@@ -323,7 +323,7 @@ class Report:
     def _schedule(self) -> str:
         rotation = self.rotation
         if rotation is None:
-            return _section("Schedule of one rotation", "<p>No whole rotation was heard.</p>")
+            return html_section("Schedule of one rotation", "<p>No whole rotation was heard.</p>")
         timed = self._times_neighbours()
         begins = "where the master passes the token" if rotation.by_token else "with the first Data_Exchange of a round"
         words = (
@@ -345,27 +345,27 @@ class Report:
             used.append(
                 ("idle", drawings.microseconds(rotation.idle_ns), _part(rotation.idle_ns, rotation.duration_ns))
             )
-        shares = _table("Use of the wire in this rotation", ("Use", "us", "Share"), used, numbers=(1, 2))
+        shares = html_table("Use of the wire in this rotation", ("Use", "us", "Share"), used, numbers=(1, 2))
         rows = []
         for slot in rotation.slots[:MOST_SLOTS]:
             start = f"{slot.start_ns / NS_PER_US:.1f}" if timed else "n/a"
             idle = f"{slot.idle_ns / NS_PER_US:.1f}" if timed else "n/a"
-            ends = (_plain(slot.sa, ""), "all" if slot.da == 127 else _plain(slot.da, ""))
+            ends = (plain_text(slot.sa, ""), "all" if slot.da == 127 else plain_text(slot.da, ""))
             rows.append(
                 (start, idle, f"{slot.duration_ns / NS_PER_US:.1f}", slot.size, slot.use.value, *ends, slot.text)
             )
         columns = ("Begin (us)", "Idle before (us)", "Length (us)", "Octets", "Use", "From", "To", "Service")
         left = len(rotation.slots) - len(rows)
         note = f"<p>{left} more telegrams are not in the table.</p>" if left > 0 else ""
-        table = _table("Telegrams of this rotation", columns, rows, numbers=(1, 2, 3), head_is_number=True)
+        table = html_table("Telegrams of this rotation", columns, rows, numbers=(1, 2, 3), head_is_number=True)
         drawing = _figure_of("One rotation", drawings.schedule(rotation, timed=timed))
-        return _section(
+        return html_section(
             "Schedule of one rotation",
             f"<p>{text(words)}</p>{drawing}{drawings.schedule_legend()}{shares}{table}{note}",
         )
 
     def _limits(self) -> str:
-        return _section("What this report cannot see", _list(self.cannot_see, ""))
+        return html_section("What this report cannot see", html_list(self.cannot_see, ""))
 
     def _thresholds(self) -> str:
         values = self.summary.get("thresholds") or {}
@@ -375,8 +375,8 @@ class Report:
             if limit.name in values
         ]
         columns = ("Threshold", "Value", "Unit", "Meaning", "Source")
-        table = _table("Thresholds", columns, rows, numbers=(1,)) if rows else "<p>Not known.</p>"
-        return _section("Thresholds of the verdicts", table)
+        table = html_table("Thresholds", columns, rows, numbers=(1,)) if rows else "<p>Not known.</p>"
+        return html_section("Thresholds of the verdicts", table)
 
     # --- parts ---
     def _begun(self) -> datetime:
@@ -404,12 +404,6 @@ class Report:
         return any(_is_timed(one.get("tsdr_us")) for _, one in self._by_address("stations"))
 
 
-class _Html(str):
-    """Text that is HTML already."""
-
-    __slots__ = ()
-
-
 #: columns of the stations' tables: keys of the summary and headings
 _WHO: Final = {
     "name": "Name",
@@ -433,66 +427,6 @@ _COUNTS: Final = {
 _COURSE: Final = {"syncs": "Bring-ups", "lost": "Lost", "diagnoses": "Diag\xadnoses"}
 _TIMES: Final = ("mean", "min", "p50", "p99", "p999", "max")
 _ANSWER: Final = ("min", "p50", "p99", "max")
-_NOT_TIMED: Final = "n/a"
-
-
-def _join(parts: Iterable[str]) -> str:
-    return "\n".join(parts)
-
-
-def _section(title: str, body: str, css: str = "") -> str:
-    name = title.lower().replace(" ", "-")
-    kind = f' class="{css}"' if css else ""
-    return f'<section aria-labelledby="{name}"{kind}>\n<h2 id="{name}">{text(title)}</h2>\n{body}\n</section>\n'
-
-
-def _inputs(names: Iterable[str], prefix: str) -> str:
-    return "".join(
-        f'<div class="field"><label for="{prefix}{number}">{name}</label><input id="{prefix}{number}" type="text" '
-        'autocomplete="off" maxlength="80"></div>'
-        for number, name in enumerate(names)
-    )
-
-
-def _pairs(rows: Mapping[str, object]) -> str:
-    """Names and values as a table with row headers."""
-    lines = "".join(
-        f'<tr><th scope="row">{text(name)}</th><td>{_cell(value)}</td></tr>\n' for name, value in rows.items()
-    )
-    return f'<table class="pairs"><tbody>\n{lines}</tbody></table>'
-
-
-def _table(
-    caption: str,
-    columns: Sequence[str],
-    rows: Iterable[Sequence[object]],
-    *,
-    numbers: Iterable[int],
-    head_is_number: bool = False,
-) -> str:
-    """A table whose first column heads its rows. ``numbers``: columns set to the right. Empty columns are left out."""
-    kept = list(rows)
-    used = [n for n in range(len(columns)) if n == 0 or not kept or any(row[n] not in ("", None) for row in kept)]
-    right = set(numbers)
-
-    def kind(column: int) -> str:
-        return ' class="n"' if column in right or (column == 0 and head_is_number) else ""
-
-    head = "".join(f'<th scope="col"{kind(n)}>{text_of_column(columns[n])}</th>' for n in used)
-    lines = []
-    for row in kept:
-        cells = "".join(f"<td{kind(n)}>{_cell(row[n])}</td>" for n in used[1:])
-        lines.append(f'<tr><th scope="row"{kind(0)}>{_cell(row[0])}</th>{cells}</tr>\n')
-    return (
-        f'<div class="scroll" role="region" aria-label="{text(caption)}" tabindex="0"><table><caption>'
-        f"{text(caption)}"
-        f"</caption>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody></table></div>\n"
-    )
-
-
-def text_of_column(name: str) -> str:
-    """A heading of ours; its soft hyphens stay."""
-    return "&shy;".join(map(text, name.split("\xad")))
 
 
 def _figure_of(caption: str, drawing: str) -> str:
@@ -510,29 +444,12 @@ def _is_timed(points: Any) -> bool:
 
 def _points(points: Any, keys: Sequence[str]) -> list[object]:
     if not isinstance(points, Mapping):
-        return [_NOT_TIMED] * len(keys)
-    return [_NOT_TIMED if (value := points.get(key, "")) is None else value for key in keys]
-
-
-def _cell(value: object) -> str:
-    return value if isinstance(value, _Html) else text(_plain(value))
-
-
-def _plain(value: object, none: str = _NOT_TIMED) -> str:
-    match value:
-        case None:
-            return none
-        case bool():
-            return "yes" if value else "no"
-        case str():
-            return value
-        case dict() | list() | tuple():
-            return json.dumps(value, ensure_ascii=False)
-    return str(value)
+        return [NOT_TIMED] * len(keys)
+    return [NOT_TIMED if (value := points.get(key, "")) is None else value for key in keys]
 
 
 def _share(value: object) -> str:
-    return f"{value * 100:.3g} % ({value})" if isinstance(value, (int, float)) else _NOT_TIMED
+    return f"{value * 100:.3g} % ({value})" if isinstance(value, (int, float)) else NOT_TIMED
 
 
 def _part(part: int, whole: int) -> str:
@@ -543,12 +460,6 @@ def _causes(damaged: Mapping[str, int]) -> str:
     total = sum(damaged.values())
     causes = ", ".join(f"{cause} {count}" for cause, count in sorted(damaged.items()))
     return f"{total} ({causes})" if causes else "0"
-
-
-def _list(lines: object, empty: str) -> str:
-    if not isinstance(lines, (list, tuple)) or not lines:
-        return f"<p>{text(empty)}</p>" if empty else ""
-    return "<ul>" + "".join(f"<li>{text(line)}</li>" for line in lines) + "</ul>"
 
 
 def _badge(verdict: object) -> str:
