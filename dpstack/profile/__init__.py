@@ -5,6 +5,7 @@
 - ``model/``: Declarations of a drive plugin: words, states, parameters, telegrams; orders and status of a drive
 - ``record47/``: PROFIdrive's parameter channel over DP-V1, record 47: both ends as pure machines
 - ``simulator/``: The simulated drive
+- ``core_description``: The description of a drive that its core has by itself
 - ``drive_profile``: Profile of one drive: its data for bus, configuration and simulation, and its options
 - ``heard_words``: The words of a drive and its parameter access, for a program that only listens to the bus
 - ``registry``: Drives by name, found by the entry point group ``dpstack.drives``; any installed package can add one
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from dpstack.profile.channel.pkw import ReplyId as ReplyId
     from dpstack.profile.channel.pkw import TaskId as TaskId
     from dpstack.profile.channel.stored_writes import StoredWrites as StoredWrites
+    from dpstack.profile.core_description import speed_range as speed_range
     from dpstack.profile.drive_profile import DriveProfile as DriveProfile
     from dpstack.profile.drive_profile import OptionSpec as OptionSpec
     from dpstack.profile.drive_profile import RateSetting as RateSetting
@@ -50,6 +52,25 @@ if TYPE_CHECKING:
     from dpstack.profile.model import drivecom_states as drivecom_states
     from dpstack.profile.model import process_data_map as process_data_map
     from dpstack.profile.model import profidrive_states as profidrive_states
+    from dpstack.profile.model.description import MADE_UP as MADE_UP
+    from dpstack.profile.model.description import OTHER_MANUAL as OTHER_MANUAL
+    from dpstack.profile.model.description import READING as READING
+    from dpstack.profile.model.description import Check as Check
+    from dpstack.profile.model.description import DescribedBit as DescribedBit
+    from dpstack.profile.model.description import DescribedCode as DescribedCode
+    from dpstack.profile.model.description import DescribedLed as DescribedLed
+    from dpstack.profile.model.description import DescribedMessage as DescribedMessage
+    from dpstack.profile.model.description import DescribedParameter as DescribedParameter
+    from dpstack.profile.model.description import DescribedPlace as DescribedPlace
+    from dpstack.profile.model.description import DescribedRange as DescribedRange
+    from dpstack.profile.model.description import DescribedStep as DescribedStep
+    from dpstack.profile.model.description import DescribedTelegram as DescribedTelegram
+    from dpstack.profile.model.description import DescribedWord as DescribedWord
+    from dpstack.profile.model.description import DeviceDescription as DeviceDescription
+    from dpstack.profile.model.description import described_word as described_word
+    from dpstack.profile.model.description import messages as messages
+    from dpstack.profile.model.description import places as places
+    from dpstack.profile.model.description import states_of as states_of
     from dpstack.profile.model.drive_type import CHANNEL_LEN as CHANNEL_LEN
     from dpstack.profile.model.drive_type import Options as Options
     from dpstack.profile.model.drive_type import TelegramFamily as TelegramFamily
@@ -103,6 +124,7 @@ record47
 channel.base Clock CycleTimes FindSpec ParameterChannel ParamKey find_parameter
 channel.pkw RETRY_NS ParamRef Pkw PkwAccess PkwChannel PkwDialect PkwServer ReplyId TaskId
 channel.stored_writes StoredWrites
+core_description speed_range
 drive_profile DriveProfile OptionSpec RateSetting
 master.core DriveCore Lookup settled
 master.mapped_core MAP_OPS MapCodes MappedCore
@@ -110,6 +132,10 @@ master.settings Setting equal same
 model.drivecom_states
 model.process_data_map
 model.profidrive_states
+model.description MADE_UP OTHER_MANUAL READING Check DescribedBit DescribedCode
+model.description DescribedLed DescribedMessage DescribedParameter DescribedPlace DescribedRange DescribedStep
+model.description DescribedTelegram DescribedWord DeviceDescription described_word messages places
+model.description states_of
 model.drive_type CHANNEL_LEN Options TelegramFamily TelegramSpec
 model.jobs Args CommandError Steps
 model.param_errors PARAMETER_ERRORS error_text

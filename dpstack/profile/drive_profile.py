@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec import Struct, structs
 
@@ -15,6 +15,9 @@ from dpstack.errors import ConfigError
 from dpstack.profile.master.core import DriveCore
 from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, Options, TelegramSpec, config_number
 from dpstack.profile.simulator.device import DriveDevice
+
+if TYPE_CHECKING:
+    from dpstack.profile.model.description import DeviceDescription
 
 
 class OptionSpec(Struct, frozen=True, kw_only=True):
@@ -96,6 +99,38 @@ class DriveProfile(DriveType):
     gsd: str | None = None
     #: the setting of the rate, for a drive that works only at the rate it is set to; None: it detects the rate
     rate_setting: RateSetting | None = None
+    #: ``module:function``, loaded for a sheet only: gets core, description, station address and options of the core;
+    #: returns the description with the facts of the manual. None: the description is what core and profile have
+    details: str | None = None
+
+    def describe(
+        self, address: int, telegram: str | None = None, options: Mapping[str, object] | None = None
+    ) -> DeviceDescription:
+        """The drive at the station ``address`` with telegram and options, for the commissioning sheet.
+
+        Raises ConfigError.
+        """
+        from pkgutil import resolve_name  # these here, as only a sheet needs them
+
+        from dpstack.profile.core_description import describe_core
+
+        checked = self._core_options(options or {}, self.name)
+        core = self.core_factory(self, self.name, self.telegram(telegram), checked)
+        basic = structs.replace(
+            describe_core(core, address, self.title, self.telegrams),
+            ident=None if self.ident_made_up else self.ident,
+            rates=self.baud_rates,
+            notes=self.notes,
+            on_loss=self.on_loss,
+        )
+        if self.details is None:
+            return basic
+        try:
+            described: DeviceDescription = resolve_name(self.details)(core, basic, address, checked)
+        except Exception as error:
+            why = f"{type(error).__name__}: {error}"
+            raise ConfigError(f"drive {self.name} cannot be described: {why}; repair {self.details}") from error
+        return described
 
     def rates(self, options: Mapping[str, object]) -> tuple[int, ...]:
         """The baud rates of the drive with these checked options in bit/s; empty: the manual gives none."""
@@ -141,17 +176,22 @@ class DriveProfile(DriveType):
         drive has it, and over the parameter channel of its telegram if not.
         """
         where = f"drive {name} ({self.name})"
-        specs = {**self.core_options, **_OPTIONS}
-        checked, extra = _checked(specs, {**(self.simulated_options if simulated else {}), **(options or {})}, where)
-        for unknown in extra:
-            near = difflib.get_close_matches(unknown, specs, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(specs) or 'none'}"
-            raise ConfigError(f"{where}: there is no option {unknown!r}; {hint}")
+        checked = self._core_options({**(self.simulated_options if simulated else {}), **(options or {})}, where)
         core = self.core_factory(self, name, self.telegram(telegram), checked)
         if records is not None and (acyclic := core.over_records(records)) is not None:
             core.records = records
             acyclic.cyclic, core.access = core.access, acyclic
         return core
+
+    def _core_options(self, options: Mapping[str, object], where: str) -> Options:
+        """The options of the core with their values or defaults. Raises ConfigError."""
+        specs = {**self.core_options, **_OPTIONS}
+        checked, extra = _checked(specs, options, where)
+        for unknown in extra:
+            near = difflib.get_close_matches(unknown, specs, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(specs) or 'none'}"
+            raise ConfigError(f"{where}: there is no option {unknown!r}; {hint}")
+        return checked
 
     def device(self, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveDevice:
         """A simulated drive, as delivered. Options: those declared, :data:`READY`, and parameters by number or name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ import dpstack
 from dpstack import profile
 from dpstack.cli.main import main
 from dpstack.dp.master.events import FaultKind
+from dpstack.errors import ConfigError
 from dpstack.profile import DriveDevice, DriveProfile
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "thirdparty_drive"
@@ -213,3 +215,23 @@ def test_its_parameters_go_over_record_47_where_it_has_it(
         pending.outcome = outcome(answer)
     bench.run()
     assert bench.value(token) == 1
+
+
+def test_its_sheet_is_made_of_its_tables_alone(acme: DriveProfile) -> None:
+    """A plugin without ``details`` has a description, too: nobody has to write one."""
+    device = acme.describe(7, options={"reference_hz": 60})
+    assert [step.what for step in device.steps] == ["reference = 60 Hz"]
+    core = acme.core("belt")
+    assert [one.text for one in device.faults] == list(core.fault_names.values())
+    assert device.faults
+    assert {bit.name for bit in device.words[0].bits} == set(core.table.control.bits)
+    assert [one.name for one in device.inputs][2:] == ["speed", "current", "fault"]
+    assert device.ranges[0].wire == "2710h = 60 Hz (the reference), two's complement"
+    assert {one.title for one in device.parameters} == {spec.title for spec in core.parameter_table or ()}
+
+
+def test_a_defect_of_its_description_is_one_line(acme: DriveProfile) -> None:
+    for details in ("acme_drive.nothing:describe", "acme_drive.table:PARAMETERS"):
+        broken = dataclasses.replace(acme, details=details)
+        with pytest.raises(ConfigError, match=f"drive acme-a300 cannot be described: .*; repair {details}"):
+            broken.describe(7)

@@ -30,7 +30,8 @@ class Setting(Struct, frozen=True, kw_only=True):
     ``wanted``: the expected setting, for people (``F03 = 60 Hz``). ``keys``: the parameters that show it, none if
     the status word or a learned map does. ``differs`` gets their values in this order and returns a text that says what
     the drive has and what to set, or None if it is as expected. ``refuse``: ``start()`` is refused while it differs,
-    because scale or source of the set point is another one; otherwise the text is a notice.
+    because scale or source of the set point is another one; otherwise the text is a notice. ``why`` and ``source`` are
+    for the commissioning sheet: the reason for the setting, and the section of the manual.
     """
 
     wanted: str
@@ -39,9 +40,20 @@ class Setting(Struct, frozen=True, kw_only=True):
     #: expected
     differs: Callable[[Sequence[float]], str | None]
     refuse: bool = True
+    why: str = ""
+    source: str = ""
 
 
-def equal(name: str, expected: float, remedy: str, *, unit: str = "", refuse: bool = True) -> Setting:
+def equal(
+    name: str,
+    expected: float,
+    remedy: str,
+    *,
+    unit: str = "",
+    refuse: bool = True,
+    why: str = "",
+    source: str = "",
+) -> Setting:
     """``name`` has the value ``expected``; ``remedy`` says what to do otherwise, ``{}`` in it is the drive's value."""
     suffix = f" {unit}" if unit else ""
 
@@ -51,7 +63,14 @@ def equal(name: str, expected: float, remedy: str, *, unit: str = "", refuse: bo
             return None
         return f"{name} is {value:g}{suffix}, not {expected:g}{suffix}: {remedy.format(f'{value:g}')}"
 
-    return Setting(wanted=f"{name} = {expected:g}{suffix}", keys=(ParamKey(name),), differs=differs, refuse=refuse)
+    return Setting(
+        wanted=f"{name} = {expected:g}{suffix}",
+        keys=(ParamKey(name),),
+        differs=differs,
+        refuse=refuse,
+        why=why,
+        source=source,
+    )
 
 
 def same(value: float, expected: float) -> bool:

@@ -1,5 +1,6 @@
 """Declarations of a drive plugin: words, states, parameters, telegrams; orders and status of a drive.
 
+- ``description``: Description of a device for people: what to set at it, its telegrams, words, messages and LEDs
 - ``drive_type``: Type of a drive on the bus: ident number, telegrams, user parameters; its options
 - ``drivecom_states``: The DRIVECOM state machine as data: words, commands, states and transitions
 - ``jobs``: Jobs of the application that take several cycles, written as generators that are resumed once a cycle

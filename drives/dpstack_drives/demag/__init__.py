@@ -28,6 +28,7 @@ DRIVE: Final = DriveProfile(
     ),
     core_factory=DemagCore,
     device_factory=DemagDevice,
+    details="dpstack_drives.demag.description:describe",
     core_options={
         "reference_hz": OptionSpec(
             default=50.0, low=1, high=1000, text="what 100 % is: 390, or 375 where 390 is 0 (factory 50 Hz)"

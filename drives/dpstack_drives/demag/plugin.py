@@ -463,17 +463,45 @@ class DemagCore(MappedCore[OutMap]):
         """390 or 375 (scale) and 434 (source of the set point) of the active data set."""
         active = self._data_set
         ramp = ParamKey(434, active)
-        mode = Setting(wanted=f"412 = {self._wanted_mode}", keys=(), differs=lambda _: self._other_mode())
+        mode = Setting(
+            wanted=f"412 = {self._wanted_mode}",
+            keys=(),
+            differs=lambda _: self._other_mode(),
+            why="only 1 (state machine) and 2 (remote contacts) let the bus control the drive; 44 as delivered",
+            source="11.2.1",
+        )
         return (
             *(() if self._set_412 else (mode,)),
             Setting(
                 wanted=f"390 (375 where 390 is 0) = {self.reference_hz:g} Hz",
                 keys=(ParamKey(390, active), ParamKey(375, active)),
                 differs=self._other_reference,
+                why="100 % (4000h) of set point and actual value is 390, or 375 if 390 is 0",
+                source="11.2.2",
             ),
-            Setting(wanted="434 = 2 or 3", keys=(ramp,), differs=_without_line),
-            Setting(wanted="228 = 0 Hz where 434 is 3", keys=(ramp, ParamKey(228)), differs=_added, refuse=False),
-            Setting(wanted="880 other than 1", keys=(ParamKey(880),), differs=_trips_in_clear, refuse=False),
+            Setting(
+                wanted="434 = 2 or 3",
+                keys=(ramp,),
+                differs=_without_line,
+                why="with 1 the drive follows its internal set point, not that of the bus",
+                source="11.2.2.1",
+            ),
+            Setting(
+                wanted="228 = 0 Hz where 434 is 3",
+                keys=(ramp, ParamKey(228)),
+                differs=_added,
+                refuse=False,
+                why="with 434 = 3 the drive adds its internal set point (228) to that of the bus",
+                source="11.2.2.1",
+            ),
+            Setting(
+                wanted="880 other than 1",
+                keys=(ParamKey(880),),
+                differs=_trips_in_clear,
+                refuse=False,
+                why="with 1 every Clear that lasts longer than 881 trips F2100",
+                source="8",
+            ),
         )
 
     def _other_mode(self) -> str | None:

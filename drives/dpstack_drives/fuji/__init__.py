@@ -24,6 +24,7 @@ DRIVE: Final = DriveProfile(
     ),
     core_factory=FujiCore,
     device_factory=FujiDevice,
+    details="dpstack_drives.fuji.description:describe",
     core_options={
         "reference_hz": OptionSpec(default=60.0, low=1, high=1000, text="what 100 % is: F03 (60 Hz in the manual)"),
         "reverse": OptionSpec(

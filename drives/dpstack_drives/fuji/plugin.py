@@ -146,8 +146,22 @@ class FujiCore(MappedCore[PcdMap]):
         """F03 (scale), y98 (source), and what PCD1 to PCD4 are assigned to."""
         hz = self.reference_hz
         found = [
-            equal("F03", hz, f"set F03 = {hz:g} or the option reference_hz = {{}}", unit="Hz"),
-            equal("y98", _FROM_BUS, "set y98 = 3 (run and frequency command from PROFIBUS)"),
+            equal(
+                "F03",
+                hz,
+                f"set F03 = {hz:g} or the option reference_hz = {{}}",
+                unit="Hz",
+                why="100 % (4000h) of MRV and MAV is F03, the maximum frequency",
+                source="8.2 (3)",
+            ),
+            equal(
+                "y98",
+                _FROM_BUS,
+                "set y98 = 3 (run and frequency command from PROFIBUS)",
+                why="with 0 (as delivered) CTW and MRV do nothing; 1 takes only the frequency from the bus, 2 only the "
+                "run command",
+                source="5, table 5.1",
+            ),
         ]
         if self.rest and self.pending is None:
             found += [
@@ -237,5 +251,11 @@ def _assigned(option: str, own: PcdMap, pnu: int, codes: str) -> Setting:
 
     keys = tuple(ParamKey(pnu, index=index) for index in t.ARRAYS[pnu])
     return Setting(
-        wanted=f"{codes} = {str(own) or 'empty'}", keys=keys, differs=differs, refuse=option == "map_outputs"
+        wanted=f"{codes} = {str(own) or 'empty'}",
+        keys=keys,
+        differs=differs,
+        refuse=option == "map_outputs",
+        why=f"they say what PCD1 to PCD4 carry, as the option {option}; a word in another's place would be another "
+        "function code. They act after power-on",
+        source="8.2 (4)",
     )

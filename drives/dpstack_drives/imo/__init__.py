@@ -29,6 +29,7 @@ DRIVE: Final = DriveProfile(
     ),
     core_factory=ImoCore,
     device_factory=simulator.ImoDevice,
+    details="dpstack_drives.imo.description:describe",
     core_options={
         "reference_hz": OptionSpec(default=50.0, low=1, high=600, text="what 100 % is in Hz"),
         "max_hz": OptionSpec(

@@ -10,6 +10,7 @@ from dpstack.profile import (
     MAP_OPS,
     NS_PER_MS,
     NS_PER_S,
+    OTHER_MANUAL,
     Args,
     CommandError,
     ConfigError,
@@ -300,12 +301,33 @@ class ImoCore(MappedCore[PzdMap]):
         """Source of the commands, which stands in SW; set frequency in the maps, which are learned; source and limit
         of the set frequency."""
         found = [
-            Setting(wanted="SW bits 13-14 = 2", keys=(), differs=lambda _: self._other_source()),
-            Setting(wanted="P15.02 to P15.23 as they were learned", keys=(), differs=lambda _: self._other_map()),
+            Setting(
+                wanted="SW bits 13-14 = 2",
+                keys=(),
+                differs=lambda _: self._other_source(),
+                why="the drive obeys CW only while communication is the source of the run command; the parameter is in "
+                "the inverter's manual",
+                source="table 2-7",
+            ),
+            Setting(
+                wanted="P15.02 to P15.23 as they were learned",
+                keys=(),
+                differs=lambda _: self._other_map(),
+                why="the plugin reads the map when data exchange begins; a change at the keypad afterwards would give "
+                "the words another meaning",
+                source="tables 2-6, 2-8",
+            ),
         ]
         if not self._set_map:
             found.append(
-                Setting(wanted="a set frequency in P15.02 to P15.12", keys=(), differs=lambda _: self._no_frequency())
+                Setting(
+                    wanted="a set frequency in P15.02 to P15.12",
+                    keys=(),
+                    differs=lambda _: self._no_frequency(),
+                    why="one of them must be 1 (set frequency), otherwise no speed reaches the drive; all are 0 as "
+                    "delivered. `write_map` or the option set_map = true writes them",
+                    source="table 2-6",
+                )
             )
         if self._frequency_source is not None:
             number, value = self._frequency_source
@@ -314,7 +336,8 @@ class ImoCore(MappedCore[PzdMap]):
                 f"the set frequency does not come from PROFIBUS; set {name} = {value}, or the option frequency_source "
                 "to what the inverter's manual has"
             )
-            found.append(equal(name, value, remedy))
+            why = "the set frequency has to come from PROFIBUS"
+            found.append(equal(name, value, remedy, why=why, source=OTHER_MANUAL))
         if self._maximum is not None:
             found.append(
                 Setting(
@@ -322,6 +345,8 @@ class ImoCore(MappedCore[PzdMap]):
                     keys=(ParamKey(self._maximum),),
                     differs=self._other_maximum,
                     refuse=False,
+                    why="the inverter limits set points to its maximum frequency",
+                    source=OTHER_MANUAL,
                 )
             )
         return found

@@ -28,6 +28,7 @@ DRIVE: Final = DriveProfile(
     ),
     core_factory=KebCore,
     device_factory=KebDevice,
+    details="dpstack_drives.keb.description:describe",
     core_options={
         "control_bits": OptionSpec(
             default="", text="bits of sy.50: enable, run, reset, reverse, quick_stop; 'run=2 ...'"

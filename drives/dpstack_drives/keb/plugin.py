@@ -212,18 +212,24 @@ class KebCore(MappedCore[PdMap]):
 
     def settings(self) -> Sequence[Setting]:
         """The active map (first: outputs wait for it), the source of the set point, the direction."""
-        found = [equal("oP.00", 5, "the set point is not sy.52: set oP.00 = 5")] if self._rpm_per_count else []
+        found: list[Setting] = []
+        if self._rpm_per_count:
+            why = "5 takes the set point from sy.52, the set speed of the bus"
+            found.append(equal("oP.00", 5, "the set point is not sy.52: set oP.00 = 5", why=why, source=t.BASIC))
         if self._bits and self._by_sign:
             found.append(
                 Setting(
                     wanted="oP.01 other than 9",
                     keys=(ParamKey("oP.01"),),
                     differs=lambda values: _absolute(values[0]),
+                    why="with 9 the direction comes from sy.50, and a negative set speed turns forward",
+                    source=t.BASIC,
                 )
             )
         elif self._bits:
             remedy = "the direction may not come from sy.50: set oP.01 = 9"
-            found.append(equal("oP.01", 9, remedy, refuse=False))
+            why = "9 takes the direction from sy.50, with an absolute set speed"
+            found.append(equal("oP.01", 9, remedy, refuse=False, why=why, source=t.BASIC))
         if self.pending is not None:
             return found
         return [*self._map_settings(self.inputs_map, self.outputs_map), *found]
@@ -459,7 +465,16 @@ def _active(option: str, own: PdMap, firsts: Sequence[int]) -> list[Setting]:
                 f"{option} to the drive's map (read_map), or write_map and switch the drive off and on"
             )
 
-        found.append(Setting(wanted=f"{names} = {wanted}", keys=tuple(keys), differs=differs))
+        found.append(
+            Setting(
+                wanted=f"{names} = {wanted}",
+                keys=tuple(keys),
+                differs=differs,
+                why=f"the active process data map has to be that of the option {option}: a value in another's place "
+                "would be written into another parameter. `write_map` writes it",
+                source="Saving of the F5 PB-Operator Configuration",
+            )
+        )
     return found
 
 
@@ -481,7 +496,15 @@ def _enabled(name: str, own: PdMap, enables: Sequence[int | None]) -> list[Setti
                 "write_map, and switch the drive off and on if it does not act at once"
             )
 
-        found.append(Setting(wanted=f"{index:04X}h = FFh", keys=(ParamKey(index),), differs=differs))
+        found.append(
+            Setting(
+                wanted=f"{index:04X}h = FFh",
+                keys=(ParamKey(index),),
+                differs=differs,
+                why=f"without the enable the drive does not pass all {name} on",
+                source="Changing the PD-Assignment via the Parameter Channel",
+            )
+        )
     return found
 
 

@@ -148,14 +148,25 @@ ERRORS: Final = {
     NOT_POSSIBLE: "the operation is not possible",
 }
 
-#: what makes the inverter obey sy.50 and sy.52 (Basic Adjustments), for people
-RECIPE: Final = (
-    "ud.01 = 440, Fr.01 = -4, Fr.02 = 5, oP.00 = 5, oP.01 = 9, di.01 = 1, di.02 = 1 (F5-C also ud.05 = 2; "
-    "F5-B, -C and -G need the rated motor speed)"
-)
-
+#: the section that says what makes the inverter obey sy.50 and sy.52
+BASIC: Final = "Basic Adjustments"
+#: its parameters in their order: value, and what the value is
+RECIPE_STEPS: Final = {
+    "ud.01": (440, "password"),
+    "Fr.01": (-4, "copy parameter set: default values, customer and system, in all sets; so before all that follows"),
+    "Fr.02": (5, "parameter set source: the control word sy.50"),
+    "oP.00": (5, "reference source: the set speed sy.52"),
+    "oP.01": (9, "rotation source: the control word sy.50, with an absolute set speed"),
+    "di.01": (1, "select signal source: ST"),
+    "di.02": (1, "digital input setting: ST"),
+}
 #: the same for the simulated drive
-READY: Final = {"ud.01": 440, "Fr.01": -4, "Fr.02": 5, "oP.00": 5, "oP.01": 9, "di.01": 1, "di.02": 1}
+READY: Final = {name: value for name, (value, _) in RECIPE_STEPS.items()}
+#: and for people
+RECIPE: Final = (
+    f"{', '.join(f'{name} = {value}' for name, value in READY.items())} (F5-C also ud.05 = 2; F5-B, -C and -G need the "
+    "rated motor speed)"
+)
 
 #: made up: what the bits mean in the simulated drive
 CONTROL_BITS: Final = "enable=0 reset=1 run=2 reverse=3 quick_stop=8"
@@ -251,7 +262,10 @@ PARAMETERS: Final = ParamTable(
         _row("Fb.38", "Master_PDOUT_Len", read_only=True),
         _row("Fb.39", "watchdog activation", high=3, made_up=False),
         _row("Fb.40", "watchdog inhibit", high=7, factory=7, made_up=False),
-        *(ParamSpec(index, f"{index:04X}h", title, use=Use.MAP, by_name=True) for index, title in RECORDS.items()),
+        *(
+            ParamSpec(index, f"{index:04X}h", title, use=Use.MAP, by_name=True, made_up=True)
+            for index, title in RECORDS.items()
+        ),
     )
 )
 #: counts per unit that the manual shows (oP.3: 0640h is 20 Hz); everything else goes as the integer on the wire

@@ -43,6 +43,7 @@ DRIVE: Final = DriveProfile(
     ),
     core_factory=LsCore,
     device_factory=LsDevice,
+    details="dpstack_drives.ls.description:describe",
     core_options={
         **_COMMON,
         "trip_word": OptionSpec(

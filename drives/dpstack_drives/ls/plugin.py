@@ -10,6 +10,7 @@ from dpstack.profile import (
     FAULTED,
     NS_PER_MS,
     NS_PER_S,
+    OTHER_MANUAL,
     CommandError,
     ConfigError,
     DriveProfile,
@@ -301,22 +302,40 @@ class LsCore(MappedCore[ParaMap]):
                 wanted=f"PNU 930 = {wanted:04X}h",
                 keys=(ParamKey(t.PNU_PROFILE),),
                 differs=lambda values: self._other_profile(int(values[0])),
+                why=f"COM-11 = {self._profile} and COM-94 = 1: it fixes the meaning of the control and status words",
+                source="4.2.11",
             ),
-            equal("dr-07", t.FIELD_BUS["dr-07"], "the frequency does not come from the field bus: set dr-07 = 8"),
+            equal(
+                "dr-07",
+                t.FIELD_BUS["dr-07"],
+                "the frequency does not come from the field bus: set dr-07 = 8",
+                why="8 takes the frequency from the field bus",
+                source=OTHER_MANUAL,
+            ),
             equal(
                 "dr-20",
                 hz,
                 f"set dr-20 = {hz:g} or the option reference_hz = {{}}",
                 unit="Hz",
                 refuse=per_cent,  # otherwise a limit: set points are rpm or Hz
+                why="100 % (4000h) is the maximum frequency" if per_cent else "set points are limited there",
+                source="4.1",
             ),
-            equal("COM-68", swap, f"set COM-68 = {swap} and COM-94 = 1, or the option swap"),
+            equal(
+                "COM-68",
+                swap,
+                f"set COM-68 = {swap} and COM-94 = 1, or the option swap",
+                why="1 swaps the octets of each word",
+                source="4.2.9",
+            ),
         ]
         if profidrive:
             unit = "rpm" if self._rpm else "percent"
             remedy = f"set COM-14 = {int(self._rpm)} and COM-94 = 1, or the option speed_unit (now {unit!r})"
-            found.append(equal("COM-14", int(self._rpm), remedy))
-        found.append(equal("dr-06", t.FIELD_BUS["dr-06"], _SOURCE))
+            why = "it fixes the unit of set point and actual speed: 0 per cent of dr-20, 1 rpm"
+            found.append(equal("COM-14", int(self._rpm), remedy, why=why, source="4.2.14"))
+        why = "4 takes the run command from the field bus"
+        found.append(equal("dr-06", t.FIELD_BUS["dr-06"], _SOURCE, why=why, source=OTHER_MANUAL))
         for option, own, room, count, refuse in (
             ("para_control", self.outputs_map, self.room(outputs=True), t.CONTROL_COUNT, True),
             ("para_status", self.inputs_map, self.room(outputs=False), t.STATUS_COUNT, self._io),
@@ -429,4 +448,12 @@ def _mapped(option: str, own: ParaMap, room: int, count: int, *, refuse: bool) -
             f"'{found}' or the codes (write_map)"
         )
 
-    return Setting(wanted=f"{t.code_of(count + 1)}.. = {own}", keys=keys, differs=differs, refuse=refuse)
+    return Setting(
+        wanted=f"{t.code_of(count + 1)}.. = {own}",
+        keys=keys,
+        differs=differs,
+        refuse=refuse,
+        why=f"they say what the words of the telegram carry, as the option {option}; {t.code_of(count)} is their "
+        "number, COM-94 = 1 makes them act",
+        source="4.2.4 to 4.2.8",
+    )
