@@ -8,9 +8,15 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from datetime import datetime
 from typing import Any, Final
 
+from msgspec import structs
+
+from dpstack import __version__
 from dpstack.api.commissioning.commissioning import Commissioning
+from dpstack.api.commissioning.sheet import blocks_of, title_of
+from dpstack.api.commissioning.sheet_page import sheets_page
 from dpstack.errors import UsageError
 from dpstack.text import shortened
 from dpstack.web.messages import Ask
@@ -82,8 +88,22 @@ HANDLERS: Final[dict[str, Handler]] = {
     "scan": _scan,
     "recording": _recording,
 }
-#: by ``what``: the method of :class:`~dpstack.api.commissioning.commissioning.Commissioning`, and its least and most
-#: arguments
+
+
+def _sheet(commissioning: Commissioning, slave: object) -> object:
+    """The commissioning sheet of a slave in its parts, and as the file that ``dpstack sheet --html`` writes."""
+    found = commissioning.typed_sheet(slave)
+    return {
+        "name": found.name,
+        "address": found.address,
+        "title": title_of(found),
+        "blocks": [structs.asdict(block) for block in blocks_of(found)],
+        "html": sheets_page([found], commissioning.name, __version__, datetime.now()),
+    }
+
+
+#: by ``what``: a function of the :class:`~dpstack.api.commissioning.commissioning.Commissioning`, most are its methods,
+#: and its least and most arguments
 COMMISSIONING: Final[dict[str, tuple[Callable[..., object], int, int]]] = {
     "files": (Commissioning.files, 0, 0),
     "match": (Commissioning.match, 1, 1),
@@ -91,6 +111,7 @@ COMMISSIONING: Final[dict[str, tuple[Callable[..., object], int, int]]] = {
     "table": (Commissioning.table, 1, 1),
     "check": (Commissioning.check, 1, 1),
     "toml": (Commissioning.toml, 1, 1),
+    "sheet": (_sheet, 1, 1),
 }
 
 
@@ -117,7 +138,9 @@ class Asks:
     async def _commission(self, ask: Ask) -> object:
         """In a thread: it reads files, and a large GSD file takes a second."""
         if self._commissioning is None:
-            raise UsageError(f"{ask.what}: this server has no configuration, so it has no folder of GSD files either")
+            raise UsageError(
+                f"{ask.what}: this server has no configuration: start it with one, `dpstack web plant.toml`"
+            )
         method, least, most = COMMISSIONING[ask.what]
         if not least <= len(ask.args) <= most:
             count = f"{least}" if least == most else f"{least} or {most}"

@@ -266,6 +266,26 @@ def test_records_im_and_parameters_are_read_on_demand(page: Browser, plant: Plan
     assert float(shown) == pytest.approx(parameter["value"])
 
 
+def test_the_commissioning_sheet_is_that_of_the_command(page: Browser, plant: Plant, tmp_path: Path) -> None:
+    """Each row of ``dpstack sheet --json`` is on the page; a slave of a GSD file has its modules."""
+    done = plant.start("sheet", str(plant.file), "hoist", "--json")
+    assert done.end() == 0, done.err
+    (sheet,) = done.lines[-1]["sheets"]
+    page.go("slave/3")
+    page.click("#h-sheet ~ .buttons button")
+    page.sees("F2062", ".sheet")
+    shown = page.text(".sheet")
+    for step in sheet["device"]["steps"]:
+        assert step["what"] in shown
+        assert step["why"] in shown
+    for fault in sheet["device"]["faults"]:
+        assert fault["text"] in shown
+    page.picture(tmp_path / "sheet.png")
+    page.go("slave/8")
+    page.click("#h-sheet ~ .buttons button")
+    page.sees("8 DI", ".sheet")
+
+
 def test_an_output_set_on_the_page_is_on_the_wire(page: Browser, plant: Plant) -> None:
     page.go("slave/8")
     page.js("document.getElementById('set-8-outlet').value = 'on'")

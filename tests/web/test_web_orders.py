@@ -4,6 +4,7 @@ commissioning, from a scan to the text of a configuration, and nonsense."""
 from __future__ import annotations
 
 import asyncio
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 from gsd_kit import HEAD
+from plant_files import plant_file
 
 from dpstack.api.commissioning.commissioning import Commissioning
 from dpstack.errors import BusError, UsageError
@@ -249,6 +251,30 @@ async def test_from_a_scan_to_a_configuration(commissioning: Commissioning) -> N
         line = made["toml"].split("\n").index("watchdog_ms = 100") + 1
         assert [error["line"] for error in wrong["errors"]] == [line]
         assert "watchdog_ms" in wrong["errors"][0]["suggestion"]
+
+
+async def test_the_commissioning_sheet_of_a_slave(tmp_path: Path) -> None:
+    plant_file(tmp_path, {"name": "hoist", "address": 3, "drive": "demag-dedrive"})
+    commissioning = Commissioning(tmp_path / "plant.toml")
+    async with serve(Scanned(), commissioning=commissioning) as server, page_of(server) as page:
+        answer = await page.ask("sheet", "3")
+        assert answer["ok"], answer
+        sheet = answer["result"]
+        assert (sheet["name"], sheet["address"]) == ("hoist", 3)
+        assert sheet["title"] == "hoist, address 3: Demag Dedrive Compact, CM-PDP-24"
+        faults = next(one for one in sheet["blocks"] if one["title"] == "Faults")
+        assert faults["columns"] == ["code", "meaning", "remedy", "source"]
+        assert faults["rows"][1] == ["F2062", "Profibus OFF, the DP master failed", "", "13.2"]
+        assert sheet["html"].startswith("<!DOCTYPE html>")
+        assert "F2062" in sheet["html"]
+        assert str(tmp_path) not in json.dumps(sheet)  # paths of this computer are not for all who look at a page
+        for wrong in (4, "hoister", "h" * 200):
+            assert "no slave is called" in (await page.ask("sheet", wrong))["error"]
+        nothing: tuple[object, ...] = ([], {"a": 1}, None, "")
+        for nonsense in nothing:
+            assert "slave must be a text" in (await page.ask("sheet", nonsense))["error"]
+        (tmp_path / "plant.toml").unlink()
+        assert "no such file" in (await page.ask("sheet", "hoist"))["error"]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""``Commissioning``: match, modules, table, check and toml, with plain data in and out.
+"""``Commissioning``: match, modules, table, check, toml and sheet, with plain data in and out.
 
 Everything that goes in and comes out is plain data (texts, numbers, lists, dicts, None), as it goes through JSON.
 Nothing is written to a file, and the only GSD files that are read are those of one folder and those named in the
@@ -16,7 +16,8 @@ from typing import Any, Final
 from dpstack.api.bus.compose import plan_bus
 from dpstack.api.bus.plan_checks import refuse_misfit
 from dpstack.api.commissioning.candidates import candidates, module_choice
-from dpstack.api.config.config import Config, check_config, slave_config
+from dpstack.api.commissioning.sheet import Sheet, make_sheets
+from dpstack.api.config.config import Config, check_config, load_config, slave_config
 from dpstack.api.config.gsd_choice import base_name, octet_remarks
 from dpstack.api.config.table import parse_hex
 from dpstack.api.config.toml import TomlError, read_toml, table_lines
@@ -64,6 +65,11 @@ class Commissioning:
 
     def __repr__(self) -> str:
         return f"<Commissioning {self._file}>"
+
+    @property
+    def name(self) -> str:
+        """Name of the configuration file, without its folder."""
+        return self._file.name
 
     def files(self) -> dict[str, Any]:
         """The GSD files: ``{"folder": PATH, "files": [{"gsd", "ident", "vendor", "model"}], "bad": [{"gsd",
@@ -212,6 +218,20 @@ class Commissioning:
         parts += [self._table(keys)["text"] for keys in sorted(slaves, key=_address)]
         written = "\n".join(parts)
         return {"toml": written, **self.check(written)}
+
+    def sheet(self, slave: object) -> dict[str, Any]:
+        """The commissioning sheet of ``slave`` (name or address) in the present configuration, as ``dpstack sheet
+        --json`` has it.
+
+        Raises ConfigError if the configuration cannot be read, UsageError for a slave that it does not have.
+        """
+        return self.typed_sheet(slave).as_dict()
+
+    def typed_sheet(self, slave: object) -> Sheet:
+        """As :meth:`sheet`, typed; for the texts that people read and print."""
+        name = str(slave) if type(slave) is int else _text(slave, "slave")
+        (found,) = make_sheets(load_config(self._file), name)
+        return found
 
     def _foreign_files(self, text: str) -> list[ConfigError]:
         """An error for each GSD file of the configuration ``text`` that must not be read."""

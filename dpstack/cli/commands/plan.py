@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from time import monotonic
 from typing import TYPE_CHECKING, Final
@@ -70,7 +71,7 @@ def execute(args: argparse.Namespace) -> int:
             data["simulated"] = None if found is None else found.as_dict()
         output.json_line(data)
     else:
-        _show(plan, needs, _notes_on_loss(config))
+        _show(plan, needs, [*_notes_on_loss(config), *_sheet_note(args.config)])
         if args.octets:
             _show_octets(plan)
         if args.simulate is not None:
@@ -164,6 +165,11 @@ def _notes_on_loss(config: Config) -> list[str]:
 
     names = who_may_order(config.connectors)
     return [loss_text(names, config.bus.on_connector_loss)] if names else []
+
+
+def _sheet_note(path: str) -> list[str]:
+    """Where to read what has to be set at the devices."""
+    return [f"what to set at each drive and device, faults and LEDs: dpstack sheet {shlex.quote(path)}"]
 
 
 def _loss_json(config: Config) -> dict[str, object]:

@@ -4,6 +4,7 @@
 - ``fleet``: ``dpstack fleet``: all segments of a broker
 - ``fleet_view``: Its table on a terminal, and its lines elsewhere
 - ``plot``: ``dpstack plot``: a recording drawn
+- ``sheet``: ``dpstack sheet``: commissioning sheets of the drives and devices of a configuration
 - ``web``: ``dpstack web``: the page in the browser
 - ``why``: ``dpstack why``: why a slave is not in data exchange
 """

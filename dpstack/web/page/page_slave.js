@@ -1,6 +1,6 @@
 // One slave: identity, values, diagnosis and its history, counters, alarms, records, I&M, and why it does not run.
 
-import { cell, el, pairs, refill, setAttr, setText, table } from "./dom.js";
+import { cell, download, el, pairs, refill, setAttr, setText, table } from "./dom.js";
 import { clock, count, duration, millis, number, octets, percent, kindOf, stateText, value, words } from "./format.js";
 import { StateMark, mark } from "./marks.js";
 import { DriveCard, Values, eventItem } from "./page_plant.js";
@@ -42,6 +42,7 @@ export class SlavePage {
     this.why = el("div", { class: "answer", "aria-live": "polite" }, kept?.why ?? []);
     this.records = el("div", { class: "answer", "aria-live": "polite" }, kept?.records ?? []);
     this.im = el("div", { class: "answer", "aria-live": "polite" }, kept?.im ?? []);
+    this.sheet = el("div", { class: "answer sheet", "aria-live": "polite" }, kept?.sheet ?? []);
     const others = live.addresses;
     const at = others.indexOf(address);
     const to = (one, text) => (one === undefined ? null : el("a", { href: `#/slave/${one}`, text }));
@@ -63,7 +64,8 @@ export class SlavePage {
         section("h-history", "History", this.history),
         section("h-identity", "Identity", this.identity(about), this.modules(about)),
         section("h-counters", "Counters", this.counters),
-        section("h-alarms", "Alarms", this.alarmList, this.alarms))));
+        section("h-alarms", "Alarms", this.alarmList, this.alarms))),
+      section("h-sheet", "Commissioning sheet", el("p", { class: "faint", text: "What to set at the device and why, telegrams, words, faults and LEDs. Made from the configuration and the drive's tables: the device is not asked." }), this.button("Show the sheet", () => this.askSheet()), this.sheet));
   }
 
   get whyTitle() {
@@ -71,7 +73,7 @@ export class SlavePage {
   }
 
   keep() {
-    return { why: [...(this.why?.childNodes ?? [])], records: [...(this.records?.childNodes ?? [])], im: [...(this.im?.childNodes ?? [])] };
+    return { why: [...(this.why?.childNodes ?? [])], records: [...(this.records?.childNodes ?? [])], im: [...(this.im?.childNodes ?? [])], sheet: [...(this.sheet?.childNodes ?? [])] };
   }
 
   key(event) {
@@ -219,6 +221,14 @@ export class SlavePage {
     });
   }
 
+  askSheet() {
+    return this.answer(this.sheet, async () => {
+      const sheet = await this.app.link.ask("sheet", String(this.address));
+      const save = el("button", { type: "button", text: "Save as a file to print", on: { click: () => download(`sheet-${sheet.address}.html`, sheet.html, "text/html") } });
+      return [el("div", { class: "buttons" }, save), ...sheetView(sheet)];
+    });
+  }
+
   update(changed) {
     if (!this.there) return;
     const { app, address } = this;
@@ -291,6 +301,20 @@ function historyTexts(event) {
   const flags = (event.flags ?? []).map((flag) => el("span", { class: "flag", text: flag.replaceAll("_", " ") }));
   const head = event.event === "diagnosis" ? "Diagnosis: " : `${event.text ?? words(event.event)} `;
   return [head, ...flags, ...(event.texts ?? []).map((text) => el("div", { text }))];
+}
+
+/** The parts of a commissioning sheet. Columns without a text in any row are left out. */
+export function sheetView(sheet) {
+  return sheet.blocks.flatMap(({ title, lines, columns, rows }) => {
+    const used = columns.map((_, n) => n).filter((n) => n === 0 || rows.some((row) => row[n]));
+    return [
+      el("h3", { text: title }),
+      lines.length ? el("ul", { class: "plain" }, ...lines.map((text) => el("li", { text }))) : null,
+      !rows.length ? null : columns.some(Boolean)
+        ? table(title, used.map((n) => [columns[n]]), rows.map((row) => el("tr", {}, ...used.map((n) => cell(row[n])))))
+        : pairs(rows),
+    ];
+  });
 }
 
 /** The story of `dpstack why`: steps, and causes with what speaks for and against them. */
