@@ -26,6 +26,10 @@ class DiagTexts:
         """Texts of a device related block; ``octets`` behind its header. ``module``: its index in the configuration."""
         return tuple(self._found(octets, module))
 
+    def has_type(self, octets: bytes) -> bool:
+        """Whether the file has texts for device related blocks of this type, the first of ``octets``."""
+        return bool(octets) and octets[0] in self._types
+
     def channel_text(self, error_type: int, module: int | None = None) -> DiagText | None:
         """The text of a channel related error, 0..31; None if the file has none."""
         texts = (text for diagnosis in self._sources(module) for text in diagnosis.texts)
@@ -34,6 +38,14 @@ class DiagTexts:
     def known(self, module: int | None = None) -> tuple[DiagText, ...]:
         """All texts of a module, by its index in the configuration, and of the device."""
         return tuple(text for diagnosis in self._sources(module) for text in diagnosis.texts)
+
+    def all_known(self, module: int | None = None) -> Iterator[tuple[DiagText, int | None]]:
+        """As :meth:`known`, each with None, and those of the types of device related blocks, each with its type."""
+        for text in self.known(module):
+            yield text, None
+        for kind, diagnosis in self._types.items():
+            for text in diagnosis.texts:
+                yield text, kind
 
     def module_name(self, module: int) -> str:
         """The name of a module by its index in the configuration; empty for an empty slot and if none exists."""

@@ -6,24 +6,31 @@ simulated bus and behind a real port. A station without faults has neither in it
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Sequence
 from random import Random
 from typing import Final
 
 from msgspec import Struct
 
-from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
+from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState
+from dpstack.dp.pdu.diag_blocks import UserDiag
 from dpstack.dp.slave.application import SlaveApp
+from dpstack.dpv1.slave.device import Ms1Server
+from dpstack.errors import AlarmError, UsageError
 from dpstack.fdl.interface import Reply, StationControl
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import MAX_DATA, Resp, Telegram
 from dpstack.phy.noise import BitNoise
 from dpstack.phy.uart import flipped
+from dpstack.sim.reported_diagnosis import Reported, ReportedOctets, SlotDiagnosis, TextDiagnosis, combined
 from dpstack.trace import Event
 from dpstack.units import chars_to_ns, ms_text
 
 #: sends octets at a time (ns), whatever is on the line then
 SendAt = Callable[[bytes, int], None]
+#: the states of the modules of a slave, the first one first; modules behind them are well
+ModuleStates = Callable[[], Sequence[ModuleState]]
 #: bit times between an answer and its repetition
 _GAP_BITS: Final = 11
 #: octets of an SD1 telegram, and of an SD2 telegram without its data unit
@@ -61,12 +68,6 @@ class RepeatedAnswers(Struct, frozen=True):
     """Every answer is sent twice, the second time directly behind the first."""
 
 
-class ReportedDiagnosis(Struct, frozen=True):
-    """The slave reports ``diag`` beside what its device reports."""
-
-    diag: UserDiag
-
-
 def fault_text(fault: Fault) -> str:
     """The fault for people."""
     match fault:
@@ -80,33 +81,37 @@ def fault_text(fault: Fault) -> str:
             return f"noise on its stub, {rate:g} a bit"
         case RepeatedAnswers():
             return "every answer twice"
-        case ReportedDiagnosis(diag):
-            return f"diagnosis {diag.ext.hex(' ').upper() or 'no octets'}"
+        case ReportedOctets() | SlotDiagnosis() | TextDiagnosis():
+            return fault.text
 
 
-Fault = LateAnswers | Refusals | WrongLength | StubNoise | RepeatedAnswers | ReportedDiagnosis
+Fault = LateAnswers | Refusals | WrongLength | StubNoise | RepeatedAnswers | Reported
 
 
 class SlaveFaults:
-    """The faults of one simulated slave, at most one of each kind. They stay when the slave is switched off and on.
+    """The faults of one simulated slave: any number of diagnoses, of the other kinds at most one each. They stay when
+    the slave is switched off and on.
 
     :meth:`attach` gives it the station and its application, ``send_at`` the line.
     """
 
     def __init__(self) -> None:
-        self._active: dict[type[Fault], Fault] = {}
+        #: by kind; a diagnosis by itself
+        self._active: dict[type[Fault] | int, Fault] = {}
+        self._reports: list[Reported] = []
         self._noise: BitNoise | None = None
         self._send_at: SendAt = _no_line
         self._busy_until = 0
 
-    def attach(self, station: PassiveStation, app: SlaveApp) -> None:
-        """Act on this station from now on."""
+    def attach(self, station: PassiveStation, app: SlaveApp, states: ModuleStates) -> None:
+        """Act on this station from now on. ``states`` returns those of the modules, as far as its device knows them."""
         self._station = station
         self._app = app
+        self._states = states
+        self._ms1 = next((service for service in app.services if isinstance(service, Ms1Server)), None)
         self._install()
-        found = self._active.get(ReportedDiagnosis)
-        if isinstance(found, ReportedDiagnosis):
-            app.diag.add(found.diag)
+        if self._reports:
+            self._diagnose()
 
     def connect(self, send_at: SendAt) -> None:
         """Send late and repeated answers by ``send_at``."""
@@ -117,27 +122,59 @@ class SlaveFaults:
         return tuple(self._active.values())
 
     def begin(self, fault: Fault) -> None:
-        """Begin ``fault``; it replaces one of its kind."""
-        self._active[type(fault)] = fault
+        """Begin ``fault``; unless it is a diagnosis, it replaces one of its kind. Raises UsageError, AlarmError if the
+        alarm of a diagnosis cannot be raised; then nothing has begun."""
+        if isinstance(fault, SlotDiagnosis) and fault.alarm:
+            self._alarm(fault.appears())
+        self._active[_key(fault)] = fault
         if isinstance(fault, StubNoise):
             self._noise = BitNoise(fault.rate, Random(fault.seed))
-        elif isinstance(fault, ReportedDiagnosis):
-            self._app.diag.add(fault.diag)
+        elif isinstance(fault, Reported):
+            self._diagnose()
         self._install()
 
     def end(self, fault: Fault) -> bool:
         """End ``fault``. False: another one of its kind has replaced it, or it has ended before."""
-        if self._active.get(type(fault)) is not fault:
+        if self._active.get(_key(fault)) is not fault:
             return False
-        del self._active[type(fault)]
+        del self._active[_key(fault)]
         if isinstance(fault, StubNoise):
             self._noise = None
-        elif isinstance(fault, ReportedDiagnosis):
-            self._app.diag.add(NO_DIAG)
+        elif isinstance(fault, Reported):
+            self._diagnose()
         elif isinstance(fault, LateAnswers):
             self._busy_until = 0
         self._install()
+        if isinstance(fault, SlotDiagnosis) and fault.alarm:
+            with contextlib.suppress(AlarmError):  # the diagnosis ends in any case
+                self._alarm(fault.disappears(self._is_faulty(fault.module)))
         return True
+
+    # --- diagnosis ---
+    def _diagnose(self) -> None:
+        """Report the diagnoses that act now, beside that of the device."""
+        reports = self._reports = [fault for fault in self._active.values() if isinstance(fault, Reported)]
+        last: tuple[object, UserDiag] | None = None
+
+        def report(own: UserDiag) -> UserDiag:
+            nonlocal last  # it is asked in each exchange
+            now = own, self._states(), self._ms1 is not None and self._ms1.enabled
+            if last is None or last[0] != now:
+                last = now, combined(own, reports, now[1], dpv1=now[2])
+            return last[1]
+
+        self._app.diag.extend(report)
+
+    def _is_faulty(self, module: int) -> bool:
+        states = self._states()
+        injected = any(isinstance(report, SlotDiagnosis) and report.module == module for report in self._reports)
+        return injected or (module < len(states) and states[module] is not ModuleState.OK)
+
+    def _alarm(self, alarm: Alarm) -> None:
+        server = None if self._ms1 is None else self._ms1.messages
+        if server is None:
+            raise UsageError(f"{self._app.device.name} raises no alarms: its device has no DP-V1; leave alarm out")
+        server.alarm(alarm)
 
     def _install(self) -> None:
         kinds = self._active.keys()
@@ -201,6 +238,10 @@ class SlaveFaults:
 
     def tick(self, now: int) -> None:
         self._app.tick(now)
+
+
+def _key(fault: Fault) -> type[Fault] | int:
+    return id(fault) if isinstance(fault, Reported) else type(fault)
 
 
 def _no_line(_octets: bytes, _at: int) -> None:

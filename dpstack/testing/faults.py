@@ -63,7 +63,7 @@ class Faults:
 
     A fault begins at once, while virtual time stands still. ``for_s``: it ends by itself after so many seconds of bus
     time; None: by ``Fault.end()``, :meth:`clear`, or never. A fault replaces an earlier one of its kind at the same
-    slave. Raises UsageError for an unknown slave, ConfigError for values outside their range.
+    slave; diagnoses add up. Raises UsageError for an unknown slave, ConfigError for values outside their range.
     """
 
     def __init__(self, bench: VirtualBench, world: World, master: int) -> None:
@@ -109,6 +109,7 @@ class Faults:
     def diagnosis(
         self,
         slave: str | int,
+        what: str | None = None,
         *,
         error: str | int | None = None,
         text: str | None = None,
@@ -116,22 +117,29 @@ class Faults:
         slot: int | None = None,
         channel: int | None = None,
         direction: Literal["input", "output", "both"] | None = None,
+        state: Literal["ok", "data invalid", "wrong module", "no module"] | None = None,
+        alarm: bool = False,
         fault: bool = True,
         for_s: float | None = None,
     ) -> Fault:
-        """A diagnosis beside that of the device: ``error`` (a word or number of a channel error, or a text of the GSD
-        file), ``text`` (any text of the GSD file), or the ``octets`` of its blocks. ``fault=False``: without Ext_Diag.
+        """A diagnosis beside that of the device and others that act: ``what`` ("slot 3 channel 0 line break", "slot 2
+        no module", or any text of the GSD file), or its parts: ``slot``, ``channel`` and ``error`` (a word or number
+        of a channel error, or a text of the GSD file), ``state`` of the module; or the ``octets`` of its blocks.
+        ``alarm``: an alarm of DP-V1 at its begin and at its end. ``fault=False``: without Ext_Diag.
         """
         return self.begin(
             slave,
             "diagnosis",
             for_s,
+            what=what,
             error=error,
             text=text,
             octets=octets,
             slot=slot,
             channel=channel,
             direction=direction,
+            state=state,
+            alarm=alarm or None,
             fault=fault,
         )
 

@@ -26,7 +26,7 @@ class Asked:
         self.bench.add(slave_config(table))
         self.wire = Wire(self.unit.station)
         self.fc = 0x5D
-        self.bring_up(str(table["config"]))
+        self.bring_up(str(table.get("config")))
 
     @property
     def unit(self) -> SimulatedSlave:

@@ -16,12 +16,12 @@ from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.dp.pdu.diag_blocks import UserDiag
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.telegram import Resp
+from dpstack.sim.reported_diagnosis import ReportedOctets
 from dpstack.sim.slave_faults import (
     Fault,
     LateAnswers,
     Refusals,
     RepeatedAnswers,
-    ReportedDiagnosis,
     StubNoise,
     WrongLength,
 )
@@ -103,7 +103,7 @@ def test_every_answer_is_sent_twice(asked: Asked) -> None:
 
 def test_a_diagnosis_is_offered_and_taken_back(asked: Asked) -> None:
     asked.exchange("12 34")
-    fault = ReportedDiagnosis(UserDiag(bytes.fromhex("80 43 26"), fault=True))
+    fault = ReportedOctets(UserDiag(bytes.fromhex("80 43 26"), fault=True))
     asked.unit.faults.begin(fault)
     assert asked.exchange("12 34").split()[6] == "0A"  # DH: fetch the diagnosis
     assert asked.ask("3C 3E").split()[9:-2] == ["08", "04", "00", "02", "12", "34", "80", "43", "26"]

@@ -282,7 +282,7 @@ ROWS: Final = (
         ("fault tank diagnosis error=6",),
         ("normal tank",),
         lambda f: f.diagnosis("tank", error=6),
-        injected="diagnosis 80 40 26",
+        injected="diagnosis, slot 1, input channel 0 (bit): line break",
     ),
     Row(
         "tank",

@@ -1,5 +1,7 @@
 """Slaves in this program: the user's own, and simulated ones.
 
+- ``diagnosis_steps``: Diagnoses of simulated slaves, as tables name them: ``what = "slot 3 channel 0 line break"``, or
+  by keys
 - ``fault_steps``: Faults and settings of simulated slaves, as tables name them: ``do = "late_answers", by_ms = 20``
 - ``simulated_inputs``: Inputs of simulated slaves over time: from a recording, or from a function in a thread of its
   own

@@ -10,24 +10,22 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from dpstack.api.config.table import Key, Table
+from dpstack.api.slave_side import diagnosis_steps
+from dpstack.api.slave_side.diagnosis_steps import read_diagnosis
 from dpstack.api.slave_side.virtual_bench import Bench, SimulatedSlave
-from dpstack.dp.pdu.diag_blocks import CHANNEL_ERRORS, FIRST_SLOT, UserDiag, channel_block, device_block
-from dpstack.errors import ConfigError, UsageError
+from dpstack.errors import UsageError
 from dpstack.fdl.telegram import Resp
-from dpstack.gsd.diag_texts import DiagTexts
-from dpstack.gsd.model import DiagText
 from dpstack.profile import DriveDevice
 from dpstack.sim.slave_faults import (
     Fault,
     LateAnswers,
     Refusals,
     RepeatedAnswers,
-    ReportedDiagnosis,
     StubNoise,
     WrongLength,
     fault_text,
 )
-from dpstack.text import did_you_mean, octets_text
+from dpstack.text import octets_text
 from dpstack.units import NS_PER_MS
 
 #: ends a deed; False: it has ended before, or another one has replaced it
@@ -90,76 +88,7 @@ def _repeated_answers(_table: Table, _given: Mapping[str, Any], bench: Bench, ad
 
 
 def _diagnosis(table: Table, given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
-    """A channel related block, octets, or the block with a text of the GSD file."""
-    unit = bench.units[address]
-    texts = unit.config.params.texts
-    first = FIRST_SLOT if texts is None else texts.first_slot
-    slot, fault = given.get("slot", first), given.get("fault", True)
-    ways = [key for key in ("error", "octets", "text") if key in given]
-    if len(ways) != 1:
-        table.fail(
-            None, "a diagnosis without error, octets or text" if not ways else f"{ways[0]} and {ways[1]}", "give one"
-        )
-    with table.blaming(ways[0]):
-        if "octets" in given:
-            return _reports(bench, address, UserDiag(given["octets"], fault), given["octets"].hex(" ").upper())
-        if "text" in given:
-            found = _text_of(table, given["text"], texts, slot - first)
-            if found.kind != "channel":
-                diag = UserDiag.of(device_block(_unit_diag(found)), fault=fault)
-                return _reports(bench, address, diag, found.text)
-            number, cause = found.value, found.text
-        else:
-            number, cause = _channel_error(table, given["error"], texts, slot - first)
-        way = given.get("direction", "input")
-        block = channel_block(
-            slot - first, given.get("channel", 0), number, size=1, input=way != "output", output=way != "input"
-        )
-    return _reports(bench, address, UserDiag.of(block, fault=fault), f"{block.place('', first)}: {cause}")
-
-
-def _reports(bench: Bench, address: int, diag: UserDiag, words: str) -> Deed:
-    deed = _of_fault(bench, address, ReportedDiagnosis(diag))
-    return Deed(f"diagnosis, {words}", deed.begin)
-
-
-def _unit_diag(text: DiagText) -> bytes:
-    """The octets of a device related block in which ``text`` holds."""
-    first, last = text.first or 0, text.last or 0
-    return (text.value << first).to_bytes(last // 8 + 1, "little")
-
-
-def _texts_of(texts: DiagTexts | None, module: int) -> list[DiagText]:
-    return [] if texts is None else list(texts.known(module))
-
-
-def _text_of(table: Table, wanted: str, texts: DiagTexts | None, module: int) -> DiagText:
-    known = {text.text: text for text in _texts_of(texts, module)}
-    for name, text in known.items():
-        if name.lower() == wanted.lower():
-            return text
-    raise _unknown(table, "text", wanted, list(known), "its GSD file has no texts: give error or octets")
-
-
-def _channel_error(table: Table, wanted: object, texts: DiagTexts | None, module: int) -> tuple[int, str]:
-    """Number and words of a channel error, given by number, by a word of the standard, or by a text of the GSD file."""
-    own = {text.text: text.value for text in _texts_of(texts, module) if text.kind == "channel"}
-    known = {text: number for number, text in CHANNEL_ERRORS.items()} | own
-    if isinstance(wanted, int) and not isinstance(wanted, bool):
-        if not 1 <= wanted <= 31:
-            table.fail("error", f"error = {wanted}", "numbers of channel errors are 1..31")
-        words = {number: text for text, number in known.items()}
-        return wanted, words.get(wanted, f"error {wanted}")
-    for text, number in known.items():
-        if text.lower() == str(wanted).lower():
-            return number, text
-    raise _unknown(table, "error", str(wanted), list(known), "")
-
-
-def _unknown(table: Table, key: str, wanted: str, known: list[str], none: str) -> ConfigError:
-    hint = f"known: {', '.join(known)}" if known else none
-    hint = did_you_mean(wanted.lower(), [text.lower() for text in known], hint, quoted=True)
-    return table.error(key, f"unknown {key} {wanted!r}", hint)
+    return _of_fault(bench, address, read_diagnosis(table, given, bench.units[address]))
 
 
 def _silence(_table: Table, _given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
@@ -253,11 +182,6 @@ def _trip(table: Table, given: Mapping[str, Any], bench: Bench, address: int) ->
     return Deed(f"trip {code}", begin)
 
 
-def _text_or_number(table: Table, name: str, _: Key) -> object:
-    value = table.raw(name)
-    return value if isinstance(value, int) and not isinstance(value, bool) else table.text(name)
-
-
 #: what can be done to a simulated slave
 KINDS: Final[Mapping[str, Kind]] = {
     "late_answers": Kind({"by_ms": Key(0.01, 10_000, kind=float)}, _late_answers),
@@ -265,18 +189,7 @@ KINDS: Final[Mapping[str, Kind]] = {
     "wrong_length": Kind({"by_octets": Key(-244, 244, kind=int)}, _wrong_length),
     "noise": Kind({"rate": Key(1e-9, 0.5, kind=float), "seed": Key(0, 2**31, kind=int)}, _noise),
     "repeated_answers": Kind({}, _repeated_answers),
-    "diagnosis": Kind(
-        {
-            "error": Key(read=_text_or_number, kind=str),
-            "text": Key(kind=str),
-            "octets": Key(kind=bytes),
-            "slot": Key(0, 64, kind=int),
-            "channel": Key(0, 63, kind=int),
-            "direction": Key(kind=Literal["input", "output", "both"]),
-            "fault": Key(kind=bool),
-        },
-        _diagnosis,
-    ),
+    "diagnosis": Kind(diagnosis_steps.KEYS, _diagnosis),
     "silence": Kind({}, _silence),
     "power_off": Kind({}, _power_off),
     "set": Kind({"inputs": Key(kind=Mapping), "octets": Key(kind=bytes)}, _set),

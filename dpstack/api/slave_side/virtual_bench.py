@@ -300,7 +300,8 @@ class SimulatedSlave:
             self.drive.installed(self._address, None if self._searching else params.baud)
         self.app = SlaveApp(self.device, address=self._address, address_fixed=self._address_fixed)
         self.station = PassiveStation(self._address, self.app, params, t_sdr=self._t_sdr, patience=self._patience)
-        self.faults.attach(self.station, self.app)
+        device = self.device
+        self.faults.attach(self.station, self.app, lambda: device.states if isinstance(device, IoStation) else ())
         #: the station, or the baud search around it
         self.on_bus: BusStation = self.station
         if self._searching and own is None:

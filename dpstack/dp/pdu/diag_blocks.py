@@ -24,7 +24,8 @@ _CHANNEL_LEN: Final = 3
 #: station itself)
 FIRST_SLOT: Final = 1
 
-_SIZES: Final = ("unspecific", "bit", "2 bits", "4 bits", "byte", "word", "2 words", "reserved")
+#: the sizes of channels by number, for people
+SIZES: Final = ("unspecific", "bit", "2 bits", "4 bits", "byte", "word", "2 words", "reserved")
 #: the errors of channel related diagnosis by number, for people
 CHANNEL_ERRORS: Final = {
     1: "short circuit",
@@ -81,7 +82,7 @@ class ChannelBlock(Block, frozen=True):
         direction = {(True, False): "input ", (False, True): "output ", (True, True): "in/output "}
         kind = direction.get((self.input, self.output), "")
         name = f" ({module_name})" if module_name else ""
-        return f"slot {first_slot + self.identifier}{name}, {kind}channel {self.channel} ({_SIZES[self.size]})"
+        return f"slot {first_slot + self.identifier}{name}, {kind}channel {self.channel} ({SIZES[self.size]})"
 
     @property
     def cause(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from dpstack.dp.pdu.alarm_blocks import parse_block
+from dpstack.dp.pdu.alarm_blocks import Status, parse_block
 from dpstack.dp.pdu.diag_blocks import FIRST_SLOT, Block, ChannelBlock, DeviceBlock, IdentifierBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import PduError
@@ -43,9 +43,13 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messa
     said = ""
     if dpv1:
         try:
-            said = parse_block(block.octets).full_text
+            message = parse_block(block.octets)
         except PduError:  # the alarm handler reports it
-            said = ""
+            pass
+        else:
+            said = message.full_text
+            if isinstance(message, Status) and message.modules and texts is not None and not texts.has_type(block.data):
+                known = ()  # the standard says what its bits mean
     if said and messages:
         yield said
     if known:

@@ -50,15 +50,10 @@ class DiagState:
         self._messages = messages
         self.silent = self.user is None and messages is None
 
-    def add(self, more: UserDiag) -> None:
-        """Report ``more`` behind what the device itself reports; NO_DIAG ends that."""
+    def extend(self, more: Callable[[UserDiag], UserDiag]) -> None:
+        """Report ``more`` of what the device itself reports, from now on."""
         ask = self._of_device
-
-        def both() -> UserDiag:
-            own = NO_DIAG if ask is None else ask()
-            return UserDiag(own.ext + more.ext, own.fault or more.fault, own.stat or more.stat, own.overflow)
-
-        self.user = both
+        self.user = lambda: more(NO_DIAG if ask is None else ask())
         self.silent = False
 
     def clear_faults(self) -> None:

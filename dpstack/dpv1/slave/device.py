@@ -42,7 +42,8 @@ class Ms1Server(SlaveService):
         self._alarm_answer: bytes | None = None  # at the extra SAP
         #: its alarms and status messages, which stand in the diagnosis
         self.messages: AlarmServer | None = alarms
-        self._enabled = False  # by Set_Prm
+        #: the master has set DPV1_Enable
+        self.enabled = False
         self._report = report
         self._request: RecordRequest | None = None
         self._answer: bytes | None = None  # of requests that no application gets
@@ -56,13 +57,13 @@ class Ms1Server(SlaveService):
         """DPV1_Enable opens it; DPV1_Status_2 and 3 have the alarms that the master takes, and how many at a time
         (docs/reference/protocol.md#dpv1_status)."""
         status = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
-        self._enabled = bool(status[0] & DPV1_ENABLE)
+        self.enabled = bool(status[0] & DPV1_ENABLE)
         if self.messages is not None:
-            self.messages.agree(*(status[1:] if self._enabled else b"\0\0"))
+            self.messages.agree(*(status[1:] if self.enabled else b"\0\0"))
 
     def entered(self) -> None:
         """Alarms are possible with DPV1_Enable."""
-        if self._enabled and self.messages is not None:
+        if self.enabled and self.messages is not None:
             self.messages.open()
 
     def left(self) -> None:
@@ -77,7 +78,7 @@ class Ms1Server(SlaveService):
 
     def _serve(self, request: Telegram, now: int) -> Reply | None:
         """A request, or a poll (no octets)."""
-        if not self._enabled or (self.records is None and not (self.messages and self.messages.support.kinds)):
+        if not self.enabled or (self.records is None and not (self.messages and self.messages.support.kinds)):
             return None
         octets, sa = request.data, request.sa
         if not octets:
@@ -100,7 +101,7 @@ class Ms1Server(SlaveService):
 
     def _serve_alarm(self, request: Telegram, now: int) -> Reply | None:
         """A request at the extra SAP of alarms, or a poll."""
-        if not self._enabled or self.messages is None or not self.messages.support.extra_sap:
+        if not self.enabled or self.messages is None or not self.messages.support.extra_sap:
             return None
         if request.data:
             self._alarm_answer = self._acknowledge(self.messages, request.data, request.sa, now).build()

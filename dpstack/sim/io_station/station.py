@@ -367,9 +367,14 @@ class IoStation(DpSlave):
             left_out = self._alarm(AlarmType.DIAGNOSIS, place, Specifier.APPEARS, bytes((channel, _LINE_BREAK)))
         return left_out
 
+    @property
+    def states(self) -> tuple[ModuleState, ...]:
+        """The states of its modules, slot 1 first."""
+        return tuple(ModuleState.OK if place is None else place.state for place in self.slots)
+
     def _report(self) -> None:
         """Update the diagnosis, and send the module status if it has changed."""
-        states = tuple(ModuleState.OK if place is None else place.state for place in self.slots)
+        states = self.states
         faulty = [number for number, state in enumerate(states) if state]
         broken = [
             channel_block(place.number - 1, channel, _LINE_BREAK, size=place.module.size, input=True)

@@ -161,7 +161,7 @@ STEP = '[[step]]\nat = 1\nslave = "valves"\ndo = '
         (STEP + '"noise"\nrate = 2', "scenario:5: [[step]] 1: rate = 2 is outside"),
         (STEP + '"diagnosis"\nerror = "wire brake"', "scenario:5: [[step]] 1: unknown error 'wire brake'"),
         (STEP + '"diagnosis"\nerror = "line braek"', "did you mean 'line break'?"),
-        (STEP + '"diagnosis"', "scenario:1: [[step]] 1: a diagnosis without error, octets or text"),
+        (STEP + '"diagnosis"', "scenario:1: [[step]] 1: a diagnosis without what, error, text, octets"),
         (STEP + '"diagnosis"\nerror = 6\noctets = "00"', "error and octets; give one"),
         (STEP + '"trip"\ncode = "F1"', "scenario:4: [[step]] 1: slave 8 (valves) is no simulated drive"),
         ('[[step]]\nat = 1\nslave = "hoist"\ndo = "trip"\ncode = "F99999"', "scenario:5: [[step]] 1: 'F99999' is no"),
@@ -206,3 +206,36 @@ async def test_ctl_begins_and_ends_faults() -> None:
         ):
             with pytest.raises(ConfigError, match=says):
                 handlers["fault"](["raw", *words])
+
+
+async def test_several_diagnoses_of_one_slave_each_with_its_end() -> None:
+    rack: dict[str, object] = {"name": "rack", "address": 5, "gsd": "io-station", "modules": ["8 DI", "8 DO", "2 AI"]}
+    said = [
+        (0.1, 0.6, "slot 3 channel 0 line break"),
+        (0.2, 0.2, "slot 3 channel 1 upper limit exceeded"),
+        (0.3, 0.6, "slot 2 no module"),
+    ]
+    text = "".join(
+        f'[[step]]\nat = {at}\nslave = "rack"\ndo = "diagnosis"\nwhat = "{what}"\nfor = {for_s}\n'
+        for at, for_s, what in said
+    )
+    async with operating(rack, baud=93_750) as bus:
+        bench = bench_of(bus)
+        origin = core_of(bus).runtime.now()
+        run = ScenarioRun(parse_scenario(text, bench, slave_handlers(bench)), bench, lambda event: None)
+        run.start(origin)
+        seen = []
+        for at in (0.15, 0.25, 0.35, 0.45, 0.75, 0.95):
+            await asyncio.sleep((origin - core_of(bus).runtime.now()) / 1e9 + at)
+            found = bus.slave("rack").diagnosis
+            assert found is not None
+            seen.append(found.ext.hex(" "))
+            assert len(bench.injected(5)) == [1, 2, 3, 2, 1, 0][len(seen) - 1]
+    assert seen == [
+        "42 04 05 82 00 00 10 82 40 a6",
+        "42 04 05 82 00 00 10 82 40 a6 82 41 a7",
+        "42 06 05 82 00 00 1c 82 40 a6 82 41 a7",
+        "42 06 05 82 00 00 1c 82 40 a6",
+        "42 02 05 82 00 00 0c",
+        "",
+    ]

@@ -107,7 +107,7 @@ def test_each_step_is_in_the_log(cli: Cli, tmp_path: Path) -> None:
     (tmp_path / "one.toml").write_text(text, encoding="utf-8")
     files = ("--scenario", str(tmp_path / "one.toml"), "--log", str(tmp_path / "sim.jsonl"))
     shown = cli.out("sim", str(PLANT), "--port", "pty", *files, "--seconds", "0.05")
-    said = "scenario step 1, slave 8 (valves): diagnosis, slot 1, input channel 3 (bit): line break"
+    said = "scenario step 1, slave 8 (valves): diagnosis, slot 1, output channel 3 (bit): line break"
     assert said in shown
     logged = [json.loads(line) for line in (tmp_path / "sim.jsonl").read_text(encoding="utf-8").splitlines()]
     (line,) = [line for line in logged if line.get("step") == 1]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from slave_kit import CFG, CLEAR, FREEZE, OPERATE, OTHER, PRM, SYNC, UNFREEZE, UNSYNC, Bench, Recorder
 
-from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
+from dpstack.dp.pdu.diag_blocks import UserDiag
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import RS_REPLY
@@ -204,20 +206,25 @@ def test_inputs_before_the_first_exchange_are_zero() -> None:
     assert bench.app.state is SlaveAppState.DATA_EXCH
 
 
+def behind(more: UserDiag) -> Callable[[UserDiag], UserDiag]:
+    """As a fault of a test plant: ``more`` behind what the device reports."""
+    return lambda own: UserDiag(own.ext + more.ext, own.fault or more.fault, own.stat or more.stat)
+
+
 def test_a_diagnosis_behind_that_of_the_device(bench: Bench) -> None:
-    """As a fault of a test plant: octets and bits of both (octet 1 bit 3 Ext_Diag, octet 2 bit 1 Stat_Diag)."""
+    """Octets and bits of both (octet 1 bit 3 Ext_Diag, octet 2 bit 1 Stat_Diag)."""
     bench.recorder.ext = b"\x02\x07"
     assert bench.diag().hex(" ") == "08 0c 00 02 0a 35 02 07"
-    bench.app.diag.add(UserDiag(b"\x41\x01", stat=True))
+    bench.app.diag.extend(behind(UserDiag(b"\x41\x01", stat=True)))
     assert bench.dx().status is Resp.DH
     assert bench.diag().hex(" ") == "08 0e 00 02 0a 35 02 07 41 01"
     bench.recorder.ext = b""
     assert bench.diag().hex(" ") == "00 0e 00 02 0a 35 41 01"
-    bench.app.diag.add(UserDiag(b"\x41\x01", fault=True))
+    bench.app.diag.extend(behind(UserDiag(b"\x41\x01", fault=True)))
     assert bench.diag().hex(" ") == "08 0c 00 02 0a 35 41 01"
-    bench.app.diag.add(NO_DIAG)
+    bench.app.diag.extend(lambda own: own)
     assert bench.diag().hex(" ") == "00 0c 00 02 0a 35"
     plain = Bench(MirrorDevice(0x0A35, CFG)).up()
-    plain.app.diag.add(UserDiag(b"\x41\x01", fault=True))
+    plain.app.diag.extend(behind(UserDiag(b"\x41\x01", fault=True)))
     assert plain.dx().status is Resp.DH
     assert plain.diag().hex(" ") == "08 0c 00 02 0a 35 41 01"
