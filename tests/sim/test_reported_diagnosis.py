@@ -116,7 +116,7 @@ def test_by_keys_and_as_a_diagnosis_is_shown(asked: Asked, keys: dict[str, Any],
 @pytest.mark.parametrize(
     ("keys", "says"),
     [
-        ({"what": "slot 6 channel 0 line break"}, "has no slot 6; its slots are 1 to 5"),
+        ({"what": "slot 6 channel 0 line break"}, "has no slot 6; it has slots 1 to 5"),
         ({"what": "slot 1 channel 0 wire brake"}, "unknown error 'wire brake'"),
         ({"what": "slot 1 channel 64 line break"}, "channel 64; channels are 0..63"),
         ({"what": "slot 1 lost"}, "unknown state 'lost' of a module; known: ok, data invalid"),

@@ -19,8 +19,8 @@ from dpstack.text import did_you_mean
 
 #: "slot 3 channel 0 line break", also as a diagnosis is shown: "slot 3 (2 AI), input channel 0 (word): line break"
 _WHAT: Final = re.compile(
-    r"slot\s+(?P<slot>\d+)(\s*\([^)]*\))?[\s,:]+"
-    r"((?P<direction>in/output|input|output)\s+)?(channel\s+(?P<channel>\d+)(\s*\((?P<size>[\w ]+)\))?[\s,:]+)?"
+    r"slot\s+(?P<slot>\d{1,4})(\s*\([^)]*\))?[\s,:]+"
+    r"((?P<direction>in/output|input|output)\s+)?(channel\s+(?P<channel>\d{1,4})(\s*\((?P<size>[\w ]+)\))?[\s,:]+)?"
     r"(?P<cause>.+)",
     re.IGNORECASE,
 )
@@ -69,11 +69,12 @@ def read_diagnosis(table: Table, given: Mapping[str, Any], unit: SimulatedSlave)
     if way == "what":
         way, keys = _said(table, keys)
     first = FIRST_SLOT if texts is None else texts.first_slot
-    slots = slot_map(unit.config.params.config, texts).slots
+    plan = slot_map(unit.config.params.config, texts)
     slot = keys.get("slot", first)
-    if not first <= slot < first + len(slots):
-        last = first + len(slots) - 1
-        table.fail("slot", f"{unit.who} has no slot {slot}", f"its slots are {first} to {last}; octets can say others")
+    place = plan.slot(slot)
+    if place is None:
+        what = f"{unit.who} has no slot {slot}"
+        table.fail("slot" if "slot" in table else ways[0], what, f"it has {plan.range_text}; octets can say others")
     number = slot - first
     with table.blaming(ways[0]):
         if way == "text":
@@ -85,7 +86,7 @@ def read_diagnosis(table: Table, given: Mapping[str, Any], unit: SimulatedSlave)
             keys["error"] = found.value
         if "error" in keys:
             error, cause = _channel_error(table, ways[0], keys["error"], texts, number)
-            direction, size = _channel(slots[number], keys)
+            direction, size = _channel(place, keys)
             block = channel_block(
                 number,
                 keys.get("channel", 0),
@@ -105,7 +106,7 @@ def read_diagnosis(table: Table, given: Mapping[str, Any], unit: SimulatedSlave)
         words,
         slot,
         number,
-        len(slots),
+        len(plan.slots),
         state=_STATES[state],
         channel=block,
         fault=keys.get("fault", True),

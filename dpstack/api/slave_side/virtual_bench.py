@@ -201,6 +201,12 @@ class SimulatedSlave:
             return self._own if isinstance(self._own, DriveDevice) else None
         return None if self.config.profile is None else cast("DriveDevice", self.device)
 
+    @property
+    def refused(self) -> str | None:
+        """Its state and the reason of its last refusal since power-on or data exchange; None without one."""
+        last = self.app.report.last_refusal
+        return None if last is None else f"{self.app.state.value}: {last.text}"
+
     def check_settable(self) -> None:
         """Raises UsageError if the device makes its inputs itself: a drive, or the device of a test."""
         if self._own is not None:
@@ -422,11 +428,14 @@ class Bench(ABC):
 
     def status_of(self, address: int) -> dict[str, object]:
         """Keys of ``status`` for a simulated slave: ``slots`` of an I/O station, ``set_inputs`` in hex, ``injected``
-        faults."""
+        faults, ``refused``: its state and the reason of its last refusal."""
         device, injected, held = self.device(address), self.injected(address), self.units[address].held_inputs
         slots: dict[str, object] = {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
         if held is not None:
             slots["set_inputs"] = held.hex()
+        refused = self.units[address].refused
+        if refused is not None:
+            slots["refused"] = refused
         return slots | ({"injected": injected} if injected else {})
 
 

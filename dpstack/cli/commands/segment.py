@@ -56,7 +56,7 @@ async def _run(args: argparse.Namespace) -> int:
     )
     with StopSignal() as stop:
         show = event_printer(monotonic_ns(), json=args.json)
-        async with segment, reachable(control_segment(segment, show)):
+        async with segment, reachable(control_segment(segment, lambda event: show(event, 1))):
             if args.json:
                 output.json_line({"event": "start", "ports": segment.paths, "baud": args.baud})
             else:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +11,7 @@ from dpstack.api.config.config import AUTO, Config, load_config, make_config, sl
 from dpstack.api.control.scenario import SimulatedPlant
 from dpstack.api.control.simulation_handlers import control_sim, slave_handlers
 from dpstack.api.recording.event_log import EventLog
+from dpstack.api.slave_side.repeated_events import PassOn, RepeatedEvents, times_text
 from dpstack.api.slave_side.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options
 from dpstack.cli.commands.on_bus import reachable
@@ -104,10 +104,12 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
                 output.warn(
                     f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late"
                 )
-            simulation.on_event = _event_writer(simulation, args.json, log)
+            repeated = RepeatedEvents(_event_writer(simulation, args.json, log))
+            simulation.on_event = repeated.publish
             with plant:
                 plant.start(simulation.started_ns)
                 await stop.or_done(simulation.failed(args.seconds))
+            repeated.report()
             if simulation.never_found is not None:
                 output.warn(f"{args.port}: the baud rate was not found: {simulation.never_found}; or give the rate")
                 return 0 if stop.received else 1
@@ -115,16 +117,17 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
     return 1 if plant.failed_steps else 0
 
 
-def _event_writer(simulation: Simulation, json: bool, log: EventLog | None) -> Callable[[Event], None]:
+def _event_writer(simulation: Simulation, json: bool, log: EventLog | None) -> PassOn:
     """A function that prints the events of ``simulation``, and writes them into ``log``."""
     show = event_printer(simulation.started_ns, json=json)
     if log is None:
         return show
 
-    def write(event: Event) -> None:
-        show(event)
+    def write(event: Event, times: int) -> None:
+        show(event, times)
         line = sim_event_json(event, ns_to_s(event.t_ns - simulation.started_ns))
-        log.put({**line, "severity": event.severity.value, "text": event.text})
+        text = event.text + times_text(times)
+        log.put({**line, **({"times": times} if times > 1 else {}), "severity": event.severity.value, "text": text})
 
     return write
 
@@ -138,6 +141,9 @@ def print_summary(simulation: Simulation, json: bool) -> None:
     rows = [(slave.address, *slave.as_dict().values()) for slave in simulation.slaves]
     columns = ("address", "name", "state", "exchanges", "watchdog expired", "answers too late")
     output.table("Slaves", columns, rows)
+    for slave in simulation.slaves:
+        if slave.refused is not None:
+            output.line(f"the last refusal of {slave.who}: {slave.refused}", "yellow")
     if any(slave.station.stats.dropped for slave in simulation.slaves):
         output.line(
             "answers too late were not sent, because another telegram was there already: this computer was busy for "

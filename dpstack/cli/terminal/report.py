@@ -45,17 +45,19 @@ _RETRIED: Final = frozenset(
 )
 
 
-def event_printer(started_ns: int, *, json: bool) -> Callable[[Event], None]:
-    """A function that prints the events of simulated slaves or of a segment, with the time since ``started_ns``."""
+def event_printer(started_ns: int, *, json: bool) -> Callable[[Event, int], None]:
+    """A function that prints the events of simulated slaves or of a segment, with the time since ``started_ns``, and
+    the number of equal ones that an event stands for."""
 
+    from dpstack.api.slave_side.repeated_events import times_text
     from dpstack.api.slave_side.virtual_bench import sim_event_json  # here, as a run has other events
 
-    def show(event: Event) -> None:
+    def show(event: Event, times: int) -> None:
         t = ns_to_s(event.t_ns - started_ns)
         if json:
-            output.json_line(sim_event_json(event, t))
+            output.json_line(sim_event_json(event, t) | ({"times": times} if times > 1 else {}))
         else:
-            output.line(f"{t:9.3f} s  {event.text}")
+            output.line(f"{t:9.3f} s  {event.text}{times_text(times)}")
 
     return show
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from msgspec import Struct
 
@@ -135,6 +135,20 @@ class SlaveAppStats(Struct):
     closed: int = 0  # of these, over
 
 
+class LastRefusal(NamedTuple):
+    """The refusal that came last, and how many times in a row."""
+
+    service: str
+    master: int
+    reason: str
+    times: int = 1
+
+    @property
+    def text(self) -> str:
+        times = f", {self.times} times" if self.times > 1 else ""
+        return f"{self.reason} ({self.service} of master {self.master}{times})"
+
+
 class Report:
     """Events and counters of one slave application. ``name``: that of its device, for messages."""
 
@@ -144,6 +158,8 @@ class Report:
         self._name = name
         self._address = address
         self._events: list[Event] = []
+        #: the last refusal since it was restarted or in data exchange; None without one
+        self.last_refusal: LastRefusal | None = None
         self._reported: defaultdict[int, ReportOnce] = defaultdict(partial(ReportOnce, _MAX_REPORTED))
 
     @property
@@ -172,6 +188,7 @@ class Report:
     def report_again(self) -> None:
         """Report refusals again that were reported before."""
         self._reported.clear()
+        self.last_refusal = None
 
     def emit(self, kind: type[SlaveAppEvent], now: int, **fields: Any) -> None:
         """An event of ``kind`` with these fields."""
@@ -186,6 +203,9 @@ class Report:
         """Count a refusal and report it once until :meth:`report_again`; of a master whose requests are always wrong in
         another way only the first ones."""
         self.stats.refused += 1
+        last = self.last_refusal
+        times = last.times + 1 if last is not None and last[:3] == (service, master, reason) else 1
+        self.last_refusal = LastRefusal(service, master, reason, times)
         news = self._reported[master].novelty((service, reason))
         if news is Novelty.KNOWN:
             return

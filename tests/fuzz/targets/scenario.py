@@ -51,7 +51,12 @@ def repair(octets: bytes) -> bytes:
 
 TARGET = Target(
     run,
-    covers=("dpstack.api.control.scenario", "dpstack.api.slave_side.fault_steps", "dpstack.api.config.table"),
+    covers=(
+        "dpstack.api.control.scenario",
+        "dpstack.api.slave_side.fault_steps",
+        "dpstack.api.slave_side.diagnosis_steps",
+        "dpstack.api.config.table",
+    ),
     max_len=200,
     repair=repair,
     words=words("scenario"),
