@@ -66,6 +66,8 @@ class DpV1:
     check_cfg_mode: bool = False
     #: Fail_Safe_required: only a master that sends empty outputs in Clear can use the device
     fail_safe_required: bool = False
+    #: Ident_Maintenance_supp: the device has I&M records
+    ident_maintenance: bool = False
     #: Prm_Block_Structure_supp: the device takes structured parameters
     prm_block_structure: bool = False
     #: Prm_Block_Structure_req: the device takes structured parameters only

@@ -333,6 +333,8 @@ class Device:
     model: str = ""
     #: Revision of the device
     revision: str = ""
+    #: OrderNumber
+    order_number: str = ""
     #: GSD_Revision: 1 to 5
     gsd_revision: int | None = None
     #: Hardware_Release

@@ -19,12 +19,14 @@ RATES: Final[dict[str, int]] = dict(zip(_RATES.split(), BAUD_RATES, strict=True)
 #: flags whose keyword ends with _supp
 _SUPPORTED: Final = """
 auto_baud set_slave_add c1_read_write c2_read_write extra_alarm_sap wd_base_1ms prm_block_structure publisher
+ident_maintenance
 """
 #: keyword -> field of Device or DpV1, for each field that is not called like its keyword
 _RENAMED: Final = {
     "ident_number": "ident",
     "vendor_name": "vendor",
     "model_name": "model",
+    "ordernumber": "order_number",
     "min_slave_intervall": "min_slave_interval",
     "min_slave_interval": "min_slave_interval",
     "modul_offset": "modul_offset",
@@ -184,13 +186,13 @@ _FIELDS: Final = {
 }
 _UNUSED_NUMBERS: Final = """
 revision_number protocol_ident fms_supp redundancy repeater_ctrl_sig diag_update_delay alarm_type_mode_supp
-ident_maintenance_supp subscriber_supp dxb_max_link_count dxb_max_data_length dxb_subscribertable_block_location
+subscriber_supp dxb_max_link_count dxb_max_data_length dxb_subscribertable_block_location
 tbase_dp tdp_min tdp_max t_pll_w_max tbase_io ti_min to_min
 """
 #: keyword -> check of its value, of the keywords that dpstack checks and does not use
 _CHECKED: Final[dict[str, Callable[[Settings, str], object]]] = {
     **dict.fromkeys(("24v_pins", "24v pins", *_UNUSED_NUMBERS.split()), Settings._int),
-    **dict.fromkeys(("implementation_type", "ordernumber", "info_text"), Settings._text),
+    **dict.fromkeys(("implementation_type", "info_text"), Settings._text),
     "slave_family": Settings._check_family,
 }
 #: keywords that dpstack neither uses nor checks

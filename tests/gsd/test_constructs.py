@@ -38,8 +38,10 @@ def test_a_whole_file() -> None:
         required=("Process_Alarm",),
         wd_base_1ms=True,
         check_cfg_mode=True,
+        ident_maintenance=True,
         prm_block_structure=True,
     )
+    assert d.order_number == "T8-001"
     assert (d.isochronous, d.isochronous_required, d.publisher) == (True, False, True)
     assert [(m.name, m.config, m.reference, m.preset, m.info) for m in d.modules] == [
         ("8 DI", b"\x10", 1, False, "eight inputs"),

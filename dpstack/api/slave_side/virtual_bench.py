@@ -16,8 +16,11 @@ from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingSlave
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.description_from_gsd import im_of_gsd
 from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.loopback_device import HeldInputs, MirrorDevice, mirror_of
+from dpstack.dpv1.slave.record_table import ImOf
+from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import BusStation
 from dpstack.fdl.passive.station import PassiveStation
@@ -50,14 +53,14 @@ def sim_event_json(event: Event, t: float) -> dict[str, object]:
     return line | {"text": event.text}
 
 
-def device_of(slave: SlaveConfig, held: HeldInputs | None = None) -> Device:
+def device_of(slave: SlaveConfig, held: HeldInputs | None = None, im: ImOf = ()) -> Device:
     """The device that simulates ``slave``: its drive, the I/O station (by the ident number), or a loop-back device
     (mirror) of outputs to inputs, with the lengths, limits and services of the GSD file if it has one. ``held``: the
-    inputs of a mirror from outside.
+    inputs of a mirror from outside, ``im`` its I&M.
 
     One that adapts its ident number shows that of its GSD file, or else a made-up one, until Set_Prm.
     """
-    device = _device_of(slave, held)
+    device = _device_of(slave, held, im)
     wanted = slave.params.ident
     if slave.params.ident_adapts and wanted is not None:
         of_file = None if slave.device is None else slave.device.ident
@@ -70,7 +73,7 @@ def device_of(slave: SlaveConfig, held: HeldInputs | None = None) -> Device:
 _MADE_UP: Final = 0x8000
 
 
-def _device_of(slave: SlaveConfig, held: HeldInputs | None) -> Device:
+def _device_of(slave: SlaveConfig, held: HeldInputs | None, im: ImOf) -> Device:
     if slave.profile is not None:
         device = slave.profile.simulated(slave.telegram, slave.options, slave.simulated)
         if slave.params.ident is not None:
@@ -82,7 +85,7 @@ def _device_of(slave: SlaveConfig, held: HeldInputs | None) -> Device:
         described = None if slave.description is None else _own(slave, slave.description)
         return IoStation(params.config, described, name=slave.name)
     if slave.description is not None:
-        return mirror_of(_own(slave, slave.description), held)
+        return mirror_of(_own(slave, slave.description), held, im)
     return MirrorDevice(params.ident or 0, params.config, params.name, fail_safe=params.fail_safe, held=held)
 
 
@@ -137,6 +140,7 @@ class SimulatedSlave:
         self._held = HeldInputs(config.params.input_len)
         self.faults = SlaveFaults()
         self._own = own
+        self._im = {} if config.device is None else im_of_gsd(config.device, config.modules or ())
         self.device = self._new_device()
         self._create_station(params)
 
@@ -275,7 +279,7 @@ class SimulatedSlave:
         }
 
     def _new_device(self) -> Device:
-        return device_of(self.config, self._held) if self._own is None else self._own
+        return device_of(self.config, self._held, self._im) if self._own is None else self._own
 
     def switch_off(self, now: int) -> None:
         """Take its power: its outputs are off, the motor of a drive coasts."""
@@ -287,6 +291,8 @@ class SimulatedSlave:
     def renew(self, params: BusParams) -> None:
         """Give it power again."""
         before, drive_before = self.device, self.drive
+        if isinstance(before, DpSlave):
+            self._im = {slot: before.im_of(slot) for slot in self._im}
         self.device = self._new_device()
         kept, self._address_fixed = self.app.kept_address
         self._address = self._address if kept is None else kept

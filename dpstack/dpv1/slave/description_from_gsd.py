@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from typing import Any, Final
+
+from msgspec.structs import replace
 
 from dpstack.dp.pdu.alarm_blocks import HEAD, SEQUENCES
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.slave_params import INTERVAL_UNIT
+from dpstack.dpv1.pdu.im import Im, Im0, Im1, Im2, Im3, Im4
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
 from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
@@ -20,6 +25,8 @@ from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
 from dpstack.gsd.model import Device, Module, PrmBlock
 from dpstack.params import DPV1_STATUS_LEN
 
+#: the numbers of a release
+_NUMBERS: Final = re.compile(r"\d{1,5}")
 #: what stands for an empty slot of a modular station
 EMPTY_SLOT: Final = SlaveModule("empty slot", b"\0")
 
@@ -92,6 +99,32 @@ def slave_description(
         parameters=_parameters(device, device.prm),
         diag_texts=device.diagnosis.texts,
     )
+
+
+def im_of_gsd(device: Device, modules: Sequence[Module | None]) -> dict[int, tuple[Im, ...]]:
+    """I&M of a device by slot, as far as its GSD file says it: I&M0 to 4 of slot 0, the station itself, and I&M0 of
+    each of the plugged ``modules``. Empty without Ident_Maintenance_supp.
+    """
+    if not device.dpv1.ident_maintenance:
+        return {}
+    hardware = _NUMBERS.findall(device.hardware_release) or ["0"]
+    software = [*_NUMBERS.findall(device.software_release), "0", "0", "0"][:3]
+    of_device = Im0(
+        order_id=_visible(device.order_number or device.model),
+        hardware_revision=min(int(hardware[0]), 0xFFFF),
+        software_revision="V" + ".".join(str(min(int(part), 0xFF)) for part in software),
+    )
+    found: dict[int, tuple[Im, ...]] = {
+        slot: (replace(of_device, order_id=_visible(module.name)),)
+        for slot, module in enumerate(modules, device.first_slot)
+        if module is not None
+    }
+    return found | {0: (of_device, Im1(), Im2(), Im3(), Im4())}
+
+
+def _visible(text: str) -> str:
+    """``text`` as an order number of I&M: 20 ASCII characters."""
+    return "".join(letter if " " <= letter <= "~" else "?" for letter in text)[:20]
 
 
 def _parameters(device: Device, block: PrmBlock) -> tuple[SlaveParameter, ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.device import Device
+from dpstack.dpv1.slave.record_table import ImOf
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.gsd.identifiers import io_lengths
 
@@ -57,7 +58,10 @@ class MirrorDevice(Device):
         return self._inputs.cycle(outputs, now)
 
 
-def mirror_of(description: SlaveDescription, held: HeldInputs | None = None) -> DpSlave:
-    """A slave of that type, with its one configuration, that mirrors its outputs as :class:`MirrorDevice` does."""
+def mirror_of(description: SlaveDescription, held: HeldInputs | None = None, im: ImOf = ()) -> DpSlave:
+    """A slave of that type, with its one configuration, that mirrors its outputs as :class:`MirrorDevice` does.
+
+    ``im``: its I&M.
+    """
     inputs = HeldInputs(io_lengths(description.configs[0])[0]) if held is None else held
-    return DpSlave(description, inputs.cycle)
+    return DpSlave(description, inputs.cycle, im=im)
