@@ -56,6 +56,7 @@ _MARKS = {
     "python": {"", "file", "tests"},
     "text": {"", "after Ctrl-C", "decode", "filters", "output", "printed", "session", "symptom", "syntax"},
     "toml": {"", "file", "parameter list", "parsed", "scenario", "thresholds file"},
+    "yaml": {""},
     "{eval-rst}": {""},
 }
 _SUDO = re.compile(r"^sudo (-u \w+ )?(\w+=\S+ )?")
@@ -250,7 +251,7 @@ def test_the_page_lists_every_example_with_its_one_command() -> None:
     )
     starts = {".py": "python", ".ipynb": "jupyter lab"}
     programs = {f"{starts[path.suffix]} examples/{path.name}" for path in folder.iterdir() if path.suffix in starts}
-    folders = {"pytest examples/test_bench", "pip install ./examples/thirdparty_drive"}
+    folders = {"pytest examples/test_bench", "pip install ./examples/thirdparty_drive", "sh examples/ci/job.sh"}
     commands = {row for row in rows if row.startswith("dpstack ")}
     assert sorted(rows) == sorted(programs | folders | commands)
     named = {name for row in rows for name in re.findall(r"examples/([\w.]+)", row)}

@@ -12,6 +12,7 @@ import json
 import logging
 import re
 import runpy
+import shlex
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -23,7 +24,13 @@ import pytest
 from plant_files import plant_file
 
 import dpstack
+from dpstack.api.config.config import load_config
+from dpstack.api.control.scenario import load_scenario
+from dpstack.api.control.simulation_handlers import slave_handlers
+from dpstack.api.slave_side.virtual_bench import VirtualBench
+from dpstack.cli.main import build_parser
 from dpstack.events import FaultKind, SlaveState
+from dpstack.params import BusParams
 from dpstack.slave import DpSlave, SlaveDescription
 from dpstack.trace import Event
 
@@ -295,3 +302,41 @@ def test_sessions_show_what_they_show() -> None:
     words = importlib.import_module("dpstack.decode.words")
     failed, tried = doctest.testmod(words)
     assert (failed, tried) == (0, 1)
+
+
+#: files that the job for CI leaves
+JOB_WRITES = (("--junitxml=", "junit.xml"), ("--log ", "sim.jsonl"), ("sim.jsonl > ", "sim.txt"))
+
+
+def test_the_jobs_for_ci_run_the_same_and_keep_what_it_leaves() -> None:
+    yaml = pytest.importorskip("yaml", reason="it comes with the extra docs")
+    folder = EXAMPLES / "ci"
+    texts = {name: (folder / name).read_text(encoding="utf-8") for name in ("github.yml", "gitlab-ci.yml")}
+    github, gitlab = (yaml.safe_load(text) for text in texts.values())
+    job = github["jobs"]["plant"]
+    commands = [step["run"] for step in job["steps"] if "run" in step]
+    assert commands == gitlab["plant"]["script"] == ["pip install dpstack pytest", "sh ci/job.sh"]
+    assert True in github  # "on", which YAML reads as true
+    (upload,) = [step for step in job["steps"] if "upload-artifact" in step.get("uses", "")]
+    assert upload["if"] == gitlab["plant"]["artifacts"]["when"] + "()" == "always()"
+    artifacts = gitlab["plant"]["artifacts"]
+    kept = {artifacts["reports"]["junit"], *artifacts["paths"]}
+    assert set(upload["with"]["path"].split()) == kept
+    script = (folder / "job.sh").read_text(encoding="utf-8")
+    assert all(f"{word}{name}" in script for word, name in JOB_WRITES)
+    assert kept == {f"ci/{name}" for _, name in JOB_WRITES}
+    pages = "".join(page.read_text(encoding="utf-8") for page in sorted((EXAMPLES.parent / "docs").rglob("*.md")))
+    assert re.findall(r"^```yaml\n(.*?)^```", pages, re.MULTILINE | re.DOTALL) == [*texts.values()]
+
+
+def test_the_commands_and_the_scenario_of_the_job_are_right() -> None:
+    """Those of job.sh as the program reads them; tests/strangers/test_ci_job.py runs it."""
+    script = (EXAMPLES / "ci" / "job.sh").read_text(encoding="utf-8")
+    commands = re.findall(r"^dpstack (.*?)(?: >.*)$", script, re.MULTILINE)
+    assert [command.split()[0] for command in commands] == ["segment", "sim"]
+    for command in commands:
+        build_parser().parse_args(shlex.split(command))
+    plant = load_config(EXAMPLES / "ci" / "plant.toml")
+    bench = VirtualBench(dpstack.World(), BusParams.preset(500_000))
+    bench.add(plant.slaves[0])
+    assert len(load_scenario(EXAMPLES / "ci" / "faults.toml", bench, slave_handlers(bench)).steps) == 2
