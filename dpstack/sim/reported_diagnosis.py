@@ -54,6 +54,11 @@ class ReportedOctets(Struct, frozen=True):
         return self.diag.fault
 
     @property
+    def content(self) -> object:
+        """Equal for two reports of the same."""
+        return self.diag.ext
+
+    @property
     def text(self) -> str:
         return f"diagnosis {self.diag.ext.hex(' ').upper() or 'no octets'}"
 
@@ -77,6 +82,11 @@ class SlotDiagnosis(Struct, frozen=True):
     @property
     def text(self) -> str:
         return f"diagnosis, {self.words}" + (", with an alarm" if self.alarm else "")
+
+    @property
+    def content(self) -> object:
+        """Equal for two reports of the same."""
+        return self.module, self.state, self.channel
 
     def appears(self) -> Alarm:
         """The alarm of its begin; a wrong module is plugged."""
@@ -112,6 +122,11 @@ class TextDiagnosis(Struct, frozen=True):
     @property
     def text(self) -> str:
         return f"diagnosis, {self.words}"
+
+    @property
+    def content(self) -> object:
+        """Equal for two reports of the same."""
+        return self.wanted, self.type
 
     @property
     def fits_dpv1(self) -> bool:

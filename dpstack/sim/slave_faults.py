@@ -150,6 +150,13 @@ class SlaveFaults:
                 self._alarm(fault.disappears(self._is_faulty(fault.module)))
         return True
 
+    def end_alike(self, wanted: Reported) -> bool:
+        """End the diagnoses that report the same as ``wanted``. False: none of those that act does."""
+        alike = [report for report in self._reports if report.content == wanted.content]
+        for report in alike:
+            self.end(report)
+        return bool(alike)
+
     # --- diagnosis ---
     def _diagnose(self) -> None:
         """Report the diagnoses that act now, beside that of the device."""

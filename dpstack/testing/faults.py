@@ -196,7 +196,7 @@ class Faults:
         begun = {one.text: one.acts for one in self._begun if one.slave == name and one.acts is not None}
         texts = []
         for text in self._bench.injected(address):
-            own = next((one for one in begun if text.replace("-", " ").startswith(one)), None)
+            own = next((one for one in begun if text.startswith(one) or text.replace("-", " ").startswith(one)), None)
             texts.append(text if own is None else begun[own])
         return texts
 

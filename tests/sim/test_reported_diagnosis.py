@@ -9,7 +9,7 @@ import pytest
 from simulated_kit import Asked
 
 from dpstack.api.config.table import Source, Table
-from dpstack.api.slave_side.fault_steps import KINDS, End
+from dpstack.api.slave_side.fault_steps import KINDS, Deed, End
 from dpstack.errors import ConfigError, DpError
 from dpstack.sim.io_station import IoStation
 from dpstack.testing import BusFactory
@@ -18,11 +18,15 @@ from dpstack.testing import BusFactory
 RACK: dict[str, object] = {"name": "rack", "address": 8, "ident": 0x1234, "config": "51 10 21 00 61"}
 
 
-def begin(asked: Asked, what: str = "", **keys: object) -> End:
-    """Begin the diagnosis as a step of a scenario."""
+def deed(asked: Asked, what: str = "", **keys: object) -> Deed:
+    """The diagnosis as a step of a scenario."""
     table = Table(Source("step"), (), {"what": what, **keys} if what else keys, "step")
     kind = KINDS["diagnosis"]
-    end = kind.read(table, table.read(kind.keys), asked.bench, 8).begin()
+    return kind.read(table, table.read(kind.keys), asked.bench, 8)
+
+
+def begin(asked: Asked, what: str = "", **keys: object) -> End:
+    end = deed(asked, what, **keys).begin()
     assert end is not None
     return end
 
@@ -81,6 +85,19 @@ def test_the_same_diagnosis_twice_ends_with_the_second(asked: Asked) -> None:
     assert diagnosis(asked) == "08 42 01 80 40 A6"
     assert second()
     assert diagnosis(asked) == "00"
+
+
+def test_a_step_ends_one_diagnosis_of_several(asked: Asked) -> None:
+    first = begin(asked, "slot 1 channel 0 line break")
+    begin(asked, slot=1, channel=0, error=6, fault=False)  # the same
+    begin(asked, "slot 2 channel 3 short circuit")
+    over = deed(asked, "slot 1, input channel 0 (word): line break", over=True)
+    assert over.text == "over: diagnosis, slot 1, input channel 0 (word): line break"
+    assert over.begin() is None
+    assert diagnosis(asked) == "08 42 02 81 43 21"
+    assert not first()
+    with pytest.raises(DpError, match="has no such diagnosis at this moment; its faults: diagnosis, slot 2, input"):
+        over.begin()
 
 
 def test_with_dpv1_a_module_status_has_the_states_of_all_slots(asked: Asked) -> None:

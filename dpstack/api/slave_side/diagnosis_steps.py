@@ -47,6 +47,7 @@ KEYS: Final[Mapping[str, Key]] = {
     "state": Key(kind=Literal["ok", "data invalid", "wrong module", "no module"]),
     "fault": Key(kind=bool),
     "alarm": Key(kind=bool),
+    "over": Key(kind=bool),
 }
 #: keys that say what is wrong, and those that go with a slot only
 _WAYS: Final = ("what", "error", "text", "octets", "state")

@@ -88,7 +88,19 @@ def _repeated_answers(_table: Table, _given: Mapping[str, Any], bench: Bench, ad
 
 
 def _diagnosis(table: Table, given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
-    return _of_fault(bench, address, read_diagnosis(table, given, bench.units[address]))
+    report = read_diagnosis(table, given, bench.units[address])
+    if not given.get("over"):
+        return _of_fault(bench, address, report)
+    if "for" in table:
+        table.fail("for", "for, and over ends a diagnosis", "leave for out")
+
+    def end() -> None:
+        unit = bench.units[address]
+        if not unit.faults.end_alike(report):
+            acting = ", ".join(fault_text(fault) for fault in unit.faults.active) or "none"
+            raise UsageError(f"{unit.who} has no such diagnosis at this moment; its faults: {acting}")
+
+    return Deed(f"over: {fault_text(report)}", end)
 
 
 def _silence(_table: Table, _given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
