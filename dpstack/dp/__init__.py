@@ -7,6 +7,7 @@
 - ``slave/``: The DP slave: its states, its services, and what an author of a device writes
 - ``doubts``: The parts of a slave's process data that its diagnosis throws doubt on: slot, channel, octets, the reason
   in words
+- ``drive_telegrams``: The telegrams that a drive may be set to, and the words for another one than configured
 - ``error_origin``: The origin of an exception in the functions of a device or of a drive plugin
 - ``process_data``: Named fields in the process data of a slave, declared as short texts
 - ``process_image``: The process image: the inputs and outputs of a slave, which the bus exchanges in every rotation

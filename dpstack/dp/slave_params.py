@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final, NamedTuple
 
+from dpstack.dp.drive_telegrams import DriveTelegrams
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
@@ -99,6 +100,8 @@ class SlaveParams:
     on_loss: str = ""
     #: for people, if the slave refuses ``user_prm``: how its GSD file can be read otherwise, and how to ask for that
     prm_note: str = field(default="", compare=False)
+    #: of a drive with a plugin
+    telegrams: DriveTelegrams | None = field(default=None, compare=False, repr=False)
     ident_adapts: bool = False
 
     def __post_init__(self) -> None:

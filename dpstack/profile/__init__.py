@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from dpstack.profile.drive_profile import DriveProfile as DriveProfile
     from dpstack.profile.drive_profile import OptionSpec as OptionSpec
     from dpstack.profile.drive_profile import RateSetting as RateSetting
+    from dpstack.profile.drive_profile import TelegramSetting as TelegramSetting
     from dpstack.profile.master.core import DriveCore as DriveCore
     from dpstack.profile.master.core import Lookup as Lookup
     from dpstack.profile.master.core import settled as settled
@@ -125,7 +126,7 @@ channel.base Clock CycleTimes FindSpec ParameterChannel ParamKey find_parameter
 channel.pkw RETRY_NS ParamRef Pkw PkwAccess PkwChannel PkwDialect PkwServer ReplyId TaskId
 channel.stored_writes StoredWrites
 core_description speed_range
-drive_profile DriveProfile OptionSpec RateSetting
+drive_profile DriveProfile OptionSpec RateSetting TelegramSetting
 master.core DriveCore Lookup settled
 master.mapped_core MAP_OPS MapCodes MappedCore
 master.settings Setting equal same

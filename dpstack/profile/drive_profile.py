@@ -58,6 +58,17 @@ class RateSetting(NamedTuple):
     rates: Mapping[int, int]
 
 
+class TelegramSetting(NamedTuple):
+    """The setting of a drive that chooses its telegram, where it does not follow its master."""
+
+    #: number or name of the parameter
+    parameter: str
+    #: value of the parameter by name of the telegram
+    values: Mapping[str, int]
+    #: how a changed value gets into force
+    acts: str = "power off and on"
+
+
 CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Options], DriveCore]
 DeviceFactory = Callable[["DriveProfile", TelegramSpec, Options, Mapping[str, object]], DriveDevice]
 
@@ -99,6 +110,8 @@ class DriveProfile(DriveType):
     gsd: str | None = None
     #: the setting of the rate, for a drive that works only at the rate it is set to; None: it detects the rate
     rate_setting: RateSetting | None = None
+    #: the setting of the telegram, for a drive that does not follow its master; None: it does
+    telegram_setting: TelegramSetting | None = None
     #: ``module:function``, loaded for a sheet only: gets core, description, station address and options of the core;
     #: returns the description with the facts of the manual. None: the description is what core and profile have
     details: str | None = None

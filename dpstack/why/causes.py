@@ -57,6 +57,11 @@ class Cause(Enum):
         "Cfg_Fault, or Prm_Fault; Get_Cfg has other identifiers in a slot",
         "compare the order numbers of the modules with `modules`, slot by slot",
     )
+    TELEGRAM = About(
+        "the drive is set to another telegram",
+        "Cfg_Fault; Get_Cfg has the identifiers of another telegram of the drive",
+        "name the telegram of the drive in the configuration (`telegram`), or set the drive to the configured one",
+    )
     USER_PARAMETER = About(
         "the slave does not accept the value of a user parameter",
         "Prm_Fault after Set_Prm, with the right ident and the right number of octets",
@@ -103,6 +108,11 @@ class Cause(Enum):
         "the slave restarts again and again",
         "it falls silent or refuses, and comes back without master and parameters",
         "measure its supply voltage while it runs (peaks of neighbours?), and look at its fault memory",
+    )
+    ALL_SILENT = About(
+        "all slaves fell silent at once: what they share has failed",
+        "no slave answers any more, and all of them did until the same moment",
+        "look at all that the slaves share: the cable and the plug at the master, its adapter, their supply",
     )
     NOT_READY = About(
         "the slave has accepted everything, and its application does not get ready",

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Final
 
 from dpstack.dp.acyclic.job import ATTEMPTS
+from dpstack.dp.drive_telegrams import OtherTelegram
 from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, WRONG, Step
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
@@ -25,7 +26,7 @@ from dpstack.gsd.prm import UserPrm
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.units import BITS_PER_CHAR, NS_PER_MS, NS_PER_S, bits_to_ns
 from dpstack.why.evidence import CLASS2, Evidence, Neighbour
-from dpstack.why.steps import CHK_CFG, REFUSALS, SET_PRM
+from dpstack.why.steps import CHK_CFG, GET_CFG, REFUSALS, SET_PRM
 
 #: requests from which a share of failures says something
 ENOUGH: Final = 20
@@ -358,12 +359,17 @@ class Facts:
     # --- configuration, parameters, times ---
 
     @cached_property
+    def real_config(self) -> bytes | None:
+        """The identifier octets that the slave says to have; None if they are not known."""
+        if self.evidence.config is not None:
+            return self.evidence.config
+        read = self.step_of(GET_CFG)
+        return read.received if read is not None and read.received else None
+
+    @cached_property
     def comparison(self) -> Comparison | None:
         """Wanted and real configuration; None if the real one is not known."""
-        real = self.evidence.config
-        if real is None:
-            read = self.step_of("Get_Cfg")
-            real = read.received if read is not None and read.received else None
+        real = self.real_config
         if real is None:
             return None
         device, modules = self.evidence.device, self.evidence.modules
@@ -375,13 +381,23 @@ class Facts:
         return self.comparison is not None and self.comparison.kind is not Difference.SAME
 
     @cached_property
+    def other_telegram(self) -> OtherTelegram | None:
+        """The drive has another telegram of its own than configured."""
+        found, telegrams = self.real_config, self.setup.telegrams
+        return None if found is None or telegrams is None else telegrams.other(found)
+
+    @cached_property
     def modules_refused(self) -> bool:
-        """It refuses Set_Prm, has other modules than configured, and those that differ have user parameters."""
+        """It refuses Set_Prm and has other modules than configured: those that differ have user parameters, or it is a
+        rack, which names what is plugged. A drive may name any telegram before Chk_Cfg."""
         found, device = self.comparison, self.evidence.device
         if not (self.prm_fault and self.differs) or found is None or device is None or self.wrong_ident is not None:
             return False
+        if self.other_telegram is not None:
+            return False
         differ = {part.octets for _, wanted, real in found.slots for part in (wanted, real) if part is not None}
-        return any(module.prm.present for module in device.modules if module.config in differ)
+        is_rack = device.modular and len(found.real) > 1 and all(part.title for part in found.real)
+        return is_rack or any(module.prm.present for module in device.modules if module.config in differ)
 
     @cached_property
     def parameters(self) -> ParameterFacts:

@@ -37,13 +37,15 @@ _USUAL_MIN_TSDR: Final = 11
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One cause with a confidence 0..1 and sentences. ``next``: empty for the usual next step of the cause."""
+    """One cause with a confidence 0..1 and sentences. ``next``: empty for the usual next step of the cause;
+    ``meaning``: likewise. The slave's fault has the same words, if it names the cause."""
 
     cause: Cause
     confidence: float
     speaks_for: list[str] = field(default_factory=list)
     against: list[str] = field(default_factory=list)
     next: str = ""
+    meaning: str = ""
 
     def less(self, confidence: float, why: str = "") -> Finding:
         """The finding with at most ``confidence``, and ``why`` against it."""
@@ -550,8 +552,8 @@ def _parameters(f: Facts) -> Findings:
         found = [*known.impossible, *known.changed]
         sure = 0.91 if known.impossible else 0.86 if found else 0.5 if other >= 0.4 else 0.75
         none = [] if found else ["All of them are those of the GSD file."]
-        if f.modules_refused and not found:
-            sure, none = 0.5, [*none, "The station has other modules, and modules have parameters of their own."]
+        if f.modules_refused and not known.impossible:  # a value that differs from its default is no proof
+            sure, none = 0.5, [*none, "The station has other modules than configured: Get_Cfg proves that."]
         yield Finding(Cause.USER_PARAMETER, sure, [*begin, *found, fits], none)
         yield Finding(Cause.USER_PARAMETER_LENGTH, 0.25, begin, [fits])
     else:
@@ -622,17 +624,23 @@ def _modules(f: Facts) -> Findings:
         yield Finding(Cause.MODULE_TYPE, 0.5, begin, same)
         yield Finding(Cause.USER_PARAMETER, 0.35, [*begin, "Some devices choose modules by user parameters."])
         return
-    cause, confidence = _BY_DIFFERENCE[compared.kind]
-    said = [*begin, *compared.sentences, f"Chk_Cfg and Get_Cfg differ from octet {compared.octet} on."]
+    other = f.other_telegram
+    cause, confidence = _BY_DIFFERENCE[compared.kind] if other is None else (Cause.TELEGRAM, 0.92)
+    said = [*begin, *(compared.sentences if other is None else [])]
+    said.append(f"Chk_Cfg and Get_Cfg differ from octet {compared.octet} on.")
     against = []
     if f.modules_refused:
-        said.insert(0, "It refuses Set_Prm, which has the parameters of the configured modules: Prm_Fault.")
-        confidence = 0.85
+        said.insert(0, "It refuses Set_Prm (Prm_Fault), which is made for the configured modules: it has other ones.")
     elif not refused:
         against = ["It has not refused Chk_Cfg (yet)."]
         confidence = 0.6 if f.evidence.source == CLASS2 or f.is_fault("not_ready", "wrong_length") else 0.5
+    if other is not None:
+        yield Finding(cause, confidence, said, against, other.remedy, other.text)
+        return
     todo = cause.about.next + (f"; the station as it is: {compared.key}" if compared.key else "")
-    yield Finding(cause, confidence, said, against, todo)
+    yield Finding(
+        cause, confidence, said, against, todo, ": ".join(filter(None, (cause.about.meaning, compared.short)))
+    )
 
 
 def _lengths(f: Facts) -> Findings:

@@ -187,7 +187,7 @@ def _likely(one: Finding) -> Likely:
         tuple(printable(text) for text in _distinct(one.speaks_for)),
         tuple(printable(text) for text in _distinct(one.against)),
         printable(one.next or about.next),
-        about.meaning,
+        printable(one.meaning or about.meaning),
     )
 
 

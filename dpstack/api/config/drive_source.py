@@ -8,6 +8,7 @@ from typing import Any
 
 from dpstack.api.config.slave_source import REFERENCES, Basis, Who, leave_out
 from dpstack.api.config.table import Table
+from dpstack.dp.drive_telegrams import DriveTelegrams
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.gsd.configuration import Configuration, configuration_like
 from dpstack.profile import DriveProfile, TelegramSpec, registry
@@ -58,7 +59,22 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
                 fail_safe=profile.fail_safe,
                 max_tsdr=profile.max_tsdr,
             )
-    return dataclasses.replace(known, safe=core.safe_outputs, on_loss=profile.on_loss), rest
+    telegrams = _telegrams(profile, telegram)
+    return dataclasses.replace(known, safe=core.safe_outputs, on_loss=profile.on_loss, telegrams=telegrams), rest
+
+
+def _telegrams(profile: DriveProfile, configured: TelegramSpec) -> DriveTelegrams:
+    """The words for a drive that is set to another telegram than ``configured``."""
+
+    def named(config: bytes) -> str:
+        found = profile.telegrams_of(config)
+        return found[0].name if len(found) == 1 else ""
+
+    setting = profile.telegram_setting
+    if setting is None:
+        return DriveTelegrams(configured.name, named, {})
+    values = {name: f"{setting.parameter} = {value}" for name, value in setting.values.items()}
+    return DriveTelegrams(configured.name, named, values, setting.acts)
 
 
 def _telegram_for(table: Table, profile: DriveProfile, default: TelegramSpec, chosen: Configuration) -> TelegramSpec:

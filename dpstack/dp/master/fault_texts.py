@@ -51,25 +51,36 @@ class CfgFault(Fault):
             remedy = self.remedy if self.perhaps else change + self.or_else
         joint = ", and " if self.perhaps else ": "
         fault = Fault(self.kind, f"{self.message}{joint}{difference}", remedy, (actual or b"") if differs else b"")
-        return with_modules(fault, self.setup)
+        return in_words(fault, self.setup)
 
 
-def with_modules(fault: Fault, setup: SlaveParams) -> Fault:
-    """``fault`` with the first slot that differs and the modules to change, by the names of the GSD file. (The bus
-    process has no GSD files: there the application calls it.)"""
-    if setup.texts is None or not fault.actual:
+def in_words(fault: Fault, setup: SlaveParams) -> Fault:
+    """``fault`` with the telegram that the drive is set to, or with the first slot that differs, and what to change, by
+    the names of plugin and GSD file. (The bus process has neither: there the application calls it.)"""
+    found = _difference(fault, setup) if fault.actual else None
+    if found is None:
         return fault
+    text, remedy = found
+    head, _, rest = fault.message.partition(": ")
+    if fault.kind is FaultKind.NOT_READY:
+        remedy += f"; or {_LOOK}"
+    return Fault(fault.kind, f"{head}: {text}; {rest}", remedy, fault.actual)
+
+
+def _difference(fault: Fault, setup: SlaveParams) -> tuple[str, str] | None:
+    """The difference between configuration and slave, and the remedy; None if there are no names for it."""
+    # Prm_Fault comes before Chk_Cfg: until then a drive may show any of its telegrams
+    if setup.telegrams is not None and fault.kind is not FaultKind.PRM_FAULT:
+        other = setup.telegrams.other(fault.actual)
+        if other is not None:
+            return other
+    if setup.texts is None:
+        return None
     device, modules = setup.texts.device, setup.texts.modules
     from dpstack.gsd.module_comparison import compare_modules  # here, as few slaves have a GSD file
 
     found = compare_modules(setup.config, fault.actual, device, modules, device.first_slot)
-    if not found.key:
-        return fault
-    head, _, rest = fault.message.partition(": ")
-    remedy = found.remedy
-    if fault.kind is FaultKind.NOT_READY:
-        remedy += f"; or {_LOOK}"
-    return Fault(fault.kind, f"{head}: {found.short}; {rest}", remedy, fault.actual)
+    return (found.short, found.remedy) if found.key else None
 
 
 _LOOK: Final = "look at the device: it may wait for its own start-up or for modules"

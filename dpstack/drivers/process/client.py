@@ -25,7 +25,7 @@ from msgspec import structs
 from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveFaulted, SlaveState, SlaveStateChanged
-from dpstack.dp.master.fault_texts import with_modules
+from dpstack.dp.master.fault_texts import in_words
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
@@ -532,7 +532,7 @@ class ProcessRuntime:
                 return
             if news.bus is not None:
                 self._bus = news.bus
-            self._slaves |= {address: self._with_modules(address, one) for address, one in news.slaves.items()}
+            self._slaves |= {address: self._in_words(address, one) for address, one in news.slaves.items()}
             if self._silent_since:
                 if news.silence == self._silences:
                     events = [*self._end_silence(events), *events]
@@ -552,10 +552,10 @@ class ProcessRuntime:
             return event if setup is None else worded(event, setup)
         return event
 
-    def _with_modules(self, address: int, slave: SlaveSnapshot) -> SlaveSnapshot:
-        """``slave`` with the names of modules in its fault."""
+    def _in_words(self, address: int, slave: SlaveSnapshot) -> SlaveSnapshot:
+        """``slave`` with the names of telegrams and modules in its fault."""
         setup = self.setups.get(address)
-        if slave.fault is None or setup is None or (fault := with_modules(slave.fault, setup)) is slave.fault:
+        if slave.fault is None or setup is None or (fault := in_words(slave.fault, setup)) is slave.fault:
             return slave
         return structs.replace(slave, fault=fault)
 
@@ -585,11 +585,11 @@ class ProcessRuntime:
 
 
 def worded(event: SlaveDiagnosis | SlaveFaulted | AlarmRaised, setup: SlaveParams) -> Event:
-    """``event`` of the slave with ``setup``, with the texts of its GSD file."""
+    """``event`` of the slave with ``setup``, with the texts of its GSD file and its plugin."""
+    if isinstance(event, SlaveFaulted):
+        return structs.replace(event, fault=in_words(event.fault, setup))
     if setup.texts is None:
         return event
-    if isinstance(event, SlaveFaulted):
-        return structs.replace(event, fault=with_modules(event.fault, setup))
     if isinstance(event, AlarmRaised):
         return structs.replace(event, texts=texts_beside(event.diagnosis, event.alarm, setup.texts))
     return structs.replace(event, texts=setup.block_texts(event.diagnosis))

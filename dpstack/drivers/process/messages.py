@@ -19,6 +19,7 @@ import msgspec
 from msgspec import Struct, field
 
 from dpstack import errors
+from dpstack.dp.drive_telegrams import DriveTelegrams
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.settings import StackSpec
 from dpstack.drivers.line.echo import Echo
@@ -145,8 +146,9 @@ class Question(Struct):
 
 
 def _plain(value: object) -> object:
-    """Encode types that msgspec does not know. Texts of a GSD file stay in the application (see ``client``)."""
-    if isinstance(value, DiagTexts):
+    """Encode types that msgspec does not know. Texts of a GSD file and of a drive plugin stay in the application (see
+    ``client``)."""
+    if isinstance(value, DiagTexts | DriveTelegrams):
         return None
     raise TypeError(f"{type(value).__name__} does not go to another process")
 

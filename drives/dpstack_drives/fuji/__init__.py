@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.profile import DriveProfile, OptionSpec
+from dpstack.profile import DriveProfile, OptionSpec, TelegramSetting
 from dpstack_drives.fuji import table as t
 from dpstack_drives.fuji.plugin import FujiCore
 from dpstack_drives.fuji.simulator import OWN_SUPPLY, FujiDevice
@@ -43,6 +43,7 @@ DRIVE: Final = DriveProfile(
         ),
     },
     ready={"y98": 3},
+    telegram_setting=TelegramSetting("o30", t.O30),
     notes=(
         "the manual has no GSD file: ident number and identifier octets are made up, use the user's",
         "y98 is 0 at the factory: only 3 lets the bus run it",

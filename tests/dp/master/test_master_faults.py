@@ -219,10 +219,10 @@ def test_a_difference_is_named_by_the_modules_of_the_gsd_file_in_either_process(
     assert told.remedy.endswith(remedy)
     bare = fault(there).compared(b"\x20\x20")
     assert "change the telegram set in the device" in bare.remedy
-    assert fault_texts.with_modules(bare, known) == told
+    assert fault_texts.in_words(bare, known) == told
     foreign = instance(worded(SlaveFaulted(t_ns=1, address=3, name="io", fault=bare), known), SlaveFaulted)
     assert foreign.fault == told
-    assert fault_texts.with_modules(fault(known).compared(None), known).actual == b""
+    assert fault_texts.in_words(fault(known).compared(None), known).actual == b""
 
 
 def test_fault_shown_in_one_diagnosis_only_is_kept() -> None:
