@@ -7,13 +7,12 @@
 - ``slave/``: The DP slave: its states, its services, and what an author of a device writes
 - ``doubts``: The parts of a slave's process data that its diagnosis throws doubt on: slot, channel, octets, the reason
   in words
-- ``drive_telegrams``: The telegrams that a drive may be set to, and the words for another one than configured
 - ``error_origin``: The origin of an exception in the functions of a device or of a drive plugin
 - ``process_data``: Named fields in the process data of a slave, declared as short texts
 - ``process_image``: The process image: the inputs and outputs of a slave, which the bus exchanges in every rotation
 - ``rate_groups``: Rate groups: in which cycles a slave of ``every`` n has its turn
 - ``services``: The services of MS0 at a slave: their names and SAPs, the octets of Set_Prm, positive answers
-- ``slave_params``: The parameters of one slave at the master, checked at construction
+- ``slave_params``: The parameters of one slave at the master, checked at construction; the telegrams of a drive
 - ``slot_map``: The map of a slave: slot, module, direction, octets, channels; from identifier octets and, if known, its
   GSD file
 - ``telegram_times``: Durations of telegrams and exchanges on the wire, in octets and bit times

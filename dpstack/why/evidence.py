@@ -19,7 +19,8 @@ CLASS2 = "class2"
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """Another slave of the same configuration. ``ident``: as configured; ``found_ident``: in its last diagnosis."""
+    """Another slave of the same configuration. ``ident``: as configured; ``found_ident``: in its last diagnosis.
+    ``exchanged_ns``: time of its last good Data_Exchange, 0: none."""
 
     address: int
     name: str
@@ -27,6 +28,7 @@ class Neighbour:
     ident: int | None = None
     link: StationStats = field(default_factory=StationStats)
     found_ident: int | None = None
+    exchanged_ns: int = 0
 
     @property
     def there(self) -> bool:

@@ -4,19 +4,20 @@ odd about its user parameters."""
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 from dpstack.dp.acyclic.job import ATTEMPTS
-from dpstack.dp.drive_telegrams import OtherTelegram
-from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, WRONG, Step
+from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, WRONG, Loss, Step
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.master.verdicts import foreign_owner
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import SET_PRM_LEN
+from dpstack.dp.slave_params import OtherTelegram
 from dpstack.errors import GsdError
 from dpstack.fdl.interface import StationStats
 from dpstack.fdl.telegram import StationType
@@ -50,6 +51,15 @@ _STALE: Final = 4
 #: share of the time that a station takes that sends without end, at least
 _JAM_LOAD: Final = 0.4
 _STALE_NS: Final = 200 * NS_PER_MS
+#: a slave out of data exchange is asked again at least every second: after this time its state is of now
+_ASKED_AGAIN_NS: Final = 1_200 * NS_PER_MS
+#: slaves that fell silent within this time fell silent at once: one of them may be asked each second only
+_AT_ONCE_NS: Final = 2 * NS_PER_S
+#: a slave counts as steady after this long, and after this many times the longest time between two of its losses
+_STEADY_NS: Final = 10 * NS_PER_S
+_STEADY: Final = 3
+#: losses from which a slave flaps
+_FLAPS: Final = 2
 #: user parameters named in a story at most
 _SHOWN: Final = 4
 
@@ -266,13 +276,59 @@ class Facts:
     def lost_damaged(self) -> int:
         return sum(loss.how == DAMAGED for loss in self.losses)
 
+    def steady_s(self, losses: Sequence[Loss]) -> float:
+        """Seconds that it has been in data exchange since the last of ``losses``, if they are over; else 0."""
+        last = self.evidence.bring_up
+        if not self.exchanging or last is None or not last.exchanging_ns:
+            return 0.0
+        since = self.evidence.now_ns - last.exchanging_ns
+        between = [b.t_ns - a.t_ns for a, b in itertools.pairwise(losses)]
+        return since / NS_PER_S if since >= max(_STEADY_NS, *(_STEADY * one for one in between), 0) else 0.0
+
+    @cached_property
+    def flaps(self) -> bool:
+        """It is in data exchange, has left it at least twice, and may do so again at any moment."""
+        return self.exchanging and self.lost >= _FLAPS and not self.steady_s(self.losses)
+
     # --- the line ---
+
+    @cached_property
+    def silent_since(self) -> int:
+        """Time of the first of the requests in a row that it has not answered; 0: none."""
+        silent = itertools.takewhile(lambda step: step.answered == NOTHING, self._newest_first)
+        return min((step.t_ns for step in silent), default=0)
 
     @cached_property
     def answering(self) -> tuple[Neighbour, ...]:
         """Slaves that answer now. A class 2 look does not know their states: there, those that answered in it."""
         looked = self.evidence.source == CLASS2
-        return tuple(one for one in self.neighbours if one.there or (looked and one.link.answers))
+        return tuple(
+            one for one in self.neighbours if (one.there and self._is_heard(one)) or (looked and one.link.answers)
+        )
+
+    @cached_property
+    def unheard(self) -> tuple[Neighbour, ...]:
+        """Slaves in data exchange that have not been asked since this one fell silent."""
+        there = (one for one in self.neighbours if one.state is SlaveState.DATA_EXCHANGE)
+        return tuple(one for one in there if not self._is_heard(one))
+
+    def _is_heard(self, one: Neighbour) -> bool:
+        """Whether the state of ``one`` is of the time since this slave fell silent: all may have, at once."""
+        since = self.silent_since
+        if not since or (one.state is SlaveState.DATA_EXCHANGE and not one.exchanged_ns):
+            return True
+        if one.state is SlaveState.DATA_EXCHANGE:
+            return one.exchanged_ns > since
+        return self.evidence.now_ns - since > _ASKED_AGAIN_NS
+
+    @cached_property
+    def silent_together(self) -> tuple[Neighbour, ...]:
+        """The slaves that fell silent at the same moment as this one, if no slave answers since."""
+        if not (self.present and self.silent_now) or self.anybody or self.unheard:
+            return ()
+        since = self.silent_since
+        gone = (one for one in self.neighbours if one.link.answers and not one.there)
+        return tuple(one for one in gone if not one.exchanged_ns or abs(since - one.exchanged_ns) < _AT_ONCE_NS)
 
     @cached_property
     def compared(self) -> tuple[Neighbour, ...]:

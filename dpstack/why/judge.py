@@ -7,11 +7,11 @@ explanation for the answers: an ident number, a master's address, a configuratio
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from dpstack.dp.master.bring_ups import DATA_EXCHANGE, NOTHING, SLAVE_DIAG, Loss
+from dpstack.dp.master.bring_ups import DATA_EXCHANGE, NOTHING, SLAVE_DIAG
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.requests import SET_PRM_LEN
 from dpstack.gsd.module_comparison import Difference
@@ -28,9 +28,6 @@ _JAMMED: Final = 40
 _ALTERNATING: Final = 2
 #: waiting time after Chk_Cfg from which a slave counts as not ready
 _READY_NS: Final = NS_PER_S
-#: a slave counts as steady after this long, and after this many times the longest time between two of its losses
-_STEADY_NS: Final = 10 * NS_PER_S
-_STEADY: Final = 3
 #: min T_SDR in Set_Prm that every slave can have
 _USUAL_MIN_TSDR: Final = 11
 
@@ -110,6 +107,7 @@ _OF_NOW: Final = (
 #: explained by a fault of the bus
 _BY_BUS: Final = (
     Cause.NOT_THERE,
+    Cause.ALL_SILENT,
     Cause.NOISE_ON_STUB,
     Cause.NOISE_ON_SEGMENT,
     Cause.REBOOTS,
@@ -179,7 +177,7 @@ def _jam(f: Facts) -> Finding:
     if not ring.joined:
         said.append("The master is out of the ring: the line is never quiet long enough for it.")
         return Finding(Cause.BUS_JAMMED, 0.87 if f.damage > line.heard else 0.7, said)
-    others = [one.name for one in f.neighbours if one.state is SlaveState.DATA_EXCHANGE]
+    others = [one.name for one in f.answering if one.state is SlaveState.DATA_EXCHANGE]
     if others:
         return Finding(Cause.BUS_JAMMED, 0.3, said, [f"Others are in data exchange: {some_of(others)}."])
     sure = 0.8 if f.damage > 10 * line.heard or ring.tokens_lost > 2 else 0.6
@@ -208,9 +206,6 @@ def _out_of_ring(f: Facts, *, jammed: bool) -> Findings:
     against = ["No other master was understood."] if unreadable else []
     yield Finding(Cause.NO_TOKEN, 0.5 if jammed or unreadable else 0.86, said, against)
 
-
-#: if all slaves fell silent at once
-_SHARED: Final = "look at all that the slaves share: the cable and the plug at the master, its adapter, their supply"
 
 #: T_TO in slot times of the highest address is 6 + 2 x 126; after this many a silent line is claimed for sure
 _CLAIMS: Final = 2 * (6 + 2 * 126)
@@ -242,9 +237,12 @@ def _absent(f: Facts) -> Findings:
         against.append("No other station answers either: a common cause is likelier.")
         confidence = 0.6
     todo = ""
-    if f.present and f.neighbours and not f.anybody:
-        said.append(f"All {len(f.neighbours) + 1} slaves of the configuration are silent at once.")
-        todo = _SHARED
+    if f.silent_together:
+        yield from _all_silent(f)
+        against.append("Other slaves fell silent at the same moment.")
+        confidence = 0.5
+    elif f.present and f.neighbours and not (f.anybody or f.unheard):
+        said.append("No other slave of the configuration answers now.")
     if f.evidence.found is None and f.evidence.unknown:
         places = some_of(map(str, sorted(f.evidence.unknown)))
         said.append(f"Address {places} answers, and no slave is configured there: has the device that address?")
@@ -266,6 +264,14 @@ def _absent(f: Facts) -> Findings:
     yield Finding(Cause.NOT_THERE, confidence, said, against, todo)
     if not f.anybody and not f.present:
         yield from _nobody(f)
+
+
+def _all_silent(f: Facts) -> Findings:
+    together = len(f.silent_together) + 1
+    said = [f"{together} slaves fell silent at the same moment, and no other one answers."]
+    if together == len(f.neighbours) + 1:
+        said = [f"All {together} slaves of the configuration are silent at once."]
+    yield Finding(Cause.ALL_SILENT, 0.85, said)
 
 
 def _nobody(f: Facts) -> Findings:
@@ -400,7 +406,7 @@ def _retried(f: Facts) -> bool:
 def _noise(f: Facts) -> Findings:
     link = f.link
     harmed = is_disturbed(link, f.lost_since) or (f.mixed and damaged(link) > f.lost_since) or f.dropped_by_port
-    if not (harmed or (_retried(f) and not f.exchanging)):
+    if not (harmed or (_retried(f) and not f.exchanging and not f.silent_together)):
         yield from _noise_of_others(f)
         return
     said = [f"{failures(link)} of {attempts(link)} requests had no good answer, {damaged(link)} of them a damaged one."]
@@ -421,7 +427,7 @@ def _noise(f: Facts) -> Findings:
         against.append(f"Late answers of {names} run into other telegrams.")
         most = min(most, 0.5)
     bad = f.disturbed_neighbours
-    clean = [one for one in f.compared if one not in bad]
+    clean = [one for one in f.answering if one not in bad]
     tokens = f.evidence.ring.token_retries
     if tokens >= 3:
         said.append(f"The token had to be sent again {tokens} times.")
@@ -749,7 +755,8 @@ def _restarts(f: Facts) -> Findings:
         return
     back = [loss for loss in silent if loss.back_ns and loss.prm_req]
     away = sorted((loss.back_ns - loss.t_ns) / NS_PER_S for loss in back)
-    steady = _steady(f, silent)
+    steady_s = f.steady_s(silent)
+    steady = f"It has been in data exchange for {steady_s:.0f} s since." if steady_s else ""
     if len(back) >= 2 or (back and len(silent) >= 2):
         said = [
             f"It fell silent {times_text(len(silent))} and came back without parameters, after "
@@ -772,18 +779,6 @@ def _restarts(f: Facts) -> Findings:
         yield Finding(Cause.NOISE_ON_STUB, 0.55 if len(kept) >= 2 and not unpaced else 0.3, [*said, more], unpaced)
 
 
-def _steady(f: Facts, losses: Sequence[Loss]) -> str:
-    """A sentence if the slave is in data exchange for so long that its last loss is over; else empty."""
-    last = f.evidence.bring_up
-    if not f.exchanging or last is None or not last.exchanging_ns:
-        return ""
-    since = f.evidence.now_ns - last.exchanging_ns
-    between = [b.t_ns - a.t_ns for a, b in itertools.pairwise(losses)]
-    if since < max(_STEADY_NS, *(_STEADY * one for one in between), 0):
-        return ""
-    return f"It has been in data exchange for {since / NS_PER_S:.0f} s since."
-
-
 # --- healthy ----------------------------------------------------------------------------------------------------------
 
 
@@ -800,7 +795,7 @@ def _healthy(f: Facts, found: list[Finding]) -> list[Finding]:
         said.append(f"{failures(f.link)} of {attempts(f.link)} requests had no good answer ({share(f.link):.2%}).")
     worst = max((one.confidence for one in found), default=0.0)
     against = [f"It left data exchange {times_text(f.lost)}."] if f.lost else []
-    confidence = 0.95 if worst < 0.3 and not f.lost else 0.7 if worst < 0.5 else 0.4
+    confidence = 0.25 if f.flaps else 0.95 if worst < 0.3 and not f.lost else 0.7 if worst < 0.5 else 0.4
     return [Finding(Cause.HEALTHY, confidence, said, against)]
 
 

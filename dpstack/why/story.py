@@ -18,6 +18,8 @@ from dpstack.why.steps import as_dict, words
 
 #: the cause of a slave that nothing speaks against
 HEALTHY: Final = Cause.HEALTHY.word
+#: the cause that all slaves share
+ALL_SILENT: Final = Cause.ALL_SILENT.word
 #: causes with less confidence are left out, unless no other is left
 _LEAST = 0.2
 _MOST = 6
@@ -70,6 +72,8 @@ class Story:
     step_texts: tuple[tuple[float, str], ...]
     #: causes, the likeliest first; at least one
     causes: tuple[Likely, ...]
+    #: the slave is in data exchange, but left it several times, the last time not long ago
+    flaps: bool = False
 
     def as_dict(self) -> dict[str, object]:
         """As in ``why --json``."""
@@ -157,7 +161,8 @@ def glance(found: Found) -> str:
 
 def tell(evidence: Evidence) -> Story:
     """The story by ``evidence``. Never raises for odd evidence."""
-    found = judge(Facts(evidence))
+    facts = Facts(evidence)
+    found = judge(facts)
     shown = [one for one in found if one.confidence >= _LEAST][:_MOST] or found[:1] or [_unknown(evidence)]
     steps = evidence.steps
     setup = evidence.setup
@@ -169,6 +174,7 @@ def tell(evidence: Evidence) -> Story:
         steps=tuple(as_dict(step, evidence) for step in steps),
         step_texts=tuple((evidence.seconds(step.t_ns), words(step, evidence)) for step in steps),
         causes=tuple(_likely(one) for one in shown),
+        flaps=facts.flaps,
     )
 
 

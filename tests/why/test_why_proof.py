@@ -7,12 +7,13 @@ import dataclasses
 from typing import Any
 
 import pytest
-from api_kit import FAN, RAW, in_virtual_time
+from api_kit import FAN, HOIST, RAW, bench_of, in_virtual_time, operating
 
 import dpstack
 from dpstack.api.config.config import slave_config
+from dpstack.cli.terminal.causes import CauseLines
 from dpstack.dp.master.bring_ups import BringUp, History, Step
-from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.events import SlaveFaulted, SlaveState
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.why.evidence import Evidence, LineCounters, Ring
 from dpstack.why.story import Likely, tell
@@ -118,3 +119,84 @@ def test_a_drive_whose_setting_is_in_no_manual_names_the_telegram_alone() -> Non
     # a drive may name any telegram before Chk_Cfg, so a refused Set_Prm proves nothing
     refused = causes(PRM_FAULT, "61 51", config.params)
     assert next(one.confidence for one in refused if one.cause == "telegram") <= 0.5
+
+
+# --- all slaves fall silent at once -----------------------------------------------------------------------------------
+
+OTHER = {**RAW, "name": "other", "address": 4}
+#: words that say that somebody answers
+SAID = ("thers answer", "undisturbed", "in data exchange: ")
+
+
+def sentences(story: dpstack.Story) -> list[str]:
+    return [text for one in story.causes for text in (*one.speaks_for, *one.against)]
+
+
+async def after_losses(
+    addresses: tuple[int, ...], gap_s: float = 0.0
+) -> tuple[dict[int, list[dpstack.Story]], list[str]]:
+    """The slaves lose their power: their stories at the moment of each fault, asked and unasked, a second later as
+    well; and the notices of `dpstack run`."""
+    stories: dict[int, list[dpstack.Story]] = {}
+    told: list[str] = []
+    asking: list[asyncio.Task[None]] = []
+    lines: list[CauseLines] = []
+
+    async def ask(address: int) -> None:
+        for ask in (False, True):
+            stories.setdefault(address, []).append(await bus.why(address, ask=ask, scan=False))
+
+    def on_event(event: dpstack.Event) -> None:
+        told.append(event.text)
+        for one in lines:
+            one.event(event)
+        if isinstance(event, SlaveFaulted) and event.address not in stories:
+            asking.append(asyncio.ensure_future(ask(event.address)))
+
+    async with operating(RAW, OTHER, HOIST, on_event=on_event) as bus:
+        lines.append(CauseLines(bus))
+        await asyncio.sleep(0.1)
+        for address in addresses:
+            bench_of(bus).power(address, False)
+            await asyncio.sleep(gap_s)
+        await asyncio.sleep(2.0)
+        await asyncio.gather(*asking)
+        for address in addresses:
+            await ask(address)
+        stories |= {address: [*stories[address], story] for address, story in (await lines[0].stories()).items()}
+    return stories, [text for text in told if text.startswith("why: ")]
+
+
+@in_virtual_time
+async def test_nobody_is_said_to_answer_when_all_slaves_fall_silent_at_once() -> None:
+    stories, notices = await after_losses((9, 4, 3))
+    assert {address: len(found) for address, found in stories.items()} == {9: 5, 4: 5, 3: 5}
+    for found in stories.values():
+        for story in found:
+            assert not [text for text in sentences(story) if any(said in text for said in SAID)]
+            assert story.first.cause == "all_silent"
+            assert story.first.next.startswith("look at all that the slaves share: the cable")
+            assert "All 3 slaves of the configuration are silent at once." in story.first.speaks_for
+    # one cause, one sentence
+    (notice,) = notices
+    assert notice.startswith("why: all 3 slaves: likely all_silent (")
+    assert notice.partition("likely ")[2].partition("; ")[0] == stories[9][0].line
+
+
+@in_virtual_time
+async def test_the_others_are_said_to_answer_when_one_slave_falls_silent() -> None:
+    stories, notices = await after_losses((9,))
+    for story in stories[9]:
+        assert story.first.cause == "not_there"
+        assert "Others answer at this rate: hoist, other." in story.first.speaks_for
+    (notice,) = notices
+    assert notice.startswith(f"why: slave 9 (raw): likely {stories[9][0].line}; dpstack why ")
+
+
+@in_virtual_time
+async def test_slaves_that_fall_silent_one_after_the_other_share_no_cause() -> None:
+    stories, notices = await after_losses((3, 4, 9), gap_s=3.0)
+    causes = {story.first.cause for found in stories.values() for story in found}
+    assert causes == {"not_there"}
+    assert len(notices) == 3
+    assert not [text for story in stories[9] for text in sentences(story) if any(said in text for said in SAID)]

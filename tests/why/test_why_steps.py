@@ -238,7 +238,7 @@ def test_slaves_that_fell_silent_together_are_not_said_to_answer() -> None:
     places = ((3, "hoist"), (5, "valves"))
     others = tuple(Neighbour(n, name, SlaveState.OFFLINE, 0x0696, counters) for n, name in places)
     story = story_of(history=SILENT, link=counters, neighbours=others)
-    assert story.first.cause == "not_there"
+    assert story.first.cause == "all_silent"
     assert "All 3 slaves of the configuration are silent at once." in story.first.speaks_for
     assert story.first.next.startswith("look at all that the slaves share: the cable")
     assert not any("Others answer" in said for one in story.causes for said in one.speaks_for)

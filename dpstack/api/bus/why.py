@@ -66,6 +66,9 @@ async def gather(
     own = bus.params.address if master is None else master
     await _caught_up(bus, slave)
     before = evidence = _evidence(bus, slave, await _history(bus, slave), own)
+    if Facts(before).unheard and _can_ask(bus):
+        await _all_asked(bus, Facts(before))
+        before = evidence = _evidence(bus, slave, await _history(bus, slave), own)
     if not ask or slave.deactivated or not bus.is_open or bus.runtime.not_running is not None:
         return evidence
     if attempts(before.link) > _MANY and (Facts(before).exchanging or not bus.snapshot.in_ring):
@@ -94,6 +97,19 @@ async def _caught_up(bus: BusBase, slave: Slave) -> None:
     if before.ring.joined and before.ring.asks and Facts(before).stale:
         with contextlib.suppress(TimeoutError, DpError):  # it stands still indeed, or has ended meanwhile
             await bus.until_round(lambda: bus.view.image(slave.setup).input_time != before.exchanged_ns, _WATCH_S)
+
+
+async def _all_asked(bus: BusBase, facts: Facts) -> None:
+    """Wait until the other slaves in data exchange have been asked since this one fell silent: they may be silent, too,
+    and nobody knows it yet."""
+    others = [one for one in bus.slaves if one.address in {other.address for other in facts.unheard}]
+
+    def is_asked(one: Slave) -> bool:
+        exchanged = bus.view.image(one.setup).input_time
+        return one.state is not SlaveState.DATA_EXCHANGE or exchanged > facts.silent_since
+
+    with contextlib.suppress(TimeoutError, DpError):
+        await bus.until_round(lambda: all(map(is_asked, others)), _WATCH_S)
 
 
 def _counted_since(before: Evidence, now: Evidence) -> Evidence:
@@ -151,7 +167,15 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
     bad = counters.decoder.by_cause()
     bad |= {f"uart_{cause}": count for cause, count in counters.damage.items() if count}
     neighbours = [
-        Neighbour(one.address, one.name, one.state, one.setup.ident, link.station(one.address), _ident_there(one))
+        Neighbour(
+            one.address,
+            one.name,
+            one.state,
+            one.setup.ident,
+            link.station(one.address),
+            _ident_there(one),
+            view.image(one.setup).input_time,
+        )
         for one in bus.slaves
         if one is not slave
     ]

@@ -8,8 +8,7 @@ from typing import Any
 
 from dpstack.api.config.slave_source import REFERENCES, Basis, Who, leave_out
 from dpstack.api.config.table import Table
-from dpstack.dp.drive_telegrams import DriveTelegrams
-from dpstack.dp.slave_params import SlaveParams
+from dpstack.dp.slave_params import DriveTelegrams, SlaveParams
 from dpstack.gsd.configuration import Configuration, configuration_like
 from dpstack.profile import DriveProfile, TelegramSpec, registry
 

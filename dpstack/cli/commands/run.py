@@ -79,8 +79,9 @@ def add_to(parser: Parser) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Exit code 1 when at the end a slave is not in data exchange, the master is in Clear by itself, or safe values and
-    Clear could not be sent; and after a stall."""
+    """Exit code 1 when at the end a slave is not in data exchange, or is there by chance as it flaps (but for a
+    scenario, whose faults are wanted), the master is in Clear by itself, or safe values and Clear could not be sent;
+    and after a stall."""
     name, given = _config_and_outputs(args)
     config = load_config(name).with_bus(
         port=args.port,
@@ -180,6 +181,8 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         output.warn(text)
     if report is not None and written and not args.json:
         output.line(f"report: {args.report}")
+    if args.scenario is None:
+        missing += causes.flapping(stories)
     if held:
         missing = [clear_text(held), *missing]
     for text in missing:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 _MOST_LINES: Final = 3
 #: time limit in s for the last bring-ups of all slaves: a bus process that does not answer must not delay the end
 _LIMIT_S: Final = 0.5
+#: instead of an address: all slaves
+_ALL: Final = -1
 #: where the stories are made; a run without faults never loads them
 _WHY: Final = ("dpstack.api.bus.why", "dpstack.why.story")
 #: columns of lines that go into a pipe or a file
@@ -48,12 +50,17 @@ class CauseLines:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._told: dict[int, set[str]] = {}
+        #: addresses of the slaves that had a fault
+        self._faulted: set[int] = set()
         self._tasks: set[asyncio.Task[None]] = set()
 
     def event(self, event: Event) -> None:
         """Publish a notice after a fault of a slave: its likeliest cause, and the command that says more. So it is on
         the screen, on the page and in the log as well."""
-        if not isinstance(event, SlaveFaulted) or len(self._told.get(event.address, ())) >= _MOST_LINES:
+        if not isinstance(event, SlaveFaulted):
+            return
+        self._faulted.add(event.address)
+        if len(self._told.get(event.address, ())) >= _MOST_LINES:
             return
         with contextlib.suppress(RuntimeError):  # no loop: the bus ends by itself
             task = asyncio.get_running_loop().create_task(self._tell(event))
@@ -63,32 +70,45 @@ class CauseLines:
     async def _tell(self, event: SlaveFaulted) -> None:
         with contextlib.suppress(DpError):  # it was removed, or the bus has ended
             story = await self._bus.why(event.address, ask=False)
-            from dpstack.why.story import HEALTHY  # here, as a run without faults never needs it
+            from dpstack.why.story import ALL_SILENT, HEALTHY  # here, as a run without faults never needs it
 
-            told = self._told.setdefault(event.address, set())
+            file = self._bus.config.file
+            command = f"dpstack why {'CONFIG' if file is None else shlex.quote(_typed(file))}"
+            who, about = event.who, event.address
+            if story.first.cause == ALL_SILENT:  # one cause, one notice
+                who, about = f"all {sum(not slave.deactivated for slave in self._bus.slaves)} slaves", _ALL
+            else:
+                command += f" {shlex.quote(event.name)}"
+            told = self._told.setdefault(about, set())
             if story.first.cause == HEALTHY or story.first.cause in told:
                 return
             told.add(story.first.cause)
-            file = self._bus.config.file
-            config = "CONFIG" if file is None else shlex.quote(_typed(file))
-            likely = f"{story.first.cause} ({round(100 * story.first.confidence)} %)"
-            core_of(self._bus).notice(
-                "why", f"{event.who}: likely {likely}; dpstack why {config} {shlex.quote(event.name)}"
-            )
+            core_of(self._bus).notice("why", f"{who}: likely {story.line}; {command}")
 
     async def stories(self) -> Mapping[int, Story]:
-        """The story of each slave that is not in data exchange, by address."""
+        """The story of each slave that is not in data exchange, or flaps, by address."""
         for task in self._tasks:
             task.cancel()
         found: dict[int, Story] = {}
-        missing = [slave for slave in self._bus.slaves if not (slave.ready_now or slave.deactivated)]
+        served = [slave for slave in self._bus.slaves if not slave.deactivated]
+        missing = [slave for slave in served if not slave.ready_now]
+        missing += [slave for slave in served if slave.ready_now and slave.address in self._faulted]
         if missing:
             await load_beside(*_WHY)  # before the time limit
         with contextlib.suppress(TimeoutError, DpError):
             async with asyncio.timeout(_LIMIT_S):
                 for slave in missing:
-                    found[slave.address] = await self._bus.why(slave, ask=False)
+                    exchanging = slave.ready_now
+                    story = await self._bus.why(slave, ask=False)
+                    if story.flaps or not exchanging:
+                        found[slave.address] = story
         return found
+
+
+def flapping(stories: Mapping[int, Story]) -> list[str]:
+    """One line for each slave that is in data exchange at the end by chance."""
+    said = "flaps: it is in data exchange at this moment, but has left it several times"
+    return [f"slave {story.address} ({story.slave}) {said}" for story in stories.values() if story.flaps]
 
 
 def show(stories: Mapping[int, Story]) -> None:

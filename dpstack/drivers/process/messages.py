@@ -19,9 +19,9 @@ import msgspec
 from msgspec import Struct, field
 
 from dpstack import errors
-from dpstack.dp.drive_telegrams import DriveTelegrams
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.settings import StackSpec
+from dpstack.dp.slave_params import DriveTelegrams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process.plugins import AttachPlugin

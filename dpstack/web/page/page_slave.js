@@ -1,7 +1,7 @@
 // One slave: identity, values, diagnosis and its history, counters, alarms, records, I&M, and why it does not run.
 
 import { cell, download, el, pairs, refill, setAttr, setText, table } from "./dom.js";
-import { clock, count, duration, millis, number, octets, percent, kindOf, stateText, value, words } from "./format.js";
+import { clock, count, duration, millis, octets, percent, kindOf, stateText, value, words } from "./format.js";
 import { StateMark, mark } from "./marks.js";
 import { DriveCard, Values, eventItem } from "./page_plant.js";
 
@@ -325,9 +325,9 @@ export function whyStory(story) {
   return [
     causes.length ? el("h3", { text: "Likely causes" }) : el("p", { text: "No cause was found." }),
     el("ol", { class: "causes" }, ...causes.map((one) => el("li", {},
-      el("div", { class: "cause" }, el("strong", { text: words(one.cause) }),
-        el("meter", { min: 0, max: 1, value: one.confidence, "aria-label": "confidence" }), el("span", { class: "figure", text: `${number(Math.round(one.confidence * 100))} %` })),
-      one.meaning ? el("p", { text: one.meaning }) : null,
+      // in the words of the command line and the screen: who reads one of them finds it on the others
+      el("div", { class: "cause" }, el("strong", { text: `${one.cause} (${Math.round(one.confidence * 100)} %): ${one.meaning}` }),
+        el("meter", { min: 0, max: 1, value: one.confidence, "aria-label": "confidence" })),
       ...list("Speaks for it", one.for, "for"), ...list("Speaks against it", one.against, "against"),
       one.next ? el("p", { class: "next" }, el("strong", { text: "Next: " }), one.next) : null))),
     steps.length ? el("h3", { text: "The last bring-up" }) : null,
