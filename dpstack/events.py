@@ -16,6 +16,8 @@ people. Its other fields are for programs.
 from dpstack.api.bus.core import BusFailed as BusFailed
 from dpstack.api.injected import Injected as Injected
 from dpstack.api.injected import ScenarioEvent as ScenarioEvent
+from dpstack.api.refused_orders import OrdersRefused as OrdersRefused
+from dpstack.api.refused_orders import RefusedOrder as RefusedOrder
 from dpstack.api.streams import SlaveFlapping as SlaveFlapping
 from dpstack.dp.master.commands import Mode as Mode
 from dpstack.dp.master.events import ApplicationSilent as ApplicationSilent

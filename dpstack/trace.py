@@ -108,6 +108,10 @@ class Notice(Event):
 
     TEMPLATE = "{e.source}: {e.message}"
 
+    def details(self) -> dict[str, object]:
+        """More about it for programs, as JSON values."""
+        return {}
+
 
 class WireEntry(NamedTuple):
     """One transmission on the wire: octets as sent, first start edge, end of the last stop bit, remarks.

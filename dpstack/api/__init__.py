@@ -16,6 +16,7 @@
 - ``gsd_info``: GSD files from disk, and their contents as plain data
 - ``injected``: Events of people and scenarios that act on simulated slaves
 - ``measure``: Measurement of an adapter without a bus: turn-around, rates made, marks of damaged octets
+- ``refused_orders``: Orders from outside that were refused, as events of the bus: accounted for, and counted
 - ``streams``: Event streams, waiters and ``on_event``: a slow reader never holds up the bus
 - ``user_code``: Objects in modules of the user, by ``module:name``: functions of simulated slaves, slaves of one's own
 """

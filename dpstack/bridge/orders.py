@@ -15,9 +15,10 @@ from typing import Final, Literal, NamedTuple, cast
 from dpstack.bridge.connector import Tell
 from dpstack.errors import ConfigError, DpError, SlaveError
 from dpstack.plant.nodes import OfferedOrder
-from dpstack.plant.orders import HALTS, Argument, DriveOrder, SetOutputs
+from dpstack.plant.orders import HALTS, Argument, DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.quality import Value, clean
 from dpstack.plant.tree import PlantTree
+from dpstack.text import iso_time
 from dpstack.trace import Severity
 
 #: age of an order in s, as long as the configuration does not say otherwise
@@ -28,8 +29,6 @@ MOST_OF_A_SLAVE: Final = 16
 _MOST_KNOWN: Final = 1000
 #: s after which an order that has no result counts as refused
 _LONGEST_S: Final = 90.0
-#: s between two remarks about orders that were refused
-_REMARK_S: Final = 1.0
 
 
 class Refusal(Enum):
@@ -97,7 +96,8 @@ class Orders:
 
     An order of :data:`~dpstack.plant.orders.HALTS` waits for no other order, and none that waits is carried out after
     it. ``allow``: names of orders (``valves.lamp``, ``hoist.start``), or all of a slave (``hoist.*``); see
-    :func:`check_allowed`. ``now``: the clock of the computer in s since 1970. ``tell`` takes a remark about each order.
+    :func:`check_allowed`. ``now``: the clock of the computer in s since 1970. ``tell`` takes a remark about each order
+    that is carried out, ``refused`` each that is not; ``origin``: the connector that hands them in.
     """
 
     def __init__(
@@ -109,6 +109,8 @@ class Orders:
         now: Callable[[], float] = time.time,
         max_age_s: float = MAX_AGE_S,
         tell: Tell | None = None,
+        refused: Callable[[RefusedOrder], object] | None = None,
+        origin: str = "",
     ) -> None:
         self._tree = tree
         self._carry_out = carry_out
@@ -116,14 +118,14 @@ class Orders:
         self._now = now
         self._max_age_s = max_age_s
         self._tell = tell
+        self._refused = refused
+        self._origin = origin
         self._known: dict[tuple[str, float], None] = {}
         self._waiting: Counter[int] = Counter()
         self._turns: dict[int, asyncio.Lock] = {}
         #: number of the halts of each slave
         self._halts: Counter[int] = Counter()
         self._halting: set[asyncio.Task[None]] = set()
-        self._remark_at = -_REMARK_S
-        self._more = 0
         #: orders that came before this time of the loop are refused
         self._recalled_at = -math.inf
 
@@ -163,18 +165,22 @@ class Orders:
         made_at: float | None,
         late_s: float | None = None,
         batch: Batch | None = None,
+        by: str = "",
+        order_time: str = "",
     ) -> OrderResult:
         """Carry out the order ``wanted`` with its argument ``value``, and wait for the result. ``wanted`` is the name
         of the order (``SLAVE.NAME``), or an order of :attr:`allowed` whose caller has checked the type of ``value``.
 
         ``made_at``: the time of its sender in s since 1970; None if it has none. ``late_s``: the s that its
-        connection has delivered it late, for one without ``made_at``. Its age (see :class:`_Age`) is judged when it
+        connection has delivered it late, for one without ``made_at``. ``by``: its user, if it has one; ``order_time``:
+        ``made_at`` as the sender wrote it, if it is a text. Its age (see :class:`_Age`) is judged when it
         comes and once more right before it is carried out. Raises nothing but the cancellation of its caller, which
         ends the order as far as the run can take it back; a halt that has begun goes on.
         """
         name = _name(wanted)
         batch = batch or self.batch()
         age = _Age(batch.came, made_at, late_s)
+        who = _Sender(by, made_at, order_time)
         try:
             order, argument = self._judge(wanted, value, age)
             if order.operation in HALTS:
@@ -185,8 +191,8 @@ class Orders:
             else:
                 await self._carry_in_turn([order], order.typed(argument), age, batch)
         except Exception as error:  # whatever the run does: the sender gets a result
-            return self._reported(_refused(name, error))
-        return self._reported(OrderResult(name, "done"))
+            return self._reported(_refused(name, error), who)
+        return self._reported(OrderResult(name, "done"), who)
 
     async def give_outputs(
         self,
@@ -195,6 +201,8 @@ class Orders:
         made_at: float | None,
         late_s: float | None = None,
         batch: Batch | None = None,
+        by: str = "",
+        order_time: str = "",
     ) -> list[OrderResult]:
         """Set outputs of one slave, by name and value, so that all of them change in one Data_Exchange. Each is judged
         as by :meth:`give`, and one that is refused leaves the others; but the run takes those as one order, and refuses
@@ -202,6 +210,7 @@ class Orders:
 
         batch = batch or self.batch()
         age = _Age(batch.came, made_at, late_s)
+        who = _Sender(by, made_at, order_time)
         results: list[OrderResult | None] = []
         orders: list[OfferedOrder] = []
         values: dict[str, Argument] = {}
@@ -212,7 +221,7 @@ class Orders:
                     raise _ChangedError
                 values[order.output] = argument
             except Exception as error:
-                results.append(self._reported(_refused(_name(wanted), error)))
+                results.append(self._reported(_refused(_name(wanted), error), who))
             else:
                 orders.append(order)
                 results.append(None)
@@ -223,7 +232,12 @@ class Orders:
         except Exception as error:
             failed = error
         rest = iter(OrderResult(one.name, "done") if failed is None else _refused(one.name, failed) for one in orders)
-        return [self._reported(next(rest)) if one is None else one for one in results]
+        return [self._reported(next(rest), who) if one is None else one for one in results]
+
+    def refuse(self, name: str, reason: str, *, by: str = "", order_time: str = "") -> None:
+        """Report an order that its connector has refused itself; texts may be of a stranger."""
+        if self._refused is not None:
+            self._refused(RefusedOrder(name, reason, f"{self._origin} ({by})" if by else self._origin, order_time))
 
     def _judge(self, wanted: str | OfferedOrder, value: object, age: _Age) -> tuple[OfferedOrder, Argument | None]:
         """An order that comes, and its argument. Raises _RefusedError."""
@@ -349,24 +363,30 @@ class Orders:
         finally:
             self._waiting[slave] -= 1
 
-    def _reported(self, result: OrderResult) -> OrderResult:
-        self._remark(result)
+    def _reported(self, result: OrderResult, who: _Sender) -> OrderResult:
+        if result.result == "refused":
+            self.refuse(result.name, result.reason, by=who.by, order_time=who.order_time or time_words(who.made_at))
+        elif self._tell is not None:
+            self._tell(f"order {result.name}: done", Severity.INFO)
         return result
 
-    def _remark(self, result: OrderResult) -> None:
-        """Orders that are refused come from outside, at any rate: they are reported once a second."""
-        if self._tell is None:
-            return
-        if result.result == "done":
-            self._tell(f"order {result.name}: done", Severity.INFO)
-            return
-        now = asyncio.get_running_loop().time()
-        if now - self._remark_at < _REMARK_S:
-            self._more += 1
-            return
-        more = f" ({self._more} more {'was' if self._more == 1 else 'were'} refused before)" if self._more else ""
-        self._remark_at, self._more = now, 0
-        self._tell(f"order {result.name} refused: {result.reason}{more}", Severity.WARNING)
+
+class _Sender(NamedTuple):
+    """See :meth:`Orders.give`. No text is made of an order that is carried out."""
+
+    by: str
+    made_at: float | None
+    order_time: str
+
+
+def time_words(made_at: float | None) -> str:
+    """``made_at`` (s since 1970) for people; a number that is no time as it is, empty without one."""
+    if made_at is None:
+        return ""
+    try:
+        return iso_time(made_at)
+    except (ValueError, OverflowError, OSError):
+        return repr(made_at)
 
 
 def _name(wanted: str | OfferedOrder) -> str:

@@ -46,5 +46,24 @@ class ModeOrder(Struct, frozen=True):
     mode: Literal["operate", "clear"]
 
 
+class RefusedOrder(Struct, frozen=True):
+    """An order that was refused, of somebody who does not stand beside the plant."""
+
+    #: the order, as its sender named it
+    order: str
+    #: why it was refused
+    reason: str
+    #: the connector or the page, and the user if it has one
+    origin: str
+    #: time of the order, as its sender gave it; empty if it gave none
+    order_time: str = ""
+
+    @property
+    def text(self) -> str:
+        """``mqtt: order valves.lamp refused: it is not in allow_commands; order_time 2026-11-28T10:00:00.000Z``."""
+        given = f"; order_time {self.order_time}" if self.order_time else ""
+        return f"{self.origin}: order {self.order} refused: {self.reason}{given}"
+
+
 #: an order to a plant
 PlantOrder = SetOutputs | SetOctets | DriveOrder | ModeOrder

@@ -42,14 +42,12 @@ ORDERS: Final = (*_COMMANDS, START)
 
 async def carry_out(source: Source, visitor: Visitor, order: PageOrder, tell: Tell) -> object:
     """Carry ``order`` out for ``visitor``, and return the answer of the run. The log has each order that may be given
-    before it is carried out, with the name of who gave it; log and pages have its result. Raises DpError.
+    before it is carried out, with the name of who gave it; log and pages have its result. The log of the run has each
+    order that is refused. Raises DpError.
     """
-    if not visitor.control:
-        raise UsageError("this page may look only: orders need --control, and the address or token for them")
-    if order.command not in ORDERS:
-        raise UsageError(f"there is no order {order.command!r}; there are {', '.join(ORDERS)}")
-    if not order.confirmed:
-        raise UsageError(f"{order.command}: the order was not confirmed on the page, so it was not carried out")
+    if why := _refusal(visitor, order):
+        await source.refused(visitor.who, order.text, why)
+        raise UsageError(why)
     about: dict[str, Any] = {"by": visitor.who, "command": order.command, "args": list(order.args)}
     text = f"order of {visitor.who}: {order.text}"
     tell(text, pages=False)
@@ -59,10 +57,21 @@ async def carry_out(source: Source, visitor: Visitor, order: PageOrder, tell: Te
                 raise UsageError("start takes no arguments")
             result = await source.start()
         else:
-            result = await source.call(*_COMMANDS[order.command](order.args))
+            result = await source.order(visitor.who, *_COMMANDS[order.command](order.args))
     except BaseException as error:
         why = str(error) if isinstance(error, (DpError, ValueError)) else "given up"
         tell(f"{text}: failed: {why}", "warning", **about, ok=False)
         raise
     tell(f"{text}: done", "info", **about, ok=True)
     return result
+
+
+def _refusal(visitor: Visitor, order: PageOrder) -> str:
+    """The reason why ``order`` does not get to the run; empty: none."""
+    if not visitor.control:
+        return "this page may look only: orders need --control, and the address or token for them"
+    if order.command not in ORDERS:
+        return f"there is no order {order.command!r}; there are {', '.join(ORDERS)}"
+    if not order.confirmed:
+        return f"{order.command}: the order was not confirmed on the page, so it was not carried out"
+    return ""

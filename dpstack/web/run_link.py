@@ -71,8 +71,10 @@ class RunLink:
                 if "item" in answer:
                     yield answer["item"]
 
-    async def call(self, command: str, *args: str) -> Any:
-        """The answer to ``command``, of this very run. Raises DpError: UsageError if another run is there now.
+    async def call(self, command: str, *args: str, origin: str = "") -> Any:
+        """The answer to ``command``, of this very run; ``origin``: who gives the order.
+
+        Raises DpError: UsageError if another run is there now.
 
         Cancelled, it closes the connection, which ends a long command in the run.
         """
@@ -80,7 +82,7 @@ class RunLink:
         def carry_out(client: ControlClient) -> Any:
             if client.help()["pid"] != self.about["pid"]:
                 raise UsageError(f"{command}: the run that the page shows has ended, and another one is there now")
-            return client.call(command, *args)
+            return client.call(command, *args, origin=origin)
 
         name = str(self.about.get("name"))
         # there may be several runs of one configuration on "virtual", each with a name of its own

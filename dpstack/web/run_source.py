@@ -108,6 +108,18 @@ class RunSource(Source):
             raise UsageError(f"{command}: there is no run{': start it first' if self._control else ''}")
         return await link.call(command, *args)
 
+    async def order(self, who: str, command: str, *args: str) -> object:
+        link = self._link
+        if link is None:
+            return await self.call(command, *args)
+        return await link.call(command, *args, origin=_origin(who))
+
+    async def refused(self, who: str, order: str, reason: str) -> None:
+        link = self._link
+        if link is not None:
+            with contextlib.suppress(DpError):  # it has ended meanwhile
+                await link.call("refused", _origin(who), order, reason)
+
     async def start(self) -> object:
         async with self._starting:
             if self._is_joined() or self._child is not None:
@@ -272,3 +284,8 @@ def _kind_of(link: RunLink, plant: Plant) -> Kind:
     if link.about["kind"] == "demo":
         return "demo"
     return "read-only" if plant.read_only else "run"
+
+
+def _origin(who: str) -> str:
+    """The origin of an order in the log of the run."""
+    return f"page ({who})"

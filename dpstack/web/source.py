@@ -48,6 +48,13 @@ class Source:
         """The answer of the run to a command of its control socket. Raises DpError."""
         raise UsageError(f"{command}: there is no run here")
 
+    async def order(self, who: str, command: str, *args: str) -> object:
+        """As :meth:`call`, for an order of a page: the run reports one that it refuses, with its origin ``who``."""
+        return await self.call(command, *args)
+
+    async def refused(self, who: str, order: str, reason: str) -> None:
+        """Have the run report an ``order`` that the server has refused itself; there may be no run."""
+
     async def start(self) -> object:
         """Start the run, in Clear. Raises DpError."""
         raise UsageError("start: there is nothing to start here")

@@ -21,6 +21,7 @@ from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import parse_config
 from dpstack.api.connectors import publishing
 from dpstack.api.connectors.outside import OutsideOrders
+from dpstack.api.refused_orders import OrdersRefused
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import ApplicationSilent
 from dpstack.dpv1.slave.description import SlaveDescription
@@ -110,13 +111,15 @@ async def test_what_a_connector_ordered_becomes_safe_when_it_ends_by_a_fault(wor
         assert bus.mode is Mode.OPERATE
     becomes = "becomes safe: outputs get their safe values, drives stop"
     becomes = "stays as it is" if rule == "keep" else becomes
-    begin, *_, fault, refused, loss = [text for text in told(bus) if not text.startswith("probe: born")]
+    begin, *_, fault, loss = [text for text in told(bus) if not text.startswith("probe: born")]
     assert begin == (
         f"probe: when a connector ends by a fault or hangs, all that it has ordered {becomes} "
         f'(on_connector_loss = "{rule}")'
     )
     assert fault.startswith("probe: it has ended by a fault of its program (ZeroDivisionError: take)")
-    assert refused.startswith("probe: order tank.pump refused")
+    assert [event.text for event in core_of(bus).past_events() if isinstance(event, OrdersRefused)] == [
+        "orders: probe: order tank.pump refused: its connector has ended, or hung, since the order came"
+    ]
     names = "tank.pump, tank.target, tank.gain"
     assert loss == {
         "safe": f"{names}: safe values are set and drives stop, as probe had ordered them "

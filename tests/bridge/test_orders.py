@@ -12,7 +12,7 @@ from api_kit import in_virtual_time
 
 from dpstack.bridge.orders import MOST_OF_A_SLAVE, Orders, Refusal, check_allowed, is_allowed
 from dpstack.errors import ConfigError, SlaveError, UsageError
-from dpstack.plant.orders import DriveOrder, SetOutputs
+from dpstack.plant.orders import DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.tree import PlantTree
 from dpstack.trace import Severity
 
@@ -47,6 +47,7 @@ class Run:
         self.carried: list[SetOutputs | DriveOrder] = []
         self.at_once = self.most_at_once = 0
         self.told: list[tuple[str, Severity]] = []
+        self.refused: list[RefusedOrder] = []
         self.begun = asyncio.get_running_loop().time()
         self.orders = Orders(
             self.tree,
@@ -54,6 +55,8 @@ class Run:
             allow,
             now=self.now,
             tell=lambda text, severity: self.told.append((text, severity)),
+            refused=self.refused.append,
+            origin="mqtt",
         )
 
     def now(self) -> float:
@@ -270,7 +273,7 @@ async def test_orders_that_wait_are_bounded_and_one_slave_holds_up_no_other() ->
     await asyncio.sleep(0)
     refused = [one.result() for one in given if one.done()]
     assert refused == ["too many orders to this slave wait"] * (100 - MOST_OF_A_SLAVE)
-    assert len(run.told) == 1
+    assert len(run.refused) == 100 - MOST_OF_A_SLAVE
     await asyncio.sleep(1)
     stopping = asyncio.ensure_future(run.reason("hoist.stop"))
     await asyncio.sleep(0)
@@ -365,17 +368,24 @@ async def test_a_run_that_only_reads_refuses_all() -> None:
 
 
 @in_virtual_time
-async def test_each_order_is_told_but_a_flood_of_refused_ones_only_now_and_then() -> None:
+async def test_each_order_is_told_and_each_refused_one_with_its_origin_and_time() -> None:
     run = Run("valves.lamp")
+    why = "it is not in allow_commands"
     await run.reason("valves.lamp", True)
-    for _ in range(50):
-        await run.reason("valves.speed", 1)
-    await asyncio.sleep(1.0)
-    await run.reason("valves.speed", 1)
-    assert run.told == [
-        ("order valves.lamp: done", Severity.INFO),
-        ("order valves.speed refused: it is not in allow_commands", Severity.WARNING),
-        ("order valves.speed refused: it is not in allow_commands (49 more were refused before)", Severity.WARNING),
+    await run.orders.give("valves.speed", 1, made_at=NOW)
+    await run.orders.give("valves.speed", 1, made_at=NOW, order_time="2023-11-14T23:13:20+01:00", by="anna")
+    await run.orders.give_outputs([("valves.lamp", True), ("valves.speed", 1)], made_at=float("inf"))
+    await run.orders.give("valves.speed", 1, made_at=None)
+    run.orders.refuse("Outputs/nothing", "there is no such metric")
+    assert run.told == [("order valves.lamp: done", Severity.INFO)]
+    old = "its time is inf s ahead of the clock of this computer: set the clocks"
+    assert run.refused == [
+        RefusedOrder("valves.speed", why, "mqtt", "2023-11-14T22:13:20.000Z"),
+        RefusedOrder("valves.speed", why, "mqtt (anna)", "2023-11-14T23:13:20+01:00"),
+        RefusedOrder("valves.lamp", old, "mqtt", "inf"),
+        RefusedOrder("valves.speed", why, "mqtt", "inf"),
+        RefusedOrder("valves.speed", why, "mqtt"),
+        RefusedOrder("Outputs/nothing", "there is no such metric", "mqtt"),
     ]
 
 

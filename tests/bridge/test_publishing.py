@@ -22,6 +22,7 @@ from dpstack.api.config.config import parse_config
 from dpstack.api.connectors.kinds import KINDS, ConnectorKind
 from dpstack.api.connectors.publishing import Publishing
 from dpstack.api.control.orders import carry_out
+from dpstack.api.refused_orders import OrdersRefused
 from dpstack.bridge.orders import Refusal
 from dpstack.dp.master.commands import Mode
 from dpstack.dpv1.slave.description import SlaveDescription
@@ -250,7 +251,10 @@ async def test_values_go_out_and_orders_come_back(world: WorldFactory) -> None:
     assert [text for text in notices(bus) if text.startswith("probe: order ")] == [
         "probe: order valves.lamp: done",
         "probe: order valves.target: done",
-        f"probe: order valves.target refused: {outside}",
+    ]
+    assert [event.text for event in core_of(bus).past_events() if isinstance(event, OrdersRefused)] == [
+        f"orders: probe: order valves.target refused: {outside}",
+        "orders: probe: order pump.stop refused: it is not in allow_commands",
     ]
     assert connector.lives == [Born(None), Born(9)]
 

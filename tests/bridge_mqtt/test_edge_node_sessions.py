@@ -421,6 +421,7 @@ def test_a_command_that_cannot_be_is_refused_with_its_reason(
 ) -> None:
     assert rig.command(device, [octets]) == []
     assert last(rig) == (name, "refused", reason)
+    assert rig.refused == [(name, reason, "2023-11-14T22:13:20.000Z")]
 
 
 def test_name_and_alias_of_two_metrics_are_refused(rig: Rig) -> None:
@@ -438,6 +439,7 @@ def test_a_command_without_a_timestamp_or_one_that_the_broker_kept_is_refused(ri
     lamp = metric("Outputs/lamp", boolean=True)
     assert rig.command("valves", [lamp], time=False) == []
     assert last(rig)[2] == "it has no timestamp"
+    assert rig.refused == [("valves: 'Outputs/lamp'", "it has no timestamp", "")]
     assert rig.command("valves", [lamp], retained=True) == []
     assert last(rig)[2] == "the broker had kept this command: nobody knows how old it is"
 
@@ -456,6 +458,7 @@ def test_no_command_is_taken_before_the_births(new_rig: NewRig) -> None:
     assert rig.command("valves", [metric("Outputs/lamp", boolean=True)]) == []
     rig.state(online=True, time_ms=1)
     assert rig.command("valves", [metric("Outputs/lamp", boolean=True)]) == []
+    assert rig.refused == [("valves", "this node has had no birth", "")] * 3
     rig.pump()
     assert len(rig.command("valves", [metric("Outputs/lamp", boolean=True)])) == 1
 

@@ -46,13 +46,17 @@ class Rig:
     def __init__(self, *, interval_s: float = 1.0) -> None:
         self.clock, self.started = 1000.0, 1_700_000_000.0
         self.told: list[str] = []
+        #: name, reason and time of each order that the node refused
+        self.refused: list[tuple[str, str, str]] = []
         self.plant: dict[str, Any] = copy.deepcopy(PLANT)
         self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
         self.tree = PlantTree()
         self.node = JsonNode(
             NodeSetup(GROUP, NODE, "", interval_s),
             self.tree,
-            NodeOptions(allowed=lambda: ALLOWED, tell=self.told.append),
+            NodeOptions(
+                allowed=lambda: ALLOWED, tell=self.told.append, refused=lambda *order: self.refused.append(order)
+            ),
         )
         #: payload and time of expiry by topic
         self.kept: dict[str, tuple[bytes, float]] = {}
@@ -266,7 +270,10 @@ def test_a_clock_that_was_set_gives_new_times(rig: Rig) -> None:
     ],
 )
 def test_an_order_that_is_listed(rig: Rig, topic: str, payload: object, wish: tuple[str, Value]) -> None:
-    assert rig.order(topic, payload) == [OrderWish(*wish, 1_700_000_000.0)]
+    (found,) = rig.order(topic, payload)
+    assert (found.name, found.value, found.made_at) == (*wish, 1_700_000_000.0)
+    assert isinstance(payload, dict)
+    assert found.order_time == str(payload["time"])  # as it was sent
     rig.node.answer(OrderWish(*wish, 1_700_000_000.0), "done", "", rig.wall)
     made = rig.result()
     assert (made["order"], made["result"], made["order_time"]) == (wish[0], "done", "2023-11-14T22:13:20.000Z")
@@ -304,6 +311,8 @@ def test_an_order_that_cannot_be_is_refused_with_its_reason(rig: Rig, octets: by
     assert rig.order("valves/set/lamp", octets) == []
     made = rig.result()
     assert (made["order"], made["result"], made["reason"]) == ("valves.lamp", "refused", reason)
+    ((order, why, _),) = rig.refused
+    assert (order, why) == ("valves.lamp", reason)
 
 
 def test_what_is_kept_or_not_listed_is_refused(rig: Rig) -> None:
@@ -314,6 +323,16 @@ def test_what_is_kept_or_not_listed_is_refused(rig: Rig) -> None:
         assert rig.order(topic, right) == []
         assert rig.result()["reason"] == "there is no such order, or allow_commands does not list it"
     assert rig.order("valves/set/lamp/more", right) == rig.order("valves/get/lamp", right) == []
+
+
+def test_the_time_of_a_refused_order_is_shown_as_it_was_sent(rig: Rig) -> None:
+    times = ["2023-11-14T23:13:20+01:00", 1_700_000_000.5, "now", True, None]
+    shown = []
+    for sent in times:
+        rig.order("valves/set/level", {"value": True, "time": sent})
+        shown.append(rig.result()["order_time"])
+    assert [given for _, _, given in rig.refused] == ["2023-11-14T23:13:20+01:00", "1700000000.5", "now", "true", ""]
+    assert shown == ["2023-11-14T22:13:20.000Z", "2023-11-14T22:13:20.500Z", None, None, None]
 
 
 def test_a_flood_of_orders_is_bounded_and_values_do_not_wait_for_it(rig: Rig) -> None:

@@ -10,7 +10,7 @@ import math
 import stat
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Iterator
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final
 
@@ -132,6 +132,9 @@ async def test_the_first_client_finds_the_whole_plant(tmp_path: Path) -> None:
     rig.connector.close()
 
 
+CANNOT = "this value cannot be written, or allow_commands does not list it"
+
+
 async def test_orders_need_the_list_the_user_and_the_type(rig: Rig) -> None:
     lamp, horn, flow = (f"slave/8/output/{name}" for name in ("lamp", "horn", "flow"))
     boolean, u16 = ua.VariantType.Boolean, ua.VariantType.UInt16
@@ -147,10 +150,22 @@ async def test_orders_need_the_list_the_user_and_the_type(rig: Rig) -> None:
         reason = await anna.get_node(id_of("last/Reason")).read_value()
         assert reason == "the run refuses 4000"
         assert rig.given == []
+        assert [(one.origin, one.order, one.reason) for one in rig.refused] == [
+            ("opcua (anonymous)", "valves.lamp", "this user may give no orders (BadUserAccessDenied)"),
+            ("opcua (bob)", "valves.lamp", "this user may give no orders (BadUserAccessDenied)"),
+            ("opcua (anna)", "valves.horn", f"{CANNOT} (BadNotWritable)"),
+            ("opcua (anna)", "slave/8/input/level", f"{CANNOT} (BadNotWritable)"),
+            ("opcua (anna)", "valves.lamp", "its value has another type (BadTypeMismatch)"),
+            ("opcua (anna)", "ns=2;s=slave/8/output/none", "there is no such node (BadNodeIdUnknown)"),
+            ("opcua (anna)", "valves.flow", "the run refuses 4000"),
+        ]
+        assert all(one.order_time == "" for one in rig.refused)
         assert await write(anna, lamp, True, boolean) == GOOD
         assert rig.given == [SetOutputs(8, {"lamp": True})]
         for age_s in (60.0, -60.0):
             assert await write(anna, lamp, False, boolean, age_s) == 0x80230000  # BadInvalidTimestamp
+            age = datetime.now(UTC) - datetime.fromisoformat(rig.refused[-1].order_time)
+            assert age.total_seconds() == pytest.approx(age_s, abs=5)
             assert "set the clocks" in await anna.get_node(id_of("last/Reason")).read_value() or age_s > 0
         assert await write(anna, lamp, False, boolean, 0.0) == GOOD
         assert rig.given == [SetOutputs(8, {"lamp": True}), SetOutputs(8, {"lamp": False})]

@@ -53,6 +53,8 @@ class Rig:
         self.stream = 0.0
         self.host = Host(GROUP, NODE)
         self.told: list[str] = []
+        #: name, reason and time of each order that the node refused
+        self.refused: list[tuple[str, str, str]] = []
         self.orders: list[OrderWish] = []
         self.connection: ConnectionNeeds | None = None
         self.wills: list[Publish] = []
@@ -80,6 +82,7 @@ class Rig:
             NodeOptions(
                 allowed=lambda: [one for one in self.tree.orders if self.may(one)],
                 tell=self.told.append,
+                refused=lambda *order: self.refused.append(order),
                 clear_first=self.numbers.damaged,
                 pause=self.pause,
             ),

@@ -21,7 +21,7 @@ from dpstack.bridge.opcua.connector import OpcUaConnector, OpcUaSettings
 from dpstack.bridge.opcua.users import hash_password
 from dpstack.bridge.orders import Orders
 from dpstack.errors import UsageError
-from dpstack.plant.orders import DriveOrder, SetOutputs
+from dpstack.plant.orders import DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.tree import PlantTree
 from dpstack.trace import Severity
 
@@ -44,7 +44,9 @@ class Rig:
         self.given: list[SetOutputs | DriveOrder] = []
         self.told: list[str] = []
         self.tree = PlantTree()
-        orders = Orders(self.tree, self._carry_out, ALLOWED)
+        #: the orders that were refused
+        self.refused: list[RefusedOrder] = []
+        orders = Orders(self.tree, self._carry_out, ALLOWED, refused=self.refused.append, origin="opcua")
         made: dict[str, Any] = {"users_file": users, "anonymous": True, "lock": folder / "lock"} | settings
         chosen = OpcUaSettings("127.0.0.1:0", "plant", folder / "own" / "c.der", folder / "own" / "k.pem", **made)
         self.connector = OpcUaConnector(self.tree, self._tell, chosen, orders)

@@ -18,12 +18,14 @@ from api_kit import RAW
 from far_ends import until
 
 import dpstack
+from dpstack.api.bus.bus import core_of
 from dpstack.api.config.config import file_digest, load_config
 from dpstack.api.control import stream
 from dpstack.api.control.client import ControlClient
 from dpstack.api.control.commands import KINDS
 from dpstack.api.control.control_server import ControlServer, Handler
 from dpstack.api.control.handlers import control_run
+from dpstack.api.refused_orders import OrdersRefused
 from dpstack.plant import items
 from dpstack.web import run_source
 from dpstack.web.child import Child
@@ -318,6 +320,15 @@ async def test_orders_and_asks_reach_a_bus(tmp_path: Path) -> None:
         assert bus.slave(9).outputs == b"\x08"
         assert (await page.order("outputs", "9=zz"))["ok"] is False
         assert "no slave" in (await page.order("outputs", "77=00"))["error"]
+        # the log of the run has those that it has refused, and those that the server has
+        assert "not confirmed" in (await page.order("operate", confirmed=False))["error"]
+        core_of(bus).refused_orders.report()
+        told = [event for event in core_of(bus).past_events() if isinstance(event, OrdersRefused)]
+        assert sum(event.count for event in told) == 5
+        orders = [order for event in told for order in event.orders]
+        assert {order.origin for order in orders} == {"page (anna)"}
+        assert [order.order for order in orders][::4] == ["set raw.lamp=on", "operate"]
+        assert all(order.reason for order in orders)
         diag = await page.ask("diag", 9)
         assert (diag["result"]["address"], diag["result"]["ident"]) == (9, "0x1234")
         why = await page.ask("why", "raw")

@@ -347,6 +347,8 @@ class BusCore(BusBase):
             drive.end(self._over)
         self.cycles.end()
         self.services.end(self._over)
+        if self._refused_orders is not None:
+            self._refused_orders.end()
         self._events.end()
         if self._live is not None:
             self._live.end(str(self._over), failed=isinstance(self._over, BusError))

@@ -138,7 +138,7 @@ def _kind_and_fields(event: Event) -> tuple[str, dict[str, object]] | None:
         case OutputsDropped(outputs=outputs):
             return "outputs_dropped", {"outputs": outputs.hex()}
         case Notice():
-            return "notice", {"severity": event.severity.value}
+            return "notice", {"severity": event.severity.value, **event.details()}
     return "ring" if isinstance(event, _RING) else "notice", {}
 
 

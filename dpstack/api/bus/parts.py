@@ -32,6 +32,7 @@ from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
+    from dpstack.api.refused_orders import RefusedOrders
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave_side.virtual_bench import VirtualBench
     from dpstack.sim.world import World
@@ -64,6 +65,7 @@ class BusBase:
         self._wall_clock = WallClock(lambda: self.runtime.now(), lambda: self.driver == "virtual")
         log = EventLogging(lambda: (self.started_ns, self.runtime.port_name))
         self._events = Events(on_event, self._wall_clock, log)
+        self._refused_orders: RefusedOrders | None = None
         self._waiters = Waiters()
         self._open = False
         self._loop: asyncio.AbstractEventLoop | None = None  # in which it was opened
@@ -298,6 +300,17 @@ class BusBase:
     def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
         """Publish ``message`` as an event."""
         self._events.publish(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
+
+    @property
+    def refused_orders(self) -> RefusedOrders:
+        """Takes the orders from outside that are refused, and reports them."""
+        if self._refused_orders is None:
+            from dpstack.api.refused_orders import RefusedOrders  # here, as most buses get no order from outside
+
+            self._refused_orders = RefusedOrders(
+                self._events.publish, lambda: 0 if self.searching else self.runtime.now()
+            )
+        return self._refused_orders
 
     def past_events(self) -> tuple[Event, ...]:
         """The last 1000 events, oldest first."""

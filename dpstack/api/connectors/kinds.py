@@ -63,7 +63,7 @@ def _mqtt(config: MqttConfig, parts: Parts) -> Connector:
     )
     node = config.node or SPARKPLUG_ID.valid(gethostname())
     setup = NodeSetup(config.group, node, config.primary_host, config.interval_ms / 1000)
-    orders = parts.orders(config.allow_commands, config.command_max_age_s) if config.allow_commands else None
+    orders = parts.orders(config.allow_commands, config.command_max_age_s)  # without any: it reports those that come
     folder = state_folder(config.group, node)
     versions = {"dpstack": product_version(), "python": python_version()} if config.status else None
     make_node: type[PlantNode] = JsonNode if config.format == "json" else EdgeNode

@@ -31,7 +31,7 @@ from dpstack.dp.master.commands import Alive
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.plant.items import Item, SlavePlant
 from dpstack.plant.nodes import slave_of
-from dpstack.plant.orders import DriveOrder, SetOutputs
+from dpstack.plant.orders import DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.tree import PlantTree
 from dpstack.ports import posix
 from dpstack.text import printable
@@ -366,10 +366,25 @@ class Publishing:
             allow, (order.name for at, plant in plants for order in slave_of(at, plant, writable=True).orders)
         )
 
-        gate = Orders(self._tree, partial(self._carry_out, name), allow, max_age_s=max_age_s, tell=tell)
+        gate = Orders(
+            self._tree,
+            partial(self._carry_out, name),
+            allow,
+            max_age_s=max_age_s,
+            tell=tell,
+            refused=self._refused,
+            origin=name,
+        )
         if gate.takes_any:
             self._gates[name] = gate
         return gate
+
+    def _refused(self, order: RefusedOrder) -> None:
+        """Report an order that was refused; behind the end of the bus nothing reports it."""
+        if self._bus.is_open:
+            core_of(self._bus).refused_orders.add(order)
+        elif not core_of(self._bus).was_opened:
+            self._tell(order.text, Severity.WARNING)
 
     async def _carry_out(self, name: str, order: SetOutputs | DriveOrder) -> object:
         if self._arms:

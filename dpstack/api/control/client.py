@@ -75,16 +75,18 @@ class ControlClient:
         *args: str,
         kind: type | None = None,
         progress: Callable[[str, int, int], None] | None = None,
+        origin: str = "",
     ) -> Any:
         """The result of ``command``, checked for the fields of ``kind``, with the parameters of earlier items.
 
-        A long command calls ``progress``. Raises the error of the program: UsageError or ConfigError for a wrong
+        ``origin``: who gives the order, if not the user of this program: one that is refused is reported there. A long
+        command calls ``progress``. Raises the error of the program: UsageError or ConfigError for a wrong
         request, any other error for a failure (BusError for a defect); PortError if no program or another one
         answers.
         """
         result: Any = None
         found: list[object] = []
-        for answer in self._answers(command, args):
+        for answer in self._answers(command, args, origin):
             if "item" not in answer:
                 result = answer.get("result")
                 continue
@@ -114,10 +116,11 @@ class ControlClient:
         """Hand the connection over; this client can send no more commands."""
         return self._socket
 
-    def _answers(self, command: str, args: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
+    def _answers(self, command: str, args: tuple[str, ...], origin: str) -> Iterator[Mapping[str, Any]]:
         limit_s = self._socket.gettimeout() or TIMEOUT_S
         until = monotonic_ns() + s_to_ns(limit_s)  # later the program must not carry out the request
-        request = json.dumps({"command": command, "args": list(args), "until_ns": until}).encode() + b"\n"
+        by = {"origin": origin} if origin else {}
+        request = json.dumps({"command": command, "args": list(args), "until_ns": until, **by}).encode() + b"\n"
         try:
             # a program that has closed the connection has sent the reason as its last line
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):

@@ -109,6 +109,7 @@ RUN: Final = (
     Spec("diag", "ADDRESS", "diagnosis, configuration, inputs and outputs of any station, read as class 2", "8"),
     Spec("stats", "", "counters and rotation times up to now", ""),
     Spec("why", "SLAVE", "why a slave is not in data exchange, as `dpstack why` does", "valves"),
+    Spec("refused", "ORIGIN ORDER REASON", "notes an order that a page has refused itself", "page operate unconfirmed"),
     Spec("scan", "", "the live list 0..126 beside data exchange, with the identifier octets of each slave", ""),
 )
 

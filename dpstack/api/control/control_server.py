@@ -19,7 +19,7 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any, Final, TypeVar
 
-from dpstack.api.control.commands import Spec, find
+from dpstack.api.control.commands import NOW, Spec, find
 from dpstack.api.control.errors import error_fields
 from dpstack.api.control.socket_path import (
     OWN_NAMES,
@@ -34,6 +34,7 @@ from dpstack.api.control.socket_path import (
     virtual_name,
 )
 from dpstack.errors import DpError, OrderDropped, PortBusyError, UsageError
+from dpstack.plant.orders import RefusedOrder
 from dpstack.ports.base import VIRTUAL
 from dpstack.ports.runtime_dir import user_name
 from dpstack.text import json_text
@@ -138,7 +139,8 @@ class ControlServer:
 
     ``kind``: run, sim or segment. Clients find the program by ``port``, and by ``also`` unless another program has it.
     ``handlers``: one for each of ``specs`` except ``help``. ``config``: the configuration file, by which clients check
-    that this is the right program. Entering raises PortError if it can make no socket, PortBusyError if another
+    that this is the right program. ``refused``: called with each order from outside that was refused: one of a page,
+    or with :data:`NOW`. Entering raises PortError if it can make no socket, PortBusyError if another
     program answers for the port already.
     """
 
@@ -151,6 +153,7 @@ class ControlServer:
         *,
         also: str | None = None,
         config: Path | None = None,
+        refused: Callable[[RefusedOrder], object] | None = None,
     ) -> None:
         self.kind = kind
         self.port = port
@@ -161,6 +164,7 @@ class ControlServer:
         #: time of creation
         self.started = datetime.now(UTC)
         self._also = also
+        self._refused = refused
         #: the reason why `dpstack ctl` does not find the program by its port alone; None if it does
         self.remark: str | None = None
         #: time limit (s) for a client that reads nothing of its answer
@@ -368,8 +372,9 @@ class ControlServer:
                 client.idle_since = asyncio.get_running_loop().time()
 
     async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
+        request = _parsed(line)
         try:
-            spec, args = self._parse_request(line)
+            spec, args = self._check_request(request)
             result = self._handlers[spec.name](args)
             if inspect.isawaitable(result):
                 result = await result
@@ -380,17 +385,25 @@ class ControlServer:
             raise
         except (DpError, ValueError) as error:  # ValueError: a wrong argument
             answer = {**_error(str(error)), **error_fields(error)}
+            self._report(request, str(error))
         except Exception as error:  # a defect of a command must not end the bus
             answer = _error(f"failed by a defect, please report it: {type(error).__name__}: {error}")
+            self._report(request, str(answer["error"]))
         await self._send(writer, answer)
 
-    def _parse_request(self, line: bytes) -> tuple[Spec, list[str]]:
+    def _report(self, request: Mapping[str, Any], why: str) -> None:
+        """Report a ``request`` that was refused, if it is an order from outside."""
+        name, args = request.get("command"), request.get("args", [])
+        if self._refused is None or not isinstance(name, str) or not isinstance(args, list):
+            return
+        origin = request.get("origin") or ("control socket" if args[:1] == [NOW] else "")
+        if origin:
+            order = " ".join(map(str, (name, *args[args[:1] == [NOW] :])))
+            self._refused(RefusedOrder(order, why, str(origin)))
+
+    def _check_request(self, request: Mapping[str, Any]) -> tuple[Spec, list[str]]:
         """The command and its arguments. Raises UsageError, and OrderDropped for a request after its time limit."""
-        try:
-            request = json.loads(line)
-            name, args, until = request["command"], request.get("args", []), request.get("until_ns", NEVER)
-        except (ValueError, RecursionError, TypeError, LookupError, AttributeError):
-            name, args, until = None, None, NEVER
+        name, args, until = request.get("command"), request.get("args", []), request.get("until_ns", NEVER)
         if type(until) is not int or abs(until) > NEVER:
             name = None
         elif (late := monotonic_ns() - until) > 0:
@@ -433,6 +446,15 @@ class ControlServer:
             "started": self.started.isoformat(timespec="seconds").replace("+00:00", "Z"),
             "commands": commands,
         }
+
+
+def _parsed(line: bytes) -> Mapping[str, Any]:
+    """The request in ``line``; empty for other octets."""
+    try:
+        request = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    return request if isinstance(request, dict) else {}
 
 
 def _line(answer: Mapping[str, object]) -> bytes:

@@ -28,7 +28,7 @@ from dpstack.dp.master.scanner import Found
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import UNADDRESSED
-from dpstack.plant.orders import ModeOrder, SetOctets, SetOutputs
+from dpstack.plant.orders import ModeOrder, RefusedOrder, SetOctets, SetOutputs
 from dpstack.text import number_or_name
 
 #: addresses that a scan asks in one go; its progress counts them
@@ -66,6 +66,7 @@ def control_run(
         "stats": lambda _: bus.stats.summary(),
         "scan": ScanOrder(bus),
         "why": lambda args: _why(bus, args),
+        "refused": lambda args: core_of(bus).refused_orders.add(RefusedOrder(args[1], args[2], args[0])),
         "tap": (feed or run_feed(bus)).handler,
         "live": _by_need("live_items", "live_items", bus),
     }
@@ -77,7 +78,11 @@ def control_run(
         handlers = slave_handlers(core.bench, core) | handlers
     # there may be several runs with a pty
     own, also = (f"{PTY}:{os.getpid()}", PTY) if port == PTY else (port, None)
-    return ControlServer(kind, own, specs, handlers, also=also, config=bus.config.file)
+
+    def refused(order: RefusedOrder) -> None:
+        core.refused_orders.add(order)
+
+    return ControlServer(kind, own, specs, handlers, also=also, config=bus.config.file, refused=refused)
 
 
 def _by_need(module: str, name: str, bus: Bus, **options: bool) -> Handler:

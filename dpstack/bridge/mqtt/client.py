@@ -47,7 +47,7 @@ from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, NodeSetup, O
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.mqtt.status import EXPIRY_S, StatusSource, topic_of
 from dpstack.bridge.mqtt.worker_thread import in_thread
-from dpstack.bridge.orders import Orders
+from dpstack.bridge.orders import Orders, time_words
 from dpstack.plant.tree import Change, PlantTree
 from dpstack.text import printable
 from dpstack.trace import Severity
@@ -75,6 +75,7 @@ _LOST_REMARK_S: Final = 10.0
 _DISK: Final = "dpstack mqtt: number of the session"
 #: orders that wait for their result
 _MOST_ORDERS: Final = 256
+_TOO_MANY: Final = "too many orders wait"
 #: reason code of MQTT 5 (2.4)
 _TAKEN_OVER: Final = 0x8E
 
@@ -143,6 +144,7 @@ class MqttConnector(Connector):
             NodeOptions(
                 allowed=self._allowed,
                 tell=lambda text: self.tell(text, Severity.WARNING),
+                refused=self._refuse,
                 clear_first=numbers.damaged,
                 history=self._history,
                 pause=lambda: self._pause(_BIRTHS_PAUSE_S),
@@ -151,6 +153,10 @@ class MqttConnector(Connector):
 
     def _allowed(self) -> frozenset[str]:
         return frozenset() if self._orders is None else frozenset(order.name for order in self._orders.allowed)
+
+    def _refuse(self, name: str, reason: str, order_time: str) -> None:
+        if self._orders is not None:
+            self._orders.refuse(name, reason, order_time=order_time)
 
     def take(self, changes: Sequence[Change]) -> None:
         if self._node is not None:
@@ -397,7 +403,8 @@ class MqttConnector(Connector):
     def _give(self, node: PlantNode, wishes: Sequence[OrderWish]) -> None:
         if sum(self._giving.values()) + len(wishes) > _MOST_ORDERS:
             for wish in wishes:
-                node.answer(wish, "refused", "too many orders wait", time.time())
+                self._refuse(wish.name, _TOO_MANY, wish.order_time or time_words(wish.made_at))
+                node.answer(wish, "refused", _TOO_MANY, time.time())
             return
         task = asyncio.create_task(self._carry_out(node, wishes), name=f"dpstack mqtt: {wishes[0].name}")
         self._giving[task] = len(wishes)
@@ -408,9 +415,10 @@ class MqttConnector(Connector):
         first = wishes[0]
         if len(wishes) > 1:
             given = [(wish.name, wish.value) for wish in wishes]
-            results = await self._orders.give_outputs(given, made_at=first.made_at)
+            results = await self._orders.give_outputs(given, made_at=first.made_at, order_time=first.order_time)
         else:
-            results = [await self._orders.give(first.name, first.value, made_at=first.made_at)]
+            order_time = first.order_time
+            results = [await self._orders.give(first.name, first.value, made_at=first.made_at, order_time=order_time)]
         # the last answer is the one that people see: a refused one, if there is any
         answers = sorted(zip(wishes, results, strict=True), key=lambda answer: answer[1].result != "done")
         for wish, result in answers:

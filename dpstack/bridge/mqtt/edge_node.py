@@ -41,6 +41,7 @@ from dpstack.bridge.mqtt.plant_node import (
     Publish,
 )
 from dpstack.bridge.names import SPARKPLUG_ID, SPARKPLUG_METRIC, unique_names
+from dpstack.bridge.orders import time_words
 from dpstack.plant.nodes import Node, OfferedOrder
 from dpstack.plant.quality import BOOL, TEXT, Quality, Reading, Reason, Value
 from dpstack.plant.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
@@ -529,8 +530,10 @@ class EdgeNode(PlantNode):
         if setup.primary_host and topic == setup.state_topic:
             self._host_state(payload, retained=retained)
             return ()
-        if self.phase is not Phase.ONLINE or self._node is None:
-            return ()  # nobody knows a metric before its birth
+        if self.phase is not Phase.ONLINE or self._node is None:  # nobody knows a metric before its birth
+            if topic.startswith(setup.topic("DCMD", "")):
+                self._refused(topic.rpartition("/")[2], "this node has had no birth", "")
+            return ()
         if topic == setup.topic("NCMD"):
             device = None
         elif topic.startswith(setup.topic("DCMD", "")):
@@ -540,7 +543,7 @@ class EdgeNode(PlantNode):
         try:
             command = read_command(payload)
         except ValueError as error:
-            self._refuse("", str(error), wall)
+            self._refuse("", str(error), wall, None)
             return ()
         wishes: list[OrderWish] = []
         for given in command.metrics:
@@ -551,7 +554,8 @@ class EdgeNode(PlantNode):
             try:
                 wishes.append(self._wish(device, given, command.time_ms, retained=retained))
             except ValueError as error:
-                self._refuse(f"{device}: {given.text}" if device is not None else given.text, str(error), wall)
+                name = f"{device}: {given.text}" if device is not None else given.text
+                self._refuse(name, str(error), wall, command.time_ms)
         return wishes
 
     def answer(self, wish: OrderWish, result: str, reason: str, wall: float) -> None:
@@ -584,7 +588,8 @@ class EdgeNode(PlantNode):
             raise ValueError("there is no such metric")
         return key, self._orders.get(key)
 
-    def _refuse(self, name: str, reason: str, wall: float) -> None:
+    def _refuse(self, name: str, reason: str, wall: float, time_ms: int | None) -> None:
+        self._refused(name or "unknown", reason, time_words(None if time_ms is None else time_ms / 1000))
         self._show_result(name or "unknown", "refused", reason, wall)
 
     def _show_result(self, name: str, result: str, reason: str, wall: float) -> None:

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Final, NamedTuple
 
-from dpstack.bridge.mqtt.json_payload import condition_payload, read_order, result_payload, values_payload
+from dpstack.bridge.mqtt.json_payload import condition_payload, read_order, result_payload, sent_time, values_payload
 from dpstack.bridge.mqtt.plant_node import (
     ConnectionNeeds,
     Disconnect,
@@ -352,16 +352,18 @@ class JsonNode(PlantNode):
         if self.phase is not Phase.ONLINE or below == topic or len(levels) != 3 or levels[1] != "set":
             return ()
         slave, _, name = levels
+        order_time, made_at = sent_time(payload)
         try:
-            return (self._wish(slave, name, payload, retained=retained),)
+            return (self._wish(slave, name, payload, order_time, retained=retained),)
         except ValueError as error:
-            self._add_result(f"{slave}.{name}", None, "refused", str(error), wall)
+            self._refused(f"{slave}.{name}", str(error), order_time)
+            self._add_result(f"{slave}.{name}", made_at, "refused", str(error), wall)
             return ()
 
     def answer(self, wish: OrderWish, result: str, reason: str, wall: float) -> None:
         self._add_result(wish.name, wish.made_at, result, reason, wall)
 
-    def _wish(self, slave: str, name: str, payload: bytes, *, retained: bool) -> OrderWish:
+    def _wish(self, slave: str, name: str, payload: bytes, order_time: str, *, retained: bool) -> OrderWish:
         """The order that a message means. Raises ValueError with the reason if none exists."""
         if retained:
             raise ValueError("the broker had kept this order: nobody knows how old it is")
@@ -369,7 +371,7 @@ class JsonNode(PlantNode):
         if order is None:
             raise ValueError("there is no such order, or allow_commands does not list it")
         value, made_at = read_order(payload)
-        return OrderWish(order.name, value, made_at)
+        return OrderWish(order.name, value, made_at, order_time)
 
     def _add_result(self, name: str, made_at: float | None, result: str, reason: str, wall: float) -> None:
         if len(self._results) >= _MOST_RESULTS:

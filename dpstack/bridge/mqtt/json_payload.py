@@ -132,6 +132,20 @@ def read_order(octets: bytes) -> tuple[Value, float]:
     return value, _time_of(given["time"])
 
 
+def sent_time(octets: bytes) -> tuple[str, float | None]:
+    """The time of an order that may be damaged, as its sender wrote it (empty without one), and in s since 1970 (None
+    if it is no time)."""
+    try:
+        given = read_object(octets, MOST_OCTETS).get("time")
+    except ValueError:
+        return "", None
+    text = given if isinstance(given, str) else "" if given is None else json_text(given)
+    try:
+        return text, _time_of(given)
+    except ValueError:
+        return text, None
+
+
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):

@@ -60,11 +60,13 @@ class ConnectionNeeds(NamedTuple):
 
 
 class OrderWish(NamedTuple):
-    """An order for the run. ``made_at``: by the clock of its sender, in s since 1970."""
+    """An order for the run. ``made_at``: by the clock of its sender, in s since 1970; ``order_time``: as it wrote it,
+    if that is a text."""
 
     name: str
     value: Value
     made_at: float
+    order_time: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +125,8 @@ def no_pause() -> float:
 
 @dataclass(frozen=True, slots=True)
 class NodeOptions:
-    """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people.
+    """``allowed``: the names of the orders that may be given by MQTT. ``tell``: takes a remark for people. ``refused``:
+    takes name, reason, and time by its sender of an order that :meth:`PlantNode.receive` refuses.
     ``clear_first``: the number of the last session is not known. So one session without births comes before the
     others: the broker has published the old will when the first births come. ``history``: keeps values that could not
     be delivered; None: they are lost. ``pause``: draws the s between "online" of the primary host, which all gateways
@@ -131,6 +134,7 @@ class NodeOptions:
 
     allowed: Callable[[], Collection[str]] = tuple
     tell: Callable[[str], object] = lambda _: None
+    refused: Callable[[str, str, str], object] = lambda _name, _reason, _time: None
     clear_first: bool = False
     history: History | None = None
     pause: Callable[[], float] = no_pause
@@ -150,6 +154,7 @@ class PlantNode(ABC):
         self._tree = tree
         self._allowed = options.allowed
         self._tell = options.tell
+        self._refused = options.refused
         self._leaving = ""
         #: the clock of the computer less that of the stream, in s
         self._offset = 0.0

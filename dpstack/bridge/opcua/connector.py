@@ -34,7 +34,7 @@ from dpstack.bridge.opcua.lateness import LATE_S, seconds_of
 from dpstack.bridge.opcua.sessions import LimitedServer, LimitedSession, quieten
 from dpstack.bridge.opcua.space import NAMESPACE, VARIANTS, Space
 from dpstack.bridge.opcua.users import Account, Users, read_users
-from dpstack.bridge.orders import Batch, OrderResult, Orders, Refusal
+from dpstack.bridge.orders import Batch, OrderResult, Orders, Refusal, time_words
 from dpstack.errors import ConfigError
 from dpstack.plant.conditions import Condition
 from dpstack.plant.nodes import Node, OfferedOrder
@@ -70,6 +70,21 @@ _CODES: Final = {
     Refusal.NO_EXCHANGE: _S.BadNoCommunication,
     Refusal.TOO_MANY: _S.BadResourceUnavailable,
     Refusal.NO_RESULT: _S.BadTimeout,
+}
+
+
+#: what the server says itself to an order
+_WHY: Final = {
+    _S.BadUserAccessDenied: "this user may give no orders",
+    _S.BadTypeMismatch: "its value has another type",
+    _S.BadOutOfRange: "its value is out of range",
+    _S.BadNotWritable: "this value cannot be written, or allow_commands does not list it",
+    _S.BadNotExecutable: "it is not in allow_commands",
+    _S.BadNodeIdUnknown: "there is no such node",
+    _S.BadWriteNotSupported: "only a whole value with a good status can be written",
+    _S.BadArgumentsMissing: "its argument is missing",
+    _S.BadTooManyArguments: "it has too many arguments",
+    _S.BadMethodInvalid: "this object has no such method",
 }
 
 
@@ -341,6 +356,7 @@ class OpcUaConnector(Connector):
                 order, value = self._judge_write(one, who)
             except ua.UaStatusCodeError as error:
                 found[number] = ua.StatusCode(error.code)
+                self._refuse(self._order_name(one.NodeId), error.code, who, seconds_of(one.Value.SourceTimestamp))
             else:
                 made_at = seconds_of(one.Value.SourceTimestamp)
                 together.setdefault((order.slave, made_at), []).append((number, order, value))
@@ -348,7 +364,9 @@ class OpcUaConnector(Connector):
                 await asyncio.sleep(0)
         for (_, made_at), outputs in together.items():
             given = [(order, value) for _, order, value in outputs]
-            results = await self._orders.give_outputs(given, made_at=made_at, late_s=LATE_S.get(), batch=batch)
+            results = await self._orders.give_outputs(
+                given, made_at=made_at, late_s=LATE_S.get(), batch=batch, by=_name_of(who)
+            )
             for (number, *_), result in zip(outputs, results, strict=True):
                 found[number] = _status_of(result, _S.BadNotWritable)
             await self._show_last(next((one for one in results if one.result != "done"), results[-1]))
@@ -392,23 +410,22 @@ class OpcUaConnector(Connector):
         if method.MethodId in (_ACKNOWLEDGE, _ADD_COMMENT):
             return _result(self._speak(method, arguments, who))
         found = self._space.method(method.ObjectId, method.MethodId)
-        if found is None:
-            known = method.ObjectId in self._server.aspace or self._condition(method.ObjectId) is not None
-            return _result(_S.BadMethodInvalid if known else _S.BadNodeIdUnknown)
-        owner, order = found
-        if method.ObjectId != owner:
-            return _result(_S.BadMethodInvalid)
-        if not self._orders.takes(order):
-            return _result(_S.BadNotExecutable)
-        wanted = 0 if order.type is None else 1
-        if len(arguments) != wanted:
-            return _result(_S.BadArgumentsMissing if len(arguments) < wanted else _S.BadTooManyArguments)
+        code = self._judge_method(method, found)
+        if found is None:  # a method of the server, or none
+            return _result(code)
+        _, order = found
+        if code:
+            self._refuse(order.name, code, who)
+            return _result(code)
         try:
             value = _judge_value(order, arguments[0] if arguments else None, who, None, None)
         except ua.UaStatusCodeError as error:
             status = ua.StatusCode(error.code)
+            self._refuse(order.name, error.code, who)
         else:
-            done = await self._orders.give(order, value, made_at=None, late_s=LATE_S.get(), batch=batch)
+            done = await self._orders.give(
+                order, value, made_at=None, late_s=LATE_S.get(), batch=batch, by=_name_of(who)
+            )
             await self._show_last(done)
             status = _status_of(done, _S.BadNotExecutable)
         result = ua.CallMethodResult(status)
@@ -418,6 +435,34 @@ class OpcUaConnector(Connector):
             if wrong:
                 result.StatusCode = ua.StatusCode(_S.BadInvalidArgument)
         return result
+
+    def _judge_method(self, method: ua.CallMethodRequest, found: tuple[ua.NodeId, OfferedOrder] | None) -> int:
+        """The status code that refuses the call of a method by itself; 0: none does."""
+        assert self._server is not None
+        if found is None:
+            known = method.ObjectId in self._server.aspace or self._condition(method.ObjectId) is not None
+            return int(_S.BadMethodInvalid if known else _S.BadNodeIdUnknown)
+        owner, order = found
+        if method.ObjectId != owner:
+            return int(_S.BadMethodInvalid)
+        if not self._orders.takes(order):
+            return int(_S.BadNotExecutable)
+        given, wanted = len(method.InputArguments or ()), 0 if order.type is None else 1
+        if given == wanted:
+            return 0
+        return int(_S.BadArgumentsMissing if given < wanted else _S.BadTooManyArguments)
+
+    def _order_name(self, id_: ua.NodeId) -> str:
+        """The order of the value at ``id_``; the id itself if it has none."""
+        assert self._space is not None
+        node = self._space.values.get(id_)
+        return id_.to_string() if node is None else f"{node.id}" if node.order is None else node.order.name
+
+    def _refuse(self, name: str, code: int, who: Account | None, made_at: float | None = None) -> None:
+        """Report an order that the server refuses by itself."""
+        word = ua.status_codes.get_name_and_doc(code)[0]
+        reason = f"{_WHY.get(code, 'the server refuses it')} ({word})"
+        self._orders.refuse(name, reason, by=_name_of(who), order_time=time_words(made_at))
 
     async def _show_last(self, last: OrderResult) -> None:
         assert self._space is not None
@@ -502,6 +547,10 @@ class OpcUaConnector(Connector):
             return int(_S.BadEventIdUnknown)  # its user has not seen that it came again
         self.acknowledge(found.id, who.name, said)
         return 0
+
+
+def _name_of(who: Account | None) -> str:
+    return "anonymous" if who is None else who.name
 
 
 def _judge_value(

@@ -14,7 +14,7 @@ from linear_kit import assert_linear
 from dpstack.api.control import client as client_module
 from dpstack.api.control.client import ControlClient
 from dpstack.api.control.commands import COMMON
-from dpstack.api.control.control_server import ControlServer
+from dpstack.api.control.control_server import ControlServer, _parsed
 from dpstack.errors import PortError, UsageError
 
 NONE_OF_OURS = [
@@ -46,7 +46,7 @@ def pair() -> Iterator[tuple[ControlClient, socket.socket]]:
 def test_a_request(line: bytes) -> None:
     server = ControlServer("sim", "/dev/nowhere", COMMON, {"status": lambda _args: None})
     with pytest.raises(UsageError, match="a request is one line"):
-        server._parse_request(line)
+        server._check_request(_parsed(line))
 
 
 @given(st.binary(max_size=60))
@@ -54,7 +54,7 @@ def test_any_request(line: bytes) -> None:
     server = ControlServer("sim", "/dev/nowhere", COMMON, {"status": lambda _args: None})
     for request in (line, b'{"command":"status","args":[' + line + b"]}", b'{"command":' + line + b"}"):
         try:
-            spec, _ = server._parse_request(request)
+            spec, _ = server._check_request(_parsed(request))
         except UsageError:
             continue
         assert spec.name in ("status", "help")

@@ -82,7 +82,7 @@ def run(octets: bytes) -> None:
         session.connect()
     right = pb.Payload(timestamp=1_700_000_010_000, metrics=[pb.Metric(name="Outputs/lamp", boolean_value=True)])
     (wish,) = session.node.receive(_TOPICS[0], right.SerializeToString(), NOW)
-    assert wish == ("valves.lamp", True, NOW)
+    assert (wish.name, wish.value, wish.made_at) == ("valves.lamp", True, NOW)
 
 
 TARGET = Target(
