@@ -33,6 +33,8 @@ _SOON_S: Final = 0.1
 _FILE_S: Final = 2.0
 #: seconds before the run that only reads is started again, from the first time on
 _AGAIN_S: Final = (1.0, 5.0, 15.0, 60.0)
+#: seconds in which a run has to take note of an order that was refused
+_REFUSED_S: Final = 1.0
 #: seconds in which a run that was started has to answer
 _START_S: Final = 20.0
 
@@ -117,8 +119,11 @@ class RunSource(Source):
     async def refused(self, who: str, order: str, reason: str) -> None:
         link = self._link
         if link is not None:
-            with contextlib.suppress(DpError):  # it has ended meanwhile
-                await link.call("refused", _origin(who), order, reason)
+            with contextlib.suppress(
+                DpError, TimeoutError
+            ):  # it has ended meanwhile, or hangs: the page gets its answer
+                async with asyncio.timeout(_REFUSED_S):
+                    await link.call("refused", _origin(who), order, reason)
 
     async def start(self) -> object:
         async with self._starting:

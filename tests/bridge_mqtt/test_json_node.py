@@ -30,7 +30,7 @@ from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.json_payload import read_order
 from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, NodeSetup, OrderWish, Publish
 from dpstack.bridge.orders import Orders
-from dpstack.plant.orders import DriveOrder, SetOutputs
+from dpstack.plant.orders import DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.quality import Value
 from dpstack.plant.tree import ClockSet, PlantTree
 from tests.bridge_mqtt.connector_kit import connector_at, published, serving
@@ -375,6 +375,27 @@ async def test_outputs_of_one_command_change_together(tmp_path: Path) -> None:
             broker.send(publish(f"spBv1.0/{GROUP}/DCMD/{NODE}/valves", command.SerializeToString()))
             await until(lambda: carried)
     assert carried == [SetOutputs(8, {"lamp": True, "speed": 7})]
+
+
+async def test_an_order_to_a_gateway_that_takes_none_is_reported(tmp_path: Path) -> None:
+    tree, refused = PlantTree(), list[RefusedOrder]()
+
+    async def carry_out(order: SetOutputs | DriveOrder) -> None:
+        raise AssertionError(order)
+
+    async with FakeBroker() as broker:
+        orders = Orders(tree, carry_out, [], refused=refused.append, origin="mqtt")
+        connector = connector_at(tmp_path / "state", broker=Broker(url=broker.url), tree=tree, orders=orders)
+        async with serving(connector, tree, s3=HOIST, s8=VALVES):
+            await published(broker, f"spBv1.0/{GROUP}/DBIRTH/{NODE}/valves")
+            command = pb.Payload(
+                timestamp=1_700_000_000_000, metrics=[pb.Metric(name="Outputs/lamp", boolean_value=True)]
+            )
+            broker.send(publish(f"spBv1.0/{GROUP}/DCMD/{NODE}/valves", command.SerializeToString()))
+            await until(lambda: refused)
+    assert refused == [
+        RefusedOrder("valves: 'Outputs/lamp'", "this metric cannot be written", "mqtt", "2023-11-14T22:13:20.000Z")
+    ]
 
 
 async def test_messages_that_came_too_fast_are_counted_and_told_while_the_connection_stands(tmp_path: Path) -> None:
