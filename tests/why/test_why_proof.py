@@ -153,7 +153,7 @@ async def after_losses(
         if isinstance(event, SlaveFaulted) and event.address not in stories:
             asking.append(asyncio.ensure_future(ask(event.address)))
 
-    async with operating(RAW, OTHER, HOIST, on_event=on_event) as bus:
+    async with operating(RAW, OTHER, HOIST, baud=93_750, on_event=on_event) as bus:
         lines.append(CauseLines(bus))
         await asyncio.sleep(0.1)
         for address in addresses:

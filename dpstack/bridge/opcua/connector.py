@@ -365,7 +365,7 @@ class OpcUaConnector(Connector):
         for (_, made_at), outputs in together.items():
             given = [(order, value) for _, order, value in outputs]
             results = await self._orders.give_outputs(
-                given, made_at=made_at, late_s=LATE_S.get(), batch=batch, by=_name_of(who)
+                given, made_at=made_at, late_s=LATE_S.get(), batch=batch, by="" if who is None else who.name
             )
             for (number, *_), result in zip(outputs, results, strict=True):
                 found[number] = _status_of(result, _S.BadNotWritable)

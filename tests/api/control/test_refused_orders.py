@@ -39,7 +39,7 @@ class Run:
     def __init__(self, log: Path, *slaves: dict[str, object]) -> None:
         self.files = RunFiles(None, str(log))
         self._log = log
-        self.bus = bus_of(*(slaves or (RAW,)), on_event=self._on_event)
+        self.bus = bus_of(*(slaves or (RAW,)), baud=45_450, on_event=self._on_event)
 
     def _on_event(self, event: dpstack.Event) -> None:
         self.files.event(core_of(self.bus), event)
@@ -88,7 +88,7 @@ def test_three_orders_that_are_not_a_flood_have_a_line_each(tmp_path: Path) -> N
 @in_virtual_time
 async def test_a_flood_is_counted_and_has_one_line_a_second() -> None:
     events = Refused()
-    async with bus_of(RAW, on_event=events.take) as bus:
+    async with bus_of(RAW, baud=45_450, on_event=events.take) as bus:
         for number in range(2_500):
             core_of(bus).refused_orders.add(RefusedOrder(f"valves.o{number}", "no", "opcua (anna)"))
             await asyncio.sleep(0.001)
@@ -111,7 +111,7 @@ async def test_a_flood_is_counted_and_has_one_line_a_second() -> None:
 @in_virtual_time
 async def test_texts_of_strangers_are_cleaned_and_short() -> None:
     events = Refused()
-    async with bus_of(RAW, on_event=events.take) as bus:
+    async with bus_of(RAW, baud=45_450, on_event=events.take) as bus:
         evil = "\x1b[2J\n\u202e" + "x" * 5_000
         core_of(bus).refused_orders.add(RefusedOrder(evil, evil, evil, evil))
     (event,) = events

@@ -37,7 +37,7 @@ def test_a_run_ends_with_1_if_a_slave_is_in_data_exchange_by_chance(
     tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flapping_run(monkeypatch, [1.0, 2.0, 3.0])
-    plant = str(plant_file(tmp_path, RAW, OTHER))
+    plant = str(plant_file(tmp_path, RAW, OTHER, baud=45_450))
     out, err = cli("run", plant, "--seconds", "4", "--plain", code=1)
     says = "slave 9 (raw) flaps: it is in data exchange at this moment, but has left it several times"
     assert says in err
@@ -51,7 +51,7 @@ def test_one_loss_and_losses_of_long_ago_are_no_flapping(
     offs: list[float], seconds: float, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flapping_run(monkeypatch, offs)
-    _, err = cli("run", str(plant_file(tmp_path, RAW, OTHER)), "--seconds", f"{seconds}", "--plain")
+    _, err = cli("run", str(plant_file(tmp_path, RAW, OTHER, baud=45_450)), "--seconds", f"{seconds}", "--plain")
     assert "flaps" not in err
 
 
@@ -60,5 +60,5 @@ def test_losses_of_a_scenario_are_wanted(tmp_path: Path, cli: Cli, monkeypatch: 
     steps = "".join(f'[[step]]\nat = {at}\nslave = "raw"\ndo = "power_off"\nfor = 0.3\n' for at in (1.0, 2.0))
     scenario = tmp_path / "scenario.toml"
     scenario.write_text(steps, encoding="utf-8")
-    plant = str(plant_file(tmp_path, RAW, OTHER))
+    plant = str(plant_file(tmp_path, RAW, OTHER, baud=45_450))
     assert "raw" in cli.out("run", plant, "--seconds", "3", "--plain", "--scenario", str(scenario))
