@@ -130,15 +130,16 @@ def test_damage_that_only_parity_shows(result: Result) -> None:
     rows = {row["chip"]: row for row in result.of("damage")}
     assert all(row["damaged"] for row in rows.values())
     for chip in ("ft232r", "cdcacm", "pl2303hx"):  # dropped, and the slave is lost
-        # it is taken up again and again: its state at the end is chance, and the exit code follows it
+        # it is taken up again and again: its state at the end is chance, and not the exit code, if it was lost twice
         exchanging = rows[chip]["slave"]["state"] == "data_exchange"
-        assert rows[chip]["code"] == (0 if exchanging else 1)
+        flaps = "flaps: it is in data exchange at this moment" in rows[chip]["text"]
+        assert rows[chip]["code"] == (0 if exchanging and not flaps else 1)
         assert rows[chip]["slave"]["inputs_valid"] is False
         # cdc_acm counts damage, now and then behind the octets: those that came so are not valid
         assert rows[chip]["slave"]["inputs"] == "00000000" or chip == "cdcacm"
         assert "offline" in rows[chip]["states"]
         # the cause is looked for at each fault and at the end; one that is healthy again by then has none
-        assert exchanging or "likely noise_on_stub" in rows[chip]["text"]
+        assert (exchanging and not flaps) or "noise_on_stub" in rows[chip]["text"]
         assert "likely not_there" not in rows[chip]["text"]
     # nothing shows the damage to dpstack: it says beforehand that this can happen
     assert rows["ch340"]["slave"]["inputs"] == "00010000"
