@@ -18,6 +18,8 @@ from dpstack.api.injected import Injected as Injected
 from dpstack.api.injected import ScenarioEvent as ScenarioEvent
 from dpstack.api.refused_orders import OrdersRefused as OrdersRefused
 from dpstack.api.refused_orders import RefusedOrder as RefusedOrder
+from dpstack.api.slave.quality_events import QualityChanged as QualityChanged
+from dpstack.api.slave.quality_events import ValueQuality as ValueQuality
 from dpstack.api.streams import SlaveFlapping as SlaveFlapping
 from dpstack.dp.master.commands import Mode as Mode
 from dpstack.dp.master.events import ApplicationSilent as ApplicationSilent

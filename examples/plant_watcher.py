@@ -33,10 +33,12 @@ from dpstack.events import (
     ModeChanged,
     Notice,
     OperateWaits,
+    OrdersRefused,
     OutputsDropped,
     PortBack,
     PortDisturbed,
     PortLost,
+    QualityChanged,
     RingJoined,
     RingLeft,
     ScenarioEvent,
@@ -81,6 +83,8 @@ class Watcher:
                 self.missing[name] = f"{fault.kind.value}; {fault.remedy}"
             case SlaveDiagnosis(name=name, texts=texts):
                 self.diagnoses[name] = texts
+            case QualityChanged(name=name, values=values):
+                log.warning("%s: %s", name, ", ".join(one.line for one in values))
             case AlarmRaised(name=name, alarm=alarm):
                 log.warning("call the electrician: %s raises a %s", name, alarm.full_text)
             case StatusTold(name=name, status=status):
@@ -148,6 +152,8 @@ class Watcher:
                 log.info("somebody typed: %s %s", command, " ".join(args))
             case ScenarioEvent(step=step, state=state, detail=detail):
                 log.info("step %d: %s %s", step, state, detail)
+            case OrdersRefused(count=count, orders=orders):
+                log.warning("%d orders were refused, the first from %s", count, orders[0].origin)
             # remarks, and the bases of several classes
             case Notice(source=source, message=message):
                 log.info("%s says %s", source, message)

@@ -20,7 +20,15 @@ from dpstack.api.injected import SIMULATION
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import EventStream, OnEvent
 from dpstack.dp.master.commands import AddSlave, DriveCommand, Mode, RemoveSlave
-from dpstack.dp.master.events import DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveState, SlaveStateChanged
+from dpstack.dp.master.events import (
+    DriveEvent,
+    ForcedClear,
+    ModeChanged,
+    OperateWaits,
+    SlaveEvent,
+    SlaveState,
+    SlaveStateChanged,
+)
 from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, view_of
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
@@ -309,6 +317,8 @@ class BusCore(BusBase):
                 case OperateWaits():
                     self.forced_clear = None
             self._events.publish(event)
+            if isinstance(event, SlaveEvent):
+                self._quality_events.event(event, self._slaves.get(event.address))
             for notice in self._other_masters.notices(event):
                 self._events.publish(notice)
             if isinstance(event, RingJoined) and not self._joined_ns:
@@ -347,6 +357,7 @@ class BusCore(BusBase):
             drive.end(self._over)
         self.cycles.end()
         self.services.end(self._over)
+        self._quality_events.end()
         if self._refused_orders is not None:
             self._refused_orders.end()
         self._events.end()

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Final
 
 from dpstack.api.injected import Injected, ScenarioEvent
+from dpstack.api.slave.quality_events import QualityChanged
 from dpstack.api.streams import LEVELS, ROOT, SlaveFlapping, logger_below
 from dpstack.dp.master.events import (
     ApplicationSilent,
@@ -77,6 +78,9 @@ def _kind_and_fields(event: Event) -> tuple[str, dict[str, object]] | None:
     match event:
         case SlaveStateChanged(state=state):
             return "slave", {"state": state.value}
+        case QualityChanged(values=values, left_out=left_out):
+            named = {one.name: {"quality": one.quality.value, "text": one.text} for one in values}
+            return "quality", {"values": named, "left_out": left_out}
         case SlaveDiagnosis(diagnosis=diagnosis, texts=texts):
             return "diagnosis", {"flags": list(diagnosis.flags), "texts": list(texts)}
         case AlarmRaised(alarm=alarm):

@@ -14,6 +14,7 @@ from dpstack.api.bus.events_json import EventLogging
 from dpstack.api.bus.plan_checks import refuse_misfit
 from dpstack.api.config.config import AUTO, Config
 from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.quality_events import QualityEvents
 from dpstack.api.slave.services import Services
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Events, OnEvent, Rounds, Waiters, WallClock, load_beside
@@ -65,6 +66,7 @@ class BusBase:
         self._wall_clock = WallClock(lambda: self.runtime.now(), lambda: self.driver == "virtual")
         log = EventLogging(lambda: (self.started_ns, self.runtime.port_name))
         self._events = Events(on_event, self._wall_clock, log)
+        self._quality_events = QualityEvents(self._events.publish, lambda: self.runtime.now())
         self._refused_orders: RefusedOrders | None = None
         self._waiters = Waiters()
         self._open = False

@@ -6,6 +6,8 @@
 - ``host``: Protocol of the bus that slaves, drives and class 2 services use
 - ``quality``: The quality of the process data of a slave at a moment: what its diagnosis, its inputs and their age say
   together
+- ``quality_events``: Events about the quality of named values by the slave's diagnosis and alarms: one a second for a
+  slave at most
 - ``record_parameters``: PROFIdrive parameter access (record 47) for asyncio programs
 - ``records``: Read, Write, I&M and PROFIdrive parameters of DP-V1 at one slave, over MS1 or MS2
 - ``service_errors``: Exceptions of failed acyclic services

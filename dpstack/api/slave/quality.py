@@ -85,8 +85,8 @@ class SlaveQuality:
         self._judged: dict[Field, Judged] = {}
 
     @property
-    def standing(self) -> tuple[Standing, ...]:
-        """The doubts at this moment; none outside data exchange, where everything is old."""
+    def by_last_diagnosis(self) -> tuple[Standing, ...]:
+        """The doubts by the last diagnosis and the alarms; none outside data exchange, where everything is old."""
         slave, snapshot, setup = self._slave, self._slave.snapshot, self._slave.setup
         if not slave.ready_now:
             self._seen, self._standing = None, ()
@@ -99,10 +99,15 @@ class SlaveQuality:
             found = doubts_of(setup.slots, diagnosis, snapshot.standing, texts=setup.texts, dpv1=setup.dpv1 is not None)
             at = snapshot.diagnosis_ns
             self._standing = tuple((doubt, before.get(doubt, at)) for doubt in found)
-        image = slave.image
-        if image.announced or image.diagnoses > snapshot.diagnoses:
-            return ((ANNOUNCED, image.input_time), *self._standing)
         return self._standing
+
+    @property
+    def standing(self) -> tuple[Standing, ...]:
+        """The doubts at this moment, also that of a diagnosis which is announced, or has not come yet."""
+        found, image = self.by_last_diagnosis, self._slave.image
+        if self._slave.ready_now and (image.announced or image.diagnoses > self._slave.snapshot.diagnoses):
+            return ((ANNOUNCED, image.input_time), *found)
+        return found
 
     def of_all(self, values: SlaveValues, limit_ms: float) -> Judged:
         """The quality of everything that the slave sends and gets. ``values``: its state and the age of its inputs;
@@ -117,13 +122,16 @@ class SlaveQuality:
 
     def of_field(self, field: Field, direction: Direction, octets: bytes, of_all: Judged) -> Judged:
         """The quality of a named value in ``octets``."""
-        own = self._by_diagnosis(field, direction) if self.standing else GOOD
+        own = self._of_place(field, direction)
         if field.speaks_for_itself:
             own = worse(own, self._of_octets(field, octets))
         return worse(own, of_all)
 
-    def _by_diagnosis(self, field: Field, direction: Direction) -> Judged:
-        standing = self.standing
+    def _of_place(self, field: Field, direction: Direction) -> Judged:
+        """The quality by doubts about its place, not about all of the slave."""
+        standing = self.by_last_diagnosis
+        if not standing:
+            return GOOD
         if standing != self._judged_for:
             self._judged_for, self._judged = standing, {}
         found = self._judged.get(field)
@@ -133,12 +141,13 @@ class SlaveQuality:
         return found
 
     def by_diagnosis(self, field: Field, direction: Direction, *, announced: bool) -> Judged:
-        """The quality of a named value by the diagnosis alone. ``announced``: at another moment, a round ago."""
-        standing = ((ANNOUNCED, 0), *self.standing) if announced else self.standing
+        """The quality of a named value by the last diagnosis alone; ``announced``: another one is."""
+        found = self.by_last_diagnosis
+        standing = ((ANNOUNCED, 0), *found) if announced else found
         if not standing:
             return GOOD
         of_all = _judged({doubt: at for doubt, at in standing if doubt.inputs == ALL})
-        return worse(self._by_diagnosis(field, direction), of_all)
+        return worse(self._of_place(field, direction), of_all)
 
     def _of_octets(self, field: Field, octets: bytes) -> Judged:
         """The quality by the value itself, and by the status octet beside it."""

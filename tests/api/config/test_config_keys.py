@@ -153,6 +153,8 @@ LISTS = {
     "drive_source.basis_of_drive": "from what a drive plugin says to the parameters",
     "drive_profile.DriveProfile": "what a drive plugin says",
     "live._slave_plant": "a slave as the live stream describes it, some of its parameters in JSON",
+    "sheet.Sheet": "a slave as its commissioning sheet shows it",
+    "sheet._sheet": "the same, from its configuration",
     "items.SlavePlant": "the same with its types, for items that come from outside",
     "drive_profile.DriveProfile.described": "a drive plugin as a GSD file has it",
 }

@@ -16,11 +16,14 @@ from api_kit import begun, serving
 import dpstack
 from dpstack import AlarmType, Specifier
 from dpstack.api.bus.bus import core_of
+from dpstack.api.bus.events_json import event_json
+from dpstack.api.slave.quality_events import QualityChanged
 from dpstack.api.slave_side.slave_server import ServedSlave
 from dpstack.dp.slot_map import slot_map
 from dpstack.errors import SlaveFault, UsageError
 from dpstack.plant.quality import Quality
 from dpstack.slave import DpSlave, ModuleState, SlaveDescription, UserDiag, channel_block, identifier_block
+from dpstack.trace import Severity
 
 pytestmark = pytest.mark.virtual_time
 
@@ -43,7 +46,8 @@ async def rack(description: SlaveDescription = RACK, **keys: Any) -> AsyncIterat
     """The rack at its master, with valid inputs."""
     inputs = sum(slot.inputs.octets for slot in slot_map(description.configs[0]).slots)
     rack = DpSlave(description, lambda outputs, elapsed: outputs[:inputs].ljust(inputs, b"\0"))
-    async with serving(rack, None, None, **{**NAMES, **keys}) as (bus, served):
+    events = keys.pop("events", None)
+    async with serving(rack, None, events, **{**NAMES, **keys}) as (bus, served):
         (slave,) = bus.slaves
         await core_of(bus).until_round(lambda: slave.inputs_valid, timeout=1)
         yield bus, slave, served
@@ -179,6 +183,57 @@ async def test_a_program_that_waits_for_a_value_that_gets_bad() -> None:
             await waiting
         assert not other.done()
         other.cancel()
+
+
+async def test_events_of_a_value_whose_quality_changes() -> None:
+    events: list[dpstack.Event] = []
+    async with rack(events=events) as (bus, slave, served):
+        device(served).diag = UserDiag.of(identifier_block([2], 5), LINE_BREAK)
+        await told(bus, slave, level="bad")
+        await asyncio.sleep(2)
+        device(served).diag = UserDiag()
+        await told(bus, slave)
+        await asyncio.sleep(2)
+    told_of = [event for event in events if isinstance(event, QualityChanged)]
+    assert [event.text for event in told_of] == [
+        "slave 9 (rack): level is bad (line break: slot 3, input channel 0)",
+        "slave 9 (rack): level is good",
+    ]
+    assert [event.severity for event in told_of] == [Severity.ERROR, Severity.INFO]
+    assert event_json(told_of[0], 1.5) == {
+        "event": "quality",
+        "t": 1.5,
+        "address": 9,
+        "name": "rack",
+        "values": {"level": {"quality": "bad", "text": "line break: slot 3, input channel 0"}},
+        "left_out": 0,
+        "text": told_of[0].text,
+    }
+
+
+async def test_a_slave_that_flaps_a_diagnosis_has_bounded_events_and_the_quality_follows() -> None:
+    events: list[dpstack.Event] = []
+    seen: set[str] = set()
+    async with rack(events=events) as (bus, slave, served):
+
+        def look() -> bool:
+            seen.add(slave.value("level").quality.value)
+            device(served).diag = UserDiag() if seen_bad() else UserDiag.of(LINE_BREAK)
+            return False
+
+        def seen_bad() -> bool:
+            return slave.value("level").quality is Quality.BAD
+
+        with pytest.raises(TimeoutError):
+            await core_of(bus).until_round(look, timeout=5)
+        device(served).diag = UserDiag()
+        await told(bus, slave)
+        await asyncio.sleep(2)
+    found = [event for event in events if isinstance(event, QualityChanged)]
+    assert {"bad", "good"} <= seen
+    assert 4 <= len(found) <= 8
+    assert found[-1].values[0].quality is Quality.GOOD
+    assert sum(event.left_out for event in found) > 20
 
 
 async def test_readings_of_a_value() -> None:

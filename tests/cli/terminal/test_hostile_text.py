@@ -180,6 +180,8 @@ NAMES = [
     ["sim", "--drive", EVIL, "--address", "3", "--port", "pty"],
     ["segment", "--dir", f"/proc/self/{EVIL}"],
     ["segment", "--baud", EVIL],
+    ["sheet", EVIL],
+    ["sheet", "CONFIG", EVIL],
     ["plot", EVIL],
     ["plot", f"{EVIL}.csv"],
     ["fleet", "--mqtt", EVIL],
