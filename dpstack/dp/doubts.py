@@ -109,9 +109,11 @@ class Doubt(Struct, frozen=True):
         """Whether it throws doubt on a named value. A name by slot and channel has priority over the bits, unless the
         slave's channel is the wider one."""
         mask = self.inputs if direction is Direction.INPUT else self.outputs
+        if not mask:
+            return False
         is_named = self.channel is not None and field.channel is not None and field.slot == self.slot
         if is_named and self.width <= field.width:
-            return bool(mask) and field.channel == self.channel
+            return field.channel == self.channel
         return self.exact and bool(mask & field.mask)
 
 

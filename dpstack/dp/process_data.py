@@ -96,8 +96,11 @@ class Field:
     _places: int | None = field(default=None, init=False, repr=False, compare=False)
     #: the codec of a number; None for others
     _codec: struct.Struct | None = field(default=None, init=False, repr=False, compare=False)
+    #: the bits of the field in the whole image as one number, octet 0 lowest
+    mask: int = field(default=0, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "mask", self._bits_in_image())
         if self.type in _NUMBERS and self.bits is None and not self.swapped:
             object.__setattr__(self, "_codec", struct.Struct(("<" if self.little else ">") + _NUMBERS[self.type]))
         if self.is_scaled and not self.type.startswith("f"):
@@ -174,9 +177,7 @@ class Field:
             return 1
         return 8 * self.length if self.bits is None else self.bits
 
-    @property
-    def mask(self) -> int:
-        """The bits of the field in the whole image as one number, octet 0 lowest."""
+    def _bits_in_image(self) -> int:
         if self.is_bool:
             return 1 << (8 * self.octet + (self.bit or 0))
         own = self._own_bits.to_bytes(self.length, "little" if self.little else "big")

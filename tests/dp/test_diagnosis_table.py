@@ -10,7 +10,8 @@ from typing import Any, cast
 import pytest
 from gsd_kit import made
 
-from dpstack.api.slave.quality import QualifiedValue, SlaveQuality, qualified
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.quality import SlaveQuality, qualified
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.doubts import standing_after
 from dpstack.dp.master.events import SlaveState
@@ -18,7 +19,7 @@ from dpstack.dp.pdu.alarm_blocks import Alarm, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.process_data import Field, field_of, with_status
+from dpstack.dp.process_data import Field, FieldMap, field_of, with_status
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.slot_map import Direction, SlotMap
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
@@ -77,6 +78,7 @@ def slave_of(row: dict[str, Any]) -> Slave:
     image = ImageSnapshot(inputs, bytes(setup.output_len), True, 9, 5_000_000)
     found = SimpleNamespace(
         setup=setup,
+        config=None,
         image=image,
         state=SlaveState.DATA_EXCHANGE,
         ready_now=True,
@@ -107,14 +109,16 @@ def declared(
 def test_each_value_has_the_quality_of_the_table(row: dict[str, Any]) -> None:
     slave = slave_of(row)
     lengths = slave.setup.input_len, slave.setup.output_len
-    found: dict[str, QualifiedValue] = {}
-    for name, place in row["values"].items():
-        found[name] = qualified(slave, *declared(name, place, row, slave.setup.slots, lengths))
+    named = {name: declared(name, place, row, slave.setup.slots, lengths) for name, place in row["values"].items()}
+    sides = [
+        (one, FieldMap({name: field for name, (field, direction) in named.items() if direction is one}, length))
+        for one, length in zip(Direction, lengths, strict=True)
+    ]
+    slave.config = cast(SlaveConfig, SimpleNamespace(fields=tuple(sides)))
+    found = {name: qualified(slave, *one) for name, one in named.items()}
     got = {name: [one.quality.value, one.text] for name, one in found.items()}
     wanted = row["expect"]
-    assert {name: one[0] for name, one in got.items()} == {name: one[0] for name, one in wanted.items()}, (
-        got,
-        row["why"],
-    )
+    qualities = {name: one[0] for name, one in got.items()}
+    assert qualities == {name: one[0] for name, one in wanted.items()}, (got, row["why"])
     for name, (_, words) in wanted.items():
         assert words in got[name][1].lower(), got[name]

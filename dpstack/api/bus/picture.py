@@ -15,7 +15,6 @@ from dpstack.api.slave.slave import sent_outputs
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.process_data import as_json
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
-from dpstack.dp.slot_map import Direction
 from dpstack.plant.items import (
     DiagnosisValues,
     DriveNotice,
@@ -128,15 +127,15 @@ class SlavePicture:
             return now if before is None or (before.reason, before.text) != (now.reason, now.text) else before
 
         of_all = judge.of_all(values, values.inputs_limit_ms or 0)
-        is_good = of_all is GOOD and not judge.standing
+        places = judge.places()
+        is_good = of_all is GOOD and not places
         before = values.qualities or {}
         qualities = {}
-        sides = ((Direction.INPUT, config.input_fields), (Direction.OUTPUT, config.output_fields))
-        for (direction, fields), image in zip(sides, octets, strict=True):
+        for (_, fields), image in zip(config.fields, octets, strict=True):
             for name, field in fields.fields.items():
                 if is_good and not field.speaks_for_itself:
                     continue
-                own = judge.of_field(field, direction, image, of_all)
+                own = judge.of_field(field, image, of_all, places)
                 if own is not of_all and own is not GOOD:
                     qualities[name] = shown(own, before.get(name))
         doubts = [structs.replace(one, since=seconds(one.since, started)) for one in judge.doubts()]

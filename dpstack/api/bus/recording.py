@@ -16,7 +16,6 @@ from dpstack.api.recording.writer_thread import WriterThread
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import ModeChanged, SlaveDiagnosis, SlaveState, SlaveStateChanged
-from dpstack.dp.slot_map import Direction
 from dpstack.dpv1.master.orders import AlarmRaised
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.snapshots import View
@@ -320,13 +319,11 @@ class _Source:
         """Judge by the diagnosis anew. ``announced``: a diagnosis that is not read yet. Returns whether to look again
         in the next round: a bus process has read one that has not come yet."""
         slave = self.slave
-        judge, image = slave.process_quality, slave.image
-        sides = ((Direction.INPUT, slave.config.input_fields), (Direction.OUTPUT, slave.config.output_fields))
-        for side, (direction, fields) in enumerate(sides):
-            words = tuple(
-                judge.by_diagnosis(one, direction, announced=announced).quality.value for one in fields.fields.values()
-            )
-            self.words[side] = words if any(word != Quality.GOOD.value for word in words) else None
+        image, judged = slave.image, slave.process_quality.by_diagnosis(announced=announced)
+        for side, (_, fields) in enumerate(slave.config.fields):
+            doubted = any(name in judged for name in fields)
+            words = (judged[name].quality.value if name in judged else Quality.GOOD.value for name in fields)
+            self.words[side] = tuple(words) if doubted else None
         return announced or image.diagnoses > slave.snapshot.diagnoses
 
     def outputs_in(self, mode: Mode, held: bytes) -> bytes | None:

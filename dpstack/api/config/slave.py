@@ -29,7 +29,7 @@ from dpstack.api.config.slave_source import (
 from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale, with_status
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
-from dpstack.dp.slot_map import SlotMap
+from dpstack.dp.slot_map import Direction, SlotMap
 from dpstack.errors import ConfigError, UsageError
 from dpstack.gsd.dpv1_keywords import NO_GSD, DpV1
 from dpstack.gsd.identifiers import io_lengths
@@ -311,6 +311,11 @@ class SlaveConfig:
     @property
     def name(self) -> str:
         return self.params.name
+
+    @property
+    def fields(self) -> tuple[tuple[Direction, FieldMap], ...]:
+        """The named inputs, then the named outputs."""
+        return (Direction.INPUT, self.input_fields), (Direction.OUTPUT, self.output_fields)
 
     @property
     def gsd_dpv1(self) -> DpV1:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple, Protocol
 
+from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.doubts import ALL, ANNOUNCED, Doubt, DoubtKind, doubts_of, worst
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -28,6 +29,8 @@ _REASONS: Final[dict[DoubtKind, Reason]] = {
 
 class Process(Protocol):
     """A slave as its judge sees it, see :class:`dpstack.api.slave.slave.Slave`."""
+
+    config: SlaveConfig
 
     @property
     def setup(self) -> SlaveParams: ...
@@ -82,7 +85,7 @@ class SlaveQuality:
         self._standing: tuple[Standing, ...] = ()
         #: qualities of single values by these doubts
         self._judged_for: tuple[Standing, ...] = ()
-        self._judged: dict[Field, Judged] = {}
+        self._places: dict[str, Judged] = {}
 
     @property
     def by_last_diagnosis(self) -> tuple[Standing, ...]:
@@ -92,7 +95,7 @@ class SlaveQuality:
             self._seen, self._standing = None, ()
             return ()
         diagnosis = slave.diagnosis
-        seen = diagnosis, snapshot.standing, setup
+        seen = diagnosis, snapshot.standing, setup, slave.config
         if seen != self._seen:
             self._seen = seen
             before = dict(self._standing)
@@ -120,34 +123,40 @@ class SlaveQuality:
             return by_slave
         return worse(by_slave, Judged(*trouble, self._slave.image.input_time or None))
 
-    def of_field(self, field: Field, direction: Direction, octets: bytes, of_all: Judged) -> Judged:
-        """The quality of a named value in ``octets``."""
-        own = self._of_place(field, direction)
+    def of_field(self, field: Field, octets: bytes, of_all: Judged, places: Mapping[str, Judged]) -> Judged:
+        """The quality of a named value in ``octets``, with those of :meth:`of_all` and :meth:`places`."""
+        own = places.get(field.name, GOOD)
         if field.speaks_for_itself:
             own = worse(own, self._of_octets(field, octets))
         return worse(own, of_all)
 
-    def _of_place(self, field: Field, direction: Direction) -> Judged:
-        """The quality by doubts about its place, not about all of the slave."""
+    def places(self) -> Mapping[str, Judged]:
+        """The named values whose place the last diagnosis throws doubt on, not the whole slave."""
         standing = self.by_last_diagnosis
-        if not standing:
-            return GOOD
-        if standing != self._judged_for:
-            self._judged_for, self._judged = standing, {}
-        found = self._judged.get(field)
-        if found is None:
-            about = {doubt: at for doubt, at in standing if doubt.inputs != ALL and doubt.is_about(field, direction)}
-            found = self._judged[field] = _judged(about)
-        return found
+        if standing is not self._judged_for:
+            self._judged_for = standing
+            of_places = [(doubt, at) for doubt, at in standing if doubt.inputs != ALL]
+            judged = (
+                (
+                    (name, _judged({doubt: at for doubt, at in of_places if doubt.is_about(field, direction)}))
+                    for direction, fields in self._slave.config.fields
+                    for name, field in fields.fields.items()
+                )
+                if of_places
+                else ()
+            )
+            self._places = {name: one for name, one in judged if one is not GOOD}
+        return self._places
 
-    def by_diagnosis(self, field: Field, direction: Direction, *, announced: bool) -> Judged:
-        """The quality of a named value by the last diagnosis alone; ``announced``: another one is."""
+    def by_diagnosis(self, *, announced: bool) -> Mapping[str, Judged]:
+        """The named values that are not good by the last diagnosis alone; ``announced``: another one is."""
         found = self.by_last_diagnosis
         standing = ((ANNOUNCED, 0), *found) if announced else found
-        if not standing:
-            return GOOD
         of_all = _judged({doubt: at for doubt, at in standing if doubt.inputs == ALL})
-        return worse(self._of_place(field, direction), of_all)
+        if of_all is GOOD:
+            return self.places()
+        names, places = (name for _, fields in self._slave.config.fields for name in fields), self.places()
+        return {name: worse(places.get(name, GOOD), of_all) for name in names}
 
     def _of_octets(self, field: Field, octets: bytes) -> Judged:
         """The quality by the value itself, and by the status octet beside it."""
@@ -194,7 +203,7 @@ def qualified(slave: Process, field: Field, direction: Direction) -> QualifiedVa
         inputs_age_ms=None if age is None else age * 1000,
         fault=None if fault is None else FaultValues(fault.text, fault.kind.value),
     )
-    judged = quality.of_field(field, direction, octets, quality.of_all(values, limit_ms))
+    judged = quality.of_field(field, octets, quality.of_all(values, limit_ms), quality.places())
     since = image.input_time if judged.since is None else round(judged.since)
     text = judged.reason.with_note(judged.note)
     return QualifiedValue(field.get(octets), judged.quality, text, judged.reason, since)

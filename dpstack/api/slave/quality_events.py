@@ -10,7 +10,6 @@ from msgspec import Struct
 
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveEvent, SlaveStateChanged
-from dpstack.dp.slot_map import Direction
 from dpstack.dpv1.master.orders import AlarmRaised
 from dpstack.plant.quality import Quality
 from dpstack.trace import Event, Severity
@@ -111,11 +110,5 @@ class QualityEvents:
 
 def _qualities(slave: Slave) -> dict[str, ValueQuality]:
     """The named values that are not good by the diagnosis, by name."""
-    judge, config = slave.process_quality, slave.config
-    found: dict[str, ValueQuality] = {}
-    for direction, fields in ((Direction.INPUT, config.input_fields), (Direction.OUTPUT, config.output_fields)):
-        for name, field in fields.fields.items() if judge.by_last_diagnosis else ():
-            judged = judge.by_diagnosis(field, direction, announced=False)
-            if judged.quality is not Quality.GOOD:
-                found[name] = ValueQuality(name, judged.quality, judged.reason.with_note(judged.note))
-    return found
+    judged = slave.process_quality.by_diagnosis(announced=False)
+    return {name: ValueQuality(name, one.quality, one.reason.with_note(one.note)) for name, one in judged.items()}
