@@ -70,6 +70,13 @@ class Area(Struct, frozen=True):
         """The octets for people: ``1 to 4``."""
         return f"{self.at}" if self.octets == 1 else f"{self.at} to {self.at + self.octets - 1}"
 
+    @property
+    def channel_text(self) -> str:
+        """Octets and channels for people: ``1 to 4, 2 channels``; empty without octets."""
+        count = self.channels
+        channels = f", {count} channel{'s' * (count != 1)}" if count else ""
+        return f"{self.text}{channels}" if self.octets else ""
+
 
 class Slot(Struct, frozen=True):
     """One slot. ``name``: of its module, empty if it is not known or the slot is empty; ``config``: its identifier
@@ -96,16 +103,27 @@ class Slot(Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """One line for people: ``slot 3 "2 AI": inputs 1 to 4``."""
-        places = [f"{direction}s {area.text}" for direction, area in self.areas() if area.octets] or [
+        """One line for people: ``slot 3 "2 AI": inputs 1 to 4, 2 channels``."""
+        places = [f"{direction}s {area.channel_text}" for direction, area in self.areas() if area.octets] or [
             "empty" if self.is_empty else "no process data"
         ]
         name = f' "{self.name}"' if self.name else ""
-        return f"slot {self.number}{name}: {', '.join(places)}"
+        return f"slot {self.number}{name}: {'; '.join(places)}"
 
     def areas(self) -> Iterator[tuple[Direction, Area]]:
         yield Direction.INPUT, self.inputs
         yield Direction.OUTPUT, self.outputs
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain JSON data: numbers of octets, the first of them in the image, bits of a channel (0: not known)."""
+        made: dict[str, object] = {"slot": self.number, "name": self.name, "config": self.config.hex()}
+        for direction, area in self.areas():
+            made |= {
+                f"{direction}s": area.octets,
+                f"{direction}_at": area.at,
+                f"{direction}_width": area.width,
+            }
+        return made
 
 
 class SlotMap(Struct, frozen=True):

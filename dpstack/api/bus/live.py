@@ -446,14 +446,7 @@ def _modules(config: SlaveConfig) -> list[dict[str, object]]:
     found: list[dict[str, object]] = []
     for slot in config.params.slots.slots:
         name = slot.name or (config.telegram or "" if config.modules is None and not found else "")
-        made: dict[str, object] = {"slot": slot.number, "name": name, "config": slot.config.hex()}
-        for direction, area in slot.areas():
-            made |= {
-                f"{direction}s": area.octets,
-                f"{direction}_at": area.at,
-                f"{direction}_width": area.width,
-            }
-        found.append(made)
+        found.append({**slot.as_dict(), "name": name})
     return found
 
 

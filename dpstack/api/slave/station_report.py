@@ -21,10 +21,10 @@ from dpstack.dp.pdu.diag_bits import Flag, SetBy
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_data import FieldMap, as_json
+from dpstack.dp.slot_map import Slot, slot_map
 from dpstack.errors import ConfigError, GsdError, ServiceRefused, SlaveError, SlaveTimeout
 from dpstack.gsd.configuration import modules_of_config
 from dpstack.gsd.diag_texts import DiagTexts
-from dpstack.gsd.identifiers import Identifier
 from dpstack.gsd.model import Device, Module
 from dpstack.gsd.module_comparison import compare_modules
 from dpstack.profile import registry
@@ -243,40 +243,17 @@ def _modules(
 def _config_dict(
     config: Configuration, modules: tuple[Module | None, ...] | None, device: Device | None
 ) -> dict[str, Any]:
-    first = 1 if device is None else device.first_slot
-    if modules is None:
-        rows = [_identifier_dict(number, one) for number, one in enumerate(config.identifiers, first)]
-    else:
-        rows = [_module_dict(number, one) for number, one in enumerate(modules, first)]
+    slots: tuple[Slot, ...] = ()
+    if config.finding is None:
+        slots = slot_map(config.octets, None if device is None else DiagTexts(device, modules or ())).slots
     return {
         "octets": config.octets.hex(),
         "input_len": config.input_len,
         "output_len": config.output_len,
-        "modules": rows,
+        "modules": [
+            {**slot.as_dict(), "name": None if modules is None else slot.name, "text": slot.text} for slot in slots
+        ],
         "finding": config.finding,
-    }
-
-
-def _module_dict(slot: int, module: Module | None) -> dict[str, Any]:
-    if module is None:
-        return {"slot": slot, "name": "", "config": "00", "inputs": 0, "outputs": 0}
-    config = Configuration.of(module.config)
-    return {
-        "slot": slot,
-        "name": module.name,
-        "config": module.config.hex(),
-        "inputs": config.input_len or 0,
-        "outputs": config.output_len or 0,
-    }
-
-
-def _identifier_dict(slot: int, found: Identifier) -> dict[str, Any]:
-    return {
-        "slot": slot,
-        "name": None,
-        "config": found.octets.hex(),
-        "inputs": found.inputs,
-        "outputs": found.outputs,
     }
 
 

@@ -222,6 +222,7 @@ def _show(plan: Plan, needs: Needs, more: Sequence[str]) -> None:
             for s in plan.slaves
         ],
     )
+    _show_slots(plan)
     if plan.cycle is not None:
         output.line(
             f"cycle of {plan.cycle.cycle_ns / NS_PER_MS:g} ms: {plan.cycle.verdict.text}; "
@@ -234,6 +235,28 @@ def _show(plan: Plan, needs: Needs, more: Sequence[str]) -> None:
         output.line(f"finding: {finding}", "bold red")
     if not plan.findings:
         output.line("nothing is out of bounds", "green")
+
+
+def _show_slots(plan: Plan) -> None:
+    """The slots of all slaves; empty ones have no line."""
+    output.table(
+        "Slots, their octets of inputs and outputs and their channels",
+        ("address", "name", "slot", "module", "identifier", "inputs", "outputs"),
+        [
+            (
+                slave.setup.address,
+                slave.setup.name,
+                slot.number,
+                slot.name,
+                slot.config.hex(" ").upper(),
+                slot.inputs.channel_text,
+                slot.outputs.channel_text,
+            )
+            for slave in plan.slaves
+            for slot in slave.setup.slots.slots
+            if not slot.is_empty
+        ],
+    )
 
 
 def _show_simulated(plan: Plan, found: SimulatedPlan | None) -> None:

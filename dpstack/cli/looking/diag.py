@@ -138,13 +138,7 @@ def _config_lines(config: Mapping[str, Any]) -> Iterator[str]:
         return
     yield f"configuration: {octets_text(config['input_len'])} of inputs, {octets_text(config['output_len'])} of outputs"
     for module in config["modules"]:
-        name = {None: "", "": "empty"}.get(module["name"], module["name"])
-        place = f"{'identifier' if module['name'] is None else 'slot'} {module['slot']}"
-        data = [
-            f"{octets_text(module[key])} {way}" for key, way in (("inputs", "in"), ("outputs", "out")) if module[key]
-        ]
-        parts = [place, name, _hex(module["config"]), ", ".join(data)]
-        yield "  " + "  ".join(filter(None, parts))
+        yield f"  {module['text']} ({_hex(module['config'])})"
 
 
 def _data_lines(key: str, data: Mapping[str, Any]) -> Iterator[str]:

@@ -204,6 +204,7 @@ def _slave_dict(slave: SlavePlan) -> dict[str, object]:
         "on_loss": slave.on_loss,
         "set_prm": slave.set_prm,
         "chk_cfg": slave.chk_cfg,
+        "slots": [slot.as_dict() for slot in slave.setup.slots.slots],
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -64,6 +65,34 @@ def test_without_a_cycle_nothing_is_said_of_one(cli: Cli) -> None:
     plan = cli.json("plan", FIVE)
     assert "cycle" not in plan
     assert plan["masters"] == {"others": 0, "t_tr_needed": plan["masters"]["t_tr_needed"]}
+
+
+def test_slots_with_their_octets_and_channels(cli: Cli, tmp_path: Path) -> None:
+    rack = {"name": "rack", "address": 8, "gsd": "io-station", "modules": ["8 DI", "2 AI", "", "16 DO"]}
+    raw = {"name": "raw", "address": 9, "ident": 0x1234, "config": "93 70"}  # 4 octets consistent as a whole; a word
+    path = str(plant_file(tmp_path, rack, raw))
+    out = cli.out("plan", path).splitlines()
+    at = next(number for number, line in enumerate(out) if line.startswith("Slots, "))
+    assert [re.split("  +", line) for line in out[at + 2 : at + 7]] == [
+        ["8", "rack", "1", "8 DI", "10", "0, 8 channels"],
+        ["8", "rack", "2", "2 AI", "51", "1 to 4, 2 channels"],
+        ["8", "rack", "4", "16 DO", "21", "0 to 1, 16 channels"],
+        ["9", "raw", "1", "93", "0 to 3"],
+        ["9", "raw", "2", "70", "4 to 5, 1 channel", "0 to 1, 1 channel"],
+    ]
+    slots = [slave["slots"] for slave in cli.json("plan", path)["slaves"]]
+    assert [slot["name"] for slot in slots[0]] == ["8 DI", "2 AI", "", "16 DO"]
+    nothing = {"outputs": 0, "output_at": 0, "output_width": 0}
+    assert slots[0][1] == {
+        "slot": 2,
+        "name": "2 AI",
+        "config": "51",
+        "inputs": 4,
+        "input_at": 1,
+        "input_width": 16,
+        **nothing,
+    }
+    assert [(slot["input_at"], slot["output_at"], slot["output_width"]) for slot in slots[1]] == [(0, 0, 0), (4, 0, 16)]
 
 
 def test_parameters_that_are_impossible_at_another_rate(cli: Cli, tmp_path: Path) -> None:

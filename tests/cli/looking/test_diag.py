@@ -109,8 +109,8 @@ def test_station_of_octets_beside_its_master(field_bus: Field, plant: Path, cli:
         "  slots with a diagnosis: 2 (2 AI)",
         "  slot 2 (2 AI), input channel 0 (word): line break",
         "configuration: 5 octets of inputs, 0 octets of outputs",
-        "  slot 1  8 DI  10  1 octet in",
-        "  slot 2  2 AI  51  4 octets in",
+        '  slot 1 "8 DI": inputs 0, 8 channels (10)',
+        '  slot 2 "2 AI": inputs 1 to 4, 2 channels (51)',
         "inputs: 5 octets",
         "    0  01 00 20 00 21",
         "  level = 3.2 bar",
@@ -131,6 +131,18 @@ def test_healthy_station_by_port_alone(field_bus: Field, cli: Cli) -> None:
     assert (told["state"], told["master"], told["source"], told["own"]) == ("data_exchange", 6, "class2", 0)
     assert told["diagnosis"]["octets"] == "000c000610d5"
     assert [one["name"] for one in told["config"]["modules"]] == ["8 DI", "2 AI"]  # of the GSD file dpstack has
+    assert told["config"]["modules"][1] == {
+        "slot": 2,
+        "name": "2 AI",
+        "config": "51",
+        "text": 'slot 2 "2 AI": inputs 1 to 4, 2 channels',
+        "inputs": 4,
+        "input_at": 1,
+        "input_width": 16,
+        "outputs": 0,
+        "output_at": 0,
+        "output_width": 0,
+    }
     assert told["inputs"]["octets"] == "0100200021"
     assert cli.json("diag", "--port", "/dev/ttyNone", "--baud", "500000", "8", "--address", "5")["own"] == 5
 
@@ -162,9 +174,9 @@ def test_another_rack(field_bus: Field, plant: Path, cli: Cli) -> None:
     out = cli.out("diag", str(plant), "8", code=1)
     slot = "slot 1 has 2 AI, the configuration 8 DI (2 more slots differ)"
     assert f"finding: its configuration is another one: {slot}; octet 1 differs, 3 octets 51 10 99 instead of" in out
-    assert "  identifier 1  51  4 octets in" in out
+    assert "  slot 1: inputs 0 to 3, 2 channels (51)" in out
     field_bus.station.services[59] = b"\x51\x10"
-    assert "  slot 1  2 AI  51  4 octets in" in cli.out("diag", str(plant), "8", code=1)
+    assert '  slot 1 "2 AI": inputs 0 to 3, 2 channels (51)' in cli.out("diag", str(plant), "8", code=1)
 
 
 def test_nobody_and_a_master(field_bus: Field, plant: Path, cli: Cli) -> None:
@@ -192,7 +204,7 @@ def test_gsd_folder_and_texts_that_are_no_escape_sequences(
     assert "\x1b" not in out + err
     assert r"  A\x1b[2J B, ident 0x4711" in out
     assert r"finding: fuse\x1b[31m blown" in out
-    assert r"slot 1  M\x1b1  10  1 octet in" in out
+    assert r'slot 1 "M\x1b1": inputs 0, 8 channels (10)' in out
 
 
 @pytest.mark.parametrize(
