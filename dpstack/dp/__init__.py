@@ -5,6 +5,7 @@
 - ``pdu/``: The octets of DP-V0: requests, diagnosis, and what they mean
 - ``plan/``: The plan of a bus: rotation time, cycle, T_TR, before anything is sent
 - ``slave/``: The DP slave: its states, its services, and what an author of a device writes
+- ``channels``: The channels of a slave as fields with proposed names
 - ``doubts``: The parts of a slave's process data that its diagnosis throws doubt on: slot, channel, octets, the reason
   in words
 - ``error_origin``: The origin of an exception in the functions of a device or of a drive plugin

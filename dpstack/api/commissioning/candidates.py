@@ -7,13 +7,15 @@ from dataclasses import asdict, dataclass, field
 from enum import IntEnum
 from typing import Final
 
-from dpstack.api.config.gsd_choice import module_key
+from dpstack.api.commissioning.live_list import Chosen
+from dpstack.api.config.gsd_choice import module_key, slots_of
 from dpstack.api.gsd_folder import GsdEntry, GsdFolder
 from dpstack.api.gsd_info import module_lengths
 from dpstack.dp.master.scanner import Found
+from dpstack.dp.slot_map import SlotMap
 from dpstack.errors import ConfigError, DpError
 from dpstack.fdl.telegram import StationType
-from dpstack.gsd.configuration import default_modules, plug
+from dpstack.gsd.configuration import default_modules, find_module, plug
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module, in_ranges
 from dpstack.gsd.module_readings import ModuleReading, read_modules
@@ -84,11 +86,11 @@ def candidates(folder: GsdFolder, ident: int | None, config: bytes | None) -> li
     return sorted(found, key=lambda candidate: candidate.rank)
 
 
-def chosen_keys(folder: GsdFolder, stations: Iterable[Found]) -> tuple[dict[int, dict[str, object]], list[str]]:
+def chosen_slaves(folder: GsdFolder, stations: Iterable[Found]) -> tuple[dict[int, Chosen], list[str]]:
     """For each slave with a drive or a GSD file that fits exactly its keys of [[slave]] by address; and one line about
     each slave without, each with a choice, and each file that cannot be used.
     """
-    chosen: dict[int, dict[str, object]] = {}
+    chosen: dict[int, Chosen] = {}
     notes: list[str] = []
     for found in stations:
         if found.ident is None or found.kind is not StationType.SLAVE:
@@ -100,10 +102,19 @@ def chosen_keys(folder: GsdFolder, stations: Iterable[Found]) -> tuple[dict[int,
         elif best.keys is None or best.fit is not Fit.EXACT:
             notes.append(f"{who}: {best.gsd or best.drive}: {best.text}")
         else:
-            chosen[found.address] = best.keys
+            chosen[found.address] = Chosen(best.keys, _slots(folder, best))
             if best.ambiguous:
                 notes.append(f"{who}: {best.gsd}: {best.text}")
     return chosen, [*notes, *(f"{path}: {reason}" for path, reason in folder.bad)]
+
+
+def _slots(folder: GsdFolder, candidate: Candidate) -> SlotMap | None:
+    """The slots of a candidate with modules."""
+    modules = (candidate.keys or {}).get("modules")
+    if candidate.gsd is None or not isinstance(modules, list):
+        return None
+    device = folder.device(candidate.gsd)
+    return slots_of(device, [None if key == "" else find_module(device, key) for key in modules])
 
 
 def _of_drive(drive: DriveProfile, config: bytes | None) -> Candidate:

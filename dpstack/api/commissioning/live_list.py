@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.config.channel_names import name_lines, slot_remarks
 from dpstack.api.config.toml import comment, table_lines
 from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.telegram import MAX_DATA, StationType
 from dpstack.gsd.identifiers import io_lengths
@@ -48,6 +50,14 @@ async def joined(make_bus: MakeBus, address: int | None = None, *, avoid: Collec
         yield bus
     finally:
         await bus.close()
+
+
+class Chosen(Struct, frozen=True):
+    """The description of a slave: its ``keys`` of [[slave]], and its slots with the names of its modules (None: without
+    modules)."""
+
+    keys: Mapping[str, object]
+    slots: SlotMap | None = None
 
 
 class LiveListResult(Struct, frozen=True, kw_only=True):
@@ -121,11 +131,12 @@ def drive_of(found: Found) -> DriveProfile | None:
     return next((p for p in registry.known().values() if p.ident == found.ident), None)
 
 
-def config_skeleton(result: LiveListResult, port: str, chosen: Mapping[int, Mapping[str, object]] | None = None) -> str:
+def config_skeleton(result: LiveListResult, port: str, chosen: Mapping[int, Chosen] | None = None) -> str:
     """The text of a configuration file with every slave found.
 
-    ``chosen``: keys of [[slave]] by address that go before those made of ident number and identifier octets. Stations
-    that cannot be configured (no identifier octets, address 126) are comments with the reason.
+    ``chosen``: by address, what goes before the keys made of ident number and identifier octets. Stations that cannot
+    be configured (no identifier octets, address 126) are comments with the reason. The slots of each slave, and names
+    for the channels of those without a drive plugin, are comments.
     """
     lines = [
         "# Made by dpstack scan from what was found on the bus. Compare it with the GSD files of the devices:",
@@ -147,11 +158,13 @@ def _free_address(result: LiveListResult) -> int:
     return next(address for address in candidates if address not in taken)
 
 
-def _slave(found: Found, chosen: Mapping[str, object] | None) -> list[str]:
+def _slave(found: Found, chosen: Chosen | None) -> list[str]:
     why = _why_unusable(found)
-    table = list(_table(found, chosen))
+    table = list(_table(found, None if chosen is None else chosen.keys))
     if why is None:
-        return table
+        slots = slot_map(found.config or b"") if chosen is None or chosen.slots is None else chosen.slots
+        is_drive = any(line.startswith("drive = ") for line in table)
+        return [*table, *slot_remarks(slots), *([] if is_drive else name_lines(slots))]
     return [comment(why), *(f"# {line}" for line in table)]
 
 

@@ -1,6 +1,7 @@
 """Configurations: a TOML file or a dict, checked key by key.
 
 - ``bus``: The [bus] table: keys of the whole bus
+- ``channel_names``: The slots of a slave, and names for their channels, as lines of a configuration
 - ``config``: ``Config``: configuration files, read and checked
 - ``connectors``: The tables of the connectors that publish a plant
 - ``dpv1``: The table [slave.dpv1]: DPV1_Status, alarms, class 2 connections

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from msgspec import Struct, field
 
+from dpstack.api.config.channel_names import name_lines, slot_remarks
 from dpstack.api.config.toml import comment, table_lines
+from dpstack.dp.channels import channels
+from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import GsdError
 from dpstack.gsd.configuration import find_module, plug
+from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module
 
@@ -21,6 +26,8 @@ class Choice(Struct):
     gsd: str
     modules: list[Module | None]
     parameters: dict[str, int | str] = field(default_factory=dict)
+    #: whether the proposed names for its channels are taken
+    names: bool = False
 
 
 def module_key(device: Device, module: Module | None) -> int | str:
@@ -43,8 +50,8 @@ def module_key(device: Device, module: Module | None) -> int | str:
 
 
 def as_toml(device: Device, choice: Choice) -> str:
-    """The table, with identifier octets and user parameters as comments. Raises GsdError if the choices do not fit
-    together.
+    """The table, with identifier octets, user parameters and slots as comments, then names for the channels. Raises
+    GsdError if the choices do not fit together.
     """
     configuration = plug(device, choice.modules)
     prm = configuration.user_prm()
@@ -58,7 +65,25 @@ def as_toml(device: Device, choice: Choice) -> str:
         "ident": "ask" if device.ident is None else None,
         "parameters": choice.parameters or None,
     }
-    return "\n".join([*table_lines("[[slave]]", keys), *octet_remarks(configuration.config, prm.octets())]) + "\n"
+    slots = slots_of(device, configuration.modules)
+    lines = [
+        *table_lines("[[slave]]", keys),
+        *octet_remarks(configuration.config, prm.octets()),
+        *slot_remarks(slots),
+        *name_lines(slots, taken=choice.names),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def slots_of(device: Device, modules: Sequence[Module | None]) -> SlotMap:
+    """The slots of ``device`` with these modules. Raises GsdError if they do not fit together."""
+    configuration = plug(device, modules)
+    return slot_map(configuration.config, DiagTexts(device, configuration.modules))
+
+
+def channel_names(slots: SlotMap) -> list[str]:
+    """The proposed names of all channels."""
+    return [channel.field.name for channel in channels(slots)]
 
 
 def octet_remarks(config: bytes, user_prm: bytes) -> list[str]:

@@ -94,18 +94,32 @@ class FieldKeys(TypedDict, total=False):
 
 
 def _fields(table: Table, key: str, params: SlaveParams) -> dict[str, Field]:
-    found: dict[str, Field] = {}
-    if table.raw(key) is not None:
-        inside, slots = table.table(key), params.slots
-        length = params.input_len if key == "inputs" else params.output_len
-        for name in inside:
-            if isinstance(inside.raw(name), Mapping):
-                found[name] = _scaled_field(inside, name, length, key, slots)
-                continue
-            text = inside.text(name)
-            with inside.blaming(name):
-                found[name] = field_of(name, text, length, key, slots)
-    return found
+    if table.raw(key) is None:
+        return {}
+    return {name: read_field(inside, name, key, params) for inside, name in _names(table.table(key))}
+
+
+def _names(table: Table) -> Iterator[tuple[Table, str]]:
+    """Each name with the table that has it: a list of places gives names with a number behind them, from 0."""
+    for name in table:
+        if not isinstance(table.raw(name), list):
+            yield table, name
+            continue
+        members = table.numbered(name)
+        for member in members:
+            if member in table:
+                table.fail(member, f"{member!r} is also a place of the list {name}", "give it another name")
+            yield members, member
+
+
+def read_field(table: Table, name: str, key: str, params: SlaveParams) -> Field:
+    """The field ``name`` of ``table``, among the ``inputs`` or ``outputs`` (``key``) of a slave. Raises ConfigError."""
+    length = params.input_len if key == "inputs" else params.output_len
+    if isinstance(table.raw(name), Mapping):
+        return _scaled_field(table, name, length, key, params.slots)
+    text = table.text(name)
+    with table.blaming(name):
+        return field_of(name, text, length, key, params.slots)
 
 
 def _scaled_field(table: Table, name: str, length: int, what: str, slots: SlotMap) -> Field:

@@ -259,6 +259,15 @@ class Table:
         """The table ``value`` that stands at place ``number``, from 1, of the list ``key``."""
         return Table(self._source, (*self._path, key), value, f"{self.title}: {key} {number}")
 
+    def numbered(self, key: str) -> Table:
+        """The members of the list ``key`` as a table: ``key_0``, ``key_1`` ..."""
+        members = self._data[key]
+        assert isinstance(members, list)
+        if not members:
+            self.fail(key, f"{key} is an empty list", 'give it places, for instance ["bool@0.0", "bool@0.1"]')
+        numbered = {f"{key}_{number}": member for number, member in enumerate(members)}
+        return Table(self._source, (*self._path, key), numbered, self.title)
+
     def octets(self, key: str) -> bytes:
         """Octets as a text of hex digits, or as a list of integers 0..255."""
         value = self._data.get(key)

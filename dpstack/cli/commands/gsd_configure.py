@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from dpstack.api.config.config import Config, load_config
-from dpstack.api.config.gsd_choice import Choice, as_toml, base_name, module_key
+from dpstack.api.config.gsd_choice import Choice, as_toml, base_name, channel_names, module_key, slots_of
 from dpstack.cli import options
 from dpstack.cli.terminal import output
 from dpstack.errors import GsdError, UsageError
@@ -31,7 +31,7 @@ _LISTED = 40
 _DONE: Final = "done"
 #: answer that takes the module of the last slot away
 _BACK: Final = "back"
-#: modules named in a message about an answer that several of them begin with
+#: modules or channels named in a message, of several
 _NAMED: Final = 6
 
 
@@ -63,6 +63,7 @@ class Dialogue:
             name = self._name(f"{base}-{address}")
         choice = Choice(name, address, self._path, self._modules())
         self._parameters(choice)
+        self._names(choice)
         output.toml(as_toml(device, choice))
         return 0
 
@@ -217,6 +218,19 @@ class Dialogue:
                 say(f"  {number:>6}  {module.name}  ({module.config.hex(' ').upper()})")
         if not found:
             say(f"  no module has {part!r} in its name")
+
+    # --- names ------------------------------------------------------------------------------------------------------
+
+    def _names(self, choice: Choice) -> None:
+        """Show the slots, and ask whether the table shall have the proposed names."""
+        slots = slots_of(self._device, choice.modules)
+        for slot in slots.slots:
+            if not slot.is_empty:
+                say(f"  {slot.text}")
+        proposed = channel_names(slots)
+        if proposed:
+            some = some_of(proposed, _NAMED)
+            choice.names = self._ask(f"names for the channels ({some}), y or n [n]: ", _yes, "n")
 
     # --- parameters -------------------------------------------------------------------------------------------------
 

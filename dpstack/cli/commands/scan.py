@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from msgspec import structs
 
 from dpstack.api.bus.events_json import Found
-from dpstack.api.commissioning.candidates import chosen_keys
-from dpstack.api.commissioning.live_list import LiveListResult, cause_dict, config_skeleton, drive_of, scan_port
+from dpstack.api.commissioning.candidates import chosen_slaves
+from dpstack.api.commissioning.live_list import Chosen, LiveListResult, cause_dict, config_skeleton, drive_of, scan_port
 from dpstack.api.gsd_folder import GsdFolder
 from dpstack.cli.commands import on_bus
 from dpstack.cli.parser import Parser
@@ -36,7 +36,7 @@ def execute(args: argparse.Namespace) -> int:
     # a path that is not a folder is reported before the bus is scanned
     folder = None if args.gsd is None else GsdFolder(args.gsd, beside=".")
     result = run_to_result(_scan(args), "the live list was complete")
-    chosen, notes = ({}, []) if folder is None else chosen_keys(folder, result.stations)
+    chosen, notes = ({}, []) if folder is None else chosen_slaves(folder, result.stations)
     _show(structs.replace(result, notes=(*result.notes, *notes)), args, chosen)
     if result.stations:
         return 0
@@ -54,9 +54,7 @@ async def _scan(args: argparse.Namespace) -> LiveListResult:
         raise PortBusyError(f"{error}; or let that run ask: dpstack ctl {shlex.quote(args.port)} scan") from None
 
 
-def _show(
-    result: LiveListResult, args: argparse.Namespace, chosen: Mapping[int, Mapping[str, object]] | None = None
-) -> None:
+def _show(result: LiveListResult, args: argparse.Namespace, chosen: Mapping[int, Chosen] | None = None) -> None:
     if args.json:
         more: dict[str, object] = {"config": config_skeleton(result, args.port, chosen)} if args.config else {}
         output.json_line({**result.as_dict(), **more})

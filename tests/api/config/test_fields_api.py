@@ -93,6 +93,22 @@ def test_a_configuration() -> None:
             "inputs: level: unit = '[bar]' has a bracket; leave it out",
         ),
         ('inputs = { a = "" }', "inputs: a is empty; give it a value or leave it out"),
+        ("inputs = { a = [] }", "inputs: a is an empty list; give it places"),
+        ('inputs = { a = ["bool@0.0", 3] }', "inputs: a_1 = 3 is an integer; it must be a text in quotes"),
+        ('inputs = { a = ["bool@0.0", ["bool@0.1"]] }', "inputs: a_1 = ['bool@0.1'] is a list; it must be a text"),
+        ('inputs = { a = ["bool@0.0", "u8@9"] }', 'inputs: a_1 = "u8@9" ends in octet 9'),
+        (
+            'inputs = { a = ["bool@0.0"], a_0 = "u8@1" }',
+            "inputs: 'a_0' is also a place of the list a; give it another name",
+        ),
+        (
+            'outputs = { a = ["i16@0", "i16@1"] }',
+            "a_1 (i16@1) and a_0 (i16@0) share bits; move",
+        ),
+        (
+            'inputs = { a = ["u8@0"] }\noutputs = { a_0 = "u8@0" }',
+            "'a_0' is an input and an output; give one of them another name",
+        ),
     ],
 )
 def test_refused_fields(keys: str, says: str) -> None:
@@ -100,6 +116,27 @@ def test_refused_fields(keys: str, says: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_config(f"{BUS}{keys}\n", "plant.toml")
     assert str(caught.value).startswith(f"plant.toml:{line}: [[slave]] raw: {says}")
+
+
+def test_a_list_of_places_gives_names_with_numbers() -> None:
+    keys = """
+[slave.inputs]
+door = [
+  "bool@0.0", "bool@0.1",  # one line an octet
+  { at = "i16@2", scale = 0.1, unit = "bar" },
+]
+level = "slot 2 u8@1"
+"""
+    inputs = parse_config(BUS + keys, "plant.toml").slaves[0].input_fields
+    assert [(name, field.spec) for name, field in inputs.fields.items()] == [
+        ("door_0", "bool@0.0"),
+        ("door_1", "bool@0.1"),
+        ("door_2", "i16@2"),
+        ("level", "u8@1"),
+    ]
+    assert inputs.values(bytes.fromhex("02 07 00 20")) == {"door_0": False, "door_1": True, "door_2": 3.2, "level": 7}
+    with pytest.raises(ConfigError, match=r"^plant\.toml:12: .*: door_1 = \"u8@9\" ends in octet 9"):
+        parse_config(BUS + keys.replace('"bool@0.1"', '"u8@9"'), "plant.toml")
 
 
 @in_virtual_time

@@ -181,11 +181,46 @@ def test_configure(configure: Configure) -> None:
         'parameters = { "Diagnosis" = "off", "Delay" = 33 }',
         "# identifier octets 10 20 00: 1 octets of inputs, 1 of outputs",
         "# user parameters 80 00 00 00 00 01 00 21",
+        '# slot 1 "8 DI": inputs 0, 8 channels',
+        '# slot 2 "8 DO": outputs 0, 8 channels',
+        "# names for the channels, proposed: take away the # of the tables and names that you want",
+        "# [slave.inputs]",
+        f"# slot1 = {_bits(0)}",
+        "# [slave.outputs]",
+        f"# slot2 = {_bits(0)}",
     ]
     for told in ("'126' is no station address", "there is no module '9 DO'", "'Delay' = 2000 is not allowed"):
         assert told in err
     slave = parse_config(BUS + out, "plant.toml").slaves[0]
     assert (slave.params.config.hex(), slave.params.user_prm.hex()) == ("102000", "8000000000010021")
+
+
+def _bits(octet: int) -> str:
+    return "[" + ", ".join(f'"bool@{octet}.{bit}"' for bit in range(8)) + "]"
+
+
+def test_proposed_names_are_taken_or_only_their_marks_taken_away(configure: Configure) -> None:
+    answers = "rack\n8\n8 DI\n2 AI\n-\n16 DO\ndone\nn\n"
+    out, err = configure("io-station", f"{answers}y\n")
+    assert '  slot 2 "2 AI": inputs 1 to 4, 2 channels\n' in err
+    assert (
+        "names for the channels (slot1_0, slot1_1, slot1_2, slot1_3, slot1_4, slot1_5 and 20 more), y or n [n]: " in err
+    )
+    taken = parse_config(BUS + out, "plant.toml").slaves[0]
+    inputs, outputs = taken.input_fields.fields, taken.output_fields.fields
+    assert [(name, inputs[name].spec) for name in list(inputs)[7:]] == [
+        ("slot1_7", "bool@0.7"),
+        ("slot2_ai0", "i16@1"),
+        ("slot2_ai1", "i16@3"),
+    ]
+    assert list(outputs) == [f"slot4_{number}" for number in range(16)]
+    assert outputs["slot4_15"].spec == "bool@1.7"
+    out, _ = configure("io-station", answers)
+    left = parse_config(BUS + out, "plant.toml").slaves[0]
+    assert (len(left.input_fields), len(left.output_fields)) == (0, 0)
+    head, names = out.split("# names for the channels, ")
+    again = parse_config(BUS + head + "# " + names.replace("\n# ", "\n"), "plant.toml").slaves[0]
+    assert (again.input_fields, again.output_fields) == (taken.input_fields, taken.output_fields)
 
 
 @pytest.mark.parametrize(

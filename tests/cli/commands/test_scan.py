@@ -108,6 +108,17 @@ def test_a_silent_bus(tmp_path: Path, scan: Cli, cli: Cli) -> None:
     config = load_config(path)
     assert [s.profile and s.profile.name for s in config.slaves] == [drive for _, drive in SLAVES]
     assert "nothing is out of bounds" in cli.out("plan", str(path))
+    assert out.splitlines()[-8:] == [
+        'config = "20 10"',
+        "# slot 1: outputs 0, 8 channels",
+        "# slot 2: inputs 0, 8 channels",
+        "# names for the channels, proposed: take away the # of the tables and names that you want",
+        "# [slave.outputs]",
+        "# slot1 = " + (bits := json.dumps([f"bool@0.{bit}" for bit in range(8)])),
+        "# [slave.inputs]",
+        f"# slot2 = {bits}",
+    ]
+    assert out.count("# [slave.inputs]") == 1  # the drives' plugins know their words
 
 
 @pytest.mark.usefixtures("world")
@@ -123,7 +134,10 @@ def test_the_configuration_takes_modules_from_gsd_files(
     )
     (tmp_path / "files" / "no.gsd").write_text("nothing\n")
     out, err = scan("--config", "--gsd", "files")
-    assert 'gsd = "files/raw slave.gsd"\nmodules = ["8 DO", "8 DI"]\n' in out
+    assert (
+        'gsd = "files/raw slave.gsd"\nmodules = ["8 DO", "8 DI"]\n# slot 1 "8 DO": outputs 0, 8 channels\n'
+        '# slot 2 "8 DI": inputs 0, 8 channels\n# names for the channels, proposed'
+    ) in out
     assert "no.gsd: 1: " in err
     assert "slave 3" not in err  # a known drive needs no file
     (tmp_path / "found.toml").write_text(out, encoding="utf-8")
