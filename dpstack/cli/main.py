@@ -34,6 +34,7 @@ _COMMANDS = {
     "address": "gives a slave that no master owns another station address (Set_Slave_Add) and verifies it",
     "plan": "bus parameters, rotation times, watchdogs, and what does not fit together",
     "sheet": "commissioning sheets: what to set at each drive and device and why, telegrams, words, faults, LEDs",
+    "names": "the I/O list of a configuration: named values, channels without a name; written as CSV and taken back",
     "baud": "finds the baud rate of a bus by listening only",
     "capture": "listens to a bus and keeps the telegrams in a pcapng file, or explains them; never sends",
     "monitor": "judges a bus by listening, live or from a capture file: stations, masters, verdicts with reasons",
@@ -51,7 +52,7 @@ _COMMANDS = {
 #: those whose modules stand in the room ``listening``
 _LISTENING = ("baud", "capture", "decode", "monitor", "wireshark")
 #: and in the room ``looking``
-_LOOKING = ("diag", "fleet", "plot", "sheet", "web", "why")
+_LOOKING = ("diag", "fleet", "names", "plot", "sheet", "web", "why")
 _VERSION = "--version"
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback

@@ -8,9 +8,12 @@
 - ``drive_source``: A [[slave]] table with a drive, alone or with its maker's GSD file
 - ``gsd_choice``: A [[slave]] table from the modules and parameters chosen in a GSD file
 - ``gsd_source``: A [[slave]] table with a GSD file: modules, user parameters, limits
+- ``io_list``: The I/O list of a configuration: a row for each named value and each channel without a name, as CSV
+- ``io_list_reader``: An I/O list that people have edited, taken back into the text of its configuration
 - ``simulate``: The table [slave.simulate]: inputs of a simulated slave from a recording or from a function
 - ``slave``: The [[slave]] table: keys, checks, changes while the bus runs
 - ``slave_source``: The base of a [[slave]] table without drive and GSD file; keys and types of the others
 - ``table``: Typed reading of configuration tables, errors with file and line
 - ``toml``: TOML reader with limits and the line of every key
+- ``toml_edit``: Changes of single keys in the text of a TOML file, whose other lines stay as they are
 """

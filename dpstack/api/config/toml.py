@@ -28,7 +28,7 @@ MAX_PARTS: Final = 16
 MAX_BARE: Final = 255
 
 #: possessive throughout: every character is looked at once
-_TOKEN: Final = re.compile(
+TOKEN: Final = re.compile(
     r'''(?P<string>"""(?:[^"\\]++|\\.|"(?!""))*+(?:""""{0,2}+)?+
     |\'\'\'(?:[^\']++|\'(?!\'\'))*+(?:\'\'\'\'{0,2}+)?+
     |"(?:[^"\\\n]++|\\[^\n])*+"?+|\'[^\'\n]*+\'?+)
@@ -73,7 +73,7 @@ def line_numbers(text: str) -> dict[Path, int]:
     Keys inside inline tables are not listed: the line of the key that holds them is the nearest there is.
     """
     walk = _Walk()
-    for match in _TOKEN.finditer(text):
+    for match in TOKEN.finditer(text):
         kind, token = match.lastgroup, match[0]
         if kind == "newline":
             walk.newline()
@@ -114,7 +114,7 @@ class _Walk:
         """A string, a number or a bare key."""
         # more words are no key: they have no points between them, and tomllib refuses them
         if not self._in_value and len(self._parts) <= MAX_PARTS:
-            self._parts.append(_unquoted(token))
+            self._parts.append(unquoted(token))
 
     def mark(self, mark: str) -> None:
         if mark == ".":
@@ -153,7 +153,8 @@ class _Walk:
         self.lines.setdefault(tuple(part for part in path if isinstance(part, str)), self.line)
 
 
-def _unquoted(token: str) -> str:
+def unquoted(token: str) -> str:
+    """The part of a key that ``token`` stands for."""
     if not token.startswith('"'):
         return token.strip("'")
     try:
@@ -177,6 +178,11 @@ def quoted(text: str) -> str:
         raise ConfigError(f"{text!r} is no Unicode text, as a TOML file must be; rename it")
     written = json.dumps(text, ensure_ascii=False)
     return "".join(letter if is_plain(letter) else long_escape(letter) for letter in written)
+
+
+def toml_key(key: str) -> str:
+    """``key`` as TOML, in quotes only if it needs them."""
+    return key if _BARE_KEY.fullmatch(key) else quoted(key)
 
 
 def toml_value(value: object, depth: int = 1) -> str:
@@ -214,10 +220,9 @@ def table_lines(header: str, keys: Mapping[str, object], remarks: Mapping[str, s
     for key, value in keys.items():
         if value is None:
             continue
-        name = key if _BARE_KEY.fullmatch(key) else quoted(key)
         text = f"0x{value:04X}" if key == "ident" and type(value) is int and value >= 0 else toml_value(value)
         remark = (remarks or {}).get(key)
-        lines.append(f"{name} = {text}" + (f"  {comment(remark)}" if remark else ""))
+        lines.append(f"{toml_key(key)} = {text}" + (f"  {comment(remark)}" if remark else ""))
     return lines
 
 
