@@ -6,6 +6,7 @@ its number in them, and so has a member of a list.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -279,11 +280,12 @@ class TomlEdit:
         for table, lines in self._new_tables.items():
             self._add_table(table, lines)
         changes = [*self._changes, *((_Span(at, at), "".join(lines)) for at, lines in self._added.items())]
+        changes.sort(key=_start_of)
         for braces in sorted(self._read.braces.values(), key=lambda one: one.span.end - one.span.start):
             if braces.gone or braces.new:
-                inner = [change for change in changes if _is_within(change[0], braces.span)]
-                changes = [change for change in changes if not _is_within(change[0], braces.span)]
-                changes.append((braces.span, self._in_braces(braces, inner)))
+                first = bisect_left(changes, braces.span.start, key=_start_of)
+                behind = bisect_left(changes, braces.span.end, key=_start_of)
+                changes[first:behind] = [(braces.span, self._in_braces(braces, changes[first:behind]))]
         return self._changed(_Span(0, len(self._text)), changes)
 
     def _in_braces(self, braces: _Braces, changes: Sequence[tuple[_Span, str]]) -> str:
@@ -359,6 +361,10 @@ class TomlEdit:
                 break
             last, place = place, self._next_line(place)
         return last
+
+
+def _start_of(change: tuple[_Span, str]) -> int:
+    return change[0].start
 
 
 def _is_within(span: _Span, other: _Span) -> bool:
