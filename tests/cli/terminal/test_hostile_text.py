@@ -152,6 +152,8 @@ def test_plan_and_run_of_such_a_device(reader: str, config: Path, capsys: pytest
         assert code in (0, 1)
         code, _, _ = run(capsys, "plan", str(config), "--simulate", "0.05", *json_or_not)
         assert code in (0, 1)
+        code, _, _ = run(capsys, "names", str(config), *json_or_not)
+        assert code == 0
         code, _, _ = run(capsys, "run", str(config), "--seconds", "0.05", *json_or_not)
         assert code in (0, 1)
 
@@ -182,6 +184,9 @@ NAMES = [
     ["segment", "--baud", EVIL],
     ["sheet", EVIL],
     ["sheet", "CONFIG", EVIL],
+    ["names", EVIL],
+    ["names", "CONFIG", "--from", EVIL],
+    ["names", "CONFIG", "--csv", f"/nowhere/{EVIL}"],
     ["plot", EVIL],
     ["plot", f"{EVIL}.csv"],
     ["fleet", "--mqtt", EVIL],
