@@ -6,14 +6,14 @@ not judge again. ``alive`` is the bus's own verdict: a reader that gets no snaps
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from enum import Enum
 from typing import Final
 
 from msgspec import structs
 
-from dpstack.plant.items import DriveValues, Remark, SlaveValues
-from dpstack.plant.quality import Quality
+from dpstack.plant.items import DriveValues, QualityValues, Remark, SlaveValues
+from dpstack.plant.quality import Quality, Reason
 from dpstack.trace import Severity
 
 #: keys of a slave that :func:`judged` looks at
@@ -58,6 +58,7 @@ _DRIVE_STATES: Final = {
 }
 #: qualities as :class:`dpstack.plant.quality.Quality` has them
 _GOOD, _UNCERTAIN, _BAD = Quality.GOOD.value, Quality.UNCERTAIN.value, Quality.BAD.value
+_ANNOUNCED: Final = Reason.ANNOUNCED.name.lower()
 #: doubts in a remark: the first ones say where to look
 _MOST_DOUBTS: Final = 3
 #: of a slave in data exchange whose inputs are too old
@@ -105,22 +106,38 @@ def _remark(values: SlaveValues) -> Remark | None:
         return _said(Severity.ERROR, "", [fault.text or fault.kind or "fault"])
     if drive.faults:
         return _said(Severity.ERROR, "drive fault: ", drive.faults)
-    doubts = [one for one in values.doubts or () if one.quality != _GOOD]
-    if doubts:
-        is_bad = any(one.quality == _BAD for one in doubts)
-        return _said(Severity.ERROR if is_bad else Severity.WARNING, "", [one.text for one in doubts[:_MOST_DOUBTS]])
-    if values.conspicuous:
-        return _said(Severity.WARNING, "", [values.conspicuous])
-    own = [(name, one) for name, one in (values.qualities or {}).items() if one.quality in (_BAD, _UNCERTAIN)]
-    if own:
-        is_bad = any(one.quality == _BAD for _, one in own)
-        words = [f"{name}: {one.text}" for name, one in own[:_MOST_DOUBTS]]
-        return _said(Severity.ERROR if is_bad else Severity.WARNING, "", words)
+    about_values = diagnosis_remark(values)
+    if about_values is not None:
+        return about_values
     if drive.warnings:
         return _said(Severity.WARNING, "drive warning: ", drive.warnings)
     if values.injected:
         return _said(Severity.WARNING, "simulated fault: ", values.injected)
     return None
+
+
+def diagnosis_remark(values: SlaveValues, *, announced: bool = True) -> Remark | None:
+    """The diagnosis of the slave and its values that are bad or uncertain, the bad ones first; None: nothing of it. An
+    error while a value is bad. ``announced`` False: without a diagnosis that is announced and not read yet."""
+    doubts = [one for one in values.doubts or () if one.quality != _GOOD and (announced or one.reason != _ANNOUNCED)]
+    said = {one.text for one in doubts}
+    found = [(one.quality, one.text) for one in doubts]
+    if exchanging(values):
+        qualities = (values.qualities or {}).items()
+        found += [(one.quality, f"{name}: {one.text}") for name, one in qualities if _is_news(one, said, announced)]
+    if not any(quality == _BAD for quality, _ in found) and not doubts and values.conspicuous:
+        return _said(Severity.WARNING, "", [values.conspicuous])
+    if not found:
+        return None
+    found.sort(key=lambda one: one[0] != _BAD)
+    severity = Severity.ERROR if found[0][0] == _BAD else Severity.WARNING
+    return _said(severity, "", [text for _, text in found[:_MOST_DOUBTS]])
+
+
+def _is_news(quality: QualityValues, said: Collection[str], announced: bool) -> bool:
+    """Whether the quality of a single value says more than the doubts have ``said``."""
+    is_doubtful = quality.quality in (_BAD, _UNCERTAIN) and (announced or quality.reason != _ANNOUNCED)
+    return is_doubtful and quality.text not in said
 
 
 def _said(severity: Severity, head: str, texts: Sequence[str]) -> Remark:

@@ -33,7 +33,7 @@ from dpstack.plant.items import (
     check_item,
     merged,
 )
-from dpstack.plant.judge import exchanging
+from dpstack.plant.judge import diagnosis_remark, exchanging
 from dpstack.plant.nodes import MOST_NODES, Described, Kind, Node, OfferedOrder, Source, bus_of, slave_of
 from dpstack.plant.quality import FLOAT, TEXT, Quality, Reading, Reason, Value, clean, is_news, value_of
 from dpstack.plant.value_quality import GOOD, Judged, read_back, trouble_of, worse
@@ -133,6 +133,8 @@ class _Branch:
         #: the trouble at that comparison
         self.trouble: tuple[Trouble, Trouble] = (None, None)
         self.now: dict[str, Reading] = {}
+        #: the last reading of nodes that are bad now, before they became so
+        self.usable: dict[str, Reading] = {}
         #: as given out; None: nothing yet of these nodes, so that values of nodes of the same name are replaced
         self.told: dict[str, Reading | None] = {}
         self.told_at: dict[str, float] = {}
@@ -499,7 +501,10 @@ class PlantTree:
             return
         branch.is_new, branch.trouble, branch.due = False, trouble, math.inf
         for node in branch.described.nodes:
-            here = branch.now[node.id] = self._read(node, branch, trouble)
+            before, here = branch.now[node.id], self._read(node, branch, trouble)
+            if here.quality is Quality.BAD and before.quality is not Quality.BAD:
+                branch.usable[node.id] = before
+            branch.now[node.id] = here
             told = branch.told[node.id]
             if told is not None and here.reason is told.reason and here.note == told.note:
                 if not is_news(told.value, here.value, node.dead_band):
@@ -516,15 +521,15 @@ class PlantTree:
         values, before, by_master = branch.values, branch.now[node.id], node.source is Source.MASTER
         because = trouble[0 if by_master else 1]
         if because is not None:
-            return before._replace(reason=because[0], note=because[1])
+            return _old(node, branch, *because)
         if values is None:
-            return before._replace(reason=Reason.WAITING, note="")
+            return _old(node, branch, Reason.WAITING)
         if branch.awaited is not None:
             return before  # the next part of the snapshot brings it; until then nothing is known of this moment
         if node.source is Source.DRIVE:
             drive = branch.slave_values.drive
             if drive is None or drive.state == "offline":
-                return before._replace(reason=Reason.DRIVE_OFFLINE, note="")
+                return _old(node, branch, Reason.DRIVE_OFFLINE)
         given, is_there = _look_up(branch, node)
         time = self._time(branch.t - (0 if by_master else (branch.slave_values.inputs_age_ms or 0) / 1000))
         if given is None and by_master and is_there and node.type == TEXT:
@@ -534,7 +539,7 @@ class PlantTree:
         value = value_of(given, node.type)
         judged = GOOD if by_master else _judged(branch.slave_values, node)
         if judged.quality is Quality.STALE:
-            return before._replace(reason=judged.reason, note=judged.note)
+            return _old(node, branch, judged.reason, judged.note)
         if value is None and judged.quality is not Quality.BAD:
             return Reading(None, Reason.NO_VALUE, time)
         return Reading(value, judged.reason, time, judged.note)
@@ -553,6 +558,7 @@ class PlantTree:
 
     def _fill(self, branch: _Branch) -> None:
         branch.now = {node.id: Reading() for node in branch.described.nodes}
+        branch.usable.clear()
         branch.told = dict.fromkeys(branch.now)
         branch.told_at = dict.fromkeys(branch.now, -math.inf)
 
@@ -583,12 +589,7 @@ class PlantTree:
             )
         else:
             found.append(self.conditions.end(f"{own}/fault", time))
-        unusual = clean(values.conspicuous)
-        if unusual:
-            title = f"{name}: diagnosis"
-            found.append(self.conditions.show(f"{own}/diagnosis", address, title, unusual, Severity.WARNING, time))
-        else:
-            found.append(self.conditions.end(f"{own}/diagnosis", time))
+        found.append(self._diagnosis_condition(branch, time))
         if not exchanges:
             found += self._end_alarms_of(branch, "the slave left data exchange")
         drive = values.drive
@@ -602,6 +603,17 @@ class PlantTree:
                 shown = {f"{prefix}{text}": (f"{name}: drive {title}", text, level) for text in texts if text}
                 found += self.conditions.show_only(prefix, address, shown, time)
         return [one for one in found if one is not None]
+
+    def _diagnosis_condition(self, branch: _Branch, time: float) -> Condition | None:
+        """The diagnosis of the slave, and its values that are bad or uncertain: the words of the fault first, then all
+        that the diagnosis has. One that is announced only makes no condition: the next snapshot has its words."""
+        values, id_ = branch.slave_values, f"slave/{branch.slave}/diagnosis"
+        remark = diagnosis_remark(values, announced=False)
+        if remark is None:
+            return self.conditions.end(id_, time)
+        texts = dict.fromkeys((remark.text, values.conspicuous or ""))
+        level, text = Severity(remark.severity), clean("; ".join(filter(None, texts)))
+        return self.conditions.show(id_, branch.slave, f"{branch.described.name}: diagnosis", text, level, time)
 
     def _alarm(self, address: int, event: Mapping[str, Any]) -> list[Change]:
         """An alarm of DP-V1. One that appears is active until one of its type and slot disappears; any other is an
@@ -662,6 +674,14 @@ class PlantTree:
             return []
         self._told.add(text)
         return [Remark(text)]
+
+
+def _old(node: Node, branch: _Branch, reason: Reason, note: str = "") -> Reading:
+    """The last value of ``node`` that was not bad, which is old for this reason."""
+    before = branch.now[node.id]
+    if before.quality is Quality.BAD:
+        before = branch.usable.get(node.id, before._replace(value=None))
+    return before._replace(reason=reason, note=note)
 
 
 def _judged(values: SlaveValues, node: Node) -> Judged:

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from dpstack.monitor.thresholds import Thresholds
 from dpstack.monitor.verdict import CRITICAL, UNKNOWN, WARNING, Finding, Verdict, verdict_of
 from dpstack.plant.items import SlaveValues
-from dpstack.plant.judge import DATA_EXCHANGE, DEACTIVATED
+from dpstack.plant.judge import DATA_EXCHANGE, DEACTIVATED, diagnosis_remark
 from dpstack.plant.quality import Reason, clean
 from dpstack.plant.tree import Change, NodesChanged, PlantTree
 from dpstack.trace import Severity
@@ -214,9 +214,9 @@ class Judge:
                 found.append((level, f"{_percent(retries / requests)} of its requests were repeated"))
             if late / requests >= limits.late_warning:
                 found.append((WARNING, f"{_percent(late / requests)} of its answers came too late"))
-        unusual = clean(values.conspicuous)
-        if unusual:
-            found.append((WARNING, f"it has a diagnosis: {unusual}"))
+        remark = diagnosis_remark(values, announced=False)
+        if remark is not None:
+            found.append((WARNING, f"it has a diagnosis: {clean(remark.text)}"))
         found += (
             (WARNING, f"{one.title}: {one.text}" if one.text else one.title)
             for one in self._tree.conditions.of(address)

@@ -21,7 +21,7 @@ Buses, all in virtual time:
   ``alarm_kit`` (with a DP master), ``ms2_kit``.
 - ``scripted_link``: a DP master without link layer, its slaves answer by script.
 - ``api_kit``: configured slaves, buses of the public API and slaves of the program in virtual time; ``virtual_kit``:
-  the loop of virtual time.
+  the loop of virtual time; ``rack_kit``: a rack of modules with a diagnosis.
 - ``process_kit``: buses of the public API on a pty, with either driver.
 
 One end alone, the other in literal octets:

@@ -23,6 +23,9 @@ FINE: dict[str, Any] = {
 }  # fmt: skip
 DRIVE = {"faults": ["F0070 comm link error"], "warnings": ["A0501 current limit"]}
 FAULT = {"kind": "lost", "text": "slave 8 (valves) does not answer any more"}
+ANNOUNCED = {"quality": "uncertain", "reason": "announced", "text": "diagnosis announced"}
+BROKEN = {"slot": 3, "quality": "bad", "reason": "channel_fault", "text": "line break: slot 3, input channel 0"}
+SENSOR = {"quality": "bad", "reason": "status_sensor_failure", "text": "sensor failure (status 10)"}
 #: what differs from a slave that is well; then alive, level, words of its state, remark and its severity
 ROWS: dict[str, tuple[dict[str, Any], tuple[bool, str, str, str | None, str | None]]] = {
     "well": ({}, (True, "good", "data exchange", None, None)),
@@ -34,6 +37,26 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[bool, str, str, str | None, str | No
     "a diagnosis before a drive warning": (
         {"conspicuous": "ext_diag", "drive": {"faults": [], "warnings": ["A0501"]}},
         (True, "warning", "data exchange", "ext_diag", "warning"),
+    ),
+    "a bad place before a diagnosis that is announced": (
+        {
+            "doubts": [ANNOUNCED, BROKEN],
+            "qualities": {"level": {key: BROKEN[key] for key in SENSOR}},
+            "conspicuous": "ext_diag",
+        },
+        (True, "error", "data exchange", "line break: slot 3, input channel 0, diagnosis announced", "error"),
+    ),
+    "a bad value before the flags of a diagnosis": (
+        {"qualities": {"level": SENSOR}, "conspicuous": "static_diag"},
+        (True, "error", "data exchange", "level: sensor failure (status 10)", "error"),
+    ),
+    "a bad value besides a doubtful slot": (
+        {"qualities": {"level": SENSOR}, "doubts": [{**ANNOUNCED, "reason": "slot_fault", "text": "slot 2"}]},
+        (True, "error", "data exchange", "level: sensor failure (status 10), slot 2", "error"),
+    ),
+    "taken out of service with a bad value": (
+        {"state": "deactivated", "inputs_valid": False, "qualities": {"level": SENSOR}},
+        (False, "off", "deactivated", None, None),
     ),
     "a drive warning": (
         {"drive": {"faults": [], "warnings": ["A0501", "A0502"]}},

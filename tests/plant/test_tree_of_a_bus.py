@@ -8,11 +8,15 @@ import json
 from typing import Any
 
 from api_kit import HOIST, in_virtual_time, off_and_on, operating, trip
+from rack_kit import LINE_BREAK, device, rack
 
 import dpstack
 from dpstack.plant.conditions import Condition
 from dpstack.plant.quality import Quality, Reading, Reason
 from dpstack.plant.tree import Born, Change, Changed, Died, PlantTree
+from dpstack.plant.verdicts import Judge
+from dpstack.slave import UserDiag, identifier_block
+from dpstack.trace import Severity
 
 VALVES: dict[str, object] = {
     "name": "valves",
@@ -110,3 +114,51 @@ async def test_a_bus_that_nobody_drives_any_more_has_no_good_value() -> None:
         found = follower.tree.tick(now + 2.5)
         assert [one.slave for one in found if isinstance(one, Died)] == [8, None]
         assert all(one.quality is not Quality.GOOD for slave in (None, 8) for _, one in follower.tree.readings(slave))
+
+
+@in_virtual_time
+async def test_a_broken_wire_is_an_error_while_its_value_is_bad_and_the_old_value_is_the_last_good_one() -> None:
+    async with rack() as (bus, slave, served):
+        follower = Follower(bus)
+        judge = Judge(follower.tree)
+
+        def diagnosis() -> Condition | None:
+            return follower.tree.conditions.get("slave/9/diagnosis")
+
+        slave["setpoint"] = 77  # its inputs mirror the outputs: the level
+        await asyncio.sleep(0.3)
+        assert follower.reading("slave/9/input/level")[:2] == (77, Reason.GOOD)
+        assert diagnosis() is None
+        device(served).diag = UserDiag.of(identifier_block([2], 5), LINE_BREAK)
+        await asyncio.sleep(0.3)
+        slave["setpoint"] = 3276
+        await asyncio.sleep(0.3)
+        level = follower.reading("slave/9/input/level")
+        assert (level.value, level.quality, level.plain) == (3276, Quality.BAD, None)
+        found = diagnosis()
+        assert found is not None
+        assert (found.level, found.active, found.count) == (Severity.ERROR, True, 1)
+        assert found.text.startswith("line break: slot 3, input channel 0; ext_diag; slots with a diagnosis: 3; ")
+        reason = "it has a diagnosis: line break: slot 3, input channel 0"
+        judge.take(())
+        assert judge.judge()[1][9] == ("warning", (reason,))
+        # a module without a channel: uncertain
+        device(served).diag = UserDiag.of(identifier_block([2], 5))
+        await asyncio.sleep(0.3)
+        found = diagnosis()
+        assert found is not None
+        assert (found.level, found.active) == (Severity.WARNING, True)
+        assert found.text.startswith("has a diagnosis: slot 3; ext_diag")
+        # bad again, and lost: the old value is not the one of the broken wire
+        slave["setpoint"] = 78
+        await asyncio.sleep(0.3)
+        device(served).diag = UserDiag.of(LINE_BREAK)
+        slave["setpoint"] = 3277
+        await asyncio.sleep(0.3)
+        assert follower.reading("slave/9/input/level")[:2] == (3277, Reason.CHANNEL_FAULT)
+        await slave.deactivate()
+        await asyncio.sleep(0.3)
+        level = follower.reading("slave/9/input/level")
+        assert (level.value, level.quality, level.reason) == (78, Quality.STALE, Reason.NOT_EXCHANGING)
+        assert follower.reading("slave/9/output/setpoint")[:2] == (3277, Reason.NOT_EXCHANGING)
+    await follower.task

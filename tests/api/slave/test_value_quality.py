@@ -3,59 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import csv
-from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
-from typing import Any
 
 import pytest
-from api_kit import begun, serving
+from api_kit import begun
+from rack_kit import CONFIG, LINE_BREAK, Rack, device, rack
 
 import dpstack
 from dpstack import AlarmType, Specifier
 from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.slave.quality_events import QualityChanged
-from dpstack.api.slave_side.slave_server import ServedSlave
-from dpstack.dp.slot_map import slot_map
 from dpstack.errors import SlaveFault, UsageError
 from dpstack.plant.quality import Quality
-from dpstack.slave import DpSlave, ModuleState, SlaveDescription, UserDiag, channel_block, identifier_block
+from dpstack.slave import ModuleState, SlaveDescription, UserDiag, channel_block, identifier_block
 from dpstack.trace import Severity
 
 pytestmark = pytest.mark.virtual_time
 
-#: 8 DI, empty, 2 AI, 8 DO, 1 word in and out
-CONFIG = bytes.fromhex("10 00 51 20 70")
-NAMES = {
-    "inputs": {"door": "slot 1 channel 3 bool", "level": "slot 3 channel 0 i16", "flow": "slot 3 channel 1 i16"},
-    "outputs": {"valve": "slot 4 channel 0 bool", "setpoint": "slot 5 channel 0 i16"},
-}
-RACK = SlaveDescription(ident=0x1234, name="rack", configs=(CONFIG,))
 DPV1_RACK = SlaveDescription(
     ident=0x1234, name="rack", configs=(CONFIG,), dpv1=True, alarms=("pull_plug", "diagnostic"), alarm_sequence=8
 )
-Rack = tuple[dpstack.Bus, dpstack.Slave, ServedSlave]
-LINE_BREAK = channel_block(2, 0, 6, size=5, input=True)
-
-
-@contextlib.asynccontextmanager
-async def rack(description: SlaveDescription = RACK, **keys: Any) -> AsyncIterator[Rack]:
-    """The rack at its master, with valid inputs."""
-    inputs = sum(slot.inputs.octets for slot in slot_map(description.configs[0]).slots)
-    rack = DpSlave(description, lambda outputs, elapsed: outputs[:inputs].ljust(inputs, b"\0"))
-    events = keys.pop("events", None)
-    async with serving(rack, None, events, **{**NAMES, **keys}) as (bus, served):
-        (slave,) = bus.slaves
-        await core_of(bus).until_round(lambda: slave.inputs_valid, timeout=1)
-        yield bus, slave, served
-
-
-def device(served: ServedSlave) -> DpSlave:
-    assert isinstance(served.device, DpSlave)
-    return served.device
 
 
 def dpv1_rack() -> AbstractAsyncContextManager[Rack]:
