@@ -162,6 +162,11 @@ class Reading(NamedTuple):
         return None if self.quality is Quality.BAD else self.value
 
     @property
+    def has_remark(self) -> bool:
+        """Whether there is something to say besides the value: it is not good, or good with a remark."""
+        return self.reason is not Reason.GOOD or self.value is None
+
+    @property
     def opcua_status(self) -> int:
         """The status code of OPC UA."""
         if self.value is None and self.reason.quality is Quality.STALE:

@@ -100,6 +100,43 @@ def test_the_gap_of_a_slave_that_was_lost_meanwhile_is_there_when_it_is_back(rig
     assert found[1].properties["Quality reason"].startswith("the slave is not in data exchange")
 
 
+def test_the_history_of_a_broken_wire_has_its_numbers_beside_their_quality_and_reason(rig: HistoryRig) -> None:
+    outage(rig, 1)
+    broken = {"quality": "bad", "reason": "channel_fault", "text": "line break: slot 3, input channel 0"}
+    limit = {"quality": "uncertain", "reason": "channel_limit", "text": "upper limit value exceeded: slot 3"}
+    remark = {"quality": "good", "reason": "status_good", "text": "maintenance required (status A4)"}
+    for quality in (broken, broken, limit, remark, None):
+        rig.values["8"]["qualities"] = None if quality is None else {"number": quality}
+        rig.count()
+    rig.settle()
+    alias = rig.host.alias("Inputs/number", "valves")
+    found = [one for one in history(rig) if one.alias == alias]
+    # the newest one is in the birth
+    assert [one.value(8) for one in found] == [1, 2, 3, 4, 5]
+    assert [[one.properties.get(f"Quality{key}") for key in ("", " word", " reason")] for one in found] == [
+        [192, "good", ""],
+        [0, "bad", "line break: slot 3, input channel 0"],
+        [0, "bad", "line break: slot 3, input channel 0"],
+        [500, "uncertain", "upper limit value exceeded: slot 3"],
+        [192, "good", "maintenance required (status A4)"],
+    ]
+
+
+def test_a_good_value_with_a_remark_takes_it_back_in_data(rig: HistoryRig) -> None:
+    rig.settle()
+    alias, found = rig.host.alias("Inputs/number", "valves"), []
+    remark = {"quality": "good", "reason": "status_good", "text": "maintenance required (status A4)"}
+    for quality in (remark, None, None):
+        rig.values["8"]["qualities"] = None if quality is None else {"number": quality}
+        rig.count()
+        rig.pump()
+        rig.deliver()
+        [message] = [one for kind, _, payload in rig.host.messages if kind == "DDATA" for one in payload.metrics
+                     if one.alias == alias][-1:]  # fmt: skip
+        found.append(message.properties.get("Quality reason"))
+    assert found == ["maintenance required (status A4)", "", None]
+
+
 def test_values_of_a_device_that_is_back_before_its_death_was_sent_are_not_lost(rig: HistoryRig) -> None:
     rig.values["8"]["state"] = "offline"
     rig.count()

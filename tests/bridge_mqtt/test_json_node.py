@@ -179,6 +179,44 @@ def test_a_slave_that_leaves_is_stale_with_the_reason_at_once(rig: Rig) -> None:
     assert rig.seen("slave/valves/condition/fault")["active"] is False
 
 
+def test_a_value_is_null_while_it_is_bad_and_has_one_of_four_words_and_its_reason(rig: Rig) -> None:
+    rig.values["8"]["qualities"] = {
+        "level": {"quality": "bad", "reason": "channel_fault", "text": "line break: slot 3 (2 AI), input channel 0"},
+        "count": {"quality": "uncertain", "reason": "channel_limit", "text": "upper limit value exceeded: slot 2"},
+    }
+    rig.give_values()
+    rig.wait(1.0)
+    seen = rig.seen("slave/valves/inputs")
+    assert {name: (one["value"], one["quality"], one["reason"]) for name, one in seen.items()} == {
+        "level": (None, "bad", "line break: slot 3 (2 AI), input channel 0"),
+        "limit": (True, "good", ""),
+        "count": (-3, "uncertain", "upper limit value exceeded: slot 2"),
+    }
+    example = PAGE.read_text(encoding="utf-8").split("```json\n")[2].split("```")[0]
+    assert json.loads(example)["level"] == seen["level"] | {"time": json.loads(example)["level"]["time"]}
+    condition = rig.seen("slave/valves/condition/diagnosis")
+    assert condition["severity"] == "error"
+    assert condition["text"].startswith("level: line break: slot 3 (2 AI), input channel 0")
+    # the slave leaves: its level is the last one that was not of the broken wire
+    rig.values["8"]["fields"]["level"] = 3276.7
+    rig.wait(1.0)
+    rig.values["8"]["state"] = "offline"
+    rig.wait(1.0)
+    level = rig.seen("slave/valves/inputs")["level"]
+    assert (level["value"], level["quality"]) == (12.5, "stale")
+    assert level["reason"] == "the slave is not in data exchange: offline"
+
+
+def test_uncertain_values_are_stale_behind_the_end(rig: Rig) -> None:
+    rig.values["8"]["quality"] = {"quality": "uncertain", "reason": "announced", "text": "diagnosis announced"}
+    rig.wait(2.0)
+    assert rig.seen("slave/valves/inputs")["level"]["quality"] == "uncertain"
+    rig.node.end("the run has ended")
+    rig.pump()
+    level = rig.seen("slave/valves/inputs")["level"]
+    assert (level["value"], level["quality"], level["reason"]) == (12.5, "stale", "the run has ended")
+
+
 def test_topics_without_news_are_renewed_also_where_the_broker_is_slower_than_the_news() -> None:
     rig = Rig(interval_s=0.0)
     rig.connect()

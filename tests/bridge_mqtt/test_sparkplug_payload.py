@@ -82,6 +82,7 @@ def test_a_birth_describes_a_metric() -> None:
     assert (found.name, found.datatype) == ("a/b", 10)
     assert found.properties == {
         "Quality": 192,
+        "Quality word": "good",
         "Quality reason": "",
         "Readonly": False,
         "engUnit": "bar",
@@ -94,21 +95,37 @@ def test_a_birth_describes_a_metric() -> None:
 @pytest.mark.parametrize(
     ("reading", "told", "properties"),
     [
-        (Reading(3, Reason.GOOD), False, {}),
-        (Reading(3, Reason.GOOD), True, {"Quality": 192, "Quality reason": ""}),
+        (Reading(3, Reason.GOOD), False, None),
+        (Reading(3, Reason.GOOD), True, (192, "good", "")),
         (
             Reading(3, Reason.TOO_OLD, note="limit 100 ms"),
             False,
-            {"Quality": 500, "Quality reason": "the inputs are older than the watchdog of the slave: limit 100 ms"},
+            (500, "stale", "the inputs are older than the watchdog of the slave: limit 100 ms"),
         ),
-        (Reading(None, Reason.NO_VALUE), False, {"Quality": 0, "Quality reason": "there is no valid value"}),
+        (
+            Reading(3, Reason.CHANNEL_LIMIT, note="upper limit value exceeded: slot 3, input channel 0"),
+            False,
+            (500, "uncertain", "upper limit value exceeded: slot 3, input channel 0"),
+        ),
+        (
+            Reading(3, Reason.CHANNEL_FAULT, note="line break: slot 3, input channel 0"),
+            False,
+            (0, "bad", "line break: slot 3, input channel 0"),
+        ),
+        (
+            Reading(3, Reason.STATUS_GOOD, note="maintenance required (status A4)"),
+            False,
+            (192, "good", "maintenance required (status A4)"),
+        ),
+        (Reading(None, Reason.NO_VALUE), False, (0, "bad", "there is no valid value")),
     ],
 )
 def test_data_say_the_quality_where_it_is_not_good_or_has_become_good(
-    reading: Reading, told: bool, properties: dict[str, Any]
+    reading: Reading, told: bool, properties: tuple[int, str, str] | None
 ) -> None:
     (found,) = read_payload(data([Sample(kind(DataType.INT32), reading, NOW, told)], 9, NOW)).metrics
-    assert found.properties == properties
+    names = "Quality", "Quality word", "Quality reason"
+    assert found.properties == ({} if properties is None else dict(zip(names, properties, strict=True)))
     assert found.null == (reading.value is None)
     assert (found.name, found.datatype) == (None, None)
 

@@ -43,7 +43,7 @@ from dpstack.bridge.mqtt.plant_node import (
 from dpstack.bridge.names import SPARKPLUG_ID, SPARKPLUG_METRIC, unique_names
 from dpstack.bridge.orders import time_words
 from dpstack.plant.nodes import Node, OfferedOrder
-from dpstack.plant.quality import BOOL, TEXT, Quality, Reading, Reason, Value
+from dpstack.plant.quality import BOOL, TEXT, Reading, Reason, Value
 from dpstack.plant.tree import Born, Change, Changed, ClockSet, Died, NodesChanged, PlantTree
 from dpstack.text import printable, shortened
 
@@ -64,8 +64,8 @@ class _Device:
         #: changes that were not published: by id of the node
         self.pending: dict[str, Reading] = {}
         self.due = -math.inf
-        #: metrics whose last published quality was not good
-        self.not_good: set[str] = set()
+        #: metrics whose last published quality was not good, or had a remark
+        self.remarked: set[str] = set()
 
 
 class EdgeNode(PlantNode):
@@ -386,12 +386,12 @@ class EdgeNode(PlantNode):
         return Publish(self._setup.topic(kind, device), data(samples, self._next_seq(), now_ms))
 
     def _sample(self, owner: _Device, key: str, reading: Reading, now_ms: int) -> Sample:
-        was_not_good = key in owner.not_good
-        if reading.quality is Quality.GOOD:
-            owner.not_good.discard(key)
+        had_remark = key in owner.remarked
+        if reading.has_remark:
+            owner.remarked.add(key)
         else:
-            owner.not_good.add(key)
-        return Sample(self._kinds[key], reading, self._time_ms(key, reading, now_ms), with_quality=was_not_good)
+            owner.remarked.discard(key)
+        return Sample(self._kinds[key], reading, self._time_ms(key, reading, now_ms), with_quality=had_remark)
 
     def _time_ms(self, key: str, reading: Reading, now_ms: int) -> int:
         """The time of a value by the clock of the computer."""

@@ -23,7 +23,7 @@ from enum import Enum, auto
 from typing import Final, NamedTuple
 
 from dpstack.bridge.mqtt.payload import MetricKind, Sample
-from dpstack.plant.quality import Quality, Reading, Reason, Value
+from dpstack.plant.quality import Reading, Reason, Value
 
 #: entries in memory that wait for the disk, and those that were sent and are not confirmed
 MOST_IN_MEMORY: Final = 20_000
@@ -60,8 +60,9 @@ class Entry(NamedTuple):
     note: str = ""
 
     @property
-    def quality(self) -> Quality:
-        return Quality.BAD if self.value is None else self.reason.quality
+    def reading(self) -> Reading:
+        """Value and reason, also the number of a bad one; without its time."""
+        return Reading(self.value, self.reason, 0.0, self.note)
 
 
 #: place of an entry on the disk; ascending in time
@@ -242,8 +243,8 @@ class History:
                 self._done.append(kept.place)
                 continue
             device = entry.device
-            reading = Reading(entry.value, entry.reason, 0.0, entry.note)
-            samples.append(Sample(kind, reading, min(time_ms, now_ms), self._needs_quality(entry), historical=True))
+            needs_quality = self._needs_quality(entry)
+            samples.append(Sample(kind, entry.reading, min(time_ms, now_ms), needs_quality, historical=True))
             octets += _METRIC_OCTETS + _octets(entry)
             self._in_flight.append((self._round, kept.place))
         self._chunk.extendleft(reversed(rest))
@@ -255,9 +256,9 @@ class History:
         return None
 
     def _needs_quality(self, entry: Entry) -> bool:
-        """Whether the quality goes with a good value: hosts do not know that the metric is good."""
+        """Whether the quality goes with a good value without a remark: hosts do not know that the metric is good."""
         metric = entry.device, entry.metric
-        if entry.quality is not Quality.GOOD:
+        if entry.reading.has_remark:
             self._good.discard(metric)
         elif metric not in self._good:
             self._good.add(metric)

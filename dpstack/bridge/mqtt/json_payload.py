@@ -39,12 +39,13 @@ def time_text(seconds: float) -> str:
 
 def values_payload(readings: Iterable[tuple[str, Node, Reading]], offset: float, wall: float, ended: str) -> bytes:
     """Values by name. ``offset``: the clock of the computer less that of the stream; ``wall``: now, which no source
-    time exceeds. ``ended``: the reason why nobody keeps good values up to date from now on; empty: somebody does."""
+    time exceeds. ``ended``: the reason why nobody keeps values up to date from now on; empty: somebody does. A bad
+    value is null, as few programs look at its quality."""
     times: dict[float, str] = {}  # many values of a slave have the same one
     found: dict[str, object] = {}
     for name, node, reading in readings:
         value, quality, reason = reading.plain, reading.quality, reading.text
-        if ended and quality is Quality.GOOD:
+        if ended and quality in (Quality.GOOD, Quality.UNCERTAIN):
             quality, reason = Quality.STALE, ended
         time = None
         if reading.time:

@@ -13,7 +13,7 @@ from typing import Final
 from google.protobuf.message import DecodeError
 
 from dpstack.bridge.mqtt import sparkplug_pb2 as pb
-from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, TEXT, Quality, Reading, Value
+from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, TEXT, Reading, Value
 from dpstack.text import printable, shortened
 
 #: octets of a command from a stranger, and metrics in it
@@ -85,7 +85,7 @@ class MetricKind:
 @dataclass(frozen=True, slots=True)
 class Sample:
     """One value of a metric. ``reading``: value, quality, reason; ``time_ms``: source time. ``with_quality``:
-    with the quality, even if it is good."""
+    with the quality, even if it is good and has no remark."""
 
     kind: MetricKind
     reading: Reading
@@ -123,7 +123,7 @@ def data(samples: Iterable[Sample], seq: int, now_ms: int) -> bytes:
             metric.name = sample.kind.name
         if sample.historical:
             metric.is_historical = True
-        if sample.with_quality or sample.reading.quality is not Quality.GOOD:
+        if sample.with_quality or sample.reading.has_remark:
             _add_quality(metric.properties, sample.reading)
     return payload.SerializeToString()
 
@@ -291,8 +291,10 @@ def _put(metric: pb.Metric | pb.PropertyValue, type_: DataType, value: bool | in
 
 
 def _add_quality(properties: pb.PropertySet, reading: Reading) -> None:
-    """Quality (6.4.9) and its reason, which is empty for a good value, so that it replaces an earlier one."""
+    """Quality (6.4.9), its word, as the number does not distinguish uncertain and stale, and its reason, which is empty
+    for a good value, so that it replaces an earlier one."""
     _add_property(properties, "Quality", DataType.INT32, reading.quality.sparkplug)
+    _add_property(properties, "Quality word", DataType.STRING, reading.quality.value)
     _add_property(properties, "Quality reason", DataType.STRING, _short(reading.text))
 
 
