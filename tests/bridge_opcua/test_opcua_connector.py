@@ -112,6 +112,44 @@ async def test_values_come_with_type_unit_status_and_source_time(rig: Rig) -> No
     assert tuple(State) == DRIVE_STATES
 
 
+async def test_a_bad_value_keeps_its_number_beside_its_status_and_its_reason_in_words(rig: Rig) -> None:
+    """In values, history and events; the property changes together with the value."""
+    fine = rig.values["8"]
+    broken = {"quality": "bad", "reason": "channel_fault", "text": "line break: slot 3 (2 AI), input channel 0"}
+    doubt = {"quality": "uncertain", "reason": "slot_fault", "text": "has a diagnosis: slot 3"}
+    seen = Seen()
+    async with rig.connected() as client:
+        subscription = await client.create_subscription(100, seen)
+        level = client.get_node(id_of("slave/8/input/level"))
+        reason = await level.get_child("2:Reason")
+        assert reason.nodeid == id_of("property/slave/8/input/level/reason")
+        assert await reason.read_data_type() == ua.NodeId(ua.ObjectIds.String)
+        await subscription.subscribe_events(SERVER, ua.ObjectIds.OffNormalAlarmType)
+        found: list[tuple[int, object, object]] = []
+        for quality in (doubt, broken, None):
+            values = fine | {"fields": fine["fields"] | {"level": 327.6 if quality is broken else 5.5}}
+            rig.show("8", values if quality is None else values | {"qualities": {"level": quality}})
+            await rig.until(lambda: not rig.connector._changed)
+            read = await level.read_data_value(raise_on_bad_status=False)
+            found.append((read.StatusCode.value, read.Value.Value, await reason.read_value()))
+            assert found[-1][2] == ("" if quality is None else quality["text"])
+        assert [one[:2] for one in found] == [(0x40950000, 5.5), (0x808C0000, 327.6), (GOOD, 5.5)]
+        history = await level.read_raw_history(utc_now() - timedelta(days=9999), utc_now(), 1000)
+        kept = [one for one in history if one.StatusCode.value != ua.StatusCodes.BadBoundNotFound]
+        assert [(one.StatusCode.value, one.Value.Value) for one in kept][-3:] == [one[:2] for one in found]
+        # the source time is that of the snapshot, 1 ms before
+        assert kept[-2].SourceTimestamp.timestamp() == pytest.approx(1_700_000_000 + rig.t - 0.1 - 0.001)
+        await rig.until(lambda: len(seen.events) >= 3)
+        assert [(one.Severity, one.Message.Text) for one in seen.events[:2]] == [
+            (500, "level: has a diagnosis: slot 3"),
+            (800, "level: line break: slot 3 (2 AI), input channel 0"),
+        ]
+        rig.connector.acknowledge("slave/8/diagnosis")
+        # a drive's quantities have theirs, and its type declares it
+        for node in ("slave/9/drive/speed", "type/DriveType/value/speed"):
+            assert await (await client.get_node(id_of(node)).get_child("2:Reason")).read_value() == ""
+
+
 async def test_the_first_client_finds_the_whole_plant(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     await rig.connector.open()
@@ -721,9 +759,9 @@ async def test_nodes_are_made_and_removed_in_slices_of_a_few(rig: Rig, monkeypat
         rig.slaves = rig.slaves | {"11": {"name": "tanks", "inputs": fields}}
         rig.plant()
         await rig.until(lambda: rig.connector.is_built)
-        # a value with unit and range has three nodes
-        assert made.total() >= 300
-        assert max(made.values()) <= 22
+        # a value with unit, range and reason has four nodes
+        assert made.total() >= 400
+        assert max(made.values()) <= 23
         assert compared <= 3 * made.total()
         gone, made_before = Counter[int](), len(rig.ids())
         values = rig.connector._space.values  # type: ignore[union-attr]

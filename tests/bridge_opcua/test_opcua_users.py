@@ -248,12 +248,19 @@ def test_the_history_tells_since_when_a_value_was_not_good_and_keeps_values_of_o
     history, node = BoundedHistory(3600.0, 100), ua.NodeId("x", 2)
     stale = ua.StatusCode(0x408F0000)
     for seconds, status in ((5, ua.StatusCode()), (5, ua.StatusCode()), (8, stale), (9, stale), (5, ua.StatusCode())):
-        history.keep(node, ua.DataValue(ua.Variant(7), status, at(5)), at(seconds))
+        history.keep(node, ua.DataValue(ua.Variant(7), status, at(5)), at(seconds), is_old=status is stale)
     found, more = history.read(node, at(5), None, 1)
     rest, _ = history.read(node, at(5), None, point=more)
     assert [(one.SourceTimestamp, one.StatusCode.value if one.StatusCode else 0) for one in found + rest] == [
         (at(5), 0), (at(8), 0x408F0000), (at(8), 0)
     ]  # fmt: skip
+    # a bad value is of its moment, and keeps its number
+    bad = ua.DataValue(ua.Variant(3276), ua.StatusCode(0x808C0000), at(11))
+    for seconds in (12, 13):
+        history.keep(node, bad, at(seconds))
+    [*_, last] = history.read(node, at(5), None)[0]
+    assert (last.SourceTimestamp, last.Value.Value, last.StatusCode.value) == (at(11), 3276, 0x808C0000)
+    assert len(history) == 4
 
 
 def test_a_connection_that_was_cut_delivers_late_whatever_the_clocks() -> None:

@@ -38,7 +38,7 @@ from dpstack.bridge.orders import Batch, OrderResult, Orders, Refusal, time_word
 from dpstack.errors import ConfigError
 from dpstack.plant.conditions import Condition
 from dpstack.plant.nodes import Node, OfferedOrder
-from dpstack.plant.quality import Reading, Value
+from dpstack.plant.quality import Quality, Reading, Reason, Value
 from dpstack.plant.tree import Change, Changed, ClockSet, NodesChanged, PlantTree
 from dpstack.tcp_address import Listen, is_local, join
 from dpstack.trace import Severity
@@ -279,7 +279,8 @@ class OpcUaConnector(Connector):
         for number, (node, reading) in enumerate(changed.values(), 1):
             made = await self._space.write(node, reading, self.wall)
             if made is not None:
-                self.history.keep(self._space.node(node.id), made, now)
+                is_old = reading.reason is Reason.WAITING or reading.reason.quality is Quality.STALE
+                self.history.keep(self._space.node(node.id), made, now, is_old=is_old)
             if number % _AT_ONCE == 0:
                 await asyncio.sleep(0)
         while self._events:

@@ -44,13 +44,14 @@ class BoundedHistory:
     def __len__(self) -> int:
         return len(self._order)
 
-    def keep(self, node: ua.NodeId, value: ua.DataValue, now: datetime) -> None:
-        """A value that is not good is kept with the time at which that was found; the same value comes once."""
+    def keep(self, node: ua.NodeId, value: ua.DataValue, now: datetime, *, is_old: bool = False) -> None:
+        """Keep a value with its source time. One that has become stale (``is_old``) is kept with the time at which that
+        was found, ``now``. The same value comes once."""
         if self._most <= 0:
             return
         values = self._of.get(node)
         good = value.StatusCode is None or value.StatusCode.value == _S.Good
-        time = value.SourceTimestamp if good and value.SourceTimestamp is not None else now
+        time = now if is_old or value.SourceTimestamp is None else value.SourceTimestamp
         if values:
             last = values[-1].value
             same = last.Value == value.Value and last.StatusCode == value.StatusCode

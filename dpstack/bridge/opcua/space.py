@@ -34,6 +34,8 @@ METHODS: Final[Mapping[str, str]] = {
     "start": "Start", "stop": "Stop", "quick_stop": "QuickStop", "coast": "Coast", "acknowledge": "Acknowledge",
     "speed": "SetSpeed",
 }  # fmt: skip
+#: process values: nodes that have the words for their status in a property
+_WITH_REASON: Final = (Kind.VALUE, Kind.DRIVE)
 #: nodes that are made, or removed, before others have their turn, some 0.15 ms each
 _AT_ONCE: Final = 20
 _READ: Final = 1 << ua.AccessLevel.CurrentRead | 1 << ua.AccessLevel.HistoryRead
@@ -71,6 +73,8 @@ class Space:
         self._built: dict[int | None, _Built] = {}
         #: nodes made since others had their turn
         self._made = 0
+        #: the words for the status of process values, as shown last
+        self._reasons: dict[ua.NodeId, str] = {}
         #: the last good state of each drive
         self._states: dict[str, str] = {}
         self.values: dict[ua.NodeId, Node] = {}
@@ -129,8 +133,8 @@ class Space:
             for path in self._add_folders(own, node.path[:-1], folders):
                 self._rule(folders[path], mandatory=path in always)
             declared = replace(node, id=f"{own}/value/{'/'.join(node.path)}")
-            made = next(self._value(declared, folders[node.path[:-1]], node.path[-1], writable=False))
-            self._rule(made, mandatory=node.path in always)
+            for made in self._value(declared, folders[node.path[:-1]], node.path[-1], writable=False):
+                self._rule(made, mandatory=node.path in always)
 
     def _rule(self, member: ua.NodeId, *, mandatory: bool) -> None:
         """The modelling rule of a type's member (Part 3, 6.4.4)."""
@@ -197,10 +201,29 @@ class Space:
         if self.values.get(id_) is None:
             return None
         made = data_value(node, reading, wall)
-        await self._server.aspace.write_attribute_value(id_, ua.AttributeIds.Value, made)
+        await self._put(id_, made)
+        if node.kind in _WITH_REASON:
+            await self._show_reason(self.node(_property_id(node, "reason")), reading.text, made)
         if node.kind is Kind.DRIVE and node.keys == ("drive", "state"):
             await self._show_state(node, made)
         return made
+
+    async def _put(self, id_: ua.NodeId, value: ua.DataValue) -> None:
+        """Write a value. asyncua takes the number of a bad one away, as Part 4, 7.11.1, has it; here it stays."""
+        attribute = self._server.aspace[id_].attributes[ua.AttributeIds.Value]
+        attribute.value = value
+        for handle in tuple(attribute.datachange_callbacks):
+            if (callback := attribute.datachange_callbacks.get(handle)) is not None:
+                await callback(handle, value)
+
+    async def _show_reason(self, id_: ua.NodeId, text: str, value: ua.DataValue) -> None:
+        if self._reasons.get(id_, "") == text:
+            return
+        self._reasons[id_] = text
+        now = value.ServerTimestamp
+        shown = SharedValue(ua.Variant(text, _V.String), StatusCode=ua.StatusCode(), SourceTimestamp=now,
+                            ServerTimestamp=now)  # fmt: skip
+        await self._put(id_, shown)
 
     async def _show_state(self, node: Node, made: ua.DataValue) -> None:
         own = f"slave/{node.slave}/drive"
@@ -223,7 +246,7 @@ class Space:
         ):
             shown = SharedValue(value, StatusCode=made.StatusCode, SourceTimestamp=made.SourceTimestamp,
                                  ServerTimestamp=made.ServerTimestamp)  # fmt: skip
-            await self._server.aspace.write_attribute_value(self.node(id_), ua.AttributeIds.Value, shown)
+            await self._put(self.node(id_), shown)
 
     # --- nodes of the tree ----------------------------------------------------------------------------------------
 
@@ -294,10 +317,15 @@ class Space:
         yield id_
         if analog and node.unit:
             unit = ua.EUInformation(NAMESPACE, -1, ua.LocalizedText(node.unit), ua.LocalizedText(node.unit))
-            yield self._property(f"{node.id}/unit", id_, "EngineeringUnits", unit, ua.ObjectIds.EUInformation)
+            yield self._property(_property_id(node, "unit"), id_, "EngineeringUnits", unit, ua.ObjectIds.EUInformation)
         if analog and node.low is not None and node.high is not None:
             both = ua.Range(float(node.low), float(node.high))
-            yield self._property(f"{node.id}/range", id_, "EURange", both, ua.ObjectIds.Range)
+            yield self._property(_property_id(node, "range"), id_, "EURange", both, ua.ObjectIds.Range)
+        if node.kind in _WITH_REASON:
+            reason = _property_id(node, "reason")
+            yield self._variable(reason, id_, "Reason", _V.String, ua.Variant("", _V.String),
+                                 reference=ua.ObjectIds.HasProperty, kind=ua.ObjectIds.PropertyType,
+                                 text="the words for the status code of the value")  # fmt: skip
 
     def _drive_parts(
         self, own: str, drive: ua.NodeId, described: Described, allowed: frozenset[str]
@@ -333,6 +361,7 @@ class Space:
                     await callback(handle, bad)
                     space.delete_datachange_callback(handle)
             self.values.pop(id_, None)
+            self._reasons.pop(id_, None)
             self.methods.pop(id_, None)
         for outside in (ua.NodeId(ua.ObjectIds.ObjectsFolder), ua.NodeId(ua.ObjectIds.Server), self.node("bus")):
             data = space.get(outside)
@@ -446,8 +475,13 @@ def _reference(
     return made
 
 
+def _property_id(node: Node, name: str) -> str:
+    """No value has this id, whatever its name is."""
+    return f"property/{node.id}/{name}"
+
+
 def data_value(node: Node, reading: Reading, wall: Callable[[float], datetime]) -> ua.DataValue:
-    """``reading`` as OPC UA has it: a bad one has no value."""
+    """``reading`` as OPC UA has it: a bad one keeps its number beside its status, if there is one."""
     value = ua.Variant() if reading.value is None else ua.Variant(reading.value, VARIANTS[node.type])
     return SharedValue(
         value,
