@@ -47,6 +47,14 @@ class Quality(StrEnum):
         """The number of Sparkplug B 3.0 (6.4.7, property ``Quality``), which has one for old and doubtful values."""
         return {Quality.GOOD: 192, Quality.BAD: 0}.get(self, 500)
 
+    @property
+    def rank(self) -> int:
+        """0 good, 1 uncertain, 2 stale, 3 bad: of several the worst counts."""
+        return _RANKS[self]
+
+
+_RANKS: Final = {one: rank for rank, one in enumerate(Quality)}
+
 
 @unique
 class Reason(Enum):

@@ -13,8 +13,6 @@ from dpstack.plant.items import QualityValues, SlaveValues
 from dpstack.plant.judge import exchanging
 from dpstack.plant.quality import Quality, Reason, clean
 
-_ORDER: Final[Mapping[Quality, int]] = {Quality.GOOD: 0, Quality.UNCERTAIN: 1, Quality.STALE: 2, Quality.BAD: 3}
-
 
 class Judged(NamedTuple):
     """A reason, further facts about it in words, and the time in s after the start since which it holds."""
@@ -30,7 +28,7 @@ class Judged(NamedTuple):
     @property
     def rank(self) -> int:
         """Higher: worse."""
-        return _ORDER[self.reason.quality]
+        return self.reason.quality.rank
 
     @property
     def values(self) -> QualityValues:

@@ -1,4 +1,4 @@
-"""Alert rules and dashboard: each metric and label of their expressions is in the table of the metrics, which
+"""Alert rules and dashboards: each metric and label of their expressions is in the table of the metrics, which
 docs/reference/metrics.md has as they are scraped."""
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import re
 
 import pytest
 from metrics_kit import FINE, Bench, plant, scrape, snapshot
-from prometheus_expressions import FOLDER, ROOT, Expression, expressions
+from prometheus_expressions import BOARDS, ROOT, Expression, expressions
 
 from dpstack.bridge.metrics.table import COUNTER, HISTOGRAM, METRICS
 from tools.make_metrics_docs import TARGET, render
@@ -70,10 +70,28 @@ def test_the_share_of_repetitions_is_one_of_requests() -> None:
     assert fires(requests=10_000, repeated=110, unanswered=5000, late=900, wrong=900)
 
 
-def test_the_dashboard_can_be_read_at_a_glance() -> None:
-    """Each panel has a place of its own, a unit, a text for people, legends, and follows the choice of segments."""
-    board = json.loads((FOLDER / "dpstack.dashboard.json").read_text(encoding="utf-8"))
-    assert {one["name"] for one in board["templating"]["list"]} == {"datasource", "instance"}
+#: the choices at the top of each dashboard, and its first panels
+GLANCE = {
+    "dpstack.dashboard.json": ({"datasource", "instance"}, ["Verdict", "Buses that run"]),
+    "dpstack-values.dashboard.json": (
+        {"datasource", "instance", "slave", "value"},
+        ["Worst quality", "Values that are bad"],
+    ),
+}
+
+
+def test_dashboards_have_ids_of_their_own() -> None:
+    assert BOARDS.keys() == GLANCE.keys()
+    assert len({board["uid"] for board in BOARDS.values()}) == len({board["title"] for board in BOARDS.values()}) == 2
+
+
+@pytest.mark.parametrize("name", GLANCE)
+def test_a_dashboard_can_be_read_at_a_glance(name: str) -> None:
+    """Each panel has a place of its own, a unit, a text for people, legends, and follows the choices at the top."""
+    board, (choices, first) = BOARDS[name], GLANCE[name]
+    assert {one["name"] for one in board["templating"]["list"]} == choices
+    used = set(re.findall(r"\$(\w+)", json.dumps(board["panels"]))) | {"datasource"}
+    assert used == choices
     panels = board["panels"]
     assert len({one["id"] for one in panels}) == len({one["title"] for one in panels}) == len(panels)
     taken: set[tuple[int, int]] = set()
@@ -93,12 +111,12 @@ def test_the_dashboard_can_be_read_at_a_glance() -> None:
             assert "{{instance}}" in target["legendFormat"]
     # no hole: the rows are full
     assert len(taken) == 24 * (1 + max(y for _, y in taken))
-    assert [one["title"] for one in panels][:2] == ["Verdict", "Buses that run"]
+    assert [one["title"] for one in panels][:2] == first
 
 
 def test_there_are_expressions_of_both_files_and_alerts_have_a_severity_and_a_summary() -> None:
     assert len([one for one in ALL if one.where.startswith("alert ")]) >= 15
-    assert len([one for one in ALL if one.where.startswith("panel ")]) >= 20
+    assert len([one for one in ALL if one.where.startswith("panel ")]) >= 30
     assert all("summary" in one.legend and "severity" in one.legend for one in ALL if one.where.startswith("alert "))
 
 

@@ -18,9 +18,10 @@ from api_kit import bench_of, in_virtual_time, slave_in
 from far_ends import until
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics_kit import FINE, Bench, Scrape, plant, scrape, snapshot
+from metrics_kit import BUS, FINE, LEVEL, Bench, Scrape, plant, scrape, snapshot
 from process_kit import SPEC, bus_on, octet_slaves
 from process_kit import VALVES as PTY_VALVES
+from rack_kit import LINE_BREAK, device, rack
 from support import WorldFactory
 from wire_truth import truth_of
 
@@ -40,6 +41,7 @@ from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import ConfigError
 from dpstack.plant.judge import STATES
 from dpstack.plant.tree import SILENT_S
+from dpstack.slave import UserDiag
 from dpstack.stats import Histogram
 
 EVIL = 'a"} 1\n\x1b[31mdpstack_bus_up 7\\ \ud800 é'
@@ -194,7 +196,13 @@ def test_the_table_of_the_configuration() -> None:
     bus = '[bus]\nport = "virtual"\nbaud = 500000\n'
     config = parse_config(bus + '[metrics]\nlisten = "[::1]:9999"\n', "plant.toml").connectors["metrics"]
     assert isinstance(config, MetricsConfig)
-    assert config.listen == "[::1]:9999"
+    assert (config.listen, config.values, config.most_values) == ("[::1]:9999", False, 2000)
+    many = parse_config(bus + "[metrics]\nvalues = true\nmost_values = 10000\n", "plant.toml").connectors["metrics"]
+    assert isinstance(many, MetricsConfig)
+    assert (many.values, many.most_values) == (True, 10_000)
+    for wrong in ("most_values = 0", "most_values = 10001", "values = 1"):
+        with pytest.raises(ConfigError, match="values"):
+            parse_config(f"{bus}[metrics]\n{wrong}\n", "plant.toml")
     default = parse_config(bus + "[metrics]\n", "plant.toml").connectors["metrics"]
     assert isinstance(default, MetricsConfig)
     assert default.listen == "127.0.0.1:9464"
@@ -235,6 +243,94 @@ def test_a_new_maximum_moves_no_earlier_count() -> None:
     first, _ = histogram.in_classes([20_000])
     histogram.add(900_000)
     assert (first, histogram.in_classes([20_000])[0]) == ([1, 0], [1, 1])
+
+
+def test_process_values_and_their_quality_by_name_direction_and_unit() -> None:
+    slaves = {
+        "3": {
+            "name": "tank",
+            "inputs": [
+                LEVEL,
+                {"name": "full", "type": "bool", "at": "bool@4.0"},
+                {"name": "id", "type": "bytes", "at": "bytes2@5"},
+            ],
+            "outputs": [{"name": "heat", "type": "i16", "at": "i16@0", "scale": 0.5, "unit": "K"}],
+        },
+        "4": {"name": "fan", "drive": {"profile": "vik-namur"}, "inputs": [LEVEL | {"name": "speed"}]},
+    }
+    tank = FINE | {"fields": {"level": 12.5, "full": True, "id": "0102", "heat": -20.5}}
+    fan = FINE | {
+        "fields": {"speed": 0.0},
+        "drive": {"state": "running", "running": True, "speed": 0.25, "frequency_hz": 12.5},
+    }
+    bench = Bench(plant() | {"plant": plant()["plant"] | {"slaves": slaves}}, snapshot(1.0, tank, fan))
+
+    def values() -> dict[tuple[str, ...], tuple[float | None, float]]:
+        """Value and quality by slave, value, direction, unit."""
+        seen, found = bench.scrape(), {}
+        for labels, quality in seen.of("dpstack_slave_value_quality").items():
+            key = tuple(dict(labels)[name] for name in ("slave", "value", "direction", "unit"))
+            found[key] = seen.of("dpstack_slave_value").get(labels), quality
+        assert seen.of("dpstack_slave_value").keys() <= seen.of("dpstack_slave_value_quality").keys()
+        return found
+
+    level, heat = ("tank", "level", "input", "bar"), ("tank", "heat", "output", "K")
+    found = values()
+    assert {key[1] for key in found if key[0] == "tank"} == {"level", "full", "heat"}
+    assert [found[key] for key in (level, ("tank", "full", "input", ""), heat)] == [(12.5, 3), (1, 3), (-20.5, 3)]
+    of_fan = [("fan", "speed", "input", "bar"), ("fan", "speed", "drive", ""), ("fan", "frequency_hz", "drive", "Hz")]
+    assert [found[key] for key in of_fan] == [(0, 3), (0.25, 3), (12.5, 3)]
+    broken = {"quality": "bad", "reason": "channel_fault", "text": "line break: slot 3, input channel 0"}
+    limit = {"quality": "uncertain", "reason": "channel_limit", "text": "lower limit value exceeded: slot 2"}
+    bench.give(1.2, snapshot(1.2, tank | {"qualities": {"level": broken, "heat": limit}}, fan))
+    assert [values()[key] for key in (level, heat)] == [(None, 0), (-20.5, 2)]
+    # a slave that is lost: no old number looks fresh
+    bench.give(1.4, snapshot(1.4, tank | {"state": "offline"}, fan))
+    assert [values()[key] for key in (level, heat, of_fan[1])] == [(None, 1), (None, 1), (0.25, 3)]
+    nan = FINE | {"fields": {"level": None}}
+    bench.give(1.6, snapshot(1.6, nan, fan))
+    assert values()[level] == (None, 0)
+
+
+def test_the_number_of_process_values_is_bounded_and_the_rest_is_reported() -> None:
+    inputs = [LEVEL | {"name": f"v{number}"} for number in range(32)]
+    slaves = {str(address): {"name": f"rack {address}", "inputs": inputs} for address in range(1, 11)}
+    values = FINE | {"fields": {f"v{number}": number for number in range(32)}}
+    items = (
+        {"plant": plant()["plant"] | {"slaves": slaves}},
+        {"snapshot": {"t": 1.0, "whole": True, "bus": BUS, "slaves": dict.fromkeys(slaves, values)}},
+    )
+    bench = Bench(*items, most_values=100)
+    seen = bench.scrape()
+    assert len(seen.of("dpstack_slave_value")) == len(seen.of("dpstack_slave_value_quality")) == 100
+    assert seen("dpstack_metrics_values_left_out") == 220
+    assert {dict(labels)["address"] for labels in seen.of("dpstack_slave_value")} == {"1", "2", "3", "4"}
+    assert bench.told == ["220 of 320 process values have no metrics: give a greater most_values"]
+    bench = Bench(*items, most_values=None)
+    assert not bench.scrape().has("dpstack_slave_value")
+    assert not bench.scrape().has("dpstack_metrics_values")
+    assert bench.told == []
+
+
+@in_virtual_time
+async def test_a_broken_wire_takes_its_number_out_of_the_metrics() -> None:
+    async with rack() as (bus, slave, served):
+        table = {"listen": "127.0.0.1:0", "values": True}
+        async with dpstack.publish(bus, metrics=table) as publishing:
+            connector = connector_of(publishing)
+            level = {"address": "9", "slave": slave.name, "value": "level", "direction": "input", "unit": ""}
+            slave["setpoint"] = 77  # its inputs mirror the outputs: the level
+            seen = await settled(connector)
+            assert (seen("dpstack_slave_value", **level), seen("dpstack_slave_value_quality", **level)) == (77, 3)
+            device(served).diag = UserDiag.of(LINE_BREAK)
+            seen = await settled(connector)
+            assert frozenset(level.items()) not in seen.of("dpstack_slave_value")
+            assert seen("dpstack_slave_value_quality", **level) == 0
+            assert seen("dpstack_slave_value", **level | {"value": "flow"}) == 0
+            assert seen("dpstack_slave_conditions_active", address="9", slave=slave.name, level="error") == 1
+            device(served).diag = UserDiag()
+            seen = await settled(connector)
+            assert (seen("dpstack_slave_value", **level), seen("dpstack_slave_value_quality", **level)) == (77, 3)
 
 
 VALVES: dict[str, Any] = {"name": "valves", "address": 9, "ident": 0x1234, "config": "21 11"}

@@ -52,7 +52,7 @@ tests.
   ``sparkplug_host`` (a host that knows only the specification), ``fake_broker`` (a broker of MQTT 5); ``fleet_kit``
   (statuses of segments).
 - ``opcua_rig``: a server of OPC UA and its clients; ``metrics_kit``: scrapes of metrics;
-  ``prometheus_expressions``: those of the alert rules and of the dashboard.
+  ``prometheus_expressions``: those of the alert rules and of the dashboards.
 - ``verdicts_kit``: the verdicts on a slave of literal items. ``page_kit``: an HTML page taken apart; ``tls_kit``:
   certificates and keys.
 

@@ -92,7 +92,9 @@ FINE: dict[str, Any] = {
     "late": 3,
     "wrong": 4,
     "bad": {"bad_fcs": 5},
+    "fields": {"level": 12.5},
 }
+LEVEL: dict[str, Any] = {"name": "level", "type": "f32", "at": "f32@0", "unit": "bar"}
 CLASSES = {"limits_us": [10, 20, 50], "counts": [1, 2, 3, 4], "sum_us": 500.0}
 BUS: dict[str, Any] = {
     "stale": False,
@@ -109,7 +111,7 @@ PLAN = {"rotation_us": {"min": 1000.0, "typical": 2000.0, "max": 3000.0}}
 
 
 def plant(*names: str, **more: Any) -> dict[str, Any]:
-    slaves = {str(address): {"name": name} for address, name in enumerate(names, 3)}
+    slaves = {str(address): {"name": name, "inputs": [LEVEL]} for address, name in enumerate(names, 3)}
     about = {"started": 1e9, "port": "COM1", "baud": 500_000, "driver": "process", "read_only": False, "plan": PLAN}
     return {"plant": about | {"slaves": slaves} | more}
 
@@ -122,7 +124,7 @@ def snapshot(t: float, *slaves: dict[str, Any], **bus: Any) -> dict[str, Any]:
 class Bench:
     """A connector that has got items. ``told``: its remarks."""
 
-    def __init__(self, *items: dict[str, Any]) -> None:
+    def __init__(self, *items: dict[str, Any], most_values: int | None = 2000) -> None:
         self.told: list[str] = []
         self.tree = PlantTree()
         self.connector = MetricsConnector(
@@ -131,6 +133,7 @@ class Bench:
             Listen("127.0.0.1", 0),
             connectors=lambda: [ConnectorState("metrics", True), ConnectorState("mqtt", False, 12, connected=False)],
             bus_pid=os.getpid,
+            most_values=most_values,
         )
         self.give(1.0, *items)
 

@@ -1,4 +1,4 @@
-"""The dashboard in the models that Grafana's authors publish (grafana-foundation-sdk), each release in an environment
+"""The dashboards in the models that Grafana's authors publish (grafana-foundation-sdk), each release in an environment
 of its own: a key that Grafana does not know is missing from what they write."""
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from prometheus_expressions import BOARDS
 
 from tests.strangers.stranger_kit import environment
 
 pytestmark = pytest.mark.strangers
 
-DASHBOARD: Final = Path(__file__).resolve().parents[2] / "tools" / "prometheus" / "dpstack.dashboard.json"
 #: an older Grafana and one of today
 RELEASES: Final = ("1769699998!10.1.0", "1769699379!11.6.0")
 READS_AND_WRITES: Final = """
@@ -42,20 +42,19 @@ def differences(ours: Any, theirs: Any, place: str = "") -> Iterator[str]:
 
 
 @pytest.mark.parametrize("release", RELEASES)
-def test_grafana_knows_every_key_of_the_dashboard(tmp_path: Path, release: str) -> None:
+def test_grafana_knows_every_key_of_the_dashboards(tmp_path: Path, release: str) -> None:
     python = environment(tmp_path / "grafana", f"grafana-foundation-sdk=={release}")
-    ours = json.loads(DASHBOARD.read_text("utf-8"))
-    wrong = copy.deepcopy(ours)
+    wrong = copy.deepcopy(BOARDS["dpstack.dashboard.json"])
     wrong["panels"][0]["fieldConfig"]["defaults"]["unitt"] = "s"
     wrong["panels"][0]["targets"][0]["exprr"] = "up"
     wrong["panels"][0]["options"]["colourMode"] = "value"
     run = subprocess.run(
         [python, "-I", "-c", READS_AND_WRITES],
-        input=json.dumps([ours, wrong]), text=True, capture_output=True, timeout=60, check=False,
+        input=json.dumps([*BOARDS.values(), wrong]), text=True, capture_output=True, timeout=60, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr[-2000:]
-    theirs, theirs_of_wrong = json.loads(run.stdout)
-    assert list(differences(ours, theirs)) == []
+    *theirs, theirs_of_wrong = json.loads(run.stdout)
+    assert list(differences([*BOARDS.values()], theirs)) == []
     assert set(differences(wrong, theirs_of_wrong)) == {
         "/panels/0/fieldConfig/defaults/unitt",
         "/panels/0/targets/0/exprr",

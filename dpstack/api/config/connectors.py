@@ -95,9 +95,13 @@ class MetricsConfig(ConnectorConfig, frozen=True, kw_only=True):
 
     listen: address and port of `/metrics`, `/healthz` and `/readyz`, see [metrics.md](metrics.md); without
         a host this computer alone reaches it
+    values: `true`: the [process values](metrics.md#process-values) of all slaves, too, with their quality
+    most_values: the process values that have metrics; more are left out, and reported
     """
 
     listen: Annotated[str, Key(read=read_listen)] = "127.0.0.1:9464"
+    values: bool = False
+    most_values: Annotated[int, Key(1, 10_000)] = 2000
 
 
 class OpcUaConfig(ConnectorConfig, frozen=True, kw_only=True):

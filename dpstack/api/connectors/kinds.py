@@ -85,7 +85,10 @@ def _metrics(config: MetricsConfig, parts: Parts) -> Connector:
     from dpstack.tcp_address import Listen
 
     listen = Listen.parse(config.listen, "[metrics] listen")
-    return MetricsConnector(parts.tree, parts.tell, listen, connectors=parts.connectors, bus_pid=parts.bus_pid)
+    most_values = config.most_values if config.values else None
+    return MetricsConnector(
+        parts.tree, parts.tell, listen, connectors=parts.connectors, bus_pid=parts.bus_pid, most_values=most_values
+    )
 
 
 def _opcua(config: OpcUaConfig, parts: Parts) -> Connector:

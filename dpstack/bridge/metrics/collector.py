@@ -24,7 +24,8 @@ from dpstack.bridge.names import PROMETHEUS_LABEL, Names, unique_names
 from dpstack.monitor.verdict import VERDICTS, Verdict
 from dpstack.plant.items import BusValues, Classes
 from dpstack.plant.judge import DATA_EXCHANGE, STATES
-from dpstack.plant.quality import FLOAT, Reason, value_of
+from dpstack.plant.nodes import Described, Kind, Node, Source
+from dpstack.plant.quality import BYTES, FLOAT, TEXT, Quality, Reading, Reason, value_of
 from dpstack.plant.tree import Change, NodesChanged, PlantTree
 from dpstack.plant.verdicts import Judge
 from dpstack.trace import Severity
@@ -35,13 +36,16 @@ _CAUSE: Final = re.compile(r"[a-z][a-z0-9_]{0,30}")
 _OTHER: Final = "other"
 #: classes of a histogram
 _MOST_CLASSES: Final = 64
+#: nodes of process data
+_PROCESS: Final = (Kind.VALUE, Kind.DRIVE)
 _US: Final = 1e6
 _MS: Final = 1e3
 
 
 class Collector:
     """The metrics of ``tree``. ``connectors``: all connectors; ``bus_pid``: process id of the
-    bus process, None without one; ``version``: that of dpstack."""
+    bus process, None without one; ``version``: that of dpstack. ``most_values``: process values with series, at most;
+    None: they are not published."""
 
     def __init__(
         self,
@@ -50,6 +54,7 @@ class Collector:
         connectors: Callable[[], Sequence[ConnectorState]] = tuple,
         bus_pid: Callable[[], int | None] = lambda: None,
         version: str = "",
+        most_values: int | None = None,
     ) -> None:
         #: answers of the server by HTTP status, and connections that it refused
         self.requests: Counter[int] = Counter()
@@ -59,12 +64,17 @@ class Collector:
         self._bus_pid = bus_pid
         self._version = version
         self._names = Names({}, ())
+        self._values = None if most_values is None else ProcessValues(most_values)
         self._judge = Judge(tree)
 
     def take(self, changes: Sequence[Change]) -> tuple[str, ...]:
-        """Take the changes of the tree. Returns a line for each name of a slave that was changed for its label."""
+        """Take the changes of the tree. Returns a line for each name that was changed for its label, and one if
+        there is no room for all process values."""
         self._judge.take(changes)
-        return self._name_slaves() if any(isinstance(one, NodesChanged) for one in changes) else ()
+        if not any(isinstance(one, NodesChanged) for one in changes):
+            return ()
+        names = self._name_slaves()
+        return names if self._values is None else (*names, *self._values.choose(self._tree, self._slave_labels))
 
     def verdict(self) -> Verdict:
         """The verdict on the bus."""
@@ -74,6 +84,10 @@ class Collector:
         slaves = self._tree.slaves.items()
         self._names = unique_names(PROMETHEUS_LABEL, ((f"slave {at}", one.name) for at, one in slaves))
         return self._names.changed
+
+    def _slave_labels(self, address: int, described: Described) -> tuple[str, str]:
+        name = self._names.names.get(f"slave {address}", described.name)
+        return str(address), PROMETHEUS_LABEL.valid(name)
 
     def families(self) -> list[Family]:
         """All families that have series at this moment, in the order of the table."""
@@ -89,11 +103,14 @@ class Collector:
         if alive:
             self._add_bus(families, tree.bus_values)
             for address, described in tree.slaves.items():
-                name = self._names.names.get(f"slave {address}", described.name)
-                labels = str(address), PROMETHEUS_LABEL.valid(name)
+                labels = self._slave_labels(address, described)
                 self._add_slave(families, address, labels)
                 for one in VERDICTS:
                     families.add(table.SLAVE_VERDICT, one == verdicts[address].level, *labels, one)
+                if self._values is not None:
+                    self._values.add(families, tree.readings(address))
+        if self._values is not None:
+            families.add(table.VALUES_LEFT_OUT, self._values.left_out)
         for connector in self._connectors():
             families.add(table.CONNECTOR_UP, connector.serves, connector.name)
             families.add(table.CONNECTOR_CONNECTED, connector.connected, connector.name)
@@ -155,6 +172,47 @@ class Collector:
             families.add(metric, getattr(values, key), *labels)
         for cause, count in _causes(values.bad):
             families.add(table.SLAVE_DAMAGED, count, *labels, cause)
+
+
+class ProcessValues:
+    """Named values and quantities of drives as series: ``most`` of them, those of the lowest addresses first. Texts and
+    octets have none. ``left_out``: the number of the others."""
+
+    def __init__(self, most: int) -> None:
+        self.left_out = 0
+        self._most = most
+        #: by the id of the node
+        self._labels: dict[str, tuple[str, ...]] = {}
+
+    def choose(self, tree: PlantTree, slave_labels: Callable[[int, Described], tuple[str, str]]) -> list[str]:
+        """Choose the values, as the nodes have changed. Returns lines for people."""
+        self._labels, self.left_out, found = {}, 0, list[str]()
+        for address, described in tree.slaves.items():
+            nodes = [one for one in described.nodes if one.kind in _PROCESS and one.type not in (TEXT, BYTES)]
+            room = max(0, self._most - len(self._labels))
+            self.left_out += len(nodes[room:])
+            labels = slave_labels(address, described)
+            for source in Source:
+                of_source = [one for one in nodes[:room] if one.source is source]
+                names = unique_names(PROMETHEUS_LABEL, [(one.id, one.path[-1]) for one in of_source])
+                found += names.changed
+                for one in of_source:
+                    unit = PROMETHEUS_LABEL.valid(one.unit) if one.unit else ""
+                    self._labels[one.id] = (*labels, names.names[one.id], source.value, unit)
+        if self.left_out:
+            whole = len(self._labels) + self.left_out
+            found.append(f"{self.left_out} of {whole} process values have no metrics: give a greater most_values")
+        return found
+
+    def add(self, families: _Families, readings: Iterable[tuple[Node, Reading]]) -> None:
+        """Add the values of a slave. A number that is not of this moment would look fresh: nobody sees its quality."""
+        for node, reading in readings:
+            labels = self._labels.get(node.id)
+            if labels is not None:
+                quality = reading.quality
+                families.add(table.VALUE_QUALITY, Quality.BAD.rank - quality.rank, *labels)
+                if quality.rank <= Quality.UNCERTAIN.rank:
+                    families.add(table.VALUE, reading.value, *labels)
 
 
 class _Families:

@@ -24,10 +24,12 @@ FRESH_S: Final = 0.2
 #: texts made a second in the mean, and at once: a flood of requests gets old ones
 _MADE_PER_S: Final = 1.0
 _MADE_AT_ONCE: Final = 5
+#: series that are written at once: about 1 ms
+_AT_ONCE: Final = 250
 
 
 class MetricsConnector(Connector):
-    """``listen``: the address of the server. See :class:`Collector` for ``connectors`` and ``bus_pid``."""
+    """``listen``: the address of the server. See :class:`Collector` for the others."""
 
     name: ClassVar[str] = "metrics"
 
@@ -39,9 +41,12 @@ class MetricsConnector(Connector):
         *,
         connectors: Callable[[], Sequence[ConnectorState]] = tuple,
         bus_pid: Callable[[], int | None] = lambda: None,
+        most_values: int | None = None,
     ) -> None:
         super().__init__(tree, tell)
-        self.collector = Collector(tree, connectors=connectors, bus_pid=bus_pid, version=product_version())
+        self.collector = Collector(
+            tree, connectors=connectors, bus_pid=bus_pid, version=product_version(), most_values=most_values
+        )
         #: (host, port) on which it listens, once it is open
         self.address: tuple[str, int] | None = None
         self._listen = listen
@@ -122,11 +127,17 @@ class MetricsConnector(Connector):
 
 
 async def rendered(families: Sequence[Family]) -> bytes:
-    """``families`` in the text format of Prometheus. Behind each one the loop goes on: it may drive a bus."""
+    """``families`` in the text format of Prometheus. Behind each one, and behind each :data:`_AT_ONCE` series, the loop
+    goes on: it may drive a bus."""
     parts = []
     for family in families:
-        parts.append(generate_latest(_One(family)))
-        await asyncio.sleep(0)
+        samples = family.samples
+        for first in range(0, len(samples), _AT_ONCE):
+            family.samples = samples[first : first + _AT_ONCE]
+            text = generate_latest(_One(family))
+            # help and type stand before the first ones
+            parts.append(text.split(b"\n", 2)[2] if first else text)
+            await asyncio.sleep(0)
     return b"".join(parts)
 
 

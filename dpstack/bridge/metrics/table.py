@@ -65,6 +65,16 @@ MAX_FDS: Final = Metric("dpstack_process_max_fds", GAUGE, ("process",), "file de
 START: Final = Metric(
     "dpstack_process_start_time_seconds", GAUGE, ("process",), "start of the process, in seconds since 1970"
 )
+_VALUE: Final = (*_SLAVE, "value", "direction", "unit")
+VALUE: Final = Metric(
+    "dpstack_slave_value", GAUGE, _VALUE, "a process value of this moment; absent while it is stale or bad; true is 1"
+)
+VALUE_QUALITY: Final = Metric(
+    "dpstack_slave_value_quality", GAUGE, _VALUE, "the quality of a process value: 3 good, 2 uncertain, 1 stale, 0 bad"
+)
+VALUES_LEFT_OUT: Final = Metric(
+    "dpstack_metrics_values_left_out", GAUGE, (), "process values without series, as `most_values` is too small"
+)
 CONNECTOR_UP: Final = Metric(
     "dpstack_connector_up", GAUGE, ("connector",), "1 while the connector serves; 0: it has ended by a fault"
 )
@@ -173,6 +183,9 @@ METRICS: Final = (
     CONDITIONS,
     *SLAVE_COUNTERS.values(),
     SLAVE_DAMAGED,
+    VALUE,
+    VALUE_QUALITY,
+    VALUES_LEFT_OUT,
     CONNECTOR_UP,
     CONNECTOR_CONNECTED,
     CONNECTOR_DROPPED,
