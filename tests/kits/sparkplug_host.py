@@ -320,7 +320,7 @@ class Host:
             assert (metric.alias is None) == (metric.name in without_alias)
             quality = _quality(metric)
             assert quality is not None
-            assert (value is None) == (quality == BAD)
+            assert value is not None or quality == BAD
             if metric.alias is not None:
                 assert metric.alias not in taken
                 assert metric.alias not in found
@@ -344,7 +344,7 @@ class Host:
             known.quality = known.quality if quality is None else quality
             known.timestamp = metric.timestamp or 0
             known.properties |= metric.properties
-            assert (value is None) == (known.quality == BAD)
+            assert value is not None or known.quality == BAD
 
 
 def _quality(metric: Metric) -> int | None:
