@@ -2,7 +2,6 @@
 
 - ``io_station/``: A simulated modular I/O station: slots that are pulled and plugged, channels with faults, alarms,
   records, I&M
-- ``adapter``: A station behind a USB serial adapter, in virtual time: delay and packing of octets
 - ``faults``: Fault injection on the medium, with one seed: bit noise, bursts and lost octets by chance; transmissions
   dropped, damaged, cut short, repeated or delayed by choice
 - ``nodes``: Register of the stations on the medium: by address, by baud rate, and the listeners to all telegrams

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from adapter_model import Adapter, Habits
 from slave_kit import make_slave
 from support import MS, KeepsEvents, S
 
@@ -26,7 +27,6 @@ from dpstack.fdl.interface import BusStation, LinkUser
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
-from dpstack.sim.adapter import Adapter, Habits
 from dpstack.sim.world import World
 from dpstack.trace import Event
 

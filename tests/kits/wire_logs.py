@@ -249,8 +249,8 @@ async def echo(log: Recorder) -> None:
     own = _first(*(f"{module}:EchoFilter" for module in filters))(
         _first(*(f"{module}:Echo" for module in filters)).AUTO
     )
-    habits = _first("dpstack.sim.adapter:Habits")(echo=True)
-    adapter = _first("dpstack.sim.adapter:Adapter")(station, habits, own=own)
+    habits = _first("adapter_model:Habits", "dpstack.sim.adapter:Habits")(echo=True)
+    adapter = _first("adapter_model:Adapter", "dpstack.sim.adapter:Adapter")(station, habits, own=own)
     log.world.add(adapter, on_events=log.on_events)
     log.world.command(adapter, _first("dpstack.fdl.commands:GoOnline")())
     operate = _first("dpstack.dp.master.commands:Mode", "dpstack.dp.commands:Mode").OPERATE

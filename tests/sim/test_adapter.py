@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import pytest
+from adapter_model import FTDI, FTDI_LOW_LATENCY, Adapter, Habits
 from bus_kit import SimBus
 from msgspec import structs
 from msgspec.structs import replace
@@ -21,7 +22,6 @@ from dpstack.fdl.telegram import token
 from dpstack.params import BusParams
 from dpstack.phy.neighbours import Neighbours, t_sl_of_answers
 from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, measured, slack
-from dpstack.sim.adapter import FTDI, FTDI_LOW_LATENCY, Adapter, Habits
 from dpstack.sim.referee import Rule
 from dpstack.sim.world import World
 from dpstack.trace import Severity

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from adapter_model import Habits
 from bus_kit import SimBus, mirror
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -19,7 +20,6 @@ from dpstack.fdl.active import exchange
 from dpstack.fdl.codec import NO_FRAME
 from dpstack.params import BusParams
 from dpstack.phy.patience import ADAPTER, EXACT
-from dpstack.sim.adapter import Habits
 from dpstack.sim.world import World
 from dpstack.trace import WireEntry
 

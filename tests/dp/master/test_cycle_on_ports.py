@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from adapter_model import FTDI_LOW_LATENCY, Adapter
 from bus_kit import IDENT, PPO1, mirror
 from slave_kit import make_slave
 from support import MS, US, S, WorldFactory
@@ -31,7 +32,6 @@ from dpstack.fdl.events import DoesNotFit, StationFound
 from dpstack.fdl.interface import BusStation
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST, Patience, measured
-from dpstack.sim.adapter import FTDI_LOW_LATENCY, Adapter
 from dpstack.sim.world import World
 from dpstack.units import NEVER
 from tests.dp.master.cycle_kit import P500, CycleBus, running, slave, steps
