@@ -34,6 +34,9 @@ _COMMANDS: Final[dict[str, Callable[[tuple[str, ...]], tuple[str, ...]]]] = {
     # whoever looks at a page does not stand beside the plant
     **{one: _same(one, NOW) for one in ("set", "outputs", "drive")},
     "write": _write,
+    # inputs of slaves that the run simulates; on a real bus it refuses both
+    "force": _same("set", NOW),
+    "release": _same("mirror"),
 }
 #: starts the run if none exists
 START: Final = "start"

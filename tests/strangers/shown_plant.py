@@ -69,8 +69,8 @@ def slave_of(name: str, address: int, **more: Any) -> dict[str, Any]:
         "model": "750-333",
         "gsd": "island.gsd",
         "modules": [
-            {"name": "8 DI", "config": "10", "inputs": 1, "outputs": 0},
-            {"name": "8 DO", "config": "20", "inputs": 0, "outputs": 1},
+            {"slot": 1, "name": "8 DI", "config": "10", "inputs": 1, "input_at": 0, "input_width": 1, "outputs": 0},
+            {"slot": 2, "name": "8 DO", "config": "20", "inputs": 0, "outputs": 1, "output_at": 0, "output_width": 1},
         ],
         "input_len": 1,
         "output_len": 1,
@@ -159,13 +159,26 @@ SLAVES: Final[dict[str, Any]] = {
     "14": slave_of(EMOJI, 14),
     "15": slave_of("gate", 15),
 }
+#: a bad channel and an uncertain one
+DOUBTS: Final[list[dict[str, Any]]] = [
+    {
+        "slot": slot,
+        "channel": 1,
+        "direction": direction,
+        "quality": quality,
+        "reason": "channel",
+        "text": f"{IMAGE}: slot {slot}, {direction} channel 1",
+        "since": 0.05,
+    }
+    for slot, direction, quality in ((1, "input", "bad"), (2, "output", "uncertain"))
+]
 VALUES: Final[dict[str, Any]] = {
     "3": values_of(drive=drive_of()),
     "4": values_of(drive=drive_of(state="fault", running=False, speed=0.0, faults=[f"OC1 {SCRIPT}"])),
     "8": values_of(fields={"level": 12.5, IMAGE: True, "limit": False}, retries=3),
     "12": values_of(state="wait_ready", inputs_valid=False, conspicuous=f"module 3: {IMAGE}"),
     "13": values_of(),
-    "14": values_of(),
+    "14": values_of(doubts=DOUBTS),
     "15": values_of(
         state="fault",
         inputs_valid=False,

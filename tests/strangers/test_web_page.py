@@ -40,7 +40,7 @@ from tests.strangers.stranger_kit import HANGS_S
 
 pytestmark = pytest.mark.strangers
 
-PAGES: Final = ("plant", "scope", "bus", "commissioning", "slave/3", "slave/8", "slave/12")
+PAGES: Final = ("plant", "scope", "bus", "commissioning", "watch", "slave/3", "slave/8", "slave/14", "slave/12")
 EVENTS: Final = (
     event("fault", 0.05, f"slave 12: {IMAGE}", address=12, name=SCRIPT, severity="error"),
     event("diagnosis", 0.06, "diagnosis", address=12, name=SCRIPT, flags=["ext_diag"], texts=[IMAGE, LONG]),
@@ -324,7 +324,7 @@ def test_a_token_is_asked_for_and_kept_out_of_the_address(browser: Browser) -> N
 def test_a_keyboard_is_enough(browser: Browser, shown: ShownPlant) -> None:
     browser.press("TAB")
     assert browser.js("return document.activeElement.className") == "skip"
-    for page in ("plant", "scope", "bus", "commissioning", "slave/8"):
+    for page in ("plant", "scope", "bus", "commissioning", "watch", "slave/8"):
         browser.go(page)
         wanted = browser.js(
             "return [...document.querySelectorAll('a[href], button, input, select, textarea, summary, [tabindex]')]"
@@ -343,7 +343,7 @@ def test_a_keyboard_is_enough(browser: Browser, shown: ShownPlant) -> None:
             browser.press("TAB")
         assert browser.js("return window.reached.size") == wanted, page
     browser.js("document.activeElement.blur()")
-    for key, page in (("o", "scope"), ("b", "bus"), ("c", "commissioning"), ("p", "plant")):
+    for key, page in (("o", "scope"), ("w", "watch"), ("b", "bus"), ("c", "commissioning"), ("p", "plant")):
         browser.press(key)
         browser.until_js(f"{page}/", "return window.dpstack.path")
     browser.press("/")

@@ -64,6 +64,8 @@ async def test_orders_become_commands_of_the_run_and_all_pages_are_told() -> Non
             ("outputs", "9=00FF"),
             ("drive", "hoist", "speed", "0.5"),
             ("write", "8", "1", "47", "00FF"),
+            ("force", "tank.level=3"),
+            ("release", "tank"),
         ]
         for number, (command, *args) in enumerate(orders):
             answer = await page.order(command, *args, id=number)
@@ -74,11 +76,13 @@ async def test_orders_become_commands_of_the_run_and_all_pages_are_told() -> Non
             ("outputs", "now", "9=00FF"),
             ("drive", "now", "hoist", "speed", "0.5"),
             ("acyclic", "8", "write", "1", "47", "00FF"),
+            ("set", "now", "tank.level=3"),
+            ("mirror", "tank"),
         ]
         refused = await page.order("set", "refuse", id=9)
         assert refused == {"id": 9, "ok": False, "error": "no slave <b>'refuse'</b> here"}
         assert "held by another" in (await page.order("start"))["error"]
-        told = [await other.until("event") for _ in range(9)]
+        told = [await other.until("event") for _ in range(11)]
     assert told[3]["text"] == "order of anna: set valves.limit=on 8.level=3: done"
     assert told[3] | {"time": "", "text": ""} == {
         "event": "web",
@@ -90,9 +94,9 @@ async def test_orders_become_commands_of_the_run_and_all_pages_are_told() -> Non
         "args": ["valves.limit=on", "8.level=3"],
         "ok": True,
     }
-    assert [one["ok"] for one in told] == [True] * 7 + [False] * 2
-    assert [one["severity"] for one in told[7:]] == ["warning"] * 2
-    assert len(log) == 18  # given, and its result
+    assert [one["ok"] for one in told] == [True] * 9 + [False] * 2
+    assert [one["severity"] for one in told[9:]] == ["warning"] * 2
+    assert len(log) == 22  # given, and its result
     assert [line.partition(" ")[2] for line in log[:3]] == [
         "order of anna: operate",
         "order of anna: operate: done",

@@ -46,7 +46,7 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def plant_file(folder: Path, port: object = "COM7") -> Path:
-    return plant_files.plant_file(folder, {**RAW, "outputs": {"lamp": "bool@0.3"}}, port=port)
+    return plant_files.plant_file(folder, {**RAW, "inputs": {"full": "bool@0.1"}, "outputs": {"lamp": "bool@0.3"}}, port=port)
 
 
 class FakeRun:
@@ -318,16 +318,23 @@ async def test_orders_and_asks_reach_a_bus(tmp_path: Path) -> None:
         assert bus.mode.name == "OPERATE"
         assert (await page.order("set", "raw.lamp=on"))["ok"] is True
         assert bus.slave(9).outputs == b"\x08"
+        assert (await page.order("force", "raw.full=on"))["ok"] is True
+        while bus.slave(9)["full"] is not True:
+            await page.until("snapshot")
+        assert "no output" in (await page.order("force", "raw.none=on"))["error"]
+        assert (await page.order("release", "raw"))["ok"] is True
+        while bus.slave(9).inputs != b"\x08":  # the simulated slave mirrors its outputs
+            await page.until("snapshot")
         assert (await page.order("outputs", "9=zz"))["ok"] is False
         assert "no slave" in (await page.order("outputs", "77=00"))["error"]
         # the log of the run has those that it has refused, and those that the server has
         assert "not confirmed" in (await page.order("operate", confirmed=False))["error"]
         core_of(bus).refused_orders.report()
         told = [event for event in core_of(bus).past_events() if isinstance(event, OrdersRefused)]
-        assert sum(event.count for event in told) == 5
+        assert sum(event.count for event in told) == 6
         orders = [order for event in told for order in event.orders]
         assert {order.origin for order in orders} == {"page (anna)"}
-        assert [order.order for order in orders][::4] == ["set raw.lamp=on", "operate"]
+        assert [order.order for order in orders][::5] == ["set raw.lamp=on", "operate"]
         assert all(order.reason for order in orders)
         diag = await page.ask("diag", 9)
         assert (diag["result"]["address"], diag["result"]["ident"]) == (9, "0x1234")

@@ -1,6 +1,9 @@
 // The state of the plant as the stream of snapshots and events tells it.
 
 const EVENTS_KEPT = 2000;
+// Places of one slave in a snapshot that become events of their own; the others are counted in one.
+const PLACES_SHOWN = 8;
+const SEVERITIES = { bad: "error", uncertain: "warning" };
 
 /** `plant`, `bus`, `slaves` (Map by address) merged from the items; `events` oldest first. */
 export class Live {
@@ -14,6 +17,7 @@ export class Live {
     this.end = null;
     this.t = null;
     this.whole = false;
+    this.noted = []; // events that the page made of the last snapshot
     this.version = 0; // grows with each plant: pages build anew
     this.snapshots = 0;
   }
@@ -23,6 +27,7 @@ export class Live {
     if (item.plant) {
       // a large plant comes in several items: all but the first have `whole` false, all but the last `more`
       const known = item.plant.whole === false ? this.plant : null;
+      if (!known && this.plant?.started !== item.plant.started) this.slaves.clear(); // another run
       this.plant = { ...(known ?? item.plant), slaves: { ...known?.slaves, ...item.plant.slaves } };
       if (item.plant.more) return null;
       const there = new Set(Object.keys(this.plant.slaves).map(Number));
@@ -34,6 +39,8 @@ export class Live {
     }
     if (item.snapshot) {
       const { t, whole, bus, slaves } = item.snapshot;
+      const doubts = new Map([...this.slaves].map(([address, slave]) => [address, slave.doubts]));
+      this.noted = [];
       if (whole) {
         this.bus = {};
         for (const address of this.slaves.keys()) this.slaves.set(address, {});
@@ -44,14 +51,14 @@ export class Live {
       Object.assign(this.bus, bus);
       for (const [address, change] of Object.entries(slaves ?? {})) {
         const slave = this.slaves.get(Number(address));
-        if (slave) Object.assign(slave, change);
+        if (!slave) continue;
+        Object.assign(slave, change);
+        if ("doubts" in change) this.compare(Number(address), doubts.get(Number(address)) ?? [], change.doubts ?? []);
       }
       return "snapshot";
     }
     if (item.event) {
-      this.numbered += 1;
-      this.events.push({ severity: "info", ...item.event, number: this.numbered });
-      if (this.events.length > EVENTS_KEPT * 1.1) this.events.splice(0, this.events.length - EVENTS_KEPT);
+      this.keep(item.event);
       return "event";
     }
     if (item.lost) {
@@ -63,6 +70,39 @@ export class Live {
       return "end";
     }
     return null;
+  }
+
+  /** Keep an event, in the order of time. */
+  keep(given) {
+    this.numbered += 1;
+    const event = { severity: "info", ...given, number: this.numbered };
+    const t = this.eventT(event);
+    let at = this.events.length;
+    while (at > 0 && this.eventT(this.events[at - 1]) > t) at -= 1;
+    this.events.splice(at, 0, event);
+    if (this.events.length > EVENTS_KEPT * 1.1) this.events.splice(0, this.events.length - EVENTS_KEPT);
+    return event;
+  }
+
+  /** Note which places of a slave have a diagnosis now and had none before, and the other way round. */
+  compare(address, before, now) {
+    const key = (one) => [one.slot, one.channel, one.direction, one.reason, one.text].join("|");
+    const [old, present] = [before, now].map((all) => new Map(all.map((one) => [key(one), one])));
+    const changes = [
+      ...[...present].filter(([one]) => !old.has(one)).map(([, one]) => ["appears", one]),
+      ...[...old].filter(([one]) => !present.has(one)).map(([, one]) => ["disappears", one]),
+    ];
+    const note = (change, severity, text, since) => {
+      const t = change === "appears" && typeof since === "number" ? since : this.t;
+      this.noted.push(this.keep({ event: "place", change, severity, t, address, text: `${text} (${this.name(address)})` }));
+    };
+    for (const [change, one] of changes.slice(0, PLACES_SHOWN)) {
+      note(change, change === "appears" ? SEVERITIES[one.quality] ?? "info" : "info", one.text, one.since);
+    }
+    for (const change of ["appears", "disappears"]) {
+      const more = changes.slice(PLACES_SHOWN).filter(([one]) => one === change);
+      if (more.length) note(change, "info", `${more.length} more diagnoses`, more[0][1].since);
+    }
   }
 
   /** Addresses in ascending order. */

@@ -11,6 +11,7 @@ import { CommissioningPage } from "./page_commissioning.js";
 import { PlantPage } from "./page_plant.js";
 import { ScopePage } from "./page_scope.js";
 import { SlavePage } from "./page_slave.js";
+import { WatchPage } from "./page_watch.js";
 import { RotationHistory } from "./rotation.js";
 import { Store } from "./scope_data.js";
 
@@ -54,6 +55,7 @@ class App {
     this.orders = new Orders(this);
     this.pages = [
       { key: "p", path: "plant", text: "Plant", make: (app) => new PlantPage(app) },
+      { key: "w", path: "watch", text: "Watch table", make: (app) => new WatchPage(app) },
       { key: "o", path: "scope", text: "Oscilloscope", make: (app) => new ScopePage(app) },
       { key: "b", path: "bus", text: "Bus", make: (app) => new BusPage(app) },
       { key: "c", path: "commissioning", text: "Commissioning", make: (app) => new CommissioningPage(app) },
@@ -68,6 +70,15 @@ class App {
       refused: (text) => this.refused(text),
       state: () => this.judge(),
     });
+  }
+
+  /** A setting of this browser, null if it keeps none. */
+  remembered(name) {
+    return remembered(name);
+  }
+
+  remember(name, value) {
+    remember(name, value);
   }
 
   start() {
@@ -148,6 +159,10 @@ class App {
       for (const address of Object.keys(item.snapshot.slaves ?? {})) this.changed.add(Number(address));
       this.store.sample(live);
       this.rotation.sample(live.t, live.bus.histogram);
+      for (const event of live.noted) {
+        this.store.event(live, event);
+        this.page?.happened?.(event);
+      }
       if (this.dead) this.judge();
     } else if (kind === "event") {
       this.store.event(live, item.event);
@@ -275,7 +290,10 @@ class App {
     const path = found?.[1] ?? "plant";
     const address = found?.[2] === undefined ? null : Number(found[2]);
     const where = `${path}/${address ?? ""}/${this.live.version}/${Boolean(this.welcome)}`;
-    if (where === this.where && !again) return;
+    if (where === this.where && !again) {
+      this.page?.addressed?.();
+      return;
+    }
     const moved = this.path !== `${path}/${address ?? ""}`;
     this.where = where;
     this.path = `${path}/${address ?? ""}`;
@@ -321,7 +339,7 @@ class App {
   buildHelp() {
     const rows = [
       ...this.pages.map(({ key, text }) => [key, `page ${text}`]),
-      ["/", "plant, bus: to the filter"],
+      ["/", "plant, watch table, bus: to the filter"],
       ["j, k", "one slave: the next, the one before"],
       ["Space", "oscilloscope: pause, go on"],
       ["t", "oscilloscope: arm the trigger"],

@@ -25,6 +25,10 @@ export function describe(live, command, args) {
       return { title: "Stop", lines: [`The run ends in order: the master sends safe values and Clear to ${all}, then it leaves the bus.`, "Drives stop. This page shows old values until a run is there again."], danger: true };
     case "set":
       return { title: "Set named outputs", lines: args.map((one) => `Set ${one}.`), danger: true, mode: true };
+    case "force":
+      return { title: "Force inputs of a simulated slave", lines: [...args.map((one) => `Force ${one}.`), "The value stays until another one is forced, or the forced inputs are released. Programs react to it as to a real one."], danger: true };
+    case "release":
+      return { title: "Release forced inputs", lines: args.map((one) => `The simulated slave ${one} makes its inputs itself again.`) };
     case "outputs":
       return { title: "Set output octets", lines: args.map((one) => `All outputs of the slave: ${one}.`), danger: true, mode: true };
     case "drive": {
@@ -53,6 +57,23 @@ function driveLine(name, order, rest) {
   }
 }
 
+/** A form that gives the order `command` ("set" an output, "force" an input) for a named value, at present or not. */
+export function fieldForm(app, address, field, command, label = null) {
+  const disabled = !app.orders.allowed;
+  const id = `${command}-${address}-${field.name}`;
+  const name = label ? null : `${command === "force" ? "Force" : "Set"} ${field.name} of ${app.live.name(address)}`;
+  const input = field.type === "bool"
+    ? el("select", { id, disabled, "data-key": id, "aria-label": name }, el("option", { value: "on", text: "on" }), el("option", { value: "off", text: "off" }))
+    : el("input", { id, disabled, "data-key": id, size: label ? 10 : 7, autocomplete: "off", "aria-label": name });
+  const give = (event) => {
+    event.preventDefault();
+    if (input.value.trim()) app.orders.give(command, [`${address}.${field.name}=${input.value.trim()}`]);
+  };
+  return el("form", { class: "inline", on: { submit: give } },
+    label ? el("label", { for: id }, el("bdi", { text: label }), field.unit ? ` (${field.unit})` : "") : null, input,
+    el("button", { disabled, "data-key": `${id}-give`, text: command === "force" ? "Force …" : "Set …" }));
+}
+
 export class Orders {
   constructor(app) {
     this.app = app;
@@ -67,6 +88,16 @@ export class Orders {
   /** Whether an order can be given now: never while the page shows old values. */
   get allowed() {
     return this.shown && !this.app.dead;
+  }
+
+  /** Whether outputs of a slave can be set by their names: a drive's are made by its profile. */
+  sets(address) {
+    return this.shown && !this.app.live.plant?.read_only && !this.app.live.about(address).drive;
+  }
+
+  /** Whether inputs of a slave can be forced: the run itself simulates it, and it is no drive. */
+  forces(address) {
+    return this.sets(address) && this.app.live.plant?.virtual === true;
   }
 
   /** Without a run there is one order: to start one. */

@@ -236,7 +236,7 @@ export class BusPage {
     const found = this.wanted();
     const shown = found.slice(-SHOWN_EVENTS).reverse();
     setText(this.shown, `${found.length} events${found.length > shown.length ? `, the last ${shown.length} shown` : ""}${live.lost ? `, ${live.lost} left out` : ""}`);
-    refill(this.events, `${shown.length}|${shown[0]?.number}|${this.view.filter}|${JSON.stringify(this.view.severities)}`, () => (shown.length ? shown.map((one) => eventItem(live, one)) : [el("li", { class: "faint", text: "none" })]));
+    refill(this.events, `${live.numbered}|${this.view.filter}|${JSON.stringify(this.view.severities)}`, () => (shown.length ? shown.map((one) => eventItem(live, one)) : [el("li", { class: "faint", text: "none" })]));
     this.paintStrip(true);
   }
 

@@ -1,8 +1,10 @@
 // The plant: a picture of the line, a table of states and values, the drives, the last events.
 
 import { el, refill, setAttr, setText, svg } from "./dom.js";
-import { clock, count, micros, number, octets, percent, kindOf, stateText, value } from "./format.js";
+import { clock, count, micros, octets, percent, kindOf, stateText, value } from "./format.js";
 import { MachinePicture, SpeedBar, StateMark, mark, shape } from "./marks.js";
+import { QUANTITIES, quantity } from "./points.js";
+import { Figure, qualityOf, qualityText } from "./quality.js";
 
 /** The line as a picture: the master, and the slaves in the order of their addresses. */
 class LinePicture {
@@ -126,27 +128,53 @@ class LinePicture {
 // Rows outside the window that are painted with each snapshot.
 const AT_A_TIME = 8;
 
-/** Named values of a slave as a list that changes in place. */
+/** Terms with figures and units as a list that changes in place. */
+function listOf(cells) {
+  return el("dl", { class: "values" }, ...cells.map((one) => {
+    one.node = el("div", {}, el("dt", {}, el("bdi", { text: one.term })), el("dd", {}, one.shown.node, one.unit ? " " : null, one.unit ? el("span", { class: "unit", text: one.unit }) : null));
+    return one.node;
+  }));
+}
+
+/** Named values of a slave, each with its quality. */
 export class Values {
-  constructor(fields, outputs) {
+  constructor(app, fields, outputs) {
+    this.app = app;
     this.outputs = outputs;
-    this.cells = fields.map((field) => {
-      const shown = el("span", { class: "figure" });
-      const node = el("div", {}, el("dt", {}, el("bdi", { text: field.name })), el("dd", {}, shown, field.unit ? " " : null, field.unit ? el("span", { class: "unit", text: field.unit }) : null));
-      return { field, shown, node };
-    });
-    this.node = el("dl", { class: "values" }, ...this.cells.map((one) => one.node));
+    this.cells = fields.map((field) => ({ field, term: field.name, unit: field.unit, shown: new Figure() }));
+    this.node = listOf(this.cells);
   }
 
   update(slave) {
+    const { dead } = this.app;
     const alive = this.outputs || slave.alive;
     setAttr(this.node, "class", alive ? "values" : "values old");
     for (const { field, shown, node } of this.cells) {
       const one = slave.fields?.[field.name];
-      setText(shown, value(one));
+      shown.update(value(one), qualityOf(slave, field.name, { dead, output: this.outputs }));
       const held = this.outputs ? slave.held_fields?.[field.name] : undefined;
       setAttr(node, "class", one === true ? "on" : held !== undefined && held !== one ? "held" : null);
       setAttr(node, "title", held !== undefined && held !== one ? `the application's value, not sent: ${value(held)}` : null);
+    }
+  }
+}
+
+/** Quantities of a drive in its row: what it does, or its set point. */
+class DriveValues {
+  constructor(app, outputs) {
+    this.app = app;
+    this.cells = QUANTITIES.filter((one) => (one.name === "setpoint") === outputs)
+      .map((one) => ({ one, term: one.text, unit: one.unit, shown: new Figure() }));
+    this.node = listOf(this.cells);
+  }
+
+  update(slave) {
+    const told = qualityOf(slave, null, { dead: this.app.dead });
+    setAttr(this.node, "class", slave.alive ? "values" : "values old");
+    for (const { one, shown, node } of this.cells) {
+      const text = quantity(slave.drive, one);
+      setAttr(node, "class", text === null ? "gone" : null);
+      shown.update(text ?? "–", told);
     }
   }
 }
@@ -159,8 +187,8 @@ class Row {
     this.address = address;
     this.state = new StateMark();
     this.age = el("span", { class: "age" });
-    this.inputs = about.inputs?.length ? new Values(about.inputs, false) : null;
-    this.outputs = about.outputs?.length ? new Values(about.outputs, true) : null;
+    this.inputs = about.drive ? new DriveValues(app, false) : about.inputs?.length ? new Values(app, about.inputs, false) : null;
+    this.outputs = about.drive ? new DriveValues(app, true) : about.outputs?.length ? new Values(app, about.outputs, true) : null;
     this.rawIn = el("code", { class: "octets" });
     this.rawOut = el("code", { class: "octets" });
     this.counters = el("span", { class: "figure" });
@@ -224,15 +252,20 @@ export class DriveCard {
     this.state.update(kindOf(drive.level), stateOfDrive(state));
     this.bar.update(drive.speed, drive.setpoint);
     const rows = [
-      ["Set point", percent(drive.setpoint, 1)],
-      ["Frequency", typeof drive.frequency_hz === "number" ? `${number(Number(drive.frequency_hz.toFixed(2)))} Hz` : null],
-      ["Current", typeof drive.current === "number" ? percent(drive.current, 1) : null],
-      ["Torque", typeof drive.torque === "number" ? percent(drive.torque, 1) : null],
+      ...QUANTITIES.filter(({ name }) => name !== "speed").map((one) => {
+        const text = quantity(drive, one);
+        return [one.text, text === null ? one.name === "setpoint" ? "–" : null : `${text}\u202f${one.unit}`];
+      }),
       ["At set point", drive.reached ? "yes" : "no"],
       ["Settings", drive.settings === "none" ? null : drive.settings?.replace("_", " ")],
       ["Control", drive.remote === false ? "local" : null],
     ].filter(([, text]) => text !== null);
     refill(this.figures, rows, () => rows.map(([term, text]) => el("div", {}, el("dt", { text: term }), el("dd", { class: "figure", text }))));
+    const told = qualityOf(slave, null, { dead: this.app.dead });
+    for (const node of [this.figures, this.bar.figure]) {
+      setAttr(node, "title", told.quality === "good" ? null : qualityText(told));
+      node.classList.toggle("not-good", told.quality === "bad" || told.quality === "stale");
+    }
     const faults = drive.faults?.length ? drive.faults.join(", ") : "";
     const warnings = drive.warnings?.length ? drive.warnings.join(", ") : "";
     const lost = slave.alive ? "" : slave.remark?.text ?? "";
@@ -299,14 +332,19 @@ function stateOfDrive(state) {
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
+// Marks of diagnoses and alarms that come and go.
+const CHANGES = { appears: "▲ appears", disappears: "▼ disappears", disappears_others: "▼ disappears, others are left" };
+
 /** One event as a list item. */
 export function eventItem(live, event) {
   const about = event.address === undefined ? null
     : el("a", { href: `#/slave/${event.address}`, class: "address" }, String(event.address));
   const text = event.text ?? [event.event, event.state].filter(Boolean).join(" ");
+  const change = CHANGES[event.change ?? (event.event === "alarm" ? event.specifier : null)];
   return el("li", { class: event.severity },
     el("time", { datetime: event.time, text: clock(live.eventWall(event), true) }),
-    mark(kindOf(event.severity)), about, el("span", { class: "text", text }));
+    mark(event.change === "disappears" ? "good" : kindOf(event.severity)), about,
+    el("span", { class: "text" }, change ? el("span", { class: "change", text: change }) : null, text));
 }
 
 export class PlantPage {
@@ -412,15 +450,18 @@ export class PlantPage {
   paintTiles(live) {
     let alive = 0;
     let faults = 0;
+    const diagnosed = [];
     for (const slave of live.slaves.values()) {
       alive += slave.alive ? 1 : 0;
       faults += slave.level === "error" ? 1 : 0;
+      if (slave.doubts?.length || slave.conspicuous) diagnosed.push(slave);
     }
     const { bus } = live;
     const all = live.slaves.size;
     const tiles = [
       ["In data exchange", `${alive} of ${all}`, alive === all ? "good" : "bad"],
       ["With a fault", String(faults), faults ? "bad" : "good"],
+      ["With a diagnosis", String(diagnosed.length), diagnosed.some((slave) => slave.level === "error") ? "bad" : diagnosed.length ? "warn" : "good"],
       ["Rotation time, median", micros(bus.rotation_us?.p50), null],
       ["99 % below", micros(bus.rotation_us?.p99), null],
       ["Retries", count(bus.retries), null],

@@ -1,11 +1,13 @@
 // One slave: identity, values, diagnosis and its history, counters, alarms, records, I&M, and why it does not run.
 
 import { cell, download, el, pairs, refill, setAttr, setText, table } from "./dom.js";
-import { clock, count, duration, millis, octets, percent, kindOf, stateText, value, words } from "./format.js";
+import { clock, count, duration, millis, octets, kindOf, stateText, value, words } from "./format.js";
 import { StateMark, mark } from "./marks.js";
+import { fieldForm } from "./orders.js";
 import { DriveCard, Values, eventItem } from "./page_plant.js";
+import { Rack } from "./rack.js";
 
-const HISTORY = new Set(["diagnosis", "fault", "slave", "alarm", "status_message", "remark", "flapping", "drive", "connection_over", "injected"]);
+const HISTORY = new Set(["diagnosis", "fault", "slave", "alarm", "status_message", "remark", "flapping", "drive", "connection_over", "injected", "quality", "place"]);
 const COUNTERS = ["exchanges", "telegrams", "retries", "timeouts", "late", "wrong"];
 
 export class SlavePage {
@@ -24,15 +26,18 @@ export class SlavePage {
       return;
     }
     const about = live.about(address);
+    const section = (id, title, ...inside) => el("section", { class: "card", "aria-labelledby": id }, el("h2", { id, text: title }), ...inside);
     this.state = new StateMark();
     this.fault = el("p", { class: "fault" });
-    this.inputs = about.inputs?.length ? new Values(about.inputs, false) : null;
-    this.outputs = about.outputs?.length ? new Values(about.outputs, true) : null;
+    this.inputs = about.inputs?.length ? new Values(app, about.inputs, false) : null;
+    this.outputs = about.outputs?.length ? new Values(app, about.outputs, true) : null;
     this.rawIn = el("code", { class: "octets" });
     this.rawOut = el("code", { class: "octets" });
     this.rawHeld = el("p", { class: "warn" });
     this.valid = el("p", { class: "age" });
     this.drive = about.drive ? new DriveCard(app, address, "h2", true) : null;
+    this.rack = new Rack(app, address);
+    const rack = this.rack.node ? section("h-rack", "Modules and channels", this.rack.node) : null;
     this.flags = el("div");
     this.history = el("ol", { class: "events" });
     this.counters = el("div");
@@ -46,12 +51,13 @@ export class SlavePage {
     const others = live.addresses;
     const at = others.indexOf(address);
     const to = (one, text) => (one === undefined ? null : el("a", { href: `#/slave/${one}`, text }));
-    const section = (id, title, ...inside) => el("section", { class: "card", "aria-labelledby": id }, el("h2", { id, text: title }), ...inside);
     root.append(
       el("div", { class: "heading" },
         el("h1", {}, el("span", { class: "address", text: address }), " ", el("bdi", { text: live.name(address) })), this.state.node,
+        el("a", { class: "to-watch", href: `#/watch?only=${address}`, text: "Watch values" }),
         el("span", { class: "turn" }, to(others[at - 1], "‹ previous"), to(others[at + 1], "next ›"))),
       this.fault,
+      ...(rack && !about.drive ? [rack] : []),
       el("div", { class: "columns" }, el("div", { class: "side" },
         section("h-values", "Process data", this.valid,
           el("h3", { text: "Inputs" }), this.inputs?.node, this.rawIn,
@@ -62,10 +68,11 @@ export class SlavePage {
       el("div", { class: "side" },
         section("h-diagnosis", "Diagnosis", this.flags, this.notices),
         section("h-history", "History", this.history),
-        section("h-identity", "Identity", this.identity(about), this.modules(about)),
+        section("h-identity", "Identity", this.identity(about)),
         section("h-counters", "Counters", this.counters),
         section("h-alarms", "Alarms", this.alarmList, this.alarms))),
-      section("h-sheet", "Commissioning sheet", el("p", { class: "faint", text: "What to set at the device and why, telegrams, words, faults and LEDs. Made from the configuration and the drive's tables: the device is not asked." }), this.button("Show the sheet", () => this.askSheet()), this.sheet));
+      section("h-sheet", "Commissioning sheet", el("p", { class: "faint", text: "What to set at the device and why, telegrams, words, faults and LEDs. Made from the configuration and the drive's tables: the device is not asked." }), this.button("Show the sheet", () => this.askSheet()), this.sheet),
+      ...(rack && about.drive ? [rack] : []));
   }
 
   get whyTitle() {
@@ -110,31 +117,15 @@ export class SlavePage {
     ]);
   }
 
-  modules(about) {
-    if (!about.modules?.length) return null;
-    return table("Modules", [["Slot", "n"], ["Module"], ["Identifier"], ["In", "n"], ["Out", "n"]],
-      about.modules.map((one, slot) => el("tr", {}, cell(String(slot + 1), "n"), cell(one.name || (one.config ? "" : "(empty)")), cell(el("code", { text: octets(one.config) })), cell(String(one.inputs ?? 0), "n"), cell(String(one.outputs ?? 0), "n"))));
-  }
-
   outputOrders(about) {
     const { app, address } = this;
     const name = String(address);
     this.orderBox = el("div", { class: "orders-box" });
     this.orderMake = () => {
-      if (!app.orders.shown || app.live.plant?.read_only || about.drive) return [];
+      if (!app.orders.sets(address)) return [];
       const disabled = !app.orders.allowed;
-      const boxes = [];
-      for (const field of about.outputs ?? []) {
-        const id = `set-${address}-${field.name}`;
-        const input = field.type === "bool"
-          ? el("select", { id, disabled, "data-key": id }, el("option", { value: "on", text: "on" }), el("option", { value: "off", text: "off" }))
-          : el("input", { id, disabled, "data-key": id, size: 10, autocomplete: "off" });
-        const set = (event) => {
-          event.preventDefault();
-          if (input.value.trim()) app.orders.give("set", [`${name}.${field.name}=${input.value.trim()}`]);
-        };
-        boxes.push(el("form", { class: "inline", on: { submit: set } }, el("label", { for: id }, el("bdi", { text: field.name }), field.unit ? ` (${field.unit})` : ""), input, el("button", { disabled, text: "Set …" })));
-      }
+      const boxes = (about.outputs ?? []).map((field) => fieldForm(app, address, field, "set", field.name));
+      if (app.orders.forces(address)) boxes.push(...this.forceOrders(about));
       if (about.output_len) {
         const input = el("input", { id: "raw-outputs", disabled, "data-key": "raw", size: 24, autocomplete: "off", spellcheck: "false", placeholder: "00 FF" });
         const set = (event) => {
@@ -148,6 +139,16 @@ export class SlavePage {
       return boxes;
     };
     return this.orderBox;
+  }
+
+  /** Inputs of a simulated slave: each by its name, and back to what the simulation makes. */
+  forceOrders(about) {
+    const { app, address } = this;
+    if (!about.inputs?.length) return [];
+    return [el("details", { class: "force" }, el("summary", { "data-key": "force", text: "Force inputs of this simulated slave" }),
+      el("div", { class: "orders-box" }, ...about.inputs.map((field) => fieldForm(app, address, field, "force", field.name)),
+        // an I/O station has nothing else to give: its inputs stay as they were set
+        about.gsd === "io-station" ? null : el("div", { class: "buttons" }, el("button", { type: "button", disabled: !app.orders.allowed, "data-key": "release", text: "Release …", on: { click: () => app.orders.give("release", [String(address)]) } }))))];
   }
 
   recordForm(about) {
@@ -239,10 +240,12 @@ export class SlavePage {
     const slave = live.slaves.get(address);
     if (!slave) return;
     this.state.update(kindOf(slave.level), stateText(slave));
-    setText(this.fault, slave.fault ? `${words(slave.fault.kind ?? "fault")}: ${slave.fault.text}` : "");
-    setAttr(this.fault, "class", slave.fault ? "fault bad" : "gone");
+    const said = slave.fault ? { text: `${words(slave.fault.kind ?? "fault")}: ${slave.fault.text}`, severity: "error" } : slave.remark;
+    setText(this.fault, said?.text ?? "");
+    setAttr(this.fault, "class", said ? `fault ${kindOf(said.severity)}` : "gone");
     this.inputs?.update(slave);
     this.outputs?.update(slave);
+    this.rack.update(slave);
     const { dead } = this.app;
     const alive = !dead && slave.alive;
     setText(this.rawIn, octets(slave.inputs));

@@ -1,17 +1,22 @@
 // The data of the oscilloscope: samples of signals, triggers, CSV. Nothing here draws.
 
+import { QUANTITIES } from "./points.js";
+import { qualityOf } from "./quality.js";
 
 // Samples kept of each signal: an hour at five a second.
 const KEPT = 18000;
 // All signals are kept from the start where there are at most so many; of more only the chosen ones.
 const KEPT_ALL = 96;
 
-const QUANTITIES = [
-  ["speed", "%", 100], ["setpoint", "%", 100], ["frequency_hz", "Hz", 1], ["current", "%", 100], ["torque", "%", 100],
-];
 const NUMBERS = /^(bool|[iuf](8|16|32|64)(le)?)$/;
 
-/** All signals of a plant: {id, label, unit, kind, read(live)}; `read` gives NaN where there is no valid value. */
+/** Whether a value can be drawn: a trace has no quality beside it. */
+function drawn(slave, name, output = false) {
+  const { quality } = qualityOf(slave, name, { output });
+  return quality === "good" || quality === "uncertain";
+}
+
+/** All signals of a plant: {id, label, unit, kind, read(live)}; `read` gives NaN where there is no value, and while it is bad or stale. */
 export function signalsOf(live) {
   const found = [];
   for (const [key, slave] of Object.entries(live.plant?.slaves ?? {})) {
@@ -29,14 +34,14 @@ export function signalsOf(live) {
       found.push({
         id: `${address}.${field.name}`, address, label: `${slave.name}.${field.name}`,
         unit: plain === "bool" ? "" : field.unit ?? "", kind: plain === "bool" ? "bool" : "number",
-        read: of((now) => (input && !now.alive ? null : now.fields?.[field.name])),
+        read: of((now) => (drawn(now, field.name, !input) ? now.fields?.[field.name] : null)),
       });
     }
     if (slave.drive) {
-      for (const [name, unit, scale] of QUANTITIES) {
+      for (const { name, unit, scale } of QUANTITIES) {
         found.push({
           id: `${address}:${name}`, address, label: `${slave.name}: ${name.replace("_hz", "")}`, unit, kind: "number",
-          read: of((now) => (typeof now.drive?.[name] === "number" && now.alive ? now.drive[name] * scale : null)),
+          read: of((now) => (typeof now.drive?.[name] === "number" && drawn(now, null) ? now.drive[name] * scale : null)),
         });
       }
     }
