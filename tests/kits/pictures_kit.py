@@ -20,7 +20,15 @@ PICTURES: Final = {
         "test_pictures.py",
     ),
     **dict.fromkeys(
-        ("web-plant.png", "web-slave.png", "web-scope.png", "web-bus.png", "web-commissioning.png"),
+        (
+            "web-plant.png",
+            "web-slave.png",
+            "web-rack.png",
+            "web-watch.png",
+            "web-scope.png",
+            "web-bus.png",
+            "web-commissioning.png",
+        ),
         "test_web_page_of_a_run.py",
     ),
 }

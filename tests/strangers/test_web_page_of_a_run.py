@@ -241,8 +241,14 @@ def test_an_alarm_with_the_texts_of_the_gsd_file(page: Browser, plant: Plant) ->
     plant.ctl("wire-break", "8", "3", "0", "on")
     page.sees("line break", "[aria-labelledby=h-diagnosis]")
     page.until(lambda: page.text("[aria-labelledby=h-alarms] .events"), "the alarm")
+    assert page.text(".bad-slot h3") == "Slot 3"
+    assert page.text(".bad-slot .module") == "2 AI"
+    assert "line break" in page.text(".bad-slot [data-channel='0'].q-bad .value")
+    assert "line break" in page.text("[aria-labelledby=h-history] .error .text:has(.change)")
     plant.ctl("wire-break", "8", "3", "0", "off")
     page.until(lambda: "line break" not in page.text("[aria-labelledby=h-diagnosis]"), "no line break")
+    page.until(lambda: not page.count(".bad-slot, .channels > .q-bad"), "the slot is in order")
+    assert page.texts("[aria-labelledby=h-history] .change")[0] == "▼ disappears"
 
 
 # --- asks and orders -------------------------------------------------------------------------------------------------
@@ -297,6 +303,20 @@ def test_an_output_set_on_the_page_is_on_the_wire(page: Browser, plant: Plant) -
     assert "set 8.outlet=on" in plant.web.err
     page.go("bus")
     page.sees("order of this computer: set 8.outlet=on: done", ".events")
+
+
+def test_an_input_forced_in_the_watch_table_is_read_by_the_master(page: Browser, plant: Plant) -> None:
+    page.go("watch")
+    page.js("location.hash = '#/watch?8.pressure&9.level&3:speed'")
+    page.until(lambda: page.count("table.watched form") == 2, "the forms")
+    page.click("[data-id='8.pressure'] form input")
+    page.type("7.5")
+    page.press("ENTER")
+    page.sees("Force 8.pressure=7.5.", "#confirm")
+    page.click("#confirm-yes")
+    page.sees("7.5", "[data-id='8.pressure'] .reading")
+    assert plant.call("stats")["slaves"]["8"]["fields"]["pressure"] == 7.5
+    assert page.text("[data-id='8.pressure'] .octets") == "1d 4c"
 
 
 def test_commissioning_from_the_scan_to_the_file(page: Browser, plant: Plant) -> None:
@@ -425,8 +445,16 @@ def test_pictures_of_every_page(page: Browser, plant: Plant, tmp_path: Path) -> 
     taken = []
     for width in (1280, 390):
         page.window(width, 860)
-        for route in ("plant", "slave/12", "scope", "bus", "commissioning"):
+        for route, name in (
+            ("plant", "plant"), ("slave/12", "slave"), ("slave/8", "rack"), ("watch", "watch"), ("scope", "scope"),
+            ("bus", "bus"), ("commissioning", "commissioning"),
+        ):  # fmt: skip
             page.go(route)
+            if route == "watch":
+                page.js(
+                    "location.hash = '#/watch?8.pressure&8.full&8.inlet&9.level&9.temperature&4:speed&12/2/input/0'"
+                )
+                page.until(lambda: page.count("table.watched tbody tr") == 7, "the rows")
             page.js("document.activeElement.blur()")
             if route == "slave/12":
                 page.click("[aria-labelledby=h-why] button")
@@ -441,8 +469,7 @@ def test_pictures_of_every_page(page: Browser, plant: Plant, tmp_path: Path) -> 
             page.until(lambda: not page.js("return document.querySelector('#said').textContent"), "no message")
             shows_no_place(page.text("body"))
             page.sees("Simulated slaves", "#badges")
-            name = f"web-{route.split('/')[0]}"
-            path = folder / f"{name}.png" if width == 1280 else tmp_path / f"{name}-390.png"
+            path = folder / f"web-{name}.png" if width == 1280 else tmp_path / f"web-{name}-390.png"
             page.picture(path)
             taken.append(path)
     for path in taken:

@@ -46,7 +46,9 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def plant_file(folder: Path, port: object = "COM7") -> Path:
-    return plant_files.plant_file(folder, {**RAW, "inputs": {"full": "bool@0.1"}, "outputs": {"lamp": "bool@0.3"}}, port=port)
+    return plant_files.plant_file(
+        folder, {**RAW, "inputs": {"full": "bool@0.1"}, "outputs": {"lamp": "bool@0.3"}}, port=port
+    )
 
 
 class FakeRun:

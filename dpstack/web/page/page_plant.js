@@ -254,7 +254,7 @@ export class DriveCard {
     const rows = [
       ...QUANTITIES.filter(({ name }) => name !== "speed").map((one) => {
         const text = quantity(drive, one);
-        return [one.text, text === null ? one.name === "setpoint" ? "–" : null : `${text}\u202f${one.unit}`];
+        return [one.text, text === null ? one.name === "setpoint" ? "–" : null : one.unit === "%" ? `${text}\u202f%` : `${text} ${one.unit}`];
       }),
       ["At set point", drive.reached ? "yes" : "no"],
       ["Settings", drive.settings === "none" ? null : drive.settings?.replace("_", " ")],
