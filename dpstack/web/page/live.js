@@ -3,6 +3,8 @@
 const EVENTS_KEPT = 2000;
 // Places of one slave in a snapshot that become events of their own; the others are counted in one.
 const PLACES_SHOWN = 8;
+// Changes of the places of one slave that a minute of the stream lists: one that flaps must not drive out all other events.
+const CHANGES_A_MINUTE = 40;
 const SEVERITIES = { bad: "error", uncertain: "warning" };
 
 /** `plant`, `bus`, `slaves` (Map by address) merged from the items; `events` oldest first. */
@@ -17,6 +19,7 @@ export class Live {
     this.end = null;
     this.t = null;
     this.whole = false;
+    this.listed = new Map(); // by address: the minute, and the changes listed in it
     this.noted = []; // events that the page made of the last snapshot
     this.version = 0; // grows with each plant: pages build anew
     this.snapshots = 0;
@@ -27,7 +30,10 @@ export class Live {
     if (item.plant) {
       // a large plant comes in several items: all but the first have `whole` false, all but the last `more`
       const known = item.plant.whole === false ? this.plant : null;
-      if (!known && this.plant?.started !== item.plant.started) this.slaves.clear(); // another run
+      if (!known && this.plant?.started !== item.plant.started) { // another run
+        this.slaves.clear();
+        this.listed.clear();
+      }
       this.plant = { ...(known ?? item.plant), slaves: { ...known?.slaves, ...item.plant.slaves } };
       if (item.plant.more) return null;
       const there = new Set(Object.keys(this.plant.slaves).map(Number));
@@ -92,10 +98,21 @@ export class Live {
       ...[...present].filter(([one]) => !old.has(one)).map(([, one]) => ["appears", one]),
       ...[...old].filter(([one]) => !present.has(one)).map(([, one]) => ["disappears", one]),
     ];
+    if (!changes.length) return;
+    const minute = Math.floor(this.t / 60);
+    const listed = this.listed.get(address)?.minute === minute ? this.listed.get(address) : { minute, count: 0 };
+    this.listed.set(address, listed);
+    const known = listed.count;
+    listed.count += changes.length;
     const note = (change, severity, text, since) => {
       const t = change === "appears" && typeof since === "number" ? since : this.t;
       this.noted.push(this.keep({ event: "place", change, severity, t, address, text: `${text} (${this.name(address)})` }));
     };
+    if (known >= CHANGES_A_MINUTE) return;
+    if (known && listed.count >= CHANGES_A_MINUTE) {
+      note(null, "warning", "its diagnoses come and go; further changes of this minute are not listed");
+      return;
+    }
     for (const [change, one] of changes.slice(0, PLACES_SHOWN)) {
       note(change, change === "appears" ? SEVERITIES[one.quality] ?? "info" : "info", one.text, one.since);
     }
