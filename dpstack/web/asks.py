@@ -54,6 +54,10 @@ async def _parameter(source: Source, args: Sequence[Any]) -> object:
     return await source.call("drive", drive, "read", parameter)
 
 
+async def _rounds(source: Source, args: Sequence[Any]) -> object:
+    return await source.call("rounds", *_texts("rounds", args, "AFTER" + " VALUE" * max(1, len(args) - 1)))
+
+
 async def _scan(source: Source, args: Sequence[Any]) -> object:
     return await source.call("scan", *_texts("scan", args, ""))
 
@@ -85,6 +89,7 @@ HANDLERS: Final[dict[str, Handler]] = {
     "records": _records,
     "im": _im,
     "parameter": _parameter,
+    "rounds": _rounds,
     "scan": _scan,
     "recording": _recording,
 }

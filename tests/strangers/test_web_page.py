@@ -495,6 +495,31 @@ def test_a_snapshot_in_portions_is_one_sample(browser: Browser, shown: ShownPlan
     assert found == [[1, 2], [2, 3]]
 
 
+def test_rounds_stand_between_the_snapshots(browser: Browser, shown: ShownPlant) -> None:
+    """Snapshots before and after the rounds; a drive's speed in percent; a gap where rounds are missing."""
+    found = browser.module(
+        "const { Store } = await import('./scope_data.js'); const store = new Store(); store.times = [1, 2, 3, 4];"
+        "const signal = (id, values, rounds) => store.signals.set(id, { id, values, rounds });"
+        "signal('8.level', [10, 20, 30, 40], 1); signal('3:speed', [50, 50, 50, 50], 100);"
+        "signal('8:retries', [0, 1, 2, 3]);"
+        "const rounds = store.follow(['8.level', '3:speed']);"
+        "store.takeRounds(rounds, { rounds: [[7, 2.1, 21, 0.5], [8, 2.2, true, null]], lost: 0 });"
+        "store.takeRounds(rounds, { rounds: [[12, 3.2, 32, 0.25]], lost: 3 });"
+        "const all = store.slice(['8.level', '8:retries', '3:speed'], 0, 5);"
+        "return [all, rounds.lost, rounds.after, store.follow(['8.level', '3:speed']) === rounds,"
+        " store.slice(['8:retries'], 0, 5)];"
+    )
+    merged, lost, after, same, other = found
+    assert merged == [
+        [1, 2, 2.1, 2.2, pytest.approx(2.7), 3.2, 4],
+        [10, 20, 21, 1, None, 32, 40],
+        [0, 1, 1, 1, 1, 2, 3],
+        [50, 50, 50, None, None, 25, 50],
+    ]
+    assert (lost, after, same) == (3, 12, True)
+    assert other == [[1, 2, 3, 4], [0, 1, 2, 3]]
+
+
 def test_csv_has_no_formulas(browser: Browser, shown: ShownPlant) -> None:
     found = browser.module(
         "const { csvField } = await import('./scope_data.js'); return given[0].map(csvField);",

@@ -319,6 +319,33 @@ def test_an_input_forced_in_the_watch_table_is_read_by_the_master(page: Browser,
     assert page.text("[data-id='8.pressure'] .octets") == "1d 4c"
 
 
+def test_the_oscilloscope_shows_what_happens_between_two_snapshots(page: Browser, plant: Plant) -> None:
+    """A value that stands for some rounds only is in the trace, and a trigger finds it."""
+    page.go("scope")
+    page.js(
+        "const { page } = window.dpstack; for (const id of [...page.scope.chosen]) page.choose(id, false);"
+        "page.choose('8.pressure', true)"
+    )
+    page.sees("each round", ".status")
+    plant.call("set", "valves.pressure=0")
+    page.until(
+        lambda: page.js("return window.dpstack.store.roundsOf('8.pressure')?.values.at(-1)") == 0, "the first value"
+    )
+    page.js(
+        "document.querySelector('#trigger-source').value = '8.pressure';"
+        "document.querySelector('#trigger-level').value = '25'; document.querySelector('#arm').click()"
+    )
+    with connect(plant.name) as client:
+        client.call("set", "valves.pressure=30")
+        client.call("set", "valves.pressure=1")
+    page.sees("triggered", ".status")
+    times, values = page.js("const one = window.dpstack.store.roundsOf('8.pressure'); return [one.times, one.values]")
+    high = [t for t, value in zip(times, values, strict=True) if value == 30]
+    assert high
+    assert high[-1] - high[0] < 0.2
+    assert len(times) > 20 * (times[-1] - times[0])  # five a second are those of the snapshots
+
+
 def test_commissioning_from_the_scan_to_the_file(page: Browser, plant: Plant) -> None:
     page.go("commissioning")
     page.click("#scan")

@@ -18,6 +18,7 @@ the requests of one connection one after the other.
 - ``orders``: Typed orders to a running bus: carried out, or refused if they are from outside and reach no slave now
 - ``record_orders``: Orders to the records of a slave (``read``, ``write`` ...): words, parser, execution, answers
 - ``remote``: Orders to the ``run`` that holds the port: to a drive, or to the records of a slave
+- ``round_traces``: The command ``rounds`` of a running master: values of each round for the oscilloscope of a page
 - ``scenario``: Scenarios: a TOML file of steps in time that happen to simulated slaves
 - ``simulation_handlers``: The control servers of sim and segment, and the commands to simulated slaves
 - ``socket_path``: Control sockets as files: names, directory, owner of the peer process

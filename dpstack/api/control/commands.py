@@ -108,6 +108,9 @@ RUN: Final = (
     Spec("class2", "SLAVE ORDER [ARG]...", "the same over a class 2 connection (MS2)", "8 read 1 47"),
     Spec("diag", "ADDRESS", "diagnosis, configuration, inputs and outputs of any station, read as class 2", "8"),
     Spec("stats", "", "counters and rotation times up to now", ""),
+    Spec(
+        "rounds", "AFTER VALUE...", "values of each round after a round, for the oscilloscope of the page", "0 8.level"
+    ),
     Spec("why", "SLAVE", "why a slave is not in data exchange, as `dpstack why` does", "valves"),
     Spec("refused", "ORIGIN ORDER REASON", "notes an order that a page has refused itself", "page operate unconfirmed"),
     Spec("scan", "", "the live list 0..126 beside data exchange, with the identifier octets of each slave", ""),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import structs, to_builtins
 
@@ -30,6 +30,9 @@ from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import UNADDRESSED
 from dpstack.plant.orders import ModeOrder, RefusedOrder, SetOctets, SetOutputs
 from dpstack.text import number_or_name
+
+if TYPE_CHECKING:
+    from dpstack.api.control.round_traces import RoundTraces
 
 #: addresses that a scan asks in one go; its progress counts them
 _SCAN_PART: Final = 16
@@ -65,6 +68,7 @@ def control_run(
         "diag": lambda args: _diag(bus, args[0]),
         "stats": lambda _: bus.stats.summary(),
         "scan": ScanOrder(bus),
+        "rounds": _rounds(bus),
         "why": lambda args: _why(bus, args),
         "refused": lambda args: core_of(bus).refused_orders.add(RefusedOrder(args[1], args[2], args[0])),
         "tap": (feed or run_feed(bus)).handler,
@@ -93,6 +97,23 @@ def _by_need(module: str, name: str, bus: Bus, **options: bool) -> Handler:
         await load_beside(place)
         result: object = getattr(sys.modules[place], name)(bus, args, **options)
         return result
+
+    return carry_out
+
+
+def _rounds(bus: Bus) -> Handler:
+    """The handler of the values of each round: its rings stay between two requests."""
+    found: list[RoundTraces] = []
+
+    async def carry_out(args: list[str]) -> object:
+        await load_beside("dpstack.api.control.round_traces")
+        from dpstack.api.control.round_traces import RoundTraces
+
+        if bus.searching:
+            raise BusError(f"{SEARCHING}: there are no rounds before")
+        if not found:
+            found.append(RoundTraces(core_of(bus)))
+        return found[0].read(args)
 
     return carry_out
 

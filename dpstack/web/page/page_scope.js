@@ -3,7 +3,7 @@
 import { download, el, refill, setAttr, setText } from "./dom.js";
 import { clock, number } from "./format.js";
 import { axis, colour, onTheme, trace, uPlot } from "./plots.js";
-import { Trigger, toCsv } from "./scope_data.js";
+import { Trigger, lowerBound, toCsv } from "./scope_data.js";
 
 const WINDOWS = [[5, "5 s"], [10, "10 s"], [30, "30 s"], [60, "1 min"], [300, "5 min"], [900, "15 min"], [3600, "1 h"]];
 const KINDS = [["rising", "rises through"], ["falling", "falls through"], ["above", "is above"], ["below", "is below"], ["event", "an event happens"]];
@@ -11,6 +11,8 @@ const EVENTS = ["diagnosis", "fault", "slave", "alarm", "drive", "mode", "stalle
 const MOST = 8;
 // This part of the window lies before the trigger.
 const BEFORE = 0.3;
+// Between two requests for the values of each round.
+const ASK_MS = 500;
 
 export class ScopePage {
   constructor(app) {
@@ -55,7 +57,7 @@ export class ScopePage {
             this.sourceBox, this.levelBox, this.eventBox),
           el("p", {}, this.again, el("label", { for: "trigger-again", text: " arm again after each picture" })),
           el("div", { class: "buttons" }, this.arm),
-          el("p", { class: "faint", text: "A picture has 30 % of the window before the trigger. Times are those of the snapshots, about five a second: faster changes are not seen." })),
+          el("p", { class: "faint", text: "A picture has 30 % of the window before the trigger. Values come with each round of the bus while this page is open; where they do not, with the snapshots, about five a second." })),
         el("section", { class: "card", "aria-labelledby": "h-signals" }, el("h2", { id: "h-signals", text: "Signals" }),
           el("label", { for: "signal-filter", class: "visually-hidden", text: "Find a signal" }), this.search, this.list)));
     this.watcher = new ResizeObserver(() => this.resize());
@@ -65,6 +67,31 @@ export class ScopePage {
     this.triggerForm();
     this.plot();
     this.paintButtons();
+    this.asking = setInterval(() => this.askRounds(), ASK_MS);
+  }
+
+  /** Ask for the values of the rounds since the last answer. A run that does not give them is asked no more. */
+  async askRounds() {
+    const { app, scope } = this;
+    const { store } = app;
+    if (this.asked || app.dead || app.link.state !== "open" || store.noRounds === app.live.version) return;
+    const ids = scope.chosen.filter((id) => store.signals.get(id)?.rounds);
+    if (!ids.length) return;
+    const rounds = store.follow(ids);
+    this.asked = true;
+    try {
+      let answer;
+      do {
+        answer = await app.link.ask("rounds", String(rounds.after), ...ids);
+        if (!Array.isArray(answer?.rounds)) throw new Error("no rounds");
+        if (store.rounds !== rounds) break; // other signals were chosen meanwhile
+        store.takeRounds(rounds, answer);
+      } while (answer.more);
+    } catch {
+      store.noRounds = app.live.version;
+    } finally {
+      this.asked = false;
+    }
   }
 
   /** The signals to begin with: set point and speed of the first drive, else the first values. */
@@ -76,6 +103,7 @@ export class ScopePage {
   }
 
   leave() {
+    clearInterval(this.asking);
     this.watcher?.disconnect();
     this.offTheme?.();
     this.chart?.destroy();
@@ -178,7 +206,15 @@ export class ScopePage {
     const trigger = scope.trigger;
     if (!scope.armed || !trigger) return;
     const signal = store.signals.get(trigger.id);
-    if (trigger.kind !== "event" && trigger.at === null && signal?.values) {
+    const rounds = store.roundsOf(trigger.id);
+    if (trigger.kind !== "event" && trigger.at === null && rounds) {
+      const { times, values } = rounds;
+      for (let n = lowerBound(times, scope.watchedT); n < times.length; n += 1) {
+        if (times[n] <= scope.watchedT) continue;
+        scope.watchedT = times[n];
+        if (trigger.sample(times[n], values[n])) break;
+      }
+    } else if (trigger.kind !== "event" && trigger.at === null && signal?.values) {
       for (let n = store.times.length - 1; n >= 0 && store.times[n] > scope.watchedT; n -= 1) scope.watched = n;
       for (let n = scope.watched; n < store.times.length; n += 1) if (store.times[n] > scope.watchedT && trigger.sample(store.times[n], signal.values[n])) break;
       scope.watchedT = store.times.at(-1) ?? scope.watchedT;
@@ -325,7 +361,7 @@ export class ScopePage {
     const now = performance.now();
     // a long window moves slowly
     const due = scope.window > 300 ? 1000 : 0;
-    const key = `${from}|${to}|${trigger}`;
+    const key = `${from}|${to}|${trigger}|${scope.hold ? app.store.rounds?.after : ""}`;
     if (always || (key !== this.drawn && now - (this.drawnAt ?? 0) >= due)) {
       this.drawn = key;
       this.drawnAt = now;
@@ -336,6 +372,8 @@ export class ScopePage {
       this.figures();
     }
     const text = scope.hold ? (scope.hold.trigger === null ? "Paused" : `Picture of ${clock(app.live.wall(scope.hold.trigger), true)}`) : app.dead ? "No values" : "Running";
-    setText(this.status, scope.armed ? `${text}, trigger armed${scope.trigger?.at !== null && scope.trigger?.at !== undefined ? ", triggered" : ""}` : text);
+    const { rounds } = app.store;
+    const samples = !rounds?.times.length || app.store.noRounds === app.live.version ? "" : rounds.lost ? `, each round, ${rounds.lost} missing` : ", each round";
+    setText(this.status, scope.armed ? `${text}${samples}, trigger armed${scope.trigger?.at !== null && scope.trigger?.at !== undefined ? ", triggered" : ""}` : `${text}${samples}`);
   }
 }

@@ -8,6 +8,8 @@ const KEPT = 18000;
 // All signals are kept from the start where there are at most so many; of more only the chosen ones.
 const KEPT_ALL = 96;
 
+// Rounds kept of the chosen signals.
+const KEPT_ROUNDS = 30000;
 const NUMBERS = /^(bool|[iuf](8|16|32|64)(le)?)$/;
 
 /** Whether a value can be drawn: a trace has no quality beside it. */
@@ -16,7 +18,7 @@ function drawn(slave, name, output = false) {
   return quality === "good" || quality === "uncertain";
 }
 
-/** All signals of a plant: {id, label, unit, kind, read(live)}; `read` gives NaN where there is no value, and while it is bad or stale. */
+/** All signals of a plant: {id, label, unit, kind, read(live)}; one that the run gives for each round has the factor `rounds`; `read` gives NaN where there is no value, and while it is bad or stale. */
 export function signalsOf(live) {
   const found = [];
   for (const [key, slave] of Object.entries(live.plant?.slaves ?? {})) {
@@ -32,7 +34,7 @@ export function signalsOf(live) {
       const plain = String(field.type ?? "").toLowerCase();
       if (!NUMBERS.test(plain)) continue;
       found.push({
-        id: `${address}.${field.name}`, address, label: `${slave.name}.${field.name}`,
+        id: `${address}.${field.name}`, address, label: `${slave.name}.${field.name}`, rounds: 1,
         unit: plain === "bool" ? "" : field.unit ?? "", kind: plain === "bool" ? "bool" : "number",
         read: of((now) => (drawn(now, field.name, !input) ? now.fields?.[field.name] : null)),
       });
@@ -40,7 +42,7 @@ export function signalsOf(live) {
     if (slave.drive) {
       for (const { name, unit, scale } of QUANTITIES) {
         found.push({
-          id: `${address}:${name}`, address, label: `${slave.name}: ${name.replace("_hz", "")}`, unit, kind: "number",
+          id: `${address}:${name}`, address, rounds: scale, label: `${slave.name}: ${name.replace("_hz", "")}`, unit, kind: "number",
           read: of((now) => (typeof now.drive?.[name] === "number" && drawn(now, null) ? now.drive[name] * scale : null)),
         });
       }
@@ -69,6 +71,7 @@ export class Store {
     if (again) {
       this.times = [];
       this.events = [];
+      this.rounds = null;
     }
     this.started = live.plant.started;
     const all = signalsOf(live);
@@ -130,8 +133,77 @@ export class Store {
     if (this.events.length > 2200) this.events.splice(0, this.events.length - 2000);
   }
 
-  /** [times, values of each id ...] from `from` to `to`; null where there is no valid value, or a gap of over 2 s. */
+  /** The samples of each round for these ids from now on; those of other ids are forgotten. */
+  follow(ids) {
+    const key = ids.join("\n");
+    if (this.rounds?.key === key) return this.rounds;
+    this.rounds = { key, ids, after: 0, times: [], values: ids.map(() => []), lost: 0 };
+    return this.rounds;
+  }
+
+  /** Take an answer of the run to the request for the rounds of `rounds`. */
+  takeRounds(rounds, { rounds: rows, lost }) {
+    const { times, values, ids } = rounds;
+    const last = times.at(-1);
+    if (rows.length && last !== undefined && (lost || rows[0][1] < last)) {
+      if (rows[0][1] < last) { // another run
+        times.length = 0;
+        for (const one of values) one.length = 0;
+      } else { // a gap
+        times.push((last + rows[0][1]) / 2);
+        for (const one of values) one.push(NaN);
+      }
+    }
+    rounds.lost += lost;
+    for (const [number, t, ...found] of rows) {
+      rounds.after = number;
+      times.push(t);
+      ids.forEach((id, n) => {
+        const one = found[n];
+        values[n].push(typeof one === "boolean" ? Number(one) : typeof one === "number" ? one * (this.signals.get(id)?.rounds ?? 1) : NaN);
+      });
+    }
+    if (times.length > KEPT_ROUNDS * 1.1) {
+      const over = times.length - KEPT_ROUNDS;
+      times.splice(0, over);
+      for (const one of values) one.splice(0, over);
+    }
+  }
+
+  /** The samples of a signal by round: {times, values}; null without any. */
+  roundsOf(id) {
+    const at = this.rounds?.ids.indexOf(id) ?? -1;
+    return at >= 0 && this.rounds.times.length ? { times: this.rounds.times, values: this.rounds.values[at] } : null;
+  }
+
+  /** As `ofSnapshots`, but with a sample of each round where there are some. */
   slice(ids, from, to) {
+    const { rounds } = this;
+    if (!rounds?.times.length || !ids.some((id) => rounds.ids.includes(id))) return this.ofSnapshots(ids, from, to);
+    const [begin, end] = [rounds.times[0], rounds.times.at(-1)];
+    const slow = this.ofSnapshots(ids, from, to);
+    const merged = slow.map(() => []);
+    const takeSlow = (wanted) => slow[0].forEach((t, n) => {
+      if (wanted(t)) slow.forEach((column, which) => merged[which].push(column[n]));
+    });
+    takeSlow((t) => t < begin);
+    let behind = 0; // a signal without rounds keeps the value of its last snapshot
+    for (let n = Math.max(0, lowerBound(rounds.times, from) - 1); n < rounds.times.length && rounds.times[n] <= to; n += 1) {
+      const t = rounds.times[n];
+      while (behind + 1 < slow[0].length && slow[0][behind + 1] <= t) behind += 1;
+      merged[0].push(t);
+      ids.forEach((id, which) => {
+        const at = rounds.ids.indexOf(id);
+        const one = at < 0 ? slow[which + 1][behind] : rounds.values[at][n];
+        merged[which + 1].push(one === undefined || Number.isNaN(one) ? null : one);
+      });
+    }
+    takeSlow((t) => t > end);
+    return merged;
+  }
+
+  /** [times, values of each id ...] from `from` to `to`; null where there is no valid value, or a gap of over 2 s. */
+  ofSnapshots(ids, from, to) {
     const first = Math.max(0, lowerBound(this.times, from) - 1);
     const end = Math.min(this.times.length, lowerBound(this.times, to) + 1);
     const times = [];
