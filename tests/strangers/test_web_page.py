@@ -74,7 +74,7 @@ def test_texts_from_outside_are_never_markup(browser: Browser, shown: ShownPlant
             )
         assert browser.count("script") == 1  # that of the page itself
         assert browser.count("img, iframe, object, embed, style, [style*=url], [onerror]") == 0
-    browser.sees("Module order")
+    browser.sees("module_order (92 %)")
     browser.sees(f"the slave says {SCRIPT}")
     browser.sees(f"Order id\n{IMAGE}")
     assert SCRIPT in browser.text("h1")

@@ -7,7 +7,7 @@ import { Trigger, lowerBound, toCsv } from "./scope_data.js";
 
 const WINDOWS = [[5, "5 s"], [10, "10 s"], [30, "30 s"], [60, "1 min"], [300, "5 min"], [900, "15 min"], [3600, "1 h"]];
 const KINDS = [["rising", "rises through"], ["falling", "falls through"], ["above", "is above"], ["below", "is below"], ["event", "an event happens"]];
-const EVENTS = ["diagnosis", "fault", "slave", "alarm", "drive", "mode", "stalled", "flapping", "remark", "ring", "notice"];
+const EVENTS = ["diagnosis", "quality", "fault", "slave", "alarm", "drive", "mode", "stalled", "flapping", "remark", "ring", "notice"];
 const MOST = 8;
 // This part of the window lies before the trigger.
 const BEFORE = 0.3;
