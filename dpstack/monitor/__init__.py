@@ -10,6 +10,8 @@
 - ``markup``: HTML of what is printed: the acceptance report and the commissioning sheet
 - ``monitor``: A bus judged by listening: transmissions in, events and a summary with verdicts out. No clock, memory
   bounded
+- ``not_heard``: Things of a bus that nobody can know who only listens, as no telegram of the time of listening carried
+  them
 - ``report``: The acceptance report of a bus: one HTML file that a customer reads, prints and signs
 - ``schedule``: The schedule of one rotation, from a bounded record
 - ``summary``: The summary of a monitored bus as plain data: the last JSON line of ``dpstack monitor``, and the report's

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Final, NamedTuple
 
 from dpstack.capture.transmission import Damage, Transmission
@@ -68,6 +69,8 @@ _RESERVED_FUNCTION = tuple(number not in Req._value2member_map_ for number in ra
 _RESERVED_STATUS = tuple(number not in Resp._value2member_map_ for number in range(16))
 #: answers of a slave in data exchange; OK and NR come from slaves without inputs
 _EXCHANGES = tuple(number in (Resp.OK, Resp.DL, Resp.NR, Resp.DH, Resp.RDL, Resp.RDH) for number in range(16))
+#: answers that announce a diagnosis; 15 stands for SC, which does not
+_ANNOUNCES = tuple(number in (Resp.DH, Resp.RDH) for number in range(16))
 
 
 class State:
@@ -80,6 +83,21 @@ class State:
     CHK_CFG: Final = "chk_cfg"
     WAIT_READY: Final = "wait_ready"
     DATA_EXCHANGE: Final = "data_exchange"
+
+
+class Unheard(StrEnum):
+    """Why the diagnosis of a slave that stands now is not known."""
+
+    #: it is the last one that was heard
+    NOTHING = ""
+    #: no Slave_Diag was heard
+    NEVER = "never"
+    #: octets were missed after the last one
+    GAP = "gap"
+    #: nobody could read the answer to the last Slave_Diag
+    UNREADABLE = "unreadable"
+    #: the slave announces another one (DH), and its master has not asked for it yet
+    UNREAD = "unread"
 
 
 class Change(NamedTuple):
@@ -102,7 +120,8 @@ class Station:
 
     ``repeated_polls``: unanswered requests without a frame count that were sent again as they were. ``late``: answers
     when nobody waited for them any more. ``syncs``: bring-ups that ended in data exchange. ``lost``: times it left data
-    exchange. ``set_prm``: the data unit of the last Set_Prm that it acknowledged. ``answer_ns``: from the end of the
+    exchange. ``unheard``: why ``diagnosis`` may not be the present one. ``set_prm``: the data unit of the last Set_Prm
+    that it acknowledged. ``answer_ns``: from the end of the
     request to the begin of the answer (T_SDR). ``in_vain``: requests since its last answer.
     """
 
@@ -119,6 +138,7 @@ class Station:
     rr: int = 0
     diagnoses: int = 0
     diagnosis: bytes | None = None
+    unheard: Unheard = Unheard.NEVER
     set_prm: bytes | None = None
     syncs: int = 0
     lost: int = 0
@@ -410,6 +430,8 @@ class Counters:
         if request.dsap is None and _IS_COUNTED[request.fc & FC_FUNCTION] and (fc < 0 or _EXCHANGES[fc & FC_FUNCTION]):
             if station.state != _DATA_EXCHANGE or station.master != request.sa:
                 self._enter(station, request.sa, start)
+            if _ANNOUNCES[fc & FC_FUNCTION]:
+                station.unheard = Unheard.UNREAD
         else:
             self._answered(station, request, telegram, start)
 
@@ -524,6 +546,8 @@ class Counters:
             asked.pieces = 0
         else:
             station.no_answer += 1
+        if asked.telegram.dsap == SAP_SLAVE_DIAG and station.diagnosis is not None:
+            station.unheard = Unheard.UNREADABLE
         self._asked = None
         self._missed = asked
 
@@ -581,6 +605,7 @@ class Counters:
 
     def _diagnosed(self, station: Station, octets: bytes, start: int) -> None:
         station.diagnoses += 1
+        station.unheard = Unheard.NOTHING
         station.ident = octets[4] << 8 | octets[5]
         if station.state in (State.UNKNOWN, State.OFFLINE):
             station.state = State.DIAGNOSIS
@@ -665,6 +690,8 @@ class Counters:
             master.heard_at = max(master.heard_at, until_ns)
         for station in self.stations.values():
             station.answered_at = max(station.answered_at, until_ns)
+            if not station.unheard:
+                station.unheard = Unheard.GAP
 
     # --- silence ---
     def look(self, now: int) -> None:

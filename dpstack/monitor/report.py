@@ -27,6 +27,7 @@ from dpstack.monitor.markup import (
     text,
 )
 from dpstack.monitor.monitor import Happening
+from dpstack.monitor.not_heard import verdict_text
 from dpstack.monitor.schedule import Rotation, Use
 from dpstack.monitor.summary import UNSEEN
 from dpstack.monitor.thresholds import limits
@@ -92,6 +93,7 @@ class Report:
             self._parameters(),
             self._masters(),
             self._stations(),
+            self._diagnoses(),
             self._histograms(),
             self._time_line(),
             self._schedule(),
@@ -153,9 +155,13 @@ class Report:
 
     def _verdict(self) -> str:
         verdict = self.summary.get("verdict", "unknown")
-        reasons = html_list(self.summary.get("reasons"), "No reason to object." if verdict == "good" else "")
+        missing = self.summary.get("not_heard") or ()
+        nothing = "No reason to object, as far as heard." if missing else "No reason to object."
+        reasons = html_list(self.summary.get("reasons"), nothing if verdict == "good" else "")
         css = verdict if verdict in _SIGNS else "unknown"
-        words = f"<p><strong>The bus: {_badge(verdict)}</strong></p>{reasons}"
+        words = f"<p><strong>The bus: {_badge(self.summary)}</strong></p>{reasons}"
+        if missing:
+            words += f"<p>Not heard, and so not judged:</p>{html_list(missing, '')}"
         return html_section("Verdict", f'<div class="verdict v-{css}">{words}</div>')
 
     def _verdicts(self) -> str:
@@ -165,7 +171,7 @@ class Report:
                 if one.get("verdict") is not None:
                     role, name = one.get("role") or kind, one.get("name") or one.get("model") or ""
                     reasons = Html(html_list(one.get("reasons"), ""))
-                    rows.append((address, role, name, Html(_badge(one["verdict"])), reasons))
+                    rows.append((address, role, name, Html(_badge(one)), reasons))
         columns = ("Address", "Role", "Name", "Verdict", "Reasons")
         table = html_table("Verdict on each station", columns, rows, numbers=())
         return html_section("Verdicts on stations", table if rows else "<p>No station was heard.</p>")
@@ -218,7 +224,7 @@ class Report:
         who, counts, course, times = [], [], [], []
         for address, one in self._by_address("stations"):
             verdict = one.get("verdict")
-            sign = Html(_badge(verdict)) if verdict is not None else ""
+            sign = Html(_badge(one)) if verdict is not None else ""
             about = {**one, "state": str(one.get("state") or "").replace("_", " ")}
             who.append((address, *(plain_text(about.get(key), "") for key in _WHO), sign))
             counts.append((address, *(one.get(key) for key in _COUNTS)))
@@ -253,6 +259,23 @@ class Report:
             ),
         )
         return html_section("Stations", join_lines(tables))
+
+    def _diagnoses(self) -> str:
+        rows = []
+        for address, one in self._by_address("stations"):
+            if one.get("role") == "master":
+                continue
+            texts, heard = one.get("diagnosis_texts"), one.get("diagnoses")
+            found = "no Slave_Diag was heard" if texts is None else Html(html_list(texts, "nothing to report"))
+            missing = ", ".join(one.get("not_heard") or ())
+            rows.append((address, one.get("name") or one.get("model") or "", heard, found, missing))
+        columns = ("Address", "Name", "Diag\xadnoses heard", "In the last one", "Not heard")
+        table = html_table("Diagnosis of each slave", columns, rows, numbers=(2,))
+        note = (
+            "A slave sends its diagnosis when its master asks for it: in a bring-up, and after an answer that "
+            "announces a new one. Listening asks nobody: a diagnosis that stood before is not on the wire."
+        )
+        return html_section("Diagnoses", f"<p>{note}</p>{table}" if rows else "<p>No slave was heard.</p>")
 
     def _histograms(self) -> str:
         figures: list[str] = []
@@ -462,11 +485,12 @@ def _causes(damaged: Mapping[str, int]) -> str:
     return f"{total} ({causes})" if causes else "0"
 
 
-def _badge(verdict: object) -> str:
-    """The verdict as a word with a sign; the colour says nothing more."""
-    name = str(verdict)
+def _badge(found: Summary) -> str:
+    """The verdict of a bus or station in words with a sign; the colour says nothing more."""
+    name = str(found.get("verdict", "unknown"))
     css = name if name in _SIGNS else "unknown"
-    return f'<span class="badge v-{css}"><span aria-hidden="true">{_SIGNS[css]} </span>{text(name)}</span>'
+    words = text(verdict_text({"verdict": "unknown", **found}))
+    return f'<span class="badge v-{css}"><span aria-hidden="true">{_SIGNS[css]} </span>{words}</span>'
 
 
 def _time(at: datetime) -> str:

@@ -5,7 +5,11 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Final
 
-from dpstack.monitor.counters import Master, Station
+from dpstack.dp.pdu.diag_texts import block_texts
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.monitor import not_heard
+from dpstack.monitor.counters import Master, State, Station
+from dpstack.monitor.devices import KnownDevice
 from dpstack.monitor.thresholds import limits
 from dpstack.monitor.verdict import Verdict
 from dpstack.monitor.verdicts import Heard, judge
@@ -42,6 +46,7 @@ def summary(heard: Heard) -> dict[str, object]:
             str(address): _station(counters.stations[address], verdict, heard) for address, verdict in stations.items()
         },
         "thresholds": {limit.name: getattr(heard.thresholds, limit.name) for limit in limits()},
+        "not_heard": not_heard.lines_of(heard),
         "verdict": bus.level,
         "reasons": list(bus.reasons),
     }
@@ -96,13 +101,25 @@ def _station(station: Station, verdict: Verdict, heard: Heard) -> dict[str, obje
         "rr": station.rr,
         "diagnoses": station.diagnoses,
         "diagnosis": None if station.diagnosis is None else station.diagnosis.hex(),
+        "diagnosis_texts": _diagnosis_texts(station, device),
         "syncs": station.syncs,
         "lost": station.lost,
         "max_tsdr": device.max_tsdr.get(heard.counters.baud),
         "tsdr_us": heard.timing.neighbours(station.answer_ns),
+        "not_heard": not_heard.of_station(station, heard) if heard.is_profibus else [],
         "verdict": verdict.level,
         "reasons": list(verdict.reasons),
     }
+
+
+def _diagnosis_texts(station: Station, device: KnownDevice) -> list[str] | None:
+    """Everything that the last diagnosis reports, one line each; None if none was heard."""
+    diagnosis = None if station.diagnosis is None else Diagnosis.parse(station.diagnosis)
+    if diagnosis is None:
+        return None
+    texts = block_texts(diagnosis, device.texts, dpv1=device.dpv1 is not False)
+    flags = diagnosis.conspicuous(exchanging=station.state == State.DATA_EXCHANGE)
+    return [*(flag.text for flag in flags if not (texts and flag.name == "ext_diag")), *texts]
 
 
 def _without_zeros(depth: list[int]) -> list[int]:

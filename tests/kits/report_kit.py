@@ -102,10 +102,12 @@ class Heard:
                 "rr": 904,
                 "diagnoses": one.diagnoses,
                 "diagnosis": "020c00021234",
+                "diagnosis_texts": ["a line break"],
                 "syncs": one.syncs,
                 "lost": 905,
                 "max_tsdr": 60,
                 "tsdr_us": _points(one.answer_ns) if timed else None,
+                "not_heard": ["parameters"],
                 "verdict": "warning",
                 "reasons": [f"station {address}: look at its connector"],
             }
@@ -125,6 +127,7 @@ class Heard:
             "timing": {"source": "tap", "resolution_us": 1.5, "batched": 0.0217},
             "masters": masters,
             "stations": stations,
+            "not_heard": ["the parameters of two stations"],
             "verdict": "warning",
             "reasons": ["two stations need a look"],
         }

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from dpstack.cli.terminal import output
 from dpstack.monitor.counters import State
 from dpstack.monitor.monitor import Happening, Monitor
+from dpstack.monitor.not_heard import verdict_text
 from dpstack.monitor.summary import UNSEEN
 from dpstack.monitor.verdict import CRITICAL, GOOD, UNKNOWN, WARNING
 from dpstack.monitor.verdicts import Heard
@@ -58,10 +59,12 @@ def show_summary(heard: Heard, summary: Mapping[str, Any]) -> None:
             if station["verdict"] in (WARNING, CRITICAL):
                 text = f"{_role(station)} {_titled(address, station)}: {reason}"
                 output.line(text, STYLES[station["verdict"]])
-    output.line(f"verdict: {summary['verdict']}", STYLES[summary["verdict"]])
+    output.line(f"verdict: {verdict_text(summary)}", STYLES[summary["verdict"]])
     for reason in summary["reasons"]:
         if not reason.startswith(("station ", "master ")):
             output.line(f"  {reason}", STYLES[summary["verdict"]])
+    for text in summary["not_heard"]:
+        output.line(f"not heard: {text}")
     output.line(f"listening cannot see: {'; '.join(UNSEEN)}")
 
 
@@ -154,7 +157,7 @@ class LiveView:
         monitor, console = self._monitor, Console()
         summary: Mapping[str, Any] = monitor.summary(now_ns)
         head = drawing.shown(
-            f"{self._port}  {_bus_line(summary)}  verdict: {summary['verdict']}", STYLES[summary["verdict"]]
+            f"{self._port}  {_bus_line(summary)}  verdict: {verdict_text(summary)}", STYLES[summary["verdict"]]
         )
         why = [drawing.shown(reason, STYLES[summary["verdict"]]) for reason in summary["reasons"][:3]]
         events = [

@@ -277,6 +277,33 @@ def test_gaps_and_remarks_of_a_capture(cli: Cli, tmp_path: Path) -> None:
     assert lines[-1]["masters"]["2"]["token_us"]["max"] == 1000
 
 
+def test_standing_diagnoses_are_not_heard_while_nobody_asks_for_them(cli: Cli, tmp_path: Path) -> None:
+    """6 s in which master 2 exchanges data with slave 5, in literal telegrams, and reads no diagnosis."""
+    path, report = tmp_path / "bus.pcapng", tmp_path / "report.html"
+    telegrams = ["DC 02 02", "10 05 02 5D 64 16", "68 04 04 68 02 05 08 33 42 16"]
+    telegrams += ["DC 02 02", "10 05 02 7D 84 16", "68 04 04 68 02 05 08 33 42 16"]
+    with path.open("wb") as file:
+        writer = Writer(file, "a test")
+        port = writer.interface("seg", 500_000, "")
+        for number, octets in enumerate([*telegrams * 500, "68 07 07 68 FF 82 46 3A 3E 00 00 3F 16"]):
+            writer.packet(port, EPOCH + number * 2 * MS, bytes.fromhex(octets))
+    out = cli.out("monitor", str(path), "--report", str(report))
+    assert "verdict: good, as far as heard\n" in out
+    assert "not heard: standing diagnoses of 5: no Slave_Diag was on the wire\n" in out
+    summary = cli.json("monitor", str(path))
+    assert (summary["verdict"], summary["stations"]["5"]["verdict"]) == ("good", "good")
+    assert summary["stations"]["5"]["not_heard"] == ["diagnosis", "parameters"]
+    assert summary["not_heard"] == [
+        "standing diagnoses of 5: no Slave_Diag was on the wire",
+        "parameters of 5 (watchdog, groups, user parameters): no Set_Prm was on the wire",
+    ]
+    page = Page.of(report.read_text(encoding="utf-8"))
+    assert page.faults == []
+    for text in ("No reason to object, as far as heard.", "good, as far as heard", *summary["not_heard"]):
+        assert text in page.text
+    assert _rows(page, "Diagnosis of each slave")["5"][1:] == ["no Slave_Diag was heard", "diagnosis, parameters"]
+
+
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A second of a bus with two slaves."""
