@@ -13,6 +13,8 @@
 - ``not_heard``: Things of a bus that nobody can know who only listens, as no telegram of the time of listening carried
   them
 - ``report``: The acceptance report of a bus: one HTML file that a customer reads, prints and signs
+- ``run_sections``: Sections of the report of a run on what its master knows beside the octets: modules, standing
+  diagnoses, I&M0
 - ``schedule``: The schedule of one rotation, from a bounded record
 - ``summary``: The summary of a monitored bus as plain data: the last JSON line of ``dpstack monitor``, and the report's
   figures

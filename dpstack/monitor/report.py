@@ -28,6 +28,13 @@ from dpstack.monitor.markup import (
 )
 from dpstack.monitor.monitor import Happening
 from dpstack.monitor.not_heard import verdict_text
+from dpstack.monitor.run_sections import (
+    RunSlave,
+    count_of_standing,
+    inventory_section,
+    modules_section,
+    standing_section,
+)
 from dpstack.monitor.schedule import Rotation, Use
 from dpstack.monitor.summary import UNSEEN
 from dpstack.monitor.thresholds import limits
@@ -65,7 +72,8 @@ class Report:
     ``summary``: of ``monitor --json``. ``counters``: for the histograms. ``begun_ns``: begin in ns since 1970.
     ``changes``: the time line; ``changes_left_out``: earlier ones that were not kept. ``rotation``: a typical one.
     ``line``: port and adapter in words, by name; ``parameters``: those that the listener's own master runs with.
-    ``made``: time of the report. ``remarks``: one line each.
+    ``slaves``: of the bus that the program runs, none of one that it only listens to. ``made``: time of the report.
+    ``remarks``: one line each.
     """
 
     summary: Summary
@@ -78,6 +86,7 @@ class Report:
     rotation: Rotation | None = None
     line: Mapping[str, object] = field(default_factory=dict)
     parameters: Mapping[str, object] = field(default_factory=dict)
+    slaves: Sequence[RunSlave] = ()
     remarks: Sequence[str] = ()
     cannot_see: Sequence[str] = CANNOT_SEE
 
@@ -94,6 +103,7 @@ class Report:
             self._masters(),
             self._stations(),
             self._diagnoses(),
+            *self._run(),
             self._histograms(),
             self._time_line(),
             self._schedule(),
@@ -162,6 +172,9 @@ class Report:
         words = f"<p><strong>The bus: {_badge(self.summary)}</strong></p>{reasons}"
         if missing:
             words += f"<p>Not heard, and so not judged:</p>{html_list(missing, '')}"
+        standing = count_of_standing(self.slaves)
+        if standing:
+            words += f"<p>Standing diagnoses at the end of the run: {standing}.</p>"
         return html_section("Verdict", f'<div class="verdict v-{css}">{words}</div>')
 
     def _verdicts(self) -> str:
@@ -276,6 +289,12 @@ class Report:
             "announces a new one. Listening asks nobody: a diagnosis that stood before is not on the wire."
         )
         return html_section("Diagnoses", f"<p>{note}</p>{table}" if rows else "<p>No slave was heard.</p>")
+
+    def _run(self) -> list[str]:
+        """What the master of this program knows beside the octets."""
+        if not self.slaves:
+            return []
+        return [modules_section(self.slaves), standing_section(self.slaves), inventory_section(self.slaves)]
 
     def _histograms(self) -> str:
         figures: list[str] = []

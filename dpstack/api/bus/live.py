@@ -380,7 +380,7 @@ def plant_of(bus: BusBase, started: float) -> dict[str, object]:
         "paced": bus.runtime.paced,
         "parameters": plan["parameters"],
         "plan": {"rotation_us": plan["rotation_us"], "cycle_us": _cycle_us(config.bus.cycle_ns)},
-        "slaves": {str(slave.address): _slave_plant(bus, slave) for slave in bus.slaves},
+        "slaves": {str(slave.address): slave_plant(bus, slave) for slave in bus.slaves},
     }
 
 
@@ -388,7 +388,7 @@ def _cycle_us(cycle_ns: int | None) -> float | None:
     return cycle_ns / NS_PER_US if cycle_ns else None
 
 
-def _slave_plant(bus: BusBase, slave: Slave) -> dict[str, object]:
+def slave_plant(bus: BusBase, slave: Slave) -> dict[str, object]:
     """The same before the bus is open, so that readers can prepare themselves."""
     config, params = slave.config, slave.setup
     watchdog = None if bus.config.bus.read_only else params.watchdog(bus.plan.watchdog_ms)

@@ -8,23 +8,33 @@ import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from msgspec import to_builtins
 
 from dpstack import __version__
 from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.bus.live import slave_plant
+from dpstack.api.bus.picture import picture_of
 from dpstack.api.config.config import Config
 from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.files import close_written, open_new
+from dpstack.api.listen.inventory import Inventory
 from dpstack.api.listen.own_tap import OwnTap
 from dpstack.api.listen.plant_files import load_devices
 from dpstack.capture.timing import TAP, LineTiming
 from dpstack.capture.transmission import Transmission
 from dpstack.monitor.monitor import Monitor
 from dpstack.monitor.report import Report
+from dpstack.monitor.run_sections import RunSlave
 from dpstack.monitor.schedule import ScheduleRecorder
 from dpstack.ports.adapters import list_adapters
 from dpstack.ports.base import VIRTUAL
 from dpstack.trace import Event
+
+if TYPE_CHECKING:
+    from dpstack.api.slave.slave import Slave
+    from dpstack.plant.items import SlaveValues
 
 #: a remark of a report
 SIMULATED: Final = "this bus was simulated by dpstack: there was no cable and no device"
@@ -63,8 +73,9 @@ class ReportFile:
         line: Mapping[str, object],
         parameters: Mapping[str, object] | None = None,
         remarks: Sequence[str] = (),
+        slaves: Sequence[RunSlave] = (),
     ) -> str | None:
-        """Write the report of ``summary``; ``line``, ``parameters`` and ``remarks`` as :class:`Report` has them.
+        """Write the report of ``summary``; the others as :class:`Report` has them.
 
         Returns None, or one line that says why it could not be written: nothing is in the file then.
         """
@@ -81,6 +92,7 @@ class ReportFile:
             line=line,
             parameters=parameters or {},
             remarks=remarks,
+            slaves=slaves,
         )
         octets = memoryview(report.html().encode("utf-8", "backslashreplace"))
         try:
@@ -96,7 +108,8 @@ class ReportFile:
 class RunReport:
     """The report of a bus that this program runs: its own tap, counted in short steps beside the bus.
 
-    Entering makes the file, as :class:`ReportFile` does. Then :meth:`begin`, :meth:`end`, :meth:`write`.
+    Entering makes the file, as :class:`ReportFile` does. Then :meth:`begin`, :meth:`opened` once the bus is open,
+    :meth:`look` and :meth:`rest` at the end of the run, :meth:`end`, :meth:`write`.
     """
 
     def __init__(self, name: str, config: Config) -> None:
@@ -106,6 +119,8 @@ class RunReport:
         self._bus: Bus | None = None
         self._clock_ns = time.time_ns() - time.monotonic_ns()
         self._ended_ns = 0
+        self._inventory: Inventory | None = None
+        self._pictures: list[tuple[Slave, SlaveValues]] = []
 
     def __enter__(self) -> RunReport:
         self._file.__enter__()
@@ -121,11 +136,30 @@ class RunReport:
         self._tap = OwnTap(feed, bus.config.port, self._file.add, self._on_event)
         self._tap.begin()
 
+    def opened(self) -> None:
+        """The bus is open: its slaves are asked for their I&M0."""
+        assert self._bus is not None
+        self._inventory = Inventory(self._bus)
+        self._inventory.begin()
+
+    def look(self) -> None:
+        """Take state and values of all slaves: the run is at its end, and the bus is not."""
+        assert self._bus is not None
+        core = core_of(self._bus)
+        self._pictures = [(slave, picture_of(core, slave)) for slave in self._bus.slaves]
+
+    async def rest(self) -> None:
+        """Wait for the I&M0 of slaves that were not asked yet, a bounded time."""
+        assert self._inventory is not None
+        await self._inventory.rest()
+
     def end(self) -> None:
         """Listen no longer: the ordered end of the bus is no part of the report."""
         if self._tap is not None and not self._ended_ns:
             self._ended_ns = time.time_ns()
             self._tap.end()
+            if self._inventory is not None:
+                self._inventory.end()
 
     def write(self) -> str | None:
         """Count what still waits, and write the report. Returns why that failed, else None."""
@@ -148,7 +182,24 @@ class RunReport:
             remarks.append("no wire gave the octets their time here: the times are this computer's, not a bus's")
         parameters = bus.plan.as_dict()["parameters"]
         assert isinstance(parameters, dict)
-        return self._file.write(self._monitor.summary(self._ended_ns), lines, parameters, remarks)
+        return self._file.write(self._monitor.summary(self._ended_ns), lines, parameters, remarks, self._slaves())
+
+    def _slaves(self) -> list[RunSlave]:
+        inventory, bus = self._inventory, self._bus
+        if inventory is None or bus is None:
+            return []
+        return [
+            RunSlave(
+                address=slave.address,
+                name=slave.name,
+                plant=slave_plant(core_of(bus), slave),
+                quality=None if bus.config.bus.read_only else to_builtins(values.quality),
+                doubts=to_builtins(values.doubts or ()),
+                im0=inventory.im0(slave),
+                no_im=inventory.why_not(slave),
+            )
+            for slave, values in self._pictures
+        ]
 
     def _on_event(self, event: Event) -> None:
         self._monitor.gap(event.t_ns + self._clock_ns, event.text)

@@ -156,11 +156,16 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                         plant.start(core_of(bus).started_ns)
                     if not (args.clear or config.bus.read_only):
                         await bus.operate()
+                    if report is not None:
+                        report.opened()
                     # a busy computer orders Operate late: all N rotations are in the mode of the run
                     end = None if args.rotations is None else bus.stats.rotations + args.rotations
                     await stop.or_done(_limit(bus, args.seconds, end))
                     stats, missing, held = bus.stats, not_exchanging(bus), clear_since(core_of(bus))
                     stories = await lines.stories()
+                    if report is not None:
+                        report.look()
+                        await stop.or_done(report.rest())
                 finally:
                     service.end()
                     if plant is not None:

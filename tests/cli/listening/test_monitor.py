@@ -338,7 +338,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _rows(page: Page, caption: str) -> dict[str, list[str]]:
-    """The rows of a table by their headers; the table after ``caption``."""
+    """The rows of a table by their headers, several with the same in one; the table after ``caption``."""
     rows: dict[str, list[str]] = {}
     head, within = "", False
     for element in page.elements:
@@ -347,7 +347,7 @@ def _rows(page: Page, caption: str) -> dict[str, list[str]]:
             within = text == caption
         elif within and element.tag == "th" and element.attributes["scope"] == "row":
             head = text
-            rows[head] = []
+            rows.setdefault(head, [])
         elif within and element.tag == "td":
             rows[head].append(text)
     return rows
@@ -425,6 +425,36 @@ def test_the_report_of_a_run_counts_what_the_master_counts(cli: Cli, tmp_path: P
     assert int(parameters[1]) >= 100
     assert "Set_Prm heard" in page.text
     assert "this bus was simulated by dpstack" in page.text
+
+
+def test_the_report_of_a_run_has_modules_standing_diagnoses_and_identification(cli: Cli, tmp_path: Path) -> None:
+    """The words are those of examples/terminal.gsd and of the step: a line break of slot 4."""
+    valves = {"name": "valves", "address": 8, "gsd": str(ROOT / "examples" / "terminal.gsd")}
+    valves |= {"modules": ["8 DO", "8 DI", "", "4 AI"]}
+    plant = plant_file(tmp_path, valves, RAW)
+    steps = tmp_path / "steps.toml"
+    steps.write_text(
+        '[[step]]\nat = 0.05\nslave = "valves"\ndo = "diagnosis"\nwhat = "slot 4 channel 1 line break"\n',
+        encoding="utf-8",
+    )
+    path = tmp_path / "report.html"
+    cli.json("run", str(plant), "--seconds", "0.3", "--scenario", str(steps), "--report", str(path))
+    page = Page.of(path.read_text(encoding="utf-8"))
+    assert page.faults == []
+    slots = _rows(page, "Slots of each slave")
+    assert slots["8"][:6] == ["valves", "1", "8 DO", "20", "", "0"]
+    assert slots["8"][-6:] == ["valves", "4", "4 AI", "43 43 01 02 03", "1 to 8", ""]
+    standing = _rows(page, "Diagnoses that stood at the end of the run")
+    assert standing.keys() == {"8"}
+    channel, slot = standing["8"][:7], standing["8"][7:]
+    assert channel[:-1] == ["valves", "4", "1", "inputs", "bad", "line break: slot 4 (4 AI), input channel 1"]
+    assert slot[:-1] == ["valves", "4", "", "inputs", "uncertain", "data invalid: slot 4 (4 AI)"]
+    assert float(channel[-1]) >= 0.05
+    assert "Standing diagnoses at the end of the run: 2." in page.text
+    inventory = _rows(page, "Inventory")
+    assert inventory["8"][:6] == ["valves", "0x1A2B", "Nobody & Sons", "Terminal 8", "0", "T8-001"]
+    assert inventory["9"][-1] == "configured without DP-V1"
+    assert "good, as far as heard" not in page.text
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.soak)])
