@@ -11,6 +11,8 @@ of the page shows them:
   names, an open bus for instance
 - ``<!-- invisible-code-block: python after``, lines of Python, ``-->`` below a block: these run last
 - ``<!-- file: NAME -->``: the block is also a file of the page's folder
+- ``<!-- readers -->``: the block runs elsewhere, with packages of others
+  (``tests/strangers/test_recordings_in_readers.py``)
 - ``<!-- tests: FOLDER -->``: the block is a module of tests, which pytest runs beside the files of ``FOLDER``
 
 A program that prints has a ``text`` block right below it: marked ``<!-- output -->`` it is the output to the last
@@ -55,6 +57,8 @@ def run_python(example: Example) -> None:
     stage.write_files(text)
     above = text[: example.start]
     mark = _MARK.search(above)
+    if mark and mark[1] == "readers":
+        return
     if mark and mark[1] == "tests":
         stage.close_programs()
         run_tests(example.parsed, ROOT / mark[2], stage.folder)

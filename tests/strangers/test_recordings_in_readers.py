@@ -1,9 +1,13 @@
-"""Octets of recordings in the readers that people use: none of them makes a number of them."""
+"""Recordings in the readers that people use: none makes a number of octets, and the blocks of ask-recordings.md give
+what stands below them."""
 
 from __future__ import annotations
 
 import json
+import re
 import subprocess
+from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +16,7 @@ import pytest
 from dpstack.dp.process_data import Field, FieldMap
 from dpstack.record.columns import Layout, RecordedSlave
 from dpstack.record.rows import Rows, Sample
+from tests.strangers.plant_recordings import write_recordings
 from tests.strangers.stranger_kit import environment
 
 pytestmark = pytest.mark.strangers
@@ -28,11 +33,37 @@ READERS: Final = {
     ("duckdb", "csv"): "import duckdb; found = [row[0] for row in duckdb.read_csv(path)['scale.code'].fetchall()]",
 }
 
+#: as the page names them
+NAMED: Final = ("DuckDB==1.4.3", "polars==1.36.1")
+PAGE: Final = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "ask-recordings.md"
+_BLOCK: Final = re.compile(r"<!-- readers -->\n```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+#: runs blocks of standard input, a JSON list of [kind, text], in one DuckDB; prints the output of each as a JSON list
+RUNS_BLOCKS: Final = """
+import contextlib, io, json, sys
+import duckdb
+
+con = duckdb.connect()
+
+def ask(text):
+    found = con.execute(text)
+    rows = [[one[0] for one in found.description], *found.fetchall()]
+    return "".join(",".join("" if cell is None else str(cell) for cell in row) + "\\n" for row in rows)
+
+def run(text):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        exec(text, {})
+    return output.getvalue()
+
+print(json.dumps([{"sql": ask, "python": run}[kind](text) for kind, text in json.load(sys.stdin)]))
+"""
+
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = environment(tmp_path_factory.mktemp("readers"), "pandas==3.0.0")
-    others = ("polars==1.36.1", "pyarrow==22.0.0", "duckdb==1.4.3")
+    # msgspec: the module of dpstack that makes Parquet files runs there, too
+    others = (*NAMED, "pyarrow==22.0.0", f"msgspec=={version('msgspec')}")
     subprocess.run(
         [made, "-m", "pip", "install", "-q", "--disable-pip-version-check", *others], check=True, timeout=300
     )
@@ -63,3 +94,21 @@ def test_octets_stay_octets(python: Path, folder: Path, reader: str, form: str) 
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert json.loads(done.stdout) == [f"x{octets}" for octets in OCTETS]
+
+
+def test_the_page_gives_what_stands_below_its_blocks(python: Path, tmp_path: Path) -> None:
+    write_recordings(tmp_path, python)
+    page = PAGE.read_text(encoding="utf-8")
+    assert [re.sub(r"\s", "==", found) for found in re.findall(r"(?:DuckDB|polars)\s\d[\d.]*\d", page)] == [*NAMED]
+    blocks = _BLOCK.findall(page)
+    asked = [block for block in blocks if block[0] != "text"]
+    assert page.count("```sql") + page.count("```python") == len(asked) >= 10
+    done = subprocess.run(
+        [python, "-c", RUNS_BLOCKS], input=json.dumps(asked), cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    outputs = iter(json.loads(done.stdout))
+    found = [(kind, text if kind == "text" else next(outputs)) for kind, text in blocks]
+    below = [(output, text) for (_, output), (kind, text) in pairwise(found) if kind == "text"]
+    assert [output for output, _ in below] == [text for _, text in below]
+    assert len(below) == len(asked) - 1  # the views give nothing
