@@ -454,7 +454,7 @@ def test_the_report_of_a_run_has_modules_standing_diagnoses_and_identification(c
     inventory = _rows(page, "Inventory")
     assert inventory["8"][:6] == ["valves", "0x1A2B", "Nobody & Sons", "Terminal 8", "0", "T8-001"]
     assert inventory["9"][-1] == "configured without DP-V1"
-    assert "good, as far as heard" not in page.text
+    assert "Not heard, and so not judged" not in page.text
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.soak)])
