@@ -152,7 +152,7 @@ LISTS = {
     "gsd_source.read_gsd_slave": "from what a GSD file says to the parameters",
     "drive_source.basis_of_drive": "from what a drive plugin says to the parameters",
     "drive_profile.DriveProfile": "what a drive plugin says",
-    "live._slave_plant": "a slave as the live stream describes it, some of its parameters in JSON",
+    "live.slave_plant": "a slave as the live stream describes it, some of its parameters in JSON",
     "sheet.Sheet": "a slave as its commissioning sheet shows it",
     "sheet._sheet": "the same, from its configuration",
     "items.SlavePlant": "the same with its types, for items that come from outside",
