@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from datetime import datetime
+from functools import cache
+from itertools import accumulate
 from time import monotonic
 from typing import Any, ClassVar, Final
 
@@ -62,8 +65,8 @@ class Lines(ScrollView, can_focus=False):
         super().__init__(id=id)
         self._make: Callable[[int], Line] = lambda _number: []
         self._count = 0
-        #: the marked line, or -1
-        self.marked = -1
+        #: the marked lines
+        self.marked = range(0)
 
     def show(self, count: int, make: Callable[[int], Line]) -> None:
         self._make, self._count = make, count
@@ -79,7 +82,7 @@ class Lines(ScrollView, can_focus=False):
         number, width = y + round(self.scroll_y), self.size.width
         if number >= self._count:
             return Strip.blank(width)
-        marked = Style(reverse=True) if number == self.marked else None
+        marked = Style(reverse=True) if number in self.marked else None
         plain = marked is not None or self.app.no_color
         segments = []
         # the only place where lines reach the terminal: nothing raw passes, whoever made the line
@@ -88,13 +91,13 @@ class Lines(ScrollView, can_focus=False):
             segments.append(Segment(text, style + marked if marked else style))
         return Strip(segments).adjust_cell_length(width, marked)
 
-    def keep_visible(self, number: int) -> None:
-        """Scroll so that the line is seen."""
+    def keep_visible(self, lines: range) -> None:
+        """Scroll so that these lines are seen, at least the first one."""
         top, height = round(self.scroll_y), max(1, self.size.height)
-        if number < top:
-            self.scroll_to(y=number, animate=False, immediate=True)
-        elif number >= top + height:
-            self.scroll_to(y=number - height + 1, animate=False, immediate=True)
+        if lines.start < top:
+            self.scroll_to(y=lines.start, animate=False, immediate=True)
+        elif lines.stop > top + height:
+            self.scroll_to(y=min(lines.start, lines.stop - height), animate=False, immediate=True)
 
 
 class FilterInput(Input):
@@ -169,14 +172,27 @@ class Overview(Page):
         slaves = self._lines("#slaves")
         if self._picked not in self._addresses:
             self._picked = self._addresses[0] if self._addresses else None
-        slaves.marked = self._number
         if self._addresses:
-            slaves.show(len(self._addresses), lambda n: overview.slave_line(view, self._addresses[n], width - _BAR))
-            slaves.keep_visible(self._number)
+            rest = height - len(head) - room - 2 - self.query_one("#filter").display
+            rooms = overview.rooms(view, self._addresses, width - _BAR, rest)
+            starts = list(accumulate(rooms, initial=0))
+            slaves.marked = range(starts[self._number], starts[self._number + 1])
+
+            @cache
+            def lines_of(number: int) -> list[Line]:
+                return overview.slave_lines(view, self._addresses[number], width - _BAR, rooms[number])
+
+            def line(number: int) -> Line:
+                slave = bisect_right(starts, number) - 1
+                at, lines = number - starts[slave], lines_of(slave)
+                return lines[at] if at < len(lines) else []  # it got shorter since
+
+            slaves.show(starts[-1], line)
+            slaves.keep_visible(slaves.marked)
         else:
             filtered = self._words or self._conspicuous
             text = "no slave is like that; escape shows all" if filtered else "no slaves yet"
-            slaves.marked = -1
+            slaves.marked = range(0)
             slaves.show_lines([[(text, "stale")]])
 
     @property

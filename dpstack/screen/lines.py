@@ -26,6 +26,8 @@ STYLES: Final[dict[str, tuple[str, str]]] = {
     "changed": ("bold cyan", "underline"),
 }
 _MORE: Final = "…"
+#: blanks between groups of a line
+_BETWEEN: Final = 2
 
 
 def piece(text: object, style: str = "") -> Piece:
@@ -59,6 +61,11 @@ def padded(text: object, width: int, *, right: bool = False) -> str:
     found = cut(printable(str(text)), width)
     space = " " * (width - cell_len(found))
     return space + found if right else found + space
+
+
+def with_more(line: Line, width: int) -> Line:
+    """``line`` in at most ``width`` cells with an ellipsis at its end: further lines are left out."""
+    return [*cut_line(line, width - 1), (_MORE, "")]
 
 
 def cut_line(line: Line, width: int) -> Line:
@@ -100,6 +107,22 @@ def wrapped(line: Line, width: int, indent: int = 2) -> list[Line]:
             if rest:
                 found[-1].append((rest, style))
                 used += cell_len(rest)
+    return found
+
+
+def flowed(head: Line, groups: Iterable[Line], width: int, indent: int) -> list[Line]:
+    """``head``, and ``groups`` behind it side by side; a group that does not fit into a line begins the next one, which
+    begins with ``indent`` blanks."""
+    found = [head]
+    used, is_empty = width_of(head), True
+    for group in groups:
+        size, gap = width_of(group), 0 if is_empty else _BETWEEN
+        if not is_empty and used + gap + size > width:
+            found.append([(" " * indent, "")])
+            used, gap = indent, 0
+        line = [*found.pop(), *([(" " * gap, "")] if gap else []), *group]
+        found += wrapped(line, width, indent) if used + gap + size > width else [line]
+        used, is_empty = width_of(found[-1]), False
     return found
 
 

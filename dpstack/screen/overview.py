@@ -9,8 +9,8 @@ from datetime import datetime
 from itertools import pairwise
 from typing import Any, Final
 
-from dpstack.plant.items import DriveValues, FieldPlant, Plant
-from dpstack.screen.lines import Line, Piece, cut_line, padded, piece, width_of
+from dpstack.plant.items import DriveValues, FieldPlant, Plant, QualityValues
+from dpstack.screen.lines import Line, Piece, cut, cut_line, flowed, padded, piece, width_of, with_more
 from dpstack.screen.view import View, clock_text
 from dpstack.units import baud_text
 
@@ -18,6 +18,15 @@ _BARS: Final = "▁▂▃▄▅▆▇█"
 _EVENT_STYLES: Final = {"warning": "warn", "error": "bad"}
 _MODES: Final = {"operate": "good", "clear": "warn"}
 _GAP: Final = 1
+#: mark and style of values that are not good
+MARKS: Final = {"bad": ("!", "bad"), "uncertain": ("?", "warn")}
+#: order of values in a line: those that say most about a fault first
+_RANKS: Final = {"bad": 2, "uncertain": 1}
+#: cells of the last column from which on further lines of a slave stay in it; else they begin behind the address
+_LEAST_BESIDE: Final = 24
+_INDENT: Final = 6
+#: longer than any line
+_ENDLESS: Final = 1 << 20
 #: a histogram with narrower classes is drawn as one bar
 _LEAST_CLASS_US: Final = 1e-3
 _EXCHANGE: Final = "data exchange"
@@ -160,7 +169,7 @@ class Columns:
     def fitting(cls, width: int) -> Columns:
         name = 10 if width < 60 else 14 if width < 80 else 18 if width < 120 else 24
         state = 9 if width < 60 else 13
-        counters = 0 if width < 72 else 6
+        counters = 0 if width < 80 else 6
         fixed = 2 + 4 + name + _GAP + state + _GAP + 2 * (counters + _GAP if counters else 0)
         return cls(name, state, counters, max(0, width - fixed))
 
@@ -173,9 +182,50 @@ def slaves_head(width: int) -> Line:
     return cut_line([*line, ("values", "label")], width)
 
 
-def slave_line(view: View, address: str, width: int) -> Line:
-    """One slave: sign, address, name, state, repetitions, late answers, its remark and its values."""
+def rooms(view: View, addresses: Sequence[str], width: int, height: int) -> list[int]:
+    """Lines for each of these slaves: one, and the empty lines of the screen for slaves with a remark, errors first."""
+    found = dict.fromkeys(addresses, 1)
+    spare = height - len(found)
+    for address in sorted(found, key=lambda one: view.values(one).level != "error"):
+        if spare <= 0:
+            break
+        if view.remark(address)[0]:
+            more = min(spare, len(slave_lines(view, address, width, height)) - 1)
+            found[address] += more
+            spare -= more
+    return list(found.values())
+
+
+def slave_lines(view: View, address: str, width: int, room: int = 1) -> list[Line]:
+    """One slave in at most ``room`` lines: sign, address, name, state, repetitions, late answers, its remark, and its
+    values beside it, those that are not good first if it has a remark."""
     c = Columns.fitting(width)
+    head = _slave_head(view, address, c)
+    remark, how = view.remark(address)
+    values = view.values(address)
+    groups = values_groups(view, address) if values.drive is None else drive_groups(view, address, values.drive)
+    if not view.alive(address) and address in view.state.slaves:
+        age = view.age_s(address)
+        old = piece("old: " if age is None else f"old {age:.1f} s: ", "stale")
+        groups = [[old, *group] for group in groups[:1]] + groups[1:] or [[old]]
+    if not remark:
+        return [cut_line(flowed(head, groups, _ENDLESS, 0)[0], width)]
+    said: Line = [piece(remark, how)]
+    if room == 1:
+        least = width_of(groups[0]) if groups and values.fields else 0
+        said = [(cut(*said[0][:1], max(c.values // 2 - 1, c.values - least - 2)), how)]
+        return [cut_line(flowed(head, [said, *groups], _ENDLESS, 0)[0], width)]
+    lines = flowed(head, [said, *groups], width, 0)
+    if len(lines) == 1:
+        return lines
+    indent = width - c.values if c.values >= _LEAST_BESIDE else _INDENT
+    lines = flowed(head, [said], width, indent)
+    lines = lines if len(lines) < room else [*lines[: room - 2], with_more(lines[room - 2], width)]
+    more, left = flowed([(" " * indent, "")], groups, width, indent), room - len(lines)
+    return [*lines, *more] if len(more) <= left else [*lines, *more[: left - 1], with_more(more[left - 1], width)]
+
+
+def _slave_head(view: View, address: str, c: Columns) -> Line:
     values = view.values(address)
     alive = view.alive(address)
     sign, style = view.mark(address)
@@ -183,40 +233,33 @@ def slave_line(view: View, address: str, width: int) -> Line:
     state = view.state_text(address)
     if c.state < len(_EXCHANGE):
         state = state.removeprefix("data ")
+    how = style if sign == "!" else "bold" if alive else "stale"
     line: Line = [
         (f"{sign} ", style),
         (f"{padded(address, 3, right=True)} ", quiet),
-        (padded(view.name(address), c.name) + " ", "bold" if alive else "stale"),
-        (padded(state, c.state) + " ", "good" if alive else "bad"),
+        (padded(view.name(address), c.name) + " ", how),
+        (padded(state, c.state) + " ", style if alive else "bad"),
     ]
     if c.counters:
         late = (values.late or 0) + (values.wrong or 0)
         for count in (values.retries or 0, late):
             line.append((padded(count, c.counters, right=True) + " ", quiet or ("warn" if count else "")))
-    rest: Line = []
-    remark, how = view.remark(address)
-    if remark:
-        rest += [piece(remark, how), ("  ", "")]
-    if not alive and address in view.state.slaves:
-        age = view.age_s(address)
-        rest.append(("old: " if age is None else f"old {age:.1f} s: ", "stale"))
-    rest += values_pieces(view, address) if values.drive is None else drive_pieces(view, address, values.drive)
-    return line + cut_line(rest, c.values)
+    return line
 
 
-def drive_pieces(view: View, address: str, drive: DriveValues) -> Line:
-    """State, speed, set point and actual values of a drive."""
+def drive_groups(view: View, address: str, drive: DriveValues) -> list[Line]:
+    """State, speed, set point and actual values of a drive, each marked if it is not good."""
     style = "" if view.alive(address) else "stale"
-    found: Line = [
-        piece(str(drive.state).replace("_", " "), style or ("good" if drive.running else "")),
-        piece(f"  {percent(drive.speed)}", style or "bold"),
-        piece(f" set {percent(drive.setpoint)}", style),
+    told = view.quality(address)
+    found: list[Line] = [
+        [piece(str(drive.state).replace("_", " "), style or ("good" if drive.running else ""))],
+        [*marked(percent(drive.speed), told, style or "bold"), piece(f" set {percent(drive.setpoint)}", style)],
     ]
     if drive.frequency_hz is not None:
-        found.append(piece(f"  {drive.frequency_hz:.1f} Hz", style))
+        found.append(marked(f"{drive.frequency_hz:.1f} Hz", told, style))
     for name, share in (("current", drive.current), ("torque", drive.torque)):
         if share is not None:
-            found.append(piece(f"  {name} {percent(share)}", style))
+            found.append([piece(f"{name} ", style), *marked(percent(share), told, style)])
     return found
 
 
@@ -224,35 +267,52 @@ def percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f} %"
 
 
-def values_pieces(view: View, address: str) -> Line:
-    """Named values with units; without names the octets."""
+def values_groups(view: View, address: str) -> list[Line]:
+    """Named values with units, those that are not good first; without names the octets."""
     values, plant = view.values(address), view.slave_plant(address)
     style = "" if view.alive(address) else "stale"
-    found: Line = []
+    found: list[tuple[int, Line]] = []
     for fields, given, label, bare in (
         (plant.inputs, values.inputs, "", "in "),
         (plant.outputs, values.outputs, "out ", "out "),
     ):
-        if fields:
-            found.append(piece(label, style or "label"))
-            for field in fields:
-                found += [*field_pieces(view, address, field, style), ("  ", "")]
-        elif given:
-            found += [(bare, style or "label"), piece(octets(given), style), ("  ", "")]
+        named = [(view.quality(address, one.name), field_pieces(view, address, one, style)) for one in fields or []]
+        named.sort(key=lambda one: _rank(one[0]), reverse=True)
+        for number, (told, pieces) in enumerate(named):
+            before = [piece(label, style or "label")] if label and not number else []
+            found.append((_rank(told), [*before, *pieces]))
+        if not fields and given:
+            found.append((0, [(bare, style or "label"), piece(octets(given), style)]))
+    found.sort(key=lambda one: one[0], reverse=True)
+    groups = [group for _, group in found]
     if values.held is not None:
-        found.append(("not sent: ", "warn"))
         held = values.held_fields or {}
-        found.append(piece(", ".join(f"{k} {shown(v)}" for k, v in held.items()) or octets(values.held), "stale"))
-    return found
+        text = ", ".join(f"{k} {shown(v)}" for k, v in held.items()) or octets(values.held)
+        groups.append([("not sent: ", "warn"), piece(text, "stale")])
+    return groups
 
 
-def field_pieces(view: View, address: str, field: FieldPlant, style: str) -> list[Piece]:
-    """``name value unit``; marked for a moment if the value has just changed."""
+def _rank(told: QualityValues | None) -> int:
+    return 0 if told is None else _RANKS.get(told.quality, 0)
+
+
+def field_pieces(view: View, address: str, field: FieldPlant, style: str) -> Line:
+    """``name value unit``; marked for a moment if the value has just changed, and always if it is not good."""
     name = field.name
     value = (view.values(address).fields or {}).get(name)
     unit = f" {field.unit}" if field.unit else ""
     changed = not style and view.just_changed(address, name)
-    return [piece(f"{name} ", style or "label"), piece(shown(value) + unit, "changed" if changed else style)]
+    text = marked(shown(value) + unit, view.quality(address, name), "changed" if changed else style)
+    return [piece(f"{name} ", style or "label"), *text]
+
+
+def marked(text: str, told: QualityValues | None, style: str) -> Line:
+    """A value with the mark of its quality in front, so that no end of a line separates them: ``!`` bad, ``?``
+    uncertain. An old one is only grey."""
+    sign, how = MARKS.get("" if told is None else told.quality, ("", ""))
+    if not sign:
+        return [piece(text, style)]
+    return [piece(sign + text, how)] if style != "stale" else [(sign, how), piece(text, style)]
 
 
 def shown(value: object) -> str:

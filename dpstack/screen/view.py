@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any, Final
 
-from dpstack.plant.items import Item, SlavePlant, SlaveValues, Snapshot, check_item
+from dpstack.plant.items import Item, QualityValues, SlavePlant, SlaveValues, Snapshot, check_item
+from dpstack.plant.quality import Quality
 from dpstack.plant.state import LiveState
 
 #: without a snapshot for this long (s) nothing counts as fresh: one comes every 0.1 s
@@ -18,6 +19,9 @@ CHANGED_S: Final = 1.0
 _MOST_CHANGED: Final = 10_000
 #: styles of severities and of levels
 _STYLES: Final = {"error": "bad", "warning": "warn", "good": "good"}
+#: qualities that the screen adds: it gets nothing new, or an older version sends no qualities
+_NOT_OF_NOW: Final = QualityValues(Quality.STALE.value, "stream_silent", "nothing here is of this moment")
+_NOT_ALIVE: Final = QualityValues(Quality.STALE.value, "not_valid", "the inputs of the slave are not valid")
 _NO_PLANT: Final = SlavePlant()
 _NO_VALUES: Final = SlaveValues()
 
@@ -83,6 +87,16 @@ class View:
 
     def just_changed(self, address: str, name: str) -> bool:
         return self.now - self._changed.get((address, name), -CHANGED_S) < CHANGED_S
+
+    def quality(self, address: str, name: str | None = None) -> QualityValues | None:
+        """The quality of a named value, or of everything that the slave and its drive send; None: good."""
+        values = self.values(address)
+        told = (values.qualities or {}).get(name or "") or values.quality
+        if told is not None and (told.quality == Quality.BAD or self.fresh):
+            return told
+        if not self.fresh:
+            return _NOT_OF_NOW
+        return None if values.alive else _NOT_ALIVE
 
     # --- slaves ---------------------------------------------------------------------------------------------------
 

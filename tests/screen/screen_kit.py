@@ -99,3 +99,45 @@ def some_plant() -> list[Item]:
     }  # fmt: skip
     events = [event("master: operate"), event(f"slave 125 ({LONG})", 125, "warning")]
     return [plant(slaves), *events, snapshot(now)]
+
+
+BREAK = "line break: slot 3 (2 AI), input channel 0"
+INVALID = "data invalid: slot 3 (2 AI)"
+
+
+def doubt(channel: int | None, quality: str, reason: str, text: str) -> dict[str, Any]:
+    return {"slot": 3, "channel": channel, "direction": "input", "quality": quality, "reason": reason, "text": text,
+            "since": 4.5}  # fmt: skip
+
+
+def rack_plant(**more: Any) -> list[Item]:
+    """A rack whose wire at slot 3, channel 0 is broken, as the program of a bus shows it; another slave."""
+    modules = [
+        {"slot": 1, "name": "8 DI", "config": "10", "inputs": 1, "input_at": 0, "input_width": 1, "outputs": 0},
+        {"slot": 2, "name": "8 DO", "config": "20", "inputs": 0, "outputs": 1, "output_at": 0, "output_width": 1},
+        {"slot": 3, "name": "2 AI", "config": "51", "inputs": 4, "input_at": 1, "input_width": 16, "outputs": 0},
+        {"slot": 4, "name": "2 AI", "config": "51", "inputs": 4, "input_at": 5, "input_width": 16, "outputs": 0},
+    ]
+    rack = slave_plant(
+        8, "boiler rack", modules=modules, input_len=9, output_len=1, gsd="io-station",
+        inputs=[
+            field("limit", at="bool@0.0") | {"type": "bool", "slot": 1},
+            field("level", "m", "i16@1") | {"slot": 3, "channel": 0},
+            field("pressure", "bar", "i16@3") | {"slot": 3},
+            field("temperature", "°C", "i16@5") | {"slot": 4},
+        ],
+        outputs=[field("inlet", at="bool@0.1") | {"type": "bool", "slot": 2}],
+    )  # fmt: skip
+    broken = values(
+        inputs="01014004e2032f0000", outputs="02",
+        fields={"limit": True, "level": 3.2, "pressure": 1.25, "temperature": 81.5, "inlet": True},
+        diagnosis={"flags": ["ext_diag", "wd_on"], "texts": ["slot 3 (2 AI), input channel 0 (word): line break"]},
+        conspicuous="ext_diag; slot 3 (2 AI), input channel 0 (word): line break",
+        doubts=[doubt(0, "bad", "channel_fault", BREAK), doubt(None, "uncertain", "slot_fault", INVALID)],
+        qualities={
+            "level": {"quality": "bad", "reason": "channel_fault", "text": BREAK, "since": 4.5},
+            "pressure": {"quality": "uncertain", "reason": "slot_fault", "text": INVALID, "since": 4.5},
+        },
+    )  # fmt: skip
+    given = plant({"8": rack | more, "9": slave_plant(9, "other")})
+    return [given, snapshot({"8": broken, "9": values()})]

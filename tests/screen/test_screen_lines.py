@@ -12,9 +12,20 @@ from rich.cells import cell_len
 from dpstack.plant.items import Item
 from dpstack.screen.lines import STYLES, Line, cut, padded, width_of, wrapped
 from dpstack.screen.one_slave import page
-from dpstack.screen.overview import bars, event_line, head, notices, slave_line, slaves_head
+from dpstack.screen.overview import bars, event_line, head, notices, rooms, slave_lines, slaves_head
 from dpstack.screen.view import View
-from tests.screen.screen_kit import LONG, event, field, judged, plant, slave_plant, snapshot, some_plant
+from tests.screen.screen_kit import (
+    LONG,
+    event,
+    field,
+    judged,
+    plant,
+    rack_plant,
+    slave_plant,
+    snapshot,
+    some_plant,
+    values,
+)
 
 
 def view_of(items: list[Item], now: float = 10.0) -> View:
@@ -31,7 +42,7 @@ def text_of(line: Line) -> str:
 def all_lines(view: View, width: int) -> list[Line]:
     lines = [*head(view, width, paused="12:00:00", note=LONG), slaves_head(width)]
     for address in view.addresses():
-        lines += [slave_line(view, address, width), *page(view, address, width, LONG)]
+        lines += [slave_lines(view, address, width)[0], *page(view, address, width, LONG)]
     return lines
 
 
@@ -67,9 +78,9 @@ def test_no_text_of_any_item_is_drawn_raw(ended: bool) -> None:
 
 def test_a_slave_shows_names_values_and_units() -> None:
     view = view_of(some_plant())
-    text = text_of(slave_line(view, "3", 120))
+    text = text_of(slave_lines(view, "3", 120)[0])
     assert " ".join(text.split()) == "* 3 valves data exchange 3 0 level 3.4 bar limit on out target 5"
-    drive = text_of(slave_line(view, "4", 160))
+    drive = text_of(slave_lines(view, "4", 160)[0])
     assert "drive fault: F2100 overload" in drive
     assert "12.3 % set 50.0 %  6.2 Hz  current 42.0 %" in drive
     assert "1500" not in drive
@@ -78,7 +89,104 @@ def test_a_slave_shows_names_values_and_units() -> None:
 
 def test_markup_of_a_device_stays_text() -> None:
     assert "module 2 [red]missing[/]" in "\n".join(map(text_of, page(view_of(some_plant()), "8", 80)))
-    assert "[bold red]x[/]" in text_of(slave_line(view_of(some_plant()), "125", 100))
+    assert "[bold red]x[/]" in text_of(slave_lines(view_of(some_plant()), "125", 100)[0])
+
+
+# --- quality ----------------------------------------------------------------------------------------------------------
+
+#: the rack at some widths, with the empty lines of a screen of 20
+BROKEN = {
+    40: [
+        "!   8 boiler ra… exchange  line break:",
+        "      slot 3 (2 AI), input channel 0,",
+        "      data invalid: slot 3 (2 AI)",
+        "      level !3.2 m  pressure ?1.25 bar",
+        "      limit on  temperature 81.5 °C",
+        "      out inlet on",
+    ],
+    60: [
+        "!   8 boiler rack    data exchange line break: slot 3 (2",
+        "                                   AI), input channel 0,",
+        "                                   data invalid: slot 3 (2",
+        "                                   AI)",
+        "                                   level !3.2 m",
+        "                                   pressure ?1.25 bar",
+        "                                   limit on",
+        "                                   temperature 81.5 °C",
+        "                                   out inlet on",
+    ],
+    120: [
+        "!   8 boiler rack              data exchange      0      0 "
+        "line break: slot 3 (2 AI), input channel 0, data invalid:",
+        "                                                           slot 3 (2 AI)",
+        "                                                           level !3.2 m  pressure ?1.25 bar  limit on",
+        "                                                           temperature 81.5 °C  out inlet on",
+    ],
+}
+
+
+@pytest.mark.parametrize("width", BROKEN)
+def test_a_fault_has_the_empty_lines_of_the_screen_and_the_values_stay_beside_it(width: int) -> None:
+    view = view_of(rack_plant())
+    found = rooms(view, ["8", "9"], width, 17)
+    lines = [text_of(line).rstrip() for line in slave_lines(view, "8", width, found[0])]
+    assert lines == BROKEN[width]
+    assert found == [len(lines), 1]
+
+
+@pytest.mark.parametrize("room", [1, 2, 3, 6])
+def test_words_of_the_fault_and_the_value_can_be_read_in_any_room(room: int) -> None:
+    view = view_of(rack_plant())
+    for width in range(48, 130):
+        lines = slave_lines(view, "8", width, room)
+        assert len(lines) <= room
+        assert all(width_of(line) <= width for line in lines)
+        text = " ".join(text_of(line) for line in lines)
+        if width >= 60:
+            assert "line break" in text
+            assert "level !3.2 m" in text
+        # never the number alone, wherever the line ends
+        assert "level 3" not in text
+        assert {style for line in lines for one, style in line if "3.2" in one} <= {"bad"}
+
+
+def test_slaves_have_the_colour_of_the_worst_of_their_values() -> None:
+    def styles(quality: str) -> set[str]:
+        own = {"level": {"quality": quality, "reason": "status_bad", "text": "sensor failure", "since": None}}
+        items = rack_plant()
+        items[1] = snapshot({"8": values(qualities=own)})
+        return {
+            style for text, style in slave_lines(view_of(items), "8", 100)[0] if text.strip() in ("!", "boiler rack")
+        }
+
+    assert styles("bad") == {"bad"}
+    assert styles("uncertain") == {"warn"}
+    assert "good" not in {style for text, style in slave_lines(view_of(rack_plant()), "8", 100)[0] if "data" in text}
+
+
+def test_without_empty_lines_each_slave_has_one_and_errors_come_first() -> None:
+    rack, other = rack_plant()[0]["plant"]["slaves"]["8"], some_plant()[0]["plant"]["slaves"]["8"]
+    broken = rack_plant()[1]["snapshot"]["slaves"]["8"]
+    warned = values(conspicuous="static diagnosis: the words of a GSD file that do not fit into this line")
+    view = view_of([plant({"3": other, "8": rack}), snapshot({"3": warned, "8": broken})])
+    assert rooms(view, ["3", "8"], 60, 2) == [1, 1]
+    assert rooms(view, ["3", "8"], 60, 5) == [1, 4]
+    assert rooms(view, ["3", "8"], 60, 99) == [5, 9]
+    assert rooms(view, ["8"] * 1, 60, 0) == [1]
+
+
+def test_quantities_of_a_drive_have_the_mark_of_its_quality() -> None:
+    doubt = {"quality": "uncertain", "reason": "announced", "text": "diagnosis announced", "since": 1.0}
+    view = view_of([*some_plant(), snapshot({"4": {"quality": doubt}}, whole=False)])
+    assert "?12.3 % set 50.0 %  ?6.2 Hz  current ?42.0 %" in text_of(slave_lines(view, "4", 160)[0])
+
+
+def test_a_bad_value_that_gets_old_stays_bad() -> None:
+    view = view_of(rack_plant())
+    view.now += 2.5
+    line = slave_lines(view, "8", 200)[0]
+    assert [(text, style) for text, style in line if text == "!" or "3.2" in text] == [("!", "bad"), ("3.2 m", "stale")]
+    assert [style for text, style in line if "1.25" in text] == ["stale"]
 
 
 NOT_ALIVE: dict[str, list[Item]] = {
@@ -95,7 +203,7 @@ NOT_ALIVE: dict[str, list[Item]] = {
 def test_old_values_never_look_fresh(case: str) -> None:
     view = view_of([*some_plant(), *NOT_ALIVE[case]])
     view.now += 2.5 if case == "nothing comes any more" else 0
-    line = slave_line(view, "3", 120)
+    line = slave_lines(view, "3", 120)[0]
     assert line[0][0] == "- "
     shown = [(text, style) for text, style in line if "3.4" in text or text.startswith("on")]
     assert len(shown) == 2
@@ -141,7 +249,7 @@ def test_conspicuous_states_are_shown() -> None:
 
 
 def test_outputs_that_are_not_sent_are_marked() -> None:
-    text = text_of(slave_line(view_of(some_plant()), "125", 400))
+    text = text_of(slave_lines(view_of(some_plant()), "125", 400)[0])
     assert "out 0000" in text
     assert "not sent: 0005" in text
 
@@ -158,9 +266,9 @@ def test_the_filter_takes_words_of_address_name_state_and_remark() -> None:
 def test_a_changed_value_is_marked_for_a_second() -> None:
     view = view_of(some_plant())
     view.apply(snapshot({"3": {"fields": {"level": 3.5, "limit": True, "target": 5}}}, whole=False), 11.0)
-    assert [text for text, style in slave_line(view, "3", 120) if style == "changed"] == ["3.5 bar"]
+    assert [text for text, style in slave_lines(view, "3", 120)[0] if style == "changed"] == ["3.5 bar"]
     view.apply(snapshot({}, whole=False), 12.5)
-    assert not [text for text, style in slave_line(view, "3", 120) if style == "changed"]
+    assert not [text for text, style in slave_lines(view, "3", 120)[0] if style == "changed"]
 
 
 def test_a_drive_that_repeats_its_state_fills_no_events() -> None:
@@ -174,8 +282,8 @@ def test_a_paused_view_stands_still() -> None:
     view = view_of(some_plant())
     still = view.frozen()
     view.apply(snapshot({"3": {"fields": {"level": 99.0, "limit": True, "target": 5}}}, whole=False), 10.1)
-    assert "3.4 bar" in text_of(slave_line(still, "3", 120))
-    assert "99 bar" in text_of(slave_line(view, "3", 120))
+    assert "3.4 bar" in text_of(slave_lines(still, "3", 120)[0])
+    assert "99 bar" in text_of(slave_lines(view, "3", 120)[0])
 
 
 def test_a_histogram_shows_even_a_single_late_rotation() -> None:
@@ -216,7 +324,7 @@ def test_wrapped_lines_fit_and_lose_no_letter(text: str, width: int) -> None:
 
 def test_a_slave_without_any_values_yet() -> None:
     view = view_of([plant({"5": slave_plant(5, "new", inputs=[field("x")])}), snapshot({})])
-    assert "unknown" in text_of(slave_line(view, "5", 80))
+    assert "unknown" in text_of(slave_lines(view, "5", 80)[0])
     assert "nothing is known" in "\n".join(map(text_of, page(view, "5", 80)))
     assert all_lines(view_of([]), 80)
 

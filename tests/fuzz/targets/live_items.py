@@ -73,7 +73,7 @@ def draw(view: View, width: int) -> None:
     """All pages of the screen."""
     lines: list[Line] = [*overview.head(view, width), overview.slaves_head(width)]
     for address in view.addresses()[:8]:
-        lines.append(overview.slave_line(view, address, width))
+        lines += overview.slave_lines(view, address, width, 6)
         lines += one_slave.page(view, address, width)
     view.addresses("data 3", conspicuous=True)
     lines += [overview.event_line(event) for event in view.events_of()[-5:]]
