@@ -8,6 +8,8 @@ as JSON lines over a socket pair; the screen sends orders of the person at the k
 - ``lines``: Lines as pieces of text with a style, cut and wrapped by terminal cells
 - ``one_slave``: Lines of the page of one slave, and the story why it is not in data exchange
 - ``overview``: Lines of the first page: state of the bus, one line a slave, events
+- ``places``: Places of named values and of channels in the octets of a slave
 - ``process``: The end of ``run``: starts the process, sends items to it, receives orders
+- ``rack``: Lines of the slots of a slave: modules, channels, values beside them
 - ``view``: The plant as shown: is it fresh, which slaves are alive, changed values, filter
 """

@@ -35,6 +35,11 @@ def piece(text: object, style: str = "") -> Piece:
     return printable(str(text)), style
 
 
+def octets(digits: str) -> str:
+    """Hex digits, a blank after every two octets."""
+    return " ".join(digits[at : at + 4] for at in range(0, len(digits), 4))
+
+
 def width_of(line: Iterable[Piece]) -> int:
     """Cells of the terminal."""
     return sum(cell_len(text) for text, _ in line)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 from dpstack.plant.items import DrivePlant, DriveValues, SlavePlant, SlaveValues
-from dpstack.screen.lines import Line, piece, wrapped
-from dpstack.screen.overview import event_line, field_pieces, octets, percent, shown
+from dpstack.screen.lines import Line, octets, piece, wrapped
+from dpstack.screen.overview import MARKS, event_line, field_pieces, marked, percent, shown
+from dpstack.screen.rack import rack_lines, words
 from dpstack.screen.view import View
 from dpstack.text import octets_text
 from dpstack.why.story import story_lines
@@ -33,9 +34,12 @@ def page(view: View, address: str, width: int, story: Mapping[str, Any] | str | 
     lines += _troubles(view, address)
     if story is not None:
         lines += [[], *_told(story, width)]
-    lines += [[], *_values(view, address)]
     if values.drive is not None:
         lines += [[], *_drive(view, address, values.drive)]
+    rack, placed = rack_lines(view, address)
+    if rack:
+        lines += [[], _header("modules and channels"), *rack]
+    lines += [[], *_values(view, address, placed)]
     lines += [[], *_counters(values), [], *_identity(view.slave_plant(address), values)]
     events = view.events_of(address)[-_EVENTS:]
     if events:
@@ -60,18 +64,34 @@ def _troubles(view: View, address: str) -> list[Line]:
     lines = []
     if values.fault is not None:
         lines.append(_row("fault", values.fault.text, "bad"))
+    lines += _doubts(view, address)
     if values.diagnosis is not None:
         flags = ", ".join(flag.replace("_", " ") for flag in values.diagnosis.flags)
         lines.append(_row("diagnosis", flags or "no flags", "warn" if values.conspicuous else ""))
         lines += [_row("", text, "warn") for text in values.diagnosis.texts]
-    if values.alarms:
-        lines.append(_row("alarms", ", ".join(f"{key} {shown(value)}" for key, value in values.alarms.items())))
     if values.injected:
         lines.append(_row("simulated", ", ".join(values.injected), "warn"))
     return lines
 
 
-def _values(view: View, address: str) -> list[Line]:
+def _doubts(view: View, address: str) -> list[Line]:
+    """Each reason why values are not good, once: its quality, the words of the fault, the place, since when."""
+    values = view.values(address)
+    told = {(one.quality, one.text): one.since for one in values.doubts or []}
+    for name, one in (("", values.quality), *(values.qualities or {}).items()):
+        if one is not None and (one.quality, one.text) not in told:
+            told[one.quality, f"{name}: {one.text}" if name else one.text] = one.since
+    lines = []
+    for (quality, text), since in told.items():
+        sign, style = MARKS.get(quality, ("", "stale"))
+        at = view.clock(since)
+        lines.append([*_row(f"{sign or ' '} {'' if quality == 'good' else quality}", text, style),
+                      piece(f"  since {at}" if at else "", "stale")])  # fmt: skip
+    return lines
+
+
+def _values(view: View, address: str, placed: Collection[str]) -> list[Line]:
+    """Octets, and the named values that have no place in the rack."""
     values, plant = view.values(address), view.slave_plant(address)
     style = "" if view.alive(address) else "stale"
     lines: list[Line] = []
@@ -87,9 +107,10 @@ def _values(view: View, address: str) -> list[Line]:
             for at in range(0, len(digits), 2 * _LINE)
         ]
         lines += [
-            [("  ", ""), *field_pieces(view, address, field, style), piece(f"  {field.at}", "stale")]
-            for field in fields or []
-        ]
+            [("  ", ""), *field_pieces(view, address, field, style), piece(f"  {field.at}", "stale"),
+             piece(f"  {words(view.quality(address, field.name))}", style)]
+            for field in fields or [] if field.name not in placed
+        ]  # fmt: skip
     if values.held is not None:
         lines.append(_row("not sent", octets(values.held), "warn"))
         held = values.held_fields or {}
@@ -100,18 +121,21 @@ def _values(view: View, address: str) -> list[Line]:
 def _drive(view: View, address: str, drive: DriveValues) -> list[Line]:
     known = view.slave_plant(address).drive or DrivePlant()
     style = "" if view.alive(address) else "stale"
+    told = view.quality(address)
     lines = [
         _row("drive", f"{known.profile or ''} {known.telegram or ''}"),
         _row("state", str(drive.state).replace("_", " "), style or ("good" if drive.running else "")),
-        _row("speed", percent(drive.speed), style or "bold"),
+        [*_row("speed", ""), *marked(percent(drive.speed), told, style or "bold")],
         _row("set point", percent(drive.setpoint), style),
     ]
+    quantities = []
     if drive.frequency_hz is not None:
-        lines.append(_row("frequency", f"{drive.frequency_hz:.2f} Hz", style))
+        quantities.append(("frequency", f"{drive.frequency_hz:.2f} Hz"))
     if known.reference_rpm and drive.speed is not None:
-        lines.append(_row("revolutions", f"{drive.speed * known.reference_rpm:.0f} rpm", style))
+        quantities.append(("revolutions", f"{drive.speed * known.reference_rpm:.0f} rpm"))
     shares = ("current", drive.current), ("torque", drive.torque)
-    lines += [_row(name, percent(share), style) for name, share in shares if share is not None]
+    quantities += [(name, percent(share)) for name, share in shares if share is not None]
+    lines += [[*_row(name, ""), *marked(text, told, style)] for name, text in quantities]
     lines += [_row("fault", text, "bad") for text in drive.faults or []]
     lines += [_row("warning", text, "warn") for text in drive.warnings or []]
     lines.append(_row("bits", ", ".join(bit.replace("_", " ") for bit in drive.bits or []), style))
@@ -131,7 +155,10 @@ def _counters(values: SlaveValues) -> list[Line]:
     ):
         lines.append(_row(name, count or 0, "warn" if count else ""))
     causes = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in (values.bad or {}).items())
-    return [*lines, _row("damaged", causes or 0, "warn" if values.bad else "")]
+    lines.append(_row("damaged", causes or 0, "warn" if values.bad else ""))
+    if values.alarms:
+        lines.append(_row("alarms", ", ".join(f"{key} {shown(value)}" for key, value in values.alarms.items())))
+    return lines
 
 
 def _identity(plant: SlavePlant, values: SlaveValues) -> list[Line]:
@@ -148,9 +175,6 @@ def _identity(plant: SlavePlant, values: SlaveValues) -> list[Line]:
     ]  # fmt: skip
     if plant.every not in (None, 1):
         lines.append(_row("every", f"{plant.every} cycles"))
-    for number, module in enumerate(plant.modules or []):
-        size = f"{module.inputs or 0} in, {module.outputs or 0} out"
-        lines.append(_row(f"module {number + 1}", f"{module.name or 'empty'}  {module.config}  {size}"))
     return lines
 
 

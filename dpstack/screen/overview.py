@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from itertools import pairwise
 from typing import Any, Final
 
-from dpstack.plant.items import DriveValues, FieldPlant, Plant, QualityValues
-from dpstack.screen.lines import Line, Piece, cut, cut_line, flowed, padded, piece, width_of, with_more
+from dpstack.plant.items import DoubtValues, DriveValues, FieldPlant, Plant, QualityValues
+from dpstack.screen.lines import Line, Piece, cut, cut_line, flowed, octets, padded, piece, width_of, with_more
 from dpstack.screen.view import View, clock_text
 from dpstack.units import baud_text
 
@@ -47,10 +45,7 @@ def _title(view: View, width: int) -> Line:
     state = view.state
     plant, bus = state.plant or NO_PLANT, state.bus
     mode = bus.mode or "starting"
-    clock = ""
-    if state.t >= 0 and plant.started >= 0:
-        with contextlib.suppress(ValueError, OverflowError, OSError):  # beyond the years of a clock
-            clock = datetime.fromtimestamp(plant.started + state.t).strftime("%H:%M:%S")
+    clock = view.clock(state.t)
     where: Line = [
         piece(f" {mode.capitalize()} ", _mode_style(mode, plant) if view.fresh else "stale"),
         piece(f"{clock} ", "" if view.fresh else "stale"),
@@ -277,10 +272,10 @@ def values_groups(view: View, address: str) -> list[Line]:
         (plant.outputs, values.outputs, "out ", "out "),
     ):
         named = [(view.quality(address, one.name), field_pieces(view, address, one, style)) for one in fields or []]
-        named.sort(key=lambda one: _rank(one[0]), reverse=True)
+        named.sort(key=lambda one: rank(one[0]), reverse=True)
         for number, (told, pieces) in enumerate(named):
             before = [piece(label, style or "label")] if label and not number else []
-            found.append((_rank(told), [*before, *pieces]))
+            found.append((rank(told), [*before, *pieces]))
         if not fields and given:
             found.append((0, [(bare, style or "label"), piece(octets(given), style)]))
     found.sort(key=lambda one: one[0], reverse=True)
@@ -292,7 +287,8 @@ def values_groups(view: View, address: str) -> list[Line]:
     return groups
 
 
-def _rank(told: QualityValues | None) -> int:
+def rank(told: QualityValues | DoubtValues | None) -> int:
+    """2 for bad, 1 for uncertain, 0 for the others."""
     return 0 if told is None else _RANKS.get(told.quality, 0)
 
 
@@ -322,11 +318,6 @@ def shown(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return "-" if value is None else str(value)
-
-
-def octets(digits: str) -> str:
-    """Hex digits, a blank after every two octets."""
-    return " ".join(digits[at : at + 4] for at in range(0, len(digits), 4))
 
 
 # --- events -----------------------------------------------------------------------------------------------------------

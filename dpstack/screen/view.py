@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 from collections.abc import Mapping
 from datetime import datetime
@@ -97,6 +98,14 @@ class View:
         if not self.fresh:
             return _NOT_OF_NOW
         return None if values.alive else _NOT_ALIVE
+
+    def clock(self, t: float | None) -> str:
+        """The wall clock of ``t`` s after the start; empty if it is not known."""
+        started = -1.0 if self.state.plant is None else self.state.plant.started
+        if t is not None and t >= 0 and started >= 0:
+            with contextlib.suppress(ValueError, OverflowError, OSError):  # beyond the years of a clock
+                return datetime.fromtimestamp(started + t).strftime("%H:%M:%S")
+        return ""
 
     # --- slaves ---------------------------------------------------------------------------------------------------
 

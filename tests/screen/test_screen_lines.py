@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Any
 
 import pytest
@@ -9,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from dpstack.plant.items import Item
+from dpstack.plant.items import FieldPlant, Item
 from dpstack.screen.lines import STYLES, Line, cut, padded, width_of, wrapped
 from dpstack.screen.one_slave import page
 from dpstack.screen.overview import bars, event_line, head, notices, rooms, slave_lines, slaves_head
+from dpstack.screen.places import Place, place_of
 from dpstack.screen.view import View
 from tests.screen.screen_kit import (
     LONG,
@@ -179,6 +181,101 @@ def test_quantities_of_a_drive_have_the_mark_of_its_quality() -> None:
     doubt = {"quality": "uncertain", "reason": "announced", "text": "diagnosis announced", "since": 1.0}
     view = view_of([*some_plant(), snapshot({"4": {"quality": doubt}}, whole=False)])
     assert "?12.3 % set 50.0 %  ?6.2 Hz  current ?42.0 %" in text_of(slave_lines(view, "4", 160)[0])
+
+
+RACK = """\
+! slave 8  boiler rack  data exchange
+! bad          line break: slot 3 (2 AI), input channel 0  since {at}
+? uncertain    data invalid: slot 3 (2 AI)  since {at}
+diagnosis      ext diag, wd on
+               slot 3 (2 AI), input channel 0 (word): line break
+
+modules and channels
+  slot 1  8 DI  10  1 in, 0 out
+    inputs 1 0 0 0 0 0 0 0
+    input 0   1      limit on
+  slot 2  8 DO  20  0 in, 1 out
+    outputs 0 1 0 0 0 0 0 0
+    output 1  1      inlet on
+! slot 3  2 AI  51  4 in, 0 out  uncertain: data invalid: slot 3 (2 AI)
+  ! input 0   0140   level !3.2 m  bad: line break: slot 3 (2 AI), input channel 0
+  ? input 1   04e2   pressure ?1.25 bar  uncertain: data invalid: slot 3 (2 AI)
+  slot 4  2 AI  51  4 in, 0 out
+    input 0   032f   temperature 81.5 °C
+    input 1   0000
+
+inputs         9 octets
+    0 0101 4004 e203 2f00 00
+outputs        1 octet
+    0 02
+"""
+
+
+def test_one_slave_shows_its_slots_with_the_doubt_and_the_value_beside_the_channel() -> None:
+    view = view_of(rack_plant())
+    at = datetime.fromtimestamp(1763830000.0 + 4.5).strftime("%H:%M:%S")
+    lines = [text_of(line).rstrip() for line in page(view, "8", 100)]
+    assert lines[: len(RACK.splitlines())] == RACK.format(at=at).splitlines()
+
+
+def test_doubts_without_a_named_value_stand_at_their_channel_and_other_qualities_above() -> None:
+    items = rack_plant(inputs=[], outputs=[])
+    broken = items[1]["snapshot"]["slaves"]["8"]
+    of_all = {"quality": "uncertain", "reason": "announced", "text": "diagnosis announced", "since": None}
+    own = {"flow": {"quality": "bad", "reason": "status_bad", "text": "sensor failure", "since": None}}
+    items[1] = snapshot({"8": broken | {"quality": of_all, "qualities": own, "fields": {}}})
+    lines = [text_of(line).rstrip() for line in page(view_of(items), "8", 100)]
+    assert "  ! input 0   0140   bad: line break: slot 3 (2 AI), input channel 0" in lines
+    assert "    input 1   04e2" in lines
+    assert "? uncertain    diagnosis announced" in lines
+    assert "! bad          flow: sensor failure" in lines
+
+
+def test_values_without_a_place_in_the_rack_keep_their_line_and_quality() -> None:
+    named = {"inputs": [field("level", "m"), field("far", at="i16@200"), field("new", at="decimal@3,4")]}
+    items = [
+        plant({"3": slave_plant(3, "old", **named)}),
+        snapshot({"3": values(fields={"level": 1, "far": 2, "new": 3})}),
+    ]
+    own = {"new": {"quality": "bad", "reason": "status_bad", "text": "sensor failure", "since": None}}
+    lines = [
+        text_of(line) for line in page(view_of([*items, snapshot({"3": {"qualities": own}}, whole=False)]), "3", 100)
+    ]
+    assert "  slot 1  2 AI  51  4 in, 0 out" in lines  # where its octets are is not known
+    assert [line.rstrip() for line in lines if "@" in line] == [
+        "  level 1 m  i16@0", "  far 2  i16@200", "  new !3  decimal@3,4  bad: sensor failure",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("at", "place", "raw"),
+    [
+        ("bool@1.7", (1, 7, 1), "1"),
+        ("i16@0", (0, 0, 16), "0080"),
+        ("u32ws@0", (0, 0, 32), "0080 ff01"),
+        ("u5@2.3", (2, 3, 5), "31"),
+        ("bytes@1:2", (1, 0, 16), "80ff"),
+        ("f64@0", (0, 0, 64), ""),
+        ("decimal@3,4", None, None),
+    ],
+)
+def test_the_place_of_a_named_value_gives_its_octets(at: str, place: tuple[int, int, int] | None, raw: str) -> None:
+    found = place_of(FieldPlant(name="x", at=at))
+    assert found == (None if place is None else Place(*place))
+    assert found is None or found.raw("0080ff01") == raw
+    assert found is None or found.raw(None) == ""
+
+
+def test_places_share_bits() -> None:
+    for one, other, shares in (
+        ((0, 0, 1), (0, 1, 1), False),
+        ((0, 0, 4), (0, 3, 1), True),
+        ((1, 0, 16), (2, 7, 1), True),
+        ((1, 0, 16), (3, 0, 8), False),
+        ((0, 0, 31), (3, 7, 1), True),  # within several octets the octets count
+    ):
+        assert Place(*one).shares(Place(*other)) is shares
+        assert Place(*other).shares(Place(*one)) is shares
 
 
 def test_a_bad_value_that_gets_old_stays_bad() -> None:
