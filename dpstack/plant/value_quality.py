@@ -55,6 +55,12 @@ def trouble_of(values: SlaveValues, limit_ms: float, *, has_ages: bool = True) -
     return None if age is None or age <= limit_ms else (Reason.TOO_OLD, f"limit {limit_ms:.0f} ms")
 
 
+def qualities_of(values: SlaveValues) -> dict[str, QualityValues]:
+    """The qualities of named values that are not good, by name."""
+    of_all = {} if values.quality is None else dict.fromkeys(values.fields or (), values.quality)
+    return {**of_all, **(values.qualities or {})}
+
+
 def read_back(values: QualityValues | None) -> Judged | None:
     """The reason in a snapshot; of a newer version one with the same quality. None: good."""
     if values is None:

@@ -12,6 +12,8 @@ from dpstack.dp.master.fixed_cycle import CycleStats
 from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.drivers.snapshots import Counters
 from dpstack.fdl.interface import LinkStats, StationStats
+from dpstack.plant.items import QualityValues
+from dpstack.plant.value_quality import qualities_of
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
 
 if TYPE_CHECKING:
@@ -59,6 +61,9 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
     held_fields: Mapping[str, object] = field(default_factory=dict)
     #: units of the named fields that have one
     units: Mapping[str, str] = field(default_factory=dict)
+    #: quality of all its values and of its drive, None: good; ``qualities``: those of named values that are not good
+    quality: QualityValues | None = None
+    qualities: Mapping[str, QualityValues] = field(default_factory=dict)
     #: counters of its alarms, None for a slave without DP-V1
     alarms: AlarmCounts | None = None
     #: flags and texts of its last diagnosis; empty before the first
@@ -85,6 +90,8 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
             **({"fields": dict(self.fields)} if self.fields else {}),
             **({"held_fields": dict(self.held_fields)} if self.held_fields else {}),
             **({"units": dict(self.units)} if self.units else {}),
+            **({} if self.quality is None else {"quality": to_builtins(self.quality)}),
+            **({"qualities": to_builtins(self.qualities)} if self.qualities else {}),
             **_link_dict(self.link),
             **({} if self.master is None else {"master": self.master}),
             **({} if self.alarms is None else {"alarms": structs.asdict(self.alarms)}),
@@ -269,6 +276,8 @@ def _slave_stats(bus: BusBase, slave: Slave, link: StationStats) -> SlaveStats:
         fields=values.fields or {},
         held_fields=values.held_fields or {},
         units=slave.config.input_fields.units | slave.config.output_fields.units,
+        quality=values.quality,
+        qualities=qualities_of(values),
         alarms=slave.alarm_counts,
         diagnosis={} if values.diagnosis is None else {"diagnosis": to_builtins(values.diagnosis)},
         conspicuous=values.conspicuous or "",

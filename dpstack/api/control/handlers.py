@@ -29,6 +29,7 @@ from dpstack.errors import BusError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import UNADDRESSED
 from dpstack.plant.orders import ModeOrder, RefusedOrder, SetOctets, SetOutputs
+from dpstack.plant.value_quality import qualities_of
 from dpstack.text import number_or_name
 
 if TYPE_CHECKING:
@@ -153,6 +154,10 @@ def run_status(bus: Bus) -> dict[str, object]:
             **{key: getattr(values, key) for key in _ALWAYS},
             **{key: value for key in _IF_THERE if (value := getattr(values, key))},
         }
+        if values.quality is not None:
+            entry["quality"] = to_builtins(values.quality)
+        if qualities := qualities_of(values):
+            entry["qualities"] = to_builtins(qualities)
         if values.fault is not None:
             entry["fault"] = values.fault.text
         if values.diagnosis is not None:

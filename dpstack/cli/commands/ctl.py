@@ -18,6 +18,8 @@ _ENDLESS: Final = {
 }
 #: longest line (characters) in which an entry is shown whole
 _LINE: Final = 130
+#: keys of the quality of a value: those of :class:`dpstack.plant.items.QualityValues`, which is slow to load
+_QUALITY: Final = frozenset({"quality", "reason", "text", "since"})
 
 
 def add_to(parser: Parser) -> None:
@@ -63,7 +65,12 @@ def _show(result: Any, indent: str = "") -> None:
         if key == "masters" and isinstance(value, list):
             own = result.get("address")
             value = ", ".join(f"station {one}{' (this one)' if one == own else ''}" for one in value)
-        if isinstance(value, Mapping) and value:
+        if key == "fields" and isinstance(value, Mapping):
+            value = _with_qualities(value, result.get("qualities"))
+        if isinstance(value, Mapping) and value.keys() == _QUALITY:
+            since = "" if value["since"] is None else f" (since {value['since']} s)"
+            output.line(f"{indent}{key}: {value['quality']}: {value['text']}{since}")
+        elif isinstance(value, Mapping) and value:
             line = _line(value)
             if line is not None and len(indent) + len(str(key)) + len(line) <= _LINE:
                 output.line(f"{indent}{key}: {line}")
@@ -76,6 +83,13 @@ def _show(result: Any, indent: str = "") -> None:
                 _show(entry, indent + "  ")
         else:
             output.line(f"{indent}{key}: {_text(value)}")
+
+
+def _with_qualities(fields: Mapping[str, Any], qualities: Any) -> dict[str, str]:
+    """The values with the word of their quality if they are not good."""
+    known = qualities if isinstance(qualities, Mapping) else {}
+    words = {name: f" ({one['quality']})" for name, one in known.items()}
+    return {name: f"{_text(value)}{words.get(name, '')}" for name, value in fields.items()}
 
 
 def _line(entry: Mapping[str, Any]) -> str | None:

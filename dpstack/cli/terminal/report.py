@@ -23,9 +23,12 @@ from dpstack.api.bus.events_json import (
 )
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import BusStats, SlaveStats
+from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Flapping
 from dpstack.cli.terminal import output
-from dpstack.text import iso_time
+from dpstack.plant.items import QualityValues
+from dpstack.plant.quality import Quality
+from dpstack.text import iso_time, some_of
 from dpstack.units import baud_text, ms_text, ns_to_s
 
 #: limits, in s and as a part of its time, for the remark on a simulated bus that fell behind real time
@@ -127,6 +130,8 @@ class Reporter:
                     self._diagnoses[address] = found
                     text = f"slave {address} ({event.name}): diagnosis {found or 'without findings'}"
                     self._line(event, text, "yellow" if found else "")
+                    for slave in slaves:
+                        self._values_of(slave, event)
             case AlarmRaised(address=address, texts=texts):
                 known = self._diagnoses.get(address, "").split("; ")  # those of the diagnosis that it came in
                 self._line(event, structs.replace(event, texts=tuple(t for t in texts if t not in known)).text)
@@ -147,6 +152,17 @@ class Reporter:
                 self._line(event)
             case _:
                 self._line(event)
+
+    def _values_of(self, slave: Slave, event: SlaveDiagnosis) -> None:
+        """Write a line on the named values that a diagnosis makes bad or uncertain, if there are any."""
+        named: dict[tuple[str, str], list[str]] = {}
+        for name in (*slave.config.input_fields.fields, *slave.config.output_fields.fields):
+            told = slave.value(name)
+            if told.quality in (Quality.BAD, Quality.UNCERTAIN):
+                named.setdefault((told.quality.value, told.text), []).append(name)
+        parts = [f"{some_of(names)} {quality} ({text})" for (quality, text), names in named.items()]
+        if parts:
+            self._line(event, f"{slave.who}: {'; '.join(parts)}", "yellow")
 
     def _drive(self, address: int, event: DriveEvent, payload: Mapping[str, object]) -> None:
         match payload.get("type"):
@@ -268,12 +284,19 @@ def _process_data(slaves: Iterable[SlaveStats]) -> None:
         octets.append((s.address, s.name, inputs, outputs))
     output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
     named = [
-        (s.address, s.name, key, f"{value} {s.units[key]}" if key in s.units else value)
+        (s.address, s.name, key, f"{value} {s.units[key]}" if key in s.units else value, _quality(s.qualities.get(key)))
         for s in slaves
         for key, value in s.fields.items()
     ]
     if named:
-        output.table("Named inputs and outputs", ("address", "name", "field", "value"), named)
+        columns = 5 if any(row[-1] for row in named) else 4
+        rows = [row[:columns] for row in named]
+        output.table("Named inputs and outputs", ("address", "name", "field", "value", "quality")[:columns], rows)
+
+
+def _quality(told: QualityValues | None) -> str:
+    """A quality in words; empty for good."""
+    return "" if told is None else f"{told.quality}: {told.text}"
 
 
 def _marked(octets: bytes, mark: str) -> str:

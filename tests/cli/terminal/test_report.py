@@ -96,6 +96,59 @@ def test_a_wire_break_with_its_text_in_lines_table_and_status(capsys: Out) -> No
     assert "line break" in capsys.readouterr().out
 
 
+def test_values_that_are_not_good_say_so_in_lines_table_and_status(capsys: Out) -> None:
+    """A wire at channel 0 of slot 3: no door shows the number alone."""
+    named = IO | {"inputs": {
+        "full": "bool@0.0", "level": {"at": "i16@1", "unit": "m"}, "pressure": "i16@3",
+    }, "outputs": {"lamp": "bool@0.0"}}  # fmt: skip
+
+    async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
+        order["set"](["io.level=320", "io.pressure=7"])
+        order["fault"](["io", "diagnosis", "what=slot 3 channel 0 line break"])
+        await asyncio.sleep(1)
+
+    lines, end, status = told_of(story, named, capsys=capsys)
+    place = "slot 3 (2 AI)"
+    said = f"level bad (line break: {place}, input channel 0); pressure uncertain (data invalid: {place})"
+    assert f"slave 8 (io): {said}" in lines
+    table = end[end.index("Named inputs and outputs") + 1 :][:5]
+    assert [line.split(maxsplit=5) for line in table] == [
+        ["address", "name", "field", "value", "quality"],
+        ["8", "io", "full", "False"],
+        ["8", "io", "level", "320", "m", f"bad: line break: {place}, input channel 0"],
+        ["8", "io", "pressure", "7", "uncertain:", f"data invalid: {place}"],
+        ["8", "io", "lamp", "False"],
+    ]
+    slave = status["slaves"]["8"]
+    assert "quality" not in slave
+    assert {name: one["quality"] for name, one in slave["qualities"].items()} == {
+        "level": "bad",
+        "pressure": "uncertain",
+    }
+    assert slave["qualities"]["level"]["reason"] == "channel_fault"
+    ctl._show(status)
+    shown = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert "fields: full False, level 320 (bad), pressure 7 (uncertain), lamp False" in shown
+    assert any(
+        re.fullmatch(rf"level: bad: line break: {re.escape(place)}, input channel 0 \(since [0-9.]+ s\)", one)
+        for one in shown
+    )
+
+
+def test_old_values_are_stale_in_table_and_status(capsys: Out) -> None:
+    async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
+        order["power-off"](["raw"])
+        await asyncio.sleep(1)
+
+    _, end, status = told_of(story, RAW | {"inputs": {"level": "u8@0"}}, IO, capsys=capsys)
+    row = end[end.index("Named inputs and outputs") + 2]
+    assert row.split()[:5] == ["9", "raw", "level", "0", "stale:"]
+    slave = status["slaves"]["9"]
+    assert slave["quality"]["quality"] == slave["qualities"]["level"]["quality"] == "stale"
+    ctl._show(status)
+    assert "fields: level 0 (stale)" in capsys.readouterr().out
+
+
 def test_an_alarm_does_not_repeat_the_line_of_its_diagnosis(capsys: Out) -> None:
     async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
         order["pull"](["io", "2"])
