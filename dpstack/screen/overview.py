@@ -14,6 +14,13 @@ from dpstack.units import baud_text
 
 _BARS: Final = "▁▂▃▄▅▆▇█"
 _EVENT_STYLES: Final = {"warning": "warn", "error": "bad"}
+#: mark and style of diagnoses and alarms that come and go
+_CHANGES: Final = {
+    "appears": ("+ appears:", ""),
+    "gone": ("- gone:", "good"),
+    "disappears": ("- gone:", "good"),
+    "disappears_others": ("- gone, others stay:", ""),
+}
 _MODES: Final = {"operate": "good", "clear": "warn"}
 _GAP: Final = 1
 #: mark and style of values that are not good
@@ -324,5 +331,9 @@ def shown(value: object) -> str:
 
 
 def event_line(event: Mapping[str, Any]) -> Line:
+    """Clock, mark of a diagnosis or an alarm that appears or is gone, text."""
     style = _EVENT_STYLES.get(str(event.get("severity")), "")
-    return [piece(f"{clock_text(event)} ", "label"), piece(event.get("text", ""), style)]
+    change = str(event.get("change") or (event.get("specifier") if event.get("event") == "alarm" else ""))
+    mark, how = _CHANGES.get(change, ("", ""))
+    line = [piece(f"{clock_text(event)} ", "label"), piece(event.get("text", ""), style)]
+    return [line[0], (f"{mark} ", style or how), line[1]] if mark else line

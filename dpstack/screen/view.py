@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import copy
 from collections.abc import Mapping
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any, Final
 
 from dpstack.plant.items import Item, QualityValues, SlavePlant, SlaveValues, Snapshot, check_item
+from dpstack.plant.judge import exchanging
 from dpstack.plant.quality import Quality
 from dpstack.plant.state import LiveState
 
@@ -23,6 +24,12 @@ _STYLES: Final = {"error": "bad", "warning": "warn", "good": "good"}
 #: qualities that the screen adds: it gets nothing new, or an older version sends no qualities
 _NOT_OF_NOW: Final = QualityValues(Quality.STALE.value, "stream_silent", "nothing here is of this moment")
 _NOT_ALIVE: Final = QualityValues(Quality.STALE.value, "not_valid", "the inputs of the slave are not valid")
+#: severities of diagnoses by the quality that they leave
+_SEVERITIES: Final = {Quality.BAD.value: "error", Quality.UNCERTAIN.value: "warning"}
+#: events about places of one slave in one snapshot; the others are counted in one
+_MOST_PLACES: Final = 8
+#: reason of a doubt that lasts until the diagnosis is read
+_ANNOUNCED: Final = "announced"
 _NO_PLANT: Final = SlavePlant()
 _NO_VALUES: Final = SlaveValues()
 
@@ -37,6 +44,8 @@ class View:
         self.process_silent = False
         self._received_at = 0.0
         self._changed: dict[tuple[str, str], float] = {}
+        #: by address: the doubts of the last snapshot in data exchange, with their severities
+        self._standing: dict[str, dict[str, str]] = {}
 
     def apply(self, item: Item, now: float) -> None:
         """Take an item of the stream. Raises ValueError for something else."""
@@ -46,7 +55,12 @@ class View:
             self._received_at = now
         if checked.snapshot is not None:
             self._mark_changes(checked.snapshot, now)
+        if checked.plant is not None and checked.plant.whole:
+            self._standing = {}
         self.state.apply_checked(checked)
+        if checked.snapshot is not None:
+            for address in checked.snapshot.slaves:
+                self._note_diagnoses(address)
         if checked.event is not None and checked.event.event == "bus_process":
             self.process_silent = checked.event.silent is True
 
@@ -59,6 +73,30 @@ class View:
                 for name, value in (values.fields or {}).items():
                     if before.get(name) != value:
                         self._changed[address, name] = now
+
+    def _note_diagnoses(self, address: str) -> None:
+        """Add an event for each place of a slave that has a diagnosis now and had none before, and the other way round.
+        Nothing is known of a slave outside data exchange: its diagnoses may stand."""
+        values = self.values(address)
+        before = self._standing.get(address, {})
+        if not exchanging(values) or (not values.doubts and not before):
+            return
+        doubts = [one for one in values.doubts or () if one.reason != _ANNOUNCED]
+        now = {one.text: _SEVERITIES.get(one.quality, "info") for one in doubts}
+        since = {one.text: one.since for one in doubts}
+        found = [("appears", text, severity) for text, severity in now.items() if text not in before]
+        found += [("gone", text, "info") for text in before if text not in now]
+        for number, (change, text, severity) in enumerate(found):
+            at = since.get(text)
+            event = {"event": "place", "change": change, "severity": severity, "address": int(address)}
+            if number == _MOST_PLACES:
+                event |= {"change": "changes", "text": f"{len(found) - number} more diagnoses ({self.who(address)})"}
+            else:
+                event["text"] = f"{text} ({self.who(address)})"
+            self.state.events.append(event | {"time": self._iso(self.state.t if at is None else at)})
+            if number == _MOST_PLACES:
+                break
+        self._standing[address] = now
 
     def frozen(self) -> View:
         """A copy that stands still."""
@@ -101,10 +139,13 @@ class View:
 
     def clock(self, t: float | None) -> str:
         """The wall clock of ``t`` s after the start; empty if it is not known."""
+        return clock_text({"time": self._iso(t)})
+
+    def _iso(self, t: float | None) -> str:
         started = -1.0 if self.state.plant is None else self.state.plant.started
         if t is not None and t >= 0 and started >= 0:
             with contextlib.suppress(ValueError, OverflowError, OSError):  # beyond the years of a clock
-                return datetime.fromtimestamp(started + t).strftime("%H:%M:%S")
+                return datetime.fromtimestamp(started + t, UTC).isoformat()
         return ""
 
     # --- slaves ---------------------------------------------------------------------------------------------------
@@ -112,6 +153,11 @@ class View:
     def slave_plant(self, address: str) -> SlavePlant:
         """The slave as configured; without content if it is not."""
         return _NO_PLANT if self.state.plant is None else self.state.plant.slaves.get(address, _NO_PLANT)
+
+    def who(self, address: str) -> str:
+        """Address and name, for texts."""
+        name = self.name(address)
+        return f"slave {address}, {name}" if name else f"slave {address}"
 
     def name(self, address: str) -> str:
         return self.slave_plant(address).name
@@ -159,7 +205,7 @@ class View:
         last: dict[object, object] = {}
         found = []
         for event in self.state.events:
-            of, text = event.get("address"), event.get("text")
+            of, text = event.get("address"), (event.get("text"), event.get("change"))
             if address is not None and str(of) != address:
                 continue
             if of is None or last.get(of) != text:

@@ -17,7 +17,10 @@ from dpstack.screen.overview import bars, event_line, head, notices, rooms, slav
 from dpstack.screen.places import Place, place_of
 from dpstack.screen.view import View
 from tests.screen.screen_kit import (
+    BREAK,
+    INVALID,
     LONG,
+    doubt,
     event,
     field,
     judged,
@@ -178,8 +181,8 @@ def test_without_empty_lines_each_slave_has_one_and_errors_come_first() -> None:
 
 
 def test_quantities_of_a_drive_have_the_mark_of_its_quality() -> None:
-    doubt = {"quality": "uncertain", "reason": "announced", "text": "diagnosis announced", "since": 1.0}
-    view = view_of([*some_plant(), snapshot({"4": {"quality": doubt}}, whole=False)])
+    announced = {"quality": "uncertain", "reason": "announced", "text": "diagnosis announced", "since": 1.0}
+    view = view_of([*some_plant(), snapshot({"4": {"quality": announced}}, whole=False)])
     assert "?12.3 % set 50.0 %  ?6.2 Hz  current ?42.0 %" in text_of(slave_lines(view, "4", 160)[0])
 
 
@@ -373,6 +376,54 @@ def test_a_drive_that_repeats_its_state_fills_no_events() -> None:
     view = view_of([*some_plant(), *again, event("slave 3: diagnosis", 3), *again])
     assert [one["text"] for one in view.events_of("4")] == ["drive 4 (hoist): running"]
     assert [one["text"] for one in view.events_of()][-2:] == ["drive 4 (hoist): running", "slave 3: diagnosis"]
+
+
+def test_events_mark_diagnoses_that_appear_and_are_gone() -> None:
+    def texts(view: View) -> list[str]:
+        return [text_of(event_line(one)).partition(" ")[2] for one in view.events_of("8")]
+
+    view = view_of(rack_plant())
+    broken, invalid = f"{BREAK} (slave 8, boiler rack)", f"{INVALID} (slave 8, boiler rack)"
+    appeared = [f"+ appears: {broken}", f"+ appears: {invalid}"]
+    assert texts(view) == appeared
+    assert [style for text, style in event_line(view.events_of("8")[0]) if "line" in text or "app" in text] == [
+        "bad"
+    ] * 2
+    announced = doubt(None, "uncertain", "announced", "diagnosis announced")
+    for again in ([announced], [doubt(0, "bad", "channel_fault", BREAK)], []):
+        more = [doubt(None, "uncertain", "slot_fault", INVALID)] if again else []
+        view.apply(snapshot({"8": {"doubts": [*again, *more] or None}}, whole=False), 10.0)
+    assert texts(view)[2:] == [f"- gone: {broken}", f"+ appears: {broken}", f"- gone: {broken}", f"- gone: {invalid}"]
+    assert ("- gone: ", "good") in event_line(view.events_of("8")[-1])
+
+
+def test_a_diagnosis_of_a_slave_that_is_lost_is_not_gone() -> None:
+    view = view_of(rack_plant())
+    doubts = rack_plant()[1]["snapshot"]["slaves"]["8"]["doubts"]
+    for state, now in (("offline", None), ("data_exchange", doubts), ("offline", None)):
+        view.apply(snapshot({"8": {"state": state, "doubts": now}}, whole=False), 10.0)
+    assert len(view.events_of("8")) == 2
+    view.apply(snapshot({"8": {"state": "data_exchange"}}, whole=False), 10.0)
+    assert [one["change"] for one in view.events_of("8")] == ["appears", "appears", "gone", "gone"]
+
+
+def test_many_diagnoses_at_once_are_few_events() -> None:
+    view = view_of(rack_plant())
+    many = [doubt(n, "bad", "channel_fault", f"line break: channel {n}") for n in range(32)]
+    view.apply(snapshot({"8": {"doubts": many}}, whole=False), 10.0)
+    events = view.events_of("8")[2:]
+    assert len(events) == 9
+    assert events[-1]["text"] == "26 more diagnoses (slave 8, boiler rack)"
+
+
+def test_alarms_that_come_and_go_are_marked() -> None:
+    for specifier, mark in (
+        ("appears", "+ appears: "),
+        ("disappears", "- gone: "),
+        ("disappears_others", "- gone, others stay: "),
+    ):
+        item = {"event": "alarm", "specifier": specifier, "text": "pull alarm", "time": "", "severity": "info"}
+        assert text_of(event_line(item)) == f" {mark}pull alarm"
 
 
 def test_a_paused_view_stands_still() -> None:
