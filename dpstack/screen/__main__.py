@@ -18,7 +18,8 @@ from typing import Any, Final
 
 from textual.drivers.linux_driver import LinuxDriver
 
-from dpstack.screen.app import Order, Plant
+from dpstack.screen.app import Plant
+from dpstack.screen.pages import Order
 from dpstack.screen.process import GONE, LONGEST
 from dpstack.text import printable
 
@@ -87,6 +88,8 @@ class TerminalPlant(Plant):
                 self.tell_why(str(address), story)
             case {"why": {"slave": int(address), "error": str(text)}}:
                 self.tell_why(str(address), text)
+            case {"answer": {"text": str(text), "severity": str(severity)}}:
+                self.tell_answer(text, "good" if severity == "info" else "warn")
             case _:
                 self.feed(message)
 

@@ -90,9 +90,9 @@ class View:
             at = since.get(text)
             event = {"event": "place", "change": change, "severity": severity, "address": int(address)}
             if number == _MOST_PLACES:
-                event |= {"change": "changes", "text": f"{len(found) - number} more diagnoses ({self.who(address)})"}
+                event |= {"change": "changes", "text": f"{len(found) - number} more diagnoses, {self.who(address)}"}
             else:
-                event["text"] = f"{text} ({self.who(address)})"
+                event["text"] = f"{text}, {self.who(address)}"
             self.state.events.append(event | {"time": self._iso(self.state.t if at is None else at)})
             if number == _MOST_PLACES:
                 break
@@ -157,7 +157,7 @@ class View:
     def who(self, address: str) -> str:
         """Address and name, for texts."""
         name = self.name(address)
-        return f"slave {address}, {name}" if name else f"slave {address}"
+        return f"slave {address} ({name})" if name else f"slave {address}"
 
     def name(self, address: str) -> str:
         return self.slave_plant(address).name

@@ -16,6 +16,7 @@ from dpstack.screen.one_slave import page
 from dpstack.screen.overview import bars, event_line, head, notices, rooms, slave_lines, slaves_head
 from dpstack.screen.places import Place, place_of
 from dpstack.screen.view import View
+from dpstack.screen.watch import points_of, watch_lines
 from tests.screen.screen_kit import (
     BREAK,
     INVALID,
@@ -383,7 +384,7 @@ def test_events_mark_diagnoses_that_appear_and_are_gone() -> None:
         return [text_of(event_line(one)).partition(" ")[2] for one in view.events_of("8")]
 
     view = view_of(rack_plant())
-    broken, invalid = f"{BREAK} (slave 8, boiler rack)", f"{INVALID} (slave 8, boiler rack)"
+    broken, invalid = f"{BREAK}, slave 8 (boiler rack)", f"{INVALID}, slave 8 (boiler rack)"
     appeared = [f"+ appears: {broken}", f"+ appears: {invalid}"]
     assert texts(view) == appeared
     assert [style for text, style in event_line(view.events_of("8")[0]) if "line" in text or "app" in text] == [
@@ -413,7 +414,7 @@ def test_many_diagnoses_at_once_are_few_events() -> None:
     view.apply(snapshot({"8": {"doubts": many}}, whole=False), 10.0)
     events = view.events_of("8")[2:]
     assert len(events) == 9
-    assert events[-1]["text"] == "26 more diagnoses (slave 8, boiler rack)"
+    assert events[-1]["text"] == "26 more diagnoses, slave 8 (boiler rack)"
 
 
 def test_alarms_that_come_and_go_are_marked() -> None:
@@ -424,6 +425,62 @@ def test_alarms_that_come_and_go_are_marked() -> None:
     ):
         item = {"event": "alarm", "specifier": specifier, "text": "pull alarm", "time": "", "severity": "info"}
         assert text_of(event_line(item)) == f" {mark}pull alarm"
+
+
+WATCHED = {
+    ("8.level", 60): [
+        "! boiler rack.level        !3.2 m       0140      bad: line",
+        "    break: slot 3 (2 AI), input channel 0",
+    ],
+    ("8.level", 120): [
+        "! boiler rack.level                    !3.2 m           0140           "
+        "bad: line break: slot 3 (2 AI), input channel 0",
+    ],
+    ("8.temperature", 60): ["  boiler rack.temperature  81.5 °C      032f      good"],
+    ("8.inlet", 60): ["  boiler rack.inlet        on           1         good"],
+    ("8/3/input/1", 60): [
+        "? boiler rack: slot 3 (2 AI), input channel 1",
+        "                                        04e2      uncertain:",
+        "    data invalid: slot 3 (2 AI)",
+    ],
+    ("4:speed", 60): ["  hoist: speed             12.3 %                 good"],
+    ("4:torque", 60): ["  hoist: torque            -                      the slave", "    does not give it"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "width"), WATCHED)
+def test_a_row_of_the_watch_table_has_value_unit_octets_and_quality(name: str, width: int) -> None:
+    hoist = some_plant()[0]["plant"]["slaves"]["4"]
+    rack = rack_plant()
+    rack[0]["plant"]["slaves"]["4"] = hoist
+    rack[1]["snapshot"]["slaves"]["4"] = some_plant()[-1]["snapshot"]["slaves"]["4"]
+    view = view_of(rack)
+    point = points_of(view)[name]
+    lines = watch_lines(view, point, width)
+    assert [text_of(line).rstrip() for line in lines] == WATCHED[name, width]
+    assert all(width_of(line) <= width for line in lines)
+    view.now += 3
+    assert "good" not in text_of(watch_lines(view, point, 200)[0])
+
+
+def test_orders_are_for_outputs_and_for_inputs_of_simulated_slaves() -> None:
+    def orders(**more: Any) -> dict[str, str]:
+        items = [plant({**rack_plant()[0]["plant"]["slaves"], "4": some_plant()[0]["plant"]["slaves"]["4"]}, **more)]
+        view = view_of([*items, *rack_plant()[1:]])
+        return {name: order for name, point in points_of(view).items() if (order := point.order(view))}
+
+    inputs = ["8.limit", "8.level", "8.pressure", "8.temperature"]
+    assert orders() == {"8.inlet": "set"}
+    assert orders(virtual=True) == {**dict.fromkeys(inputs, "force"), "8.inlet": "set"}
+    assert orders(virtual=True, read_only=True) == {}
+
+
+def test_the_channels_of_125_slaves_can_all_be_chosen() -> None:
+    module = {"slot": 1, "name": "32 AI", "config": "5f", "inputs": 64, "input_at": 0, "input_width": 16, "outputs": 0}
+    slaves = {str(n): slave_plant(n, f"s{n}", modules=[module]) for n in range(1, 126)}
+    points = points_of(view_of([plant(slaves)]))
+    assert len(points) == 125 * 32
+    assert points["125/1/input/31"].label == "s125: slot 1 (32 AI), input channel 31"
 
 
 def test_a_paused_view_stands_still() -> None:

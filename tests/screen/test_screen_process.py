@@ -18,8 +18,10 @@ from textual import events
 from textual.widgets import Input
 
 from dpstack.plant.pending import Pending
-from dpstack.screen.app import Events, Help, Lines, OneSlave, Overview, Plant, Question
+from dpstack.screen.app import Events, Help, OneSlave, Overview, Plant
+from dpstack.screen.pages import Lines, Question
 from dpstack.screen.process import ScreenProcess, Terminal
+from dpstack.screen.watch_page import Choose, Watch
 from tests.screen.screen_kit import Item, plant, slave_plant, snapshot, some_plant, values
 
 
@@ -134,7 +136,7 @@ def test_the_terminal_is_restored_without_the_screen() -> None:
     os.close(slave)
 
 
-def seen(app: Plant, selector: str = "#slaves") -> str:
+def seen(app: Plant, selector: str = "#rows") -> str:
     """The text of a part of the page that is on top."""
     parts = app.screen.query(selector).results(Lines)  # none while the page is being made
     return "\n".join(part.render_line(y).text.rstrip() for part in parts for y in range(part.size.height))
@@ -151,6 +153,55 @@ async def until(app: Plant, condition: Callable[[], bool]) -> None:
 
 def test_pages_keys_and_orders() -> None:
     asyncio.run(pages_keys_and_orders())
+
+
+async def watch_table(app: Plant, orders: list[dict[str, Any]]) -> None:
+    """Choose two values of a slave, and order an output."""
+    orders.clear()
+    app.simulate_key("home")
+    app.simulate_key("enter")
+    await until(app, lambda: isinstance(app.screen, OneSlave))
+    app.simulate_key("t")
+    await until(app, lambda: isinstance(app.screen, Choose) and "[ ] valves.level" in seen(app))
+    assert "tank" not in seen(app)
+    for key in ("enter", "down", "down", "enter", "up", "enter", "enter"):
+        app.simulate_key(key)
+    await until(app, lambda: "2 chosen" in seen(app, "#columns"))
+    assert seen(app).splitlines()[:3] == [
+        "[x] valves.level  octet 2", "[ ] valves.limit  octet 0", "[x] valves.target  octet 0",
+    ]  # fmt: skip
+    app.simulate_key("escape")
+    await until(app, lambda: isinstance(app.screen, Watch) and "99.5 bar" in seen(app))
+    assert [line.split()[:2] for line in seen(app).splitlines()[:2]] == [
+        ["valves.level", "99.5"],
+        ["valves.target", "5"],
+    ]
+    app.simulate_key("enter")
+    await until(app, lambda: "orders are for named outputs" in seen(app, "#head"))  # this bus is real
+    app.simulate_key("r")
+    app.simulate_key("down")
+    for key, answer in (("7", "n"), ("8", "y")):
+        app.simulate_key("enter")
+        await until(app, lambda: isinstance(app.focused, Input))
+        app.simulate_key(key)
+        app.simulate_key("enter")
+        await until(app, lambda: "Set the output target of slave 3 (valves) to" in seen(app, "#text"))
+        app.simulate_key(answer)
+        await until(app, lambda: isinstance(app.screen, Watch))
+    assert orders == [{"order": "set", "text": "3.target=8"}]
+    app.tell_answer("set 3.target=8: refused: \x1b[2J", "warn")
+    await until(app, lambda: "refused: \\x1b[2J" in seen(app, "#head"))
+    app.simulate_key("enter")
+    await until(app, lambda: isinstance(app.focused, Input))
+    app.simulate_key("escape")  # the field first, then the page
+    await until(app, lambda: app.focused is None and isinstance(app.screen, Watch))
+    app.simulate_key("d")
+    await until(app, lambda: "target" not in seen(app))
+    app.simulate_key("a")
+    await until(app, lambda: isinstance(app.screen, Choose) and "tank.level" in seen(app))
+    for page in (Watch, OneSlave, Overview):
+        app.simulate_key("escape")
+        await until(app, lambda page=page: isinstance(app.screen, page))  # type: ignore[misc]
 
 
 async def pages_keys_and_orders() -> None:
@@ -218,6 +269,8 @@ async def pages_keys_and_orders() -> None:
         columns = app.screen.query_one("#columns", Lines)
         columns.show_lines([[("\x1b[2J\u202e", "bad")]])
         assert columns.render_line(0).text.rstrip() == "\\x1b[2J\\u202e"
+
+        await watch_table(app, orders)
 
         # a narrow terminal of a few lines
         await pilot.resize_terminal(40, 10)

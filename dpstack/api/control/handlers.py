@@ -59,7 +59,7 @@ def control_run(
     handlers: dict[str, Handler] = {
         "status": lambda _: run_status(bus),
         "outputs": lambda args: _outputs(bus, args),
-        "set": lambda args: _set(bus, args),
+        "set": lambda args: set_values(bus, args),
         "operate": lambda _: carry_out(bus, ModeOrder("operate")),
         "clear": lambda _: carry_out(bus, ModeOrder("clear")),
         "stop": end,
@@ -189,9 +189,9 @@ async def _outputs(bus: Bus, args: Sequence[str]) -> object:
     return await put_out(bus, octets_of(bus, wanted, now=now))
 
 
-async def _set(bus: Bus, args: Sequence[str]) -> object:
-    """Set named outputs, and named inputs of simulated slaves. Parses all arguments before the first takes effect.
-    Returns as :func:`~dpstack.api.control.orders.put_out`."""
+async def set_values(bus: Bus, args: Sequence[str]) -> object:
+    """Carry out the command `set`: named outputs, and named inputs of simulated slaves. Parses all arguments before the
+    first takes effect. Returns as :func:`~dpstack.api.control.orders.put_out`."""
     now, args = _split_now(args)
     wanted: list[SetOutputs] = []
     inputs: list[str] = []

@@ -9,23 +9,29 @@ import os
 import signal
 import sys
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
 
-from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.control.commands import NOW
+from dpstack.api.control.handlers import set_values
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.report import Reporter
 from dpstack.cli.terminal.signals import StopSignal, before_leaving
 from dpstack.cli.terminal.suspension import Suspension
-from dpstack.errors import DpError
+from dpstack.errors import DpError, UsageError
+from dpstack.plant.orders import RefusedOrder
 from dpstack.screen.process import GONE, ScreenProcess, Terminal, is_installed
+from dpstack.trace import Severity
 
 #: lines of standard error that are kept until the screen has ended
 _LINES: Final = 200
 #: seconds between two snapshots: as fast as eyes follow, and half the cost of the stream's default
 _INTERVAL_S: Final = 0.2
+#: of orders, in log and events
+_ORIGIN: Final = "screen"
 _HINT: Final = "for a live screen instead of these lines: pip install 'dpstack[screen]'"
 
 
@@ -168,9 +174,38 @@ class LiveScreen:
             case {"order": "suspend"}:
                 self.suspend()
             case {"order": "why", "slave": int(address)}:
-                task = asyncio.create_task(self._answer_why(address))
-                self._answers.add(task)
-                task.add_done_callback(self._answers.discard)
+                self._begin(self._answer_why(address))
+            case {"order": "set", "text": str(text)}:
+                self._begin(self._carry_out(f"set {text}", lambda: set_values(self._bus, [NOW, text])))
+            case {"order": "release", "slave": int(address)}:
+                self._begin(self._carry_out(f"mirror {address}", lambda: self._release(address)))
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._answers.add(task)
+        task.add_done_callback(self._answers.discard)
+
+    async def _carry_out(self, order: str, act: Callable[[], Awaitable[object]]) -> None:
+        """Carry out an order of the person at the keys. The run's log has it, and its reason if it is refused."""
+        core = core_of(self._bus)
+        try:
+            result = await act()
+        except DpError as error:
+            core.refused_orders.add(RefusedOrder(order, str(error), _ORIGIN))
+            answer = {"text": f"{order}: refused: {error}", "severity": "warning"}
+        else:
+            core.notice(_ORIGIN, f"order {order}", Severity.INFO)
+            answer = {"text": f"{order}: {'done' if result is None else result}", "severity": "info"}
+        self._process.tell({"answer": answer})
+
+    async def _release(self, address: int) -> object:
+        """Let a simulated slave make its inputs itself again. Raises UsageError on a real bus."""
+        core = core_of(self._bus)
+        if core.bench is None:
+            raise UsageError("this run simulates no slaves")
+        from dpstack.api.control.simulation_handlers import slave_handlers  # here, as a real bus simulates no slaves
+
+        return slave_handlers(core.bench, core)["mirror"]([str(address)])
 
     async def _answer_why(self, address: int) -> None:
         answer: dict[str, Any] = {"slave": address}
