@@ -171,7 +171,7 @@ class Columns:
     def fitting(cls, width: int) -> Columns:
         name = 10 if width < 60 else 14 if width < 80 else 18 if width < 120 else 24
         state = 9 if width < 60 else 13
-        counters = 0 if width < 80 else 6
+        counters = 0 if width < 76 else 6
         fixed = 2 + 4 + name + _GAP + state + _GAP + 2 * (counters + _GAP if counters else 0)
         return cls(name, state, counters, max(0, width - fixed))
 
