@@ -70,7 +70,8 @@ def padded(text: object, width: int, *, right: bool = False) -> str:
 
 def with_more(line: Line, width: int) -> Line:
     """``line`` in at most ``width`` cells with an ellipsis at its end: further lines are left out."""
-    return [*cut_line(line, width - 1), (_MORE, "")]
+    text, style = line[-1]
+    return cut_line([*line[:-1], (text + _MORE, style)], width)
 
 
 def cut_line(line: Line, width: int) -> Line:

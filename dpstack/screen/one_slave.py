@@ -75,11 +75,11 @@ def _troubles(view: View, address: str) -> list[Line]:
 
 
 def _doubts(view: View, address: str) -> list[Line]:
-    """Each reason why values are not good, once: its quality, the words of the fault, the place, since when."""
+    """Each reason why values are bad or uncertain, once: the words of the fault, the place, since when."""
     values = view.values(address)
     told = {(one.quality, one.text): one.since for one in values.doubts or []}
     for name, one in (("", values.quality), *(values.qualities or {}).items()):
-        if one is not None and (one.quality, one.text) not in told:
+        if one is not None and one.quality in MARKS and (one.quality, one.text) not in told:
             told[one.quality, f"{name}: {one.text}" if name else one.text] = one.since
     lines = []
     for (quality, text), since in told.items():

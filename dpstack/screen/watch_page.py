@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from textual.app import ComposeResult
 from textual.binding import Binding
@@ -15,6 +15,9 @@ from dpstack.screen.pages import BAR, Filtered, FilterInput, Lines, Listed
 from dpstack.screen.view import View
 from dpstack.screen.watch import Point
 from dpstack.text import printable
+
+#: the simulated station whose inputs nobody makes (docs/reference/io-station.md)
+_IO_STATION: Final = "io-station"
 
 
 class _Points:
@@ -110,7 +113,9 @@ class Watch(Listed):
         field.focus()
 
     def _refuse(self) -> None:
-        text = "orders are for named outputs of slaves without a drive, and for named inputs of simulated ones"
+        self._answer("orders are for named outputs of slaves without a drive, and for named inputs of simulated ones")
+
+    def _answer(self, text: str) -> None:
         self.plant_app.answer = text, "warn"
         self.plant_app.draw_now()
 
@@ -121,7 +126,7 @@ class Watch(Listed):
             return
         name, who = point.field.name, self.view_now.who(point.address)
         if point.order(self.view_now) == "force":
-            text = f"Force the input {name} of the simulated {who} to {value}? It stays until r releases it."
+            text = f"Force the input {name} of the simulated {who} to {value}? It stays until another one is forced."
         else:
             text = f"Set the output {name} of {who} to {value}? The plant reacts to it."
         self.plant_app.confirm(printable(text), {"order": "set", "text": f"{point.address}.{name}={value}"})
@@ -131,6 +136,9 @@ class Watch(Listed):
         point = self._point()
         if point is None or point.order(self.view_now) != "force":
             self._refuse()
+            return
+        if self.view_now.slave_plant(point.address).gsd == _IO_STATION:
+            self._answer("an I/O station makes no inputs itself: each stays as it was set")
             return
         text = f"Release the inputs of the simulated {self.view_now.who(point.address)}? They are its outputs again."
         self.plant_app.confirm(printable(text), {"order": "release", "slave": int(point.address)})

@@ -16,7 +16,10 @@ TANK: Final = FOLDER / "tank.csv"
 #: the pictures that are taken, with the tests in tests/strangers that take them (DPSTACK_PICTURES=docs/pictures)
 PICTURES: Final = {
     **dict.fromkeys(
-        ("plot.png", "screen.png", "screen-narrow.png", "screen-slave.png", "tutorial-page.png", "tutorial-screen.png"),
+        (
+            *("plot.png", "screen.png", "screen-narrow.png", "screen-slave.png", "screen-rack.png"),
+            *("screen-watch.png", "tutorial-page.png", "tutorial-screen.png"),
+        ),
         "test_pictures.py",
     ),
     **dict.fromkeys(

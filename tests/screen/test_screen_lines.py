@@ -156,6 +156,12 @@ def test_words_of_the_fault_and_the_value_can_be_read_in_any_room(room: int) -> 
         assert {style for line in lines for one, style in line if "3.2" in one} <= {"bad"}
 
 
+def test_what_does_not_fit_has_one_ellipsis() -> None:
+    view = view_of(rack_plant())
+    lines = [text_of(line).rstrip() for line in slave_lines(view, "8", 60, 3)]
+    assert [line[35:] for line in lines] == ["line break: slot 3 (2", "AI), input channel 0, …", "level !3.2 m…"]
+
+
 def test_slaves_have_the_colour_of_the_worst_of_their_values() -> None:
     def styles(quality: str) -> set[str]:
         own = {"level": {"quality": quality, "reason": "status_bad", "text": "sensor failure", "since": None}}
@@ -313,6 +319,7 @@ def test_old_values_never_look_fresh(case: str) -> None:
     assert "data exchange" not in text_of(line)
     lines = page(view, "3", 100)
     assert "not alive" in "\n".join(map(text_of, lines))
+    assert not any(text_of(one).startswith("  stale") for one in lines)  # the line above says it
     for one in lines:
         assert not any("3.4" in text and style != "stale" for text, style in one)
 

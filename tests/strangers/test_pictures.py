@@ -87,14 +87,21 @@ async def draw(folder: Path, items: list[dict[str, Any]], story: dict[str, Any])
             "screen",
             "master 2 on virtual",
             "fan",
-            "slots with a diagnosis: 3",
+            "line break",
             "F2100",
             "last events",
         )
         await pilot.press("end", "enter")
         await take(app, pilot, folder, "screen-slave", "slave 12", "not_there")
+        await pilot.press("escape", "home", "down", "down", "down", "enter")
+        await take(app, pilot, folder, "screen-rack", "slot 3", "line break", "pressure")
         await pilot.press("escape", "home")
-        await pilot.resize_terminal(48, 16)
+        app.watched += ["8.pressure", "8.full", "8.inlet", "9.level", "4:speed", "8/1/input/4"]
+        await pilot.press("t")
+        await pilot.resize_terminal(104, 14)
+        await take(app, pilot, folder, "screen-watch", "valves.pressure", "line break", "fan: speed")
+        await pilot.press("escape")
+        await pilot.resize_terminal(48, 24)
         await take(app, pilot, folder, "screen-narrow", "on virtual", "hoist")
 
 
@@ -113,7 +120,7 @@ async def take(app: Plant, pilot: Pilot[None], folder: Path, name: str, *wanted:
 def test_pictures_of_the_screen(tmp_path: Path) -> None:
     items, story = dpstack.run_virtual(shown(copy_plant(tmp_path)))
     asyncio.run(draw(tmp_path, items, story))
-    for name in ("screen", "screen-slave", "screen-narrow"):
+    for name in ("screen", "screen-slave", "screen-rack", "screen-watch", "screen-narrow"):
         svg, png = tmp_path / f"{name}.svg", picture_folder(tmp_path) / f"{name}.png"
         render(svg, png, tmp_path)
         width, height = struct.unpack(">II", png.read_bytes()[16:24])
