@@ -17,7 +17,7 @@ from typing import Any
 from dpstack.plant.items import check_item
 from dpstack.plant.pending import Pending, portions
 from dpstack.plant.state import DEPTH, LiveState
-from dpstack.screen import one_slave, overview
+from dpstack.screen import one_slave, overview, watch
 from dpstack.screen.lines import Line, width_of
 from dpstack.screen.view import SILENT_S, View
 from dpstack.web.fan_out import FanOut, Reader
@@ -75,6 +75,9 @@ def draw(view: View, width: int) -> None:
     for address in view.addresses()[:8]:
         lines += overview.slave_lines(view, address, width, 6)
         lines += one_slave.page(view, address, width)
+    for point in list(watch.points_of(view).values())[:20]:
+        lines += watch.watch_lines(view, point, width)
+        point.order(view)
     view.addresses("data 3", conspicuous=True)
     lines += [overview.event_line(event) for event in view.events_of()[-5:]]
     lines += [overview.event_line(event) for event in view.events_of("3")[-5:]]
@@ -161,6 +164,9 @@ TARGET = Target(
         "dpstack.screen.view",
         "dpstack.screen.overview",
         "dpstack.screen.one_slave",
+        "dpstack.screen.places",
+        "dpstack.screen.rack",
+        "dpstack.screen.watch",
         "dpstack.web.fan_out",
     ),
     executions=100_000,
