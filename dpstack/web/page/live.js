@@ -96,7 +96,9 @@ export class Live {
     const [old, present] = [before, now].map((all) => new Map(all.map((one) => [key(one), one])));
     const changes = [
       ...[...present].filter(([one]) => !old.has(one)).map(([, one]) => ["appears", one]),
-      ...[...old].filter(([one]) => !present.has(one)).map(([, one]) => ["disappears", one]),
+      // nothing is known of those of a slave that has left data exchange
+      ...(this.slaves.get(address)?.state === "data_exchange" ? [...old] : [])
+        .filter(([one]) => !present.has(one)).map(([, one]) => ["disappears", one]),
     ];
     if (!changes.length) return;
     const minute = Math.floor(this.t / 60);
