@@ -122,3 +122,18 @@ def test_each_value_has_the_quality_of_the_table(row: dict[str, Any]) -> None:
     assert qualities == {name: one[0] for name, one in wanted.items()}, (got, row["why"])
     for name, (_, words) in wanted.items():
         assert words in got[name][1].lower(), got[name]
+
+
+def test_a_diagnosis_that_the_bus_process_has_read_and_the_application_has_not_makes_all_uncertain() -> None:
+    """Inputs come through shared memory, the diagnosis behind them through a pipe: no value is good in between."""
+    row = {"config": "51", "dpv1": False, "first_slot": 1, "diagnoses": ["00 0c 00 02 00 00"]}
+    slave = slave_of(row)
+    level = field_of("level", "i16@0", 4, "inputs")
+    slave.config = cast(SlaveConfig, SimpleNamespace(fields=((Direction.INPUT, FieldMap({"level": level}, 4)),)))
+    fake = cast(Any, slave)
+    for diagnoses, quality in ((1, "good"), (2, "uncertain"), (1, "good")):
+        fake.image = fake.image._replace(diagnoses=diagnoses)
+        assert qualified(slave, level, Direction.INPUT).quality.value == quality
+    fake.image = fake.image._replace(announced=True)
+    found = qualified(slave, level, Direction.INPUT)
+    assert (found.quality.value, found.text) == ("uncertain", "diagnosis announced")
