@@ -76,6 +76,21 @@ def test_utf16_is_read_too() -> None:
     assert load_gsd(octets).device.model == "Größe"
 
 
+@pytest.mark.parametrize(
+    ("octets", "name"),
+    [
+        (b"4\x8520 mA", "4\u202620 mA"),  # CP1252
+        (b"4\xc2\x8520 mA", "4\x8520 mA"),  # NEL
+        (b"4\xe2\x80\xa820 mA", "4\u202820 mA"),
+        (b"4\x1c20 mA", "4\x1c20 mA"),
+    ],
+)
+def test_only_cr_lf_vt_and_ff_end_a_line(octets: bytes, name: str) -> None:
+    head = gsd_kit.HEAD.encode() + b"Modular_Station = 1\nMax_Module = 8 ; not " + octets + b" Max_Module = 2\n"
+    device = parse_gsd(head + b'Module = "' + octets + b'" 0x53\n1\nEndModule\n').device
+    assert (device.max_module, [module.name for module in device.modules]) == (8, [name])
+
+
 @pytest.mark.parametrize("name", ["lines_cr", "lines_crlf", "lines_cr_cr_lf", "lines_no_end"])
 def test_line_ends(name: str) -> None:
     file = read(name)
