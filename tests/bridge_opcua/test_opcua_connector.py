@@ -42,6 +42,7 @@ GOOD: Final = 0
 BAD_ACCESS_DENIED, BAD_NOT_WRITABLE, BAD_TYPE, BAD_RANGE = 0x801F0000, 0x803B0000, 0x80740000, 0x803C0000
 BAD_STATE, BAD_NO_COMMUNICATION, BAD_NODE = 0x80AF0000, 0x80310000, 0x80340000
 UNCERTAIN_NO_COMMUNICATION: Final = 0x408F0000
+BAD_PART: Final = 0x80370000
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
@@ -701,6 +702,27 @@ async def test_a_deadband_counts_from_the_last_value_and_never_hides_a_status(ri
         await rig.until(lambda: seen.values[-1].StatusCode.value == UNCERTAIN_NO_COMMUNICATION)
         assert [one.Value.Value for one in seen.values] == [1000.0, 1012.0, 1015.0]
     rig.show("8", fine)
+
+
+async def test_a_part_of_a_value_is_refused(rig: Rig) -> None:
+    """Instead of the whole value as that part, as asyncua gives it."""
+    level = id_of("slave/8/input/level")
+    names = ua.NodeId(ua.ObjectIds.Server_NamespaceArray)
+    asked = [ua.ReadValueId(node, ua.AttributeIds.Value, part) for node, part in (
+        (names, None), (names, "0"), (level, "0"), (level, "1:2"), (ua.NodeId("none", 1), "0"),
+    )]  # fmt: skip
+    async with rig.connected() as client:
+        read = await client.uaclient.read(ua.ReadParameters(NodesToRead=asked))
+        assert [one.StatusCode.value for one in read] == [GOOD, *[BAD_PART] * 3, BAD_NODE]
+        assert [one.Value.Value for one in read[1:4]] == [None] * 3
+        made = await client.create_subscription(100, Seen())
+        wanted = [item(level, ua.AttributeIds.Value, None), item(level, ua.AttributeIds.Value, None)]
+        wanted[1].ItemToMonitor.IndexRange = "1"
+        params = ua.CreateMonitoredItemsParameters(made.subscription_id, ua.TimestampsToReturn.Both, wanted)
+        assert [one.StatusCode.value for one in await client.uaclient.create_monitored_items(params)] == [
+            GOOD,
+            BAD_PART,
+        ]
 
 
 async def test_nodes_follow_the_configuration(rig: Rig) -> None:

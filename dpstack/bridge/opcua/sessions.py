@@ -56,6 +56,8 @@ _IN_A_ROW: Final = 0.02
 _LONGEST: Final = 0.1
 _S = ua.StatusCodes
 _BAD_ITEMS: Final = ua.StatusCode(_S.BadTooManyMonitoredItems)
+#: a part of a value, by an index range
+_BAD_PART: Final = ua.StatusCode(_S.BadIndexRangeNoData)
 
 
 class Services(Protocol):
@@ -247,8 +249,12 @@ class LimitedSession(InternalSession):
         found: list[ua.DataValue] = []
         octets = 0
         for part in _parts(params.NodesToRead):
-            for one in self.iserver.attribute_service.read(ua.ReadParameters(NodesToRead=list(part))):
+            read = self.iserver.attribute_service.read(ua.ReadParameters(NodesToRead=list(part)))
+            for asked, one in zip(part, read, strict=True):
                 text = one.Value.Value if one.Value is not None else None
+                if asked.IndexRange and text is not None:  # asyncua would give the whole value as if it were the part
+                    found.append(ua.DataValue(StatusCode=_BAD_PART))
+                    continue
                 octets += len(text) if isinstance(text, (bytes, str)) else 0
                 fits = octets <= _MOST_OCTETS or not found
                 found.append(one if fits else ua.DataValue(StatusCode=ua.StatusCode(_S.BadResponseTooLarge)))
@@ -354,6 +360,9 @@ class LimitedSession(InternalSession):
         for one in given:
             asked = one.RequestedParameters
             is_event = one.ItemToMonitor.AttributeId == ua.AttributeIds.EventNotifier
+            if one.ItemToMonitor.IndexRange:
+                results.append(ua.MonitoredItemCreateResult(_BAD_PART))
+                continue
             asked.Filter, fault = judged_filter(asked.Filter, is_event=is_event)
             if fault is not None:
                 results.append(ua.MonitoredItemCreateResult(ua.StatusCode(fault)))
