@@ -39,6 +39,21 @@ _LIMIT_TEXT: Final = re.compile(
 _FAULT_TEXT: Final = re.compile(r"break|broken|wire|short|open|bruch|kurzschl", re.I)
 #: a mask of all octets
 ALL: Final = -1
+#: what to do about the errors of channels by number; the help of a GSD file counts before
+_CHANNEL_REMEDIES: Final = {
+    1: "look for a short circuit at this channel: wires, terminal, connected device",
+    2: "check the supply of this channel",
+    3: "check the supply of this channel",
+    4: "look for what draws too much current at this channel",
+    5: "let the module cool down; check load and ventilation",
+    6: "check wire, terminal and sensor of this channel",
+    7: "compare the process with the measuring range; check range and sensor",
+    8: "compare the process with the measuring range; check range and sensor",
+    9: "check the module and what is connected to this channel",
+}
+_OWN_ERROR: Final = "the manual of the module says what this error means"
+_LOOK_AT_DEVICE: Final = "look at the displays of the device; its manual says more"
+_LOOK_THERE: Final = "look at the displays of the module, and at its supply; its manual says more"
 #: texts of a GSD file in one doubt
 _MOST_TEXTS: Final = 8
 #: octets in a text
@@ -93,6 +108,8 @@ class Doubt(Struct, frozen=True):
     outputs: int = 0
     #: bits of the channel as the slave says them; 0: it does not
     width: int = 0
+    #: what to do, for people
+    remedy: str = ""
     #: the bits are those of the channel; False: it lies somewhere in them, and only names by this channel are meant
     exact: bool = True
 
@@ -118,7 +135,9 @@ class Doubt(Struct, frozen=True):
 
 
 #: a slave whose diagnosis is not read yet
-ANNOUNCED: Final = Doubt(DoubtKind.ANNOUNCED, "diagnosis announced", inputs=ALL, outputs=ALL)
+ANNOUNCED: Final = Doubt(
+    DoubtKind.ANNOUNCED, "diagnosis announced", inputs=ALL, outputs=ALL, remedy="wait: the master is about to read it"
+)
 
 
 def worst(doubts: Iterable[Doubt]) -> Doubt | None:
@@ -192,11 +211,11 @@ class _Reader:
         self._alarms = _latest((*standing, *told))
 
     def all(self) -> tuple[Doubt, ...]:
-        for number in self._identifiers:
-            self._identifier(number)
         for message in self._messages:
             if isinstance(message, Status):
                 self._modules(message)
+        for number in self._identifiers:
+            self._identifier(number)
         for alarm in self._alarms:
             self._alarm(alarm)
         # the worst of each slot first
@@ -207,7 +226,7 @@ class _Reader:
 
     def _channel(self, block: ChannelBlock) -> None:
         slot = self._slot_at(block.identifier)
-        words, kind = self._cause(block)
+        words, kind, remedy = self._cause(block)
         if slot is None:
             self._no_place(f"{words}: {block.place(first_slot=self._first)}")
             return
@@ -227,22 +246,25 @@ class _Reader:
         }
         if any(masks.values()):
             ins, outs = masks.get(Direction.INPUT, 0), masks.get(Direction.OUTPUT, 0)
-            self._channels.append(Doubt(kind, f"{words}: {place}", slot.number, block.channel, ins, outs, width))
+            text = f"{words}: {place}"
+            self._channels.append(Doubt(kind, text, slot.number, block.channel, ins, outs, width, remedy))
             return
         text = f"{words}: {place}, whose octets are not known"
         ins = slot.inputs.mask if not directions or Direction.INPUT in directions else 0
         outs = slot.outputs.mask if not directions or Direction.OUTPUT in directions else 0
         # a name by this channel is bad, the other values of the slot are uncertain
-        self._channels.append(Doubt(kind, text, slot.number, block.channel, ins, outs, width, exact=False))
-        self._of_slots.append(Doubt(DoubtKind.SLOT_FAULT, text, slot.number, None, ins, outs))
+        self._channels.append(Doubt(kind, text, slot.number, block.channel, ins, outs, width, remedy, exact=False))
+        self._of_slots.append(Doubt(DoubtKind.SLOT_FAULT, text, slot.number, None, ins, outs, remedy=remedy))
 
-    def _cause(self, block: ChannelBlock) -> tuple[str, DoubtKind]:
+    def _cause(self, block: ChannelBlock) -> tuple[str, DoubtKind, str]:
+        """Words, kind, what to do."""
         own = None if self._texts is None else self._texts.channel_text(block.error, block.identifier)
         words = block.cause if own is None or not own.text else own.text
+        remedy = (own.help if own is not None else "") or _CHANNEL_REMEDIES.get(block.error, _OWN_ERROR)
         if block.error in (_OVERTEMPERATURE, *_LIMITS):
-            return words, DoubtKind.CHANNEL_LIMIT
+            return words, DoubtKind.CHANNEL_LIMIT, remedy
         is_limit = own is not None and _LIMIT_TEXT.search(words) and not _FAULT_TEXT.search(words)
-        return words, DoubtKind.CHANNEL_LIMIT if is_limit else DoubtKind.CHANNEL_FAULT
+        return words, DoubtKind.CHANNEL_LIMIT if is_limit else DoubtKind.CHANNEL_FAULT, remedy
 
     # --- slots --------------------------------------------------------------------------------------------------
 
@@ -259,6 +281,8 @@ class _Reader:
             self._no_place(f"has a diagnosis: slot {self._first + number}")
             return
         self._listed = True
+        if any(doubt.slot == slot.number for doubt in self._of_slots):
+            return  # its module status says more
         if slot.number not in self._explained:
             self._slot(DoubtKind.SLOT_FAULT, "has a diagnosis", slot)
 
@@ -291,7 +315,9 @@ class _Reader:
 
     def _slot(self, kind: DoubtKind, words: str, slot: Slot) -> None:
         text = f"{words}: {slot.title}"
-        self._of_slots.append(Doubt(kind, text, slot.number, None, slot.inputs.mask, slot.outputs.mask))
+        self._of_slots.append(
+            Doubt(kind, text, slot.number, None, slot.inputs.mask, slot.outputs.mask, remedy=_SLOT_REMEDIES[kind])
+        )
 
     def _no_place(self, text: str) -> None:
         self._of_slots.append(Doubt(DoubtKind.NO_PLACE, f"{text}; the configuration has {self._slots.range_text}"))
@@ -316,9 +342,11 @@ class _Reader:
         if diagnosis.stat_diag:
             yield _of_all(DoubtKind.NO_VALID_DATA, FLAG["stat_diag"].text)
         if diagnosis.ext_diag:
-            known = [one.text for block in self._device for one in self._known(block) if one.text and _is_raised(one)]
+            known = [one for block in self._device for one in self._known(block) if one.text and _is_raised(one)]
             if known:
-                yield _of_all(DoubtKind.SLAVE_FAULT, ", ".join(list(dict.fromkeys(known))[:_MOST_TEXTS]))
+                texts = list(dict.fromkeys(one.text for one in known))[:_MOST_TEXTS]
+                helps = list(dict.fromkeys(one.help for one in known if one.help))[:_MOST_TEXTS]
+                yield _of_all(DoubtKind.SLAVE_FAULT, ", ".join(texts), "; ".join(helps) or _LOOK_AT_DEVICE)
             if not known and not self._listed:
                 yield _of_all(DoubtKind.SLAVE_FAULT, self._unplaced())
         if diagnosis.overflow:
@@ -345,8 +373,16 @@ _STATES: Final = {
 }
 
 
-def _of_all(kind: DoubtKind, text: str) -> Doubt:
-    return Doubt(kind, text, None, None, ALL, ALL)
+_SLOT_REMEDIES: Final = {
+    DoubtKind.SLOT_FAULT: _LOOK_THERE,
+    DoubtKind.SLOT_INVALID: _LOOK_THERE,
+    DoubtKind.SLOT_WRONG: "plug in the module that the configuration names, or change the configuration",
+    DoubtKind.SLOT_MISSING: "plug the module in; check its seat and its supply",
+}
+
+
+def _of_all(kind: DoubtKind, text: str, remedy: str = _LOOK_AT_DEVICE) -> Doubt:
+    return Doubt(kind, text, None, None, ALL, ALL, remedy=remedy)
 
 
 def _is_raised(text: DiagText) -> bool:

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
-from dpstack.dp.pdu.dpv1_status import FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
 from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
@@ -174,9 +174,18 @@ class SlaveParams:
         """The slave as it stands in front of messages."""
         return f"slave {self.address} ({self.name})"
 
+    @property
+    def has_messages(self) -> bool:
+        """Whether its device related blocks are alarms and status messages: DP-V1 is on, or it is a DP-V1 slave by its
+        GSD file, and its user parameters set DPV1_Enable."""
+        if self.dpv1 is not None:
+            return True
+        is_slave = self.texts is not None and self.texts.device.dpv1.slave
+        return is_slave and len(self.user_prm) >= DPV1_STATUS_LEN and bool(self.user_prm[0] & DPV1_ENABLE)
+
     def block_texts(self, diagnosis: Diagnosis) -> tuple[str, ...]:
         """The lines for the blocks of its ``diagnosis``, in the words of its GSD file."""
-        return block_texts(diagnosis, self.texts, dpv1=self.dpv1 is not None)
+        return block_texts(diagnosis, self.texts, dpv1=self.has_messages)
 
     @property
     def slots(self) -> SlotMap:

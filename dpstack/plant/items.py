@@ -251,12 +251,13 @@ class DriveValues(Struct, frozen=True, kw_only=True):
 
 class QualityValues(Struct, frozen=True):
     """The quality of a value that is not good. ``quality``: uncertain, stale or bad; ``reason``: the name of a
-    :class:`dpstack.plant.quality.Reason`; ``since``: s after the start, None: not known."""
+    :class:`dpstack.plant.quality.Reason`; ``since``: s after the start, None: not known; ``remedy``: what to do."""
 
     quality: str
     reason: str
     text: str
     since: Number | None = None
+    remedy: str = ""
 
 
 class DoubtValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -268,6 +269,8 @@ class DoubtValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     quality: str
     reason: str
     text: str
+    #: what to do; empty if it is not known
+    remedy: str = ""
     since: Number | None = None
 
 

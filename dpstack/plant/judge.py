@@ -131,7 +131,7 @@ def diagnosis_remark(values: SlaveValues, *, announced: bool = True) -> Remark |
         return None
     found.sort(key=lambda one: one[0] != _BAD)
     severity = Severity.ERROR if found[0][0] == _BAD else Severity.WARNING
-    return _said(severity, "", [text for _, text in found[:_MOST_DOUBTS]])
+    return Remark("; ".join(text for _, text in found[:_MOST_DOUBTS]), severity.value)
 
 
 def _is_news(quality: QualityValues, said: Collection[str], announced: bool) -> bool:

@@ -15,11 +15,12 @@ from dpstack.plant.quality import Quality, Reason, clean
 
 
 class Judged(NamedTuple):
-    """A reason, further facts about it in words, and the time in s after the start since which it holds."""
+    """A reason, further facts about it in words, the time in s after the start since which it holds, what to do."""
 
     reason: Reason
     note: str = ""
     since: float | None = None
+    remedy: str = ""
 
     @property
     def quality(self) -> Quality:
@@ -33,7 +34,8 @@ class Judged(NamedTuple):
     @property
     def values(self) -> QualityValues:
         """As the live stream has it."""
-        return QualityValues(self.quality.value, self.reason.name.lower(), self.reason.with_note(self.note), self.since)
+        text = self.reason.with_note(self.note)
+        return QualityValues(self.quality.value, self.reason.name.lower(), text, self.since, self.remedy)
 
 
 GOOD: Final = Judged(Reason.GOOD)
@@ -71,7 +73,7 @@ def read_back(values: QualityValues | None) -> Judged | None:
         reason = _OF_NEWER.get(values.quality, Reason.STATUS_UNCERTAIN)
     # the words are whole, with those of the reason
     note = text if reason.is_by_slave else text.removeprefix(reason.text).removeprefix(": ")
-    return Judged(reason, note, values.since)
+    return Judged(reason, note, values.since, clean(values.remedy))
 
 
 _OF_NEWER: Final[Mapping[str, Reason]] = {

@@ -78,6 +78,7 @@ def _doubts(view: View, address: str) -> list[Line]:
     """Each reason why values are bad or uncertain, once: the words of the fault, the place, since when."""
     values = view.values(address)
     told = {(one.quality, one.text): one.since for one in values.doubts or []}
+    remedies = {one.text: one.remedy for one in values.doubts or []}
     for name, one in (("", values.quality), *(values.qualities or {}).items()):
         if one is not None and one.quality in MARKS and (one.quality, one.text) not in told:
             told[one.quality, f"{name}: {one.text}" if name else one.text] = one.since
@@ -87,6 +88,8 @@ def _doubts(view: View, address: str) -> list[Line]:
         at = view.clock(since)
         lines.append([*_row(f"{sign or ' '} {'' if quality == 'good' else quality}", text, style),
                       piece(f"  since {at}" if at else "", "stale")])  # fmt: skip
+        if remedies.get(text):
+            lines.append(_row("", remedies[text], "stale"))
     return lines
 
 

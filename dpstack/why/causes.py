@@ -180,6 +180,11 @@ class Cause(Enum):
         "deactivate() was called; nothing is sent to it",
         "activate() brings it back",
     )
+    OWN_DIAGNOSIS = About(
+        "the slave is in data exchange, and its own diagnosis reports a fault",
+        "data exchange, and a diagnosis or alarm of a channel, a slot or the device",
+        "look where the diagnosis says",
+    )
     HEALTHY = About(
         "the slave is in data exchange, and nothing speaks against it",
         "data exchange with valid inputs, hardly a repetition, no loss",

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Final
 
 from dpstack.dp.acyclic.job import ATTEMPTS
+from dpstack.dp.doubts import Doubt, doubts_of
 from dpstack.dp.master.bring_ups import DAMAGED, DATA_EXCHANGE, NOTHING, WRONG, Loss, Step
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
@@ -112,6 +113,12 @@ class Facts:
         self.losses = evidence.history.losses
         self.lost = evidence.history.lost
         self.steps = evidence.steps
+
+    @cached_property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What its last diagnosis throws doubt on."""
+        setup = self.setup
+        return doubts_of(setup.slots, self.diagnosis, texts=setup.texts, dpv1=setup.has_messages)
 
     # --- the last answers ---
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from dpstack.dp.doubts import Trust
 from dpstack.dp.master.bring_ups import DATA_EXCHANGE, NOTHING, SLAVE_DIAG
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.requests import SET_PRM_LEN
@@ -779,6 +780,10 @@ def _restarts(f: Facts) -> Findings:
         yield Finding(Cause.NOISE_ON_STUB, 0.55 if len(kept) >= 2 and not unpaced else 0.3, [*said, more], unpaced)
 
 
+#: diagnoses that an answer names
+_MOST_DOUBTS: Final = 3
+
+
 # --- healthy ----------------------------------------------------------------------------------------------------------
 
 
@@ -796,6 +801,12 @@ def _healthy(f: Facts, found: list[Finding]) -> list[Finding]:
     worst = max((one.confidence for one in found), default=0.0)
     against = [f"It left data exchange {times_text(f.lost)}."] if f.lost else []
     confidence = 0.25 if f.flaps else 0.95 if worst < 0.3 and not f.lost else 0.7 if worst < 0.5 else 0.4
+    doubts = [one for one in f.doubts if one.trust is not Trust.GOOD][:_MOST_DOUBTS]
+    if doubts:
+        reported = "; ".join(one.text for one in doubts)
+        todo = "; ".join(dict.fromkeys(one.remedy for one in doubts if one.remedy))
+        meaning = f"the slave is in data exchange, and reports: {reported}"
+        return [Finding(Cause.OWN_DIAGNOSIS, confidence, said, against, todo, meaning)]
     return [Finding(Cause.HEALTHY, confidence, said, against)]
 
 

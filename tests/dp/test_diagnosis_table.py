@@ -13,7 +13,7 @@ from gsd_kit import made
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.quality import SlaveQuality, qualified
 from dpstack.api.slave.slave import Slave
-from dpstack.dp.doubts import standing_after
+from dpstack.dp.doubts import doubts_of, standing_after
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.alarm_blocks import Alarm, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
@@ -137,3 +137,17 @@ def test_a_diagnosis_that_the_bus_process_has_read_and_the_application_has_not_m
     fake.image = fake.image._replace(announced=True)
     found = qualified(slave, level, Direction.INPUT)
     assert (found.quality.value, found.text) == ("uncertain", "diagnosis announced")
+
+
+@pytest.mark.parametrize(
+    ("slave", "prm", "has"), [(1, "80 00 00", True), (1, "00 00 00", False), (0, "80 00 00", False)]
+)
+def test_module_states_of_a_slave_whose_user_parameters_switch_dpv1_on(slave: int, prm: str, has: bool) -> None:
+    """A GSD file with DPV1_Slave and constant user parameters: the slave answers as DP-V1, also if dpv1 is off here."""
+    texts = DiagTexts(made(f"#Profibus_DP\nGSD_Revision = 3\nDPV1_Slave = {slave}\n").device)
+    setup = SlaveParams(address=3, name="rack", ident=1, config=b"\x51", user_prm=bytes.fromhex(prm), texts=texts)
+    assert setup.has_messages is has
+    diagnosis = Diagnosis.parse(bytes.fromhex("08 0c 00 02 00 01 42 01 05 82 00 00 03"))
+    assert diagnosis is not None
+    (doubt,) = doubts_of(setup.slots, diagnosis, texts=texts, dpv1=setup.has_messages)
+    assert doubt.text == ("no module: slot 1" if has else "has a diagnosis: slot 1")

@@ -44,7 +44,7 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[bool, str, str, str | None, str | No
             "qualities": {"level": {key: BROKEN[key] for key in SENSOR}},
             "conspicuous": "ext_diag",
         },
-        (True, "error", "data exchange", "line break: slot 3, input channel 0, diagnosis announced", "error"),
+        (True, "error", "data exchange", "line break: slot 3, input channel 0; diagnosis announced", "error"),
     ),
     "a bad value before the flags of a diagnosis": (
         {"qualities": {"level": SENSOR}, "conspicuous": "static_diag"},
@@ -52,7 +52,7 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[bool, str, str, str | None, str | No
     ),
     "a bad value besides a doubtful slot": (
         {"qualities": {"level": SENSOR}, "doubts": [{**ANNOUNCED, "reason": "slot_fault", "text": "slot 2"}]},
-        (True, "error", "data exchange", "level: sensor failure (status 10), slot 2", "error"),
+        (True, "error", "data exchange", "level: sensor failure (status 10); slot 2", "error"),
     ),
     "taken out of service with a bad value": (
         {"state": "deactivated", "inputs_valid": False, "qualities": {"level": SENSOR}},

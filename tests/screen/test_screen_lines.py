@@ -104,7 +104,7 @@ def test_markup_of_a_device_stays_text() -> None:
 BROKEN = {
     40: [
         "!   8 boiler ra… exchange  line break:",
-        "      slot 3 (2 AI), input channel 0,",
+        "      slot 3 (2 AI), input channel 0;",
         "      data invalid: slot 3 (2 AI)",
         "      level !3.2 m  pressure ?1.25 bar",
         "      limit on  temperature 81.5 °C",
@@ -112,7 +112,7 @@ BROKEN = {
     ],
     60: [
         "!   8 boiler rack    data exchange line break: slot 3 (2",
-        "                                   AI), input channel 0,",
+        "                                   AI), input channel 0;",
         "                                   data invalid: slot 3 (2",
         "                                   AI)",
         "                                   level !3.2 m",
@@ -123,7 +123,7 @@ BROKEN = {
     ],
     120: [
         "!   8 boiler rack              data exchange      0      0 "
-        "line break: slot 3 (2 AI), input channel 0, data invalid:",
+        "line break: slot 3 (2 AI), input channel 0; data invalid:",
         "                                                           slot 3 (2 AI)",
         "                                                           level !3.2 m  pressure ?1.25 bar  limit on",
         "                                                           temperature 81.5 °C  out inlet on",
@@ -159,7 +159,7 @@ def test_words_of_the_fault_and_the_value_can_be_read_in_any_room(room: int) -> 
 def test_what_does_not_fit_has_one_ellipsis() -> None:
     view = view_of(rack_plant())
     lines = [text_of(line).rstrip() for line in slave_lines(view, "8", 60, 3)]
-    assert [line[35:] for line in lines] == ["line break: slot 3 (2", "AI), input channel 0, …", "level !3.2 m…"]
+    assert [line[35:] for line in lines] == ["line break: slot 3 (2", "AI), input channel 0; …", "level !3.2 m…"]
 
 
 def test_slaves_have_the_colour_of_the_worst_of_their_values() -> None:

@@ -61,8 +61,9 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
     held_fields: Mapping[str, object] = field(default_factory=dict)
     #: units of the named fields that have one
     units: Mapping[str, str] = field(default_factory=dict)
-    #: quality of all its values and of its drive, None: good; ``qualities``: those of named values that are not good
+    #: quality of all its values and of its drive; None: good
     quality: QualityValues | None = None
+    #: by name those of named values that are not good
     qualities: Mapping[str, QualityValues] = field(default_factory=dict)
     #: counters of its alarms, None for a slave without DP-V1
     alarms: AlarmCounts | None = None

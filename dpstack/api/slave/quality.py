@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple, Protocol
 
 from dpstack.api.config.slave import SlaveConfig
@@ -69,6 +69,8 @@ class QualifiedValue(NamedTuple):
     reason: Reason
     #: time since which the quality holds in ns by the clock of the bus; of a good value the arrival of its inputs
     since_ns: int
+    #: what to do, if the diagnosis of the slave says why; else empty
+    remedy: str = ""
 
     @property
     def good(self) -> bool:
@@ -99,7 +101,7 @@ class SlaveQuality:
         if seen != self._seen:
             self._seen = seen
             before = dict(self._standing)
-            found = doubts_of(setup.slots, diagnosis, snapshot.standing, texts=setup.texts, dpv1=setup.dpv1 is not None)
+            found = doubts_of(setup.slots, diagnosis, snapshot.standing, texts=setup.texts, dpv1=setup.has_messages)
             at = snapshot.diagnosis_ns
             self._standing = tuple((doubt, before.get(doubt, at)) for doubt in found)
         return self._standing
@@ -127,7 +129,7 @@ class SlaveQuality:
         """The quality of a named value in ``octets``, with those of :meth:`of_all` and :meth:`places`."""
         own = places.get(field.name, GOOD)
         if field.speaks_for_itself:
-            own = worse(own, self._of_octets(field, octets))
+            own = worse(own, _by_octets(field, octets, self._slave.image.input_time))
         return worse(own, of_all)
 
     def places(self) -> Mapping[str, Judged]:
@@ -158,13 +160,6 @@ class SlaveQuality:
         names, places = (name for _, fields in self._slave.config.fields for name in fields), self.places()
         return {name: worse(places.get(name, GOOD), of_all) for name in names}
 
-    def _of_octets(self, field: Field, octets: bytes) -> Judged:
-        """The quality by the value itself, and by the status octet beside it."""
-        if len(octets) < max(field.octet + field.length, 0 if field.status is None else field.status + 1):
-            return GOOD
-        meaning = read_octets(field, octets)
-        return GOOD if meaning.reason is Reason.GOOD else Judged(*meaning, self._slave.image.input_time)
-
     def doubts(self) -> Iterator[DoubtValues]:
         """The doubts for people and for a rack view; times in ns."""
         for doubt, at in self.standing:
@@ -177,8 +172,17 @@ class SlaveQuality:
                 quality=reason.quality.value,
                 reason=reason.name.lower(),
                 text=doubt.text,
+                remedy=doubt.remedy,
                 since=at,
             )
+
+
+def _by_octets(field: Field, octets: bytes, at: int | None) -> Judged:
+    """The quality by the value itself, and by the status octet beside it."""
+    if len(octets) < max(field.octet + field.length, 0 if field.status is None else field.status + 1):
+        return GOOD
+    meaning = read_octets(field, octets)
+    return GOOD if meaning.reason is Reason.GOOD else Judged(*meaning, at)
 
 
 def _judged(standing: dict[Doubt, int]) -> Judged:
@@ -186,8 +190,14 @@ def _judged(standing: dict[Doubt, int]) -> Judged:
     return (
         GOOD
         if found is None or found.kind not in _REASONS
-        else Judged(_REASONS[found.kind], found.text, standing[found])
+        else Judged(_REASONS[found.kind], found.text, standing[found], found.remedy)
     )
+
+
+def judged_by(doubts: Iterable[Doubt], field: Field, direction: Direction, octets: bytes) -> Judged:
+    """The quality of a named value in ``octets`` by these ``doubts``, with an unknown time."""
+    by_diagnosis = _judged({doubt: 0 for doubt in doubts if doubt.is_about(field, direction)})
+    return worse(_by_octets(field, octets, None), by_diagnosis)
 
 
 def qualified(slave: Process, field: Field, direction: Direction) -> QualifiedValue:
@@ -206,7 +216,7 @@ def qualified(slave: Process, field: Field, direction: Direction) -> QualifiedVa
     judged = quality.of_field(field, octets, quality.of_all(values, limit_ms), quality.places())
     since = image.input_time if judged.since is None else round(judged.since)
     text = judged.reason.with_note(judged.note)
-    return QualifiedValue(field.get(octets), judged.quality, text, judged.reason, since)
+    return QualifiedValue(field.get(octets), judged.quality, text, judged.reason, since, judged.remedy)
 
 
 def seconds(at_ns: float | None, started_ns: int) -> float | None:

@@ -55,7 +55,9 @@ class QualityChanged(SlaveEvent):
         lines = [one.line for one in self.values[:_NAMED]]
         more = len(self.values) - _NAMED
         lines += [f"{more} more values"] if more > 0 else []
-        lines += [f"{self.left_out} changes before were not reported"] if self.left_out else []
+        if self.left_out:
+            were = "change was" if self.left_out == 1 else "changes were"
+            lines.append(f"{self.left_out} {were} not reported before")
         return f"{self.who}: {', '.join(lines)}"
 
 

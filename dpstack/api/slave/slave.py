@@ -196,7 +196,7 @@ class Slave(Sealed, RecordAccess):
     def conspicuous_text(self, diagnosis: Diagnosis, *, exchanging: bool) -> str:
         """As :attr:`conspicuous`, of any diagnosis of this slave."""
         setup = self.setup
-        return conspicuous_text(diagnosis, setup.texts, dpv1=setup.dpv1 is not None, exchanging=exchanging)
+        return conspicuous_text(diagnosis, setup.texts, dpv1=setup.has_messages, exchanging=exchanging)
 
     @property
     def block_texts(self) -> tuple[str, ...]:
@@ -341,7 +341,7 @@ class Slave(Sealed, RecordAccess):
         self.outputs = put_values(self, self.outputs, values)
 
     @overload
-    def value(self, name: str) -> QualifiedValue: ...
+    def value(self, name: str, kind: None = None) -> QualifiedValue: ...
     @overload
     def value(self, name: str, kind: type[T]) -> T: ...
     def value(self, name: str, kind: type[T] | None = None) -> QualifiedValue | T:

@@ -16,17 +16,20 @@ from msgspec import Meta, Struct
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
 from dpstack.api.slave.class2 import Class2, Configuration
+from dpstack.api.slave.quality import judged_by
+from dpstack.dp.doubts import doubts_of
 from dpstack.dp.master.scanner import SlaveView, view_of
 from dpstack.dp.pdu.diag_bits import Flag, SetBy
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.process_data import FieldMap, as_json
-from dpstack.dp.slot_map import Slot, slot_map
+from dpstack.dp.process_data import as_json
+from dpstack.dp.slot_map import Direction, Slot, slot_map
 from dpstack.errors import ConfigError, GsdError, ServiceRefused, SlaveError, SlaveTimeout
 from dpstack.gsd.configuration import modules_of_config
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.model import Device, Module
 from dpstack.gsd.module_comparison import compare_modules
+from dpstack.plant.quality import Quality
 from dpstack.profile import registry
 from dpstack.text import octets_text
 
@@ -202,18 +205,34 @@ def station_report(
             "texts": [*diagnosis.texts, *texts],
         },
         "config": None if config is None else _config_dict(config, modules, device),
-        "inputs": _data(reading.inputs, None if expected is None else expected.input_fields),
-        "outputs": _data(reading.outputs, None if expected is None else expected.output_fields),
+        "inputs": _data(reading.inputs, expected, Direction.INPUT, diagnosis),
+        "outputs": _data(reading.outputs, expected, Direction.OUTPUT, diagnosis),
         "errors": dict(reading.errors),
     }
 
 
-def _data(octets: str | None, fields: FieldMap | None) -> dict[str, Any] | None:
+def _data(
+    octets: str | None, slave: SlaveConfig | None, direction: Direction, diagnosis: Diagnosis
+) -> dict[str, Any] | None:
+    """Octets and named values of one direction, with the quality of those that are not good by the diagnosis."""
     if octets is None:
         return None
-    if fields is None or 2 * fields.length != len(octets):
-        return {"octets": octets, "fields": {}, "units": {}}
-    return {"octets": octets, "fields": as_json(fields.values(bytes.fromhex(octets))), "units": fields.units}
+    fields = None if slave is None else dict(slave.fields)[direction]
+    if slave is None or fields is None or 2 * fields.length != len(octets):
+        return {"octets": octets, "fields": {}, "units": {}, "qualities": {}}
+    image, setup = bytes.fromhex(octets), slave.params
+    doubts = doubts_of(setup.slots, diagnosis, texts=setup.texts, dpv1=setup.has_messages)
+    found = {name: judged_by(doubts, field, direction, image) for name, field in fields.fields.items()}
+    return {
+        "octets": octets,
+        "fields": as_json(fields.values(image)),
+        "units": fields.units,
+        "qualities": {
+            name: {"quality": one.quality.value, "text": one.reason.with_note(one.note)}
+            for name, one in found.items()
+            if one.quality is not Quality.GOOD
+        },
+    }
 
 
 def _is_dpv1(slave: SlaveConfig | None, device: Device | None) -> bool:

@@ -147,7 +147,9 @@ def _data_lines(key: str, data: Mapping[str, Any]) -> Iterator[str]:
     for at in range(0, len(octets), _IN_A_LINE):
         yield f"  {at:3}  {octets[at : at + _IN_A_LINE].hex(' ').upper()}"
     for name, value in data["fields"].items():
-        yield f"  {name} = {value}{data['units'].get(name, '') and ' '}{data['units'].get(name, '')}"
+        quality = data["qualities"].get(name)
+        said = "" if quality is None else f"  {quality['quality']}: {quality['text']}"
+        yield f"  {name} = {value}{data['units'].get(name, '') and ' '}{data['units'].get(name, '')}{said}"
 
 
 def _hex(octets: str) -> str:

@@ -93,7 +93,8 @@ class Slot {
     setAttr(this.node, "class", kind && kind !== "good" ? `slot ${kind}-slot` : "slot");
     refill(this.sign, kind, () => (kind && kind !== "good" ? [mark(kind)] : []));
     // those of a channel stand beside it, the slot's header has all
-    refill(this.doubts, doubts, () => doubts.map((one) => el("li", { class: kindOfQuality(one.quality), text: one.text })));
+    refill(this.doubts, doubts, () => doubts.map((one) => el("li", { class: kindOfQuality(one.quality) },
+      one.text, one.remedy ? el("span", { class: "quiet remedy", text: one.remedy }) : null)));
     for (const one of this.channels) one.update(slave, dead);
   }
 }

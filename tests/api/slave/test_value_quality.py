@@ -268,6 +268,18 @@ async def test_a_status_octet_and_a_float_that_is_no_number() -> None:
         assert await got("7FC00000 80") == [("bad", nan), ("bad", nan)]
 
 
+async def test_why_says_what_the_diagnosis_reports_and_what_to_do() -> None:
+    async with rack() as (bus, slave, served):
+        assert (await bus.why(9, ask=False)).first.cause == "healthy"
+        device(served).diag = UserDiag.of(LINE_BREAK)
+        await told(bus, slave, level="bad")
+        first = (await bus.why(9, ask=False)).first
+        assert first.cause == "own_diagnosis"
+        assert first.meaning == "the slave is in data exchange, and reports: line break: slot 3, input channel 0"
+        assert first.next == "check wire, terminal and sensor of this channel"
+        assert slave.value("level").remedy == first.next
+
+
 async def test_live_stream_and_summary_have_the_same() -> None:
     async with rack() as (bus, slave, served):
         device(served).diag = UserDiag.of(identifier_block([2], 5), LINE_BREAK)

@@ -113,7 +113,7 @@ def test_station_of_octets_beside_its_master(field_bus: Field, plant: Path, cli:
         '  slot 2 "2 AI": inputs 1 to 4, 2 channels (51)',
         "inputs: 5 octets",
         "    0  01 00 20 00 21",
-        "  level = 3.2 bar",
+        "  level = 3.2 bar  bad: line break: slot 2 (2 AI), input channel 0",
         "outputs: 0 octets",
         "finding: slots with a diagnosis: 2 (2 AI)",
         "finding: slot 2 (2 AI), input channel 0 (word): line break",
