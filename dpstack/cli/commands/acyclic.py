@@ -58,7 +58,7 @@ def add_to(parser: Parser) -> None:
     parser.value("config", "CONFIG", "configuration file")
     parser.value("slave", "ADDRESS", "the slave, by its address or its name there")
     parser.value("order", "ORDER", "read, write, im ..., see below")
-    parser.value("args", "ARG", "what belongs to it; numbers 47 or 0x2F", nargs="*")
+    parser.value("args", "ARG", "what belongs to it; numbers 47 or 0x2F", nargs="*", default=[])
     parser.flag("--all", "compare: what is read only, too")
     parser.value(
         "--class",

@@ -30,7 +30,7 @@ def add_to(parser: Parser) -> None:
         "the port of run or sim, the directory of segment, or virtual (of several runs there: virtual:PID)",
     )
     parser.value("order", "COMMAND", "what to do", nargs="?", default="help")
-    parser.value("args", "ARG", "its arguments", nargs="*")
+    parser.value("args", "ARG", "its arguments", nargs="*", default=[])
     parser.run_by(execute)
 
 

@@ -22,7 +22,7 @@ def add_to(parser: Parser) -> None:
         "example: dpstack plot plant.csv\n         dpstack plot plant.csv boiler hoist.speed --write plant.svg"
     )
     parser.value("file", "FILE", "a recording of `dpstack run --record`; of a rotated one the name that was given")
-    parser.value("names", "NAME", "only these slaves, or columns like boiler.level", nargs="*")
+    parser.value("names", "NAME", "only these slaves, or columns like boiler.level", nargs="*", default=[])
     parser.value("--write", "FILE.svg", "write the picture, .svg, .png or .pdf, instead of opening a window", type=Path)
     parser.run_by(execute)
 
