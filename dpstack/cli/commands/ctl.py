@@ -19,7 +19,7 @@ _ENDLESS: Final = {
 #: longest line (characters) in which an entry is shown whole
 _LINE: Final = 130
 #: keys of the quality of a value: those of :class:`dpstack.plant.items.QualityValues`, which is slow to load
-_QUALITY: Final = frozenset({"quality", "reason", "text", "since"})
+_QUALITY: Final = frozenset({"quality", "reason", "text", "since", "remedy"})
 
 
 def add_to(parser: Parser) -> None:
@@ -69,7 +69,8 @@ def _show(result: Any, indent: str = "") -> None:
             value = _with_qualities(value, result.get("qualities"))
         if isinstance(value, Mapping) and value.keys() == _QUALITY:
             since = "" if value["since"] is None else f" (since {value['since']} s)"
-            output.line(f"{indent}{key}: {value['quality']}: {value['text']}{since}")
+            remedy = f"; {value['remedy']}" if value["remedy"] else ""
+            output.line(f"{indent}{key}: {value['quality']}: {value['text']}{since}{remedy}")
         elif isinstance(value, Mapping) and value:
             line = _line(value)
             if line is not None and len(indent) + len(str(key)) + len(line) <= _LINE:

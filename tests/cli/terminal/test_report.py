@@ -130,7 +130,9 @@ def test_values_that_are_not_good_say_so_in_lines_table_and_status(capsys: Out) 
     shown = [line.strip() for line in capsys.readouterr().out.splitlines()]
     assert "fields: full False, level 320 (bad), pressure 7 (uncertain), lamp False" in shown
     assert any(
-        re.fullmatch(rf"level: bad: line break: {re.escape(place)}, input channel 0 \(since [0-9.]+ s\)", one)
+        re.fullmatch(
+            rf"level: bad: line break: {re.escape(place)}, input channel 0 \(since [0-9.]+ s\); check wire, .*", one
+        )
         for one in shown
     )
 
