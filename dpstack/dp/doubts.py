@@ -1,7 +1,7 @@
 """The parts of a slave's process data that its diagnosis throws doubt on: slot, channel, octets, the reason in words.
 
 The rule of docs/reference/quality.md#the-rule, for every reader. A doubt is about bits of the image, or about all of
-it. What the slave says about a slot counts for its channels, unless blocks of the same slot name the channels.
+it. The report about a slot counts for its channels, unless blocks of the same slot name the channels.
 """
 
 from __future__ import annotations

@@ -291,7 +291,7 @@ class Report:
         return html_section("Diagnoses", f"<p>{note}</p>{table}" if rows else "<p>No slave was heard.</p>")
 
     def _run(self) -> list[str]:
-        """What the master of this program knows beside the octets."""
+        """Facts that the master of this program knows beside the octets."""
         if not self.slaves:
             return []
         return [modules_section(self.slaves), standing_section(self.slaves), inventory_section(self.slaves)]

@@ -75,7 +75,7 @@ class Change(Struct, frozen=True):
 
 
 class TakenList(Struct, frozen=True):
-    """What a list says. ``text``: the configuration with its names, the present one if lines are ``refused``.
+    """The contents of a list. ``text``: the configuration with its names, the present one if lines are ``refused``.
 
     ``kept``: names (``slave.name``) that the list does not have; ``notes``: columns that are not read.
     """

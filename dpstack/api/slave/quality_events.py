@@ -67,8 +67,8 @@ class QualityEvents:
     def __init__(self, publish: Callable[[Event], None], now: Callable[[], int]) -> None:
         self._publish = publish
         self._now = now
-        self._told: dict[int, Mapping[str, ValueQuality]] = {}
-        self._told_at: dict[int, int] = {}
+        self._reported: dict[int, Mapping[str, ValueQuality]] = {}
+        self._reported_at: dict[int, int] = {}
         self._left_out: dict[int, int] = {}
         self._timers: dict[int, asyncio.TimerHandle] = {}
 
@@ -83,21 +83,21 @@ class QualityEvents:
             timer.cancel()
         self._timers.clear()
 
-    def _look(self, slave: Slave) -> None:
+    def _look(self, slave: Slave, *, is_due: bool = False) -> None:
         address, now = slave.address, self._now()
-        told, found = self._told.get(address, {}), _qualities(slave)
-        if found == told:
+        before, found = self._reported.get(address, {}), _qualities(slave)
+        if found == before:
             return
-        wait_ns = self._told_at.get(address, -NS_PER_S) + NS_PER_S - now
-        if wait_ns > 0:
+        wait_ns = self._reported_at.get(address, -NS_PER_S) + NS_PER_S - now
+        if wait_ns > 0 and not is_due:
             self._left_out[address] = self._left_out.get(address, 0) + 1
             if address not in self._timers:
                 loop = asyncio.get_running_loop()
                 self._timers[address] = loop.call_later(wait_ns / NS_PER_S, self._late, slave)
             return
-        good = (ValueQuality(name, Quality.GOOD, "") for name in told if name not in found)
-        changed = (one for name, one in found.items() if told.get(name) != one)
-        self._told[address], self._told_at[address] = found, now
+        good = (ValueQuality(name, Quality.GOOD, "") for name in before if name not in found)
+        changed = (one for name, one in found.items() if before.get(name) != one)
+        self._reported[address], self._reported_at[address] = found, now
         # the change that is reported now was one of those
         left_out = max(0, self._left_out.pop(address, 0) - 1)
         self._publish(
@@ -106,7 +106,7 @@ class QualityEvents:
 
     def _late(self, slave: Slave) -> None:
         del self._timers[slave.address]
-        self._look(slave)
+        self._look(slave, is_due=True)  # a timer may be early by less than its clock shows
         self._left_out.pop(slave.address, None)
 
 

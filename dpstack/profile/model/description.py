@@ -29,7 +29,7 @@ OTHER_MANUAL: Final = "a reading: the inverter's own manual has it"
 
 
 class Check(StrEnum):
-    """What the plugin does if a setting is another one."""
+    """Reaction of the plugin to a setting that is another one."""
 
     NONE = ""  # it cannot read the setting
     REFUSED = "start is refused"
