@@ -259,6 +259,11 @@ def _absent(f: Facts) -> Findings:
     if f.damage_here > polls // 2:
         against.append("Octets that cannot be read came after requests to it.")
         confidence = min(confidence, 0.45)
+    if f.marked and f.lost:  # it was there, and its answers may be among the octets that the port drops
+        damaged_text = f"The port has marked or dropped {f.marked} damaged octets: an answer may have been among them."
+        against.append(damaged_text)
+        confidence = min(confidence, 0.45)
+        yield Finding(Cause.NOISE_ON_STUB, 0.5, [damaged_text])
     if f.silent_after_prm and not f.lost:
         against.append("It answered until it was parameterised.")
         confidence = min(confidence, 0.5)
