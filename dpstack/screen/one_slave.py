@@ -33,7 +33,7 @@ def page(view: View, address: str, width: int, story: Mapping[str, Any] | str | 
         lines.append([("not alive: ", "bad"), (f"its values are not of this moment; {since}", "stale")])
     lines += _troubles(view, address)
     if story is not None:
-        lines += [[], *_told(story, width)]
+        lines += [[], *_story_lines(story, width)]
     if values.drive is not None:
         lines += [[], *_drive(view, address, values.drive)]
     rack, placed = rack_lines(view, address)
@@ -184,7 +184,7 @@ def _identity(plant: SlavePlant, values: SlaveValues) -> list[Line]:
 # --- why --------------------------------------------------------------------------------------------------------------
 
 
-def _told(story: Mapping[str, Any] | str, width: int) -> list[Line]:
+def _story_lines(story: Mapping[str, Any] | str, width: int) -> list[Line]:
     """The lines of `dpstack why`, or a text in their place."""
     if isinstance(story, str):
         return [_header("why it is not in data exchange"), [("  ", ""), piece(story)]]

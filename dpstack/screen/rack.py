@@ -48,7 +48,7 @@ def _signed(told: Iterable[Told | None]) -> Line:
     return [(f"{sign} ", style)]
 
 
-def _told(told: Told) -> Line:
+def _reason(told: Told) -> Line:
     return [piece(f"  {words(told)}", MARKS.get(told.quality, ("", "stale"))[1])]
 
 
@@ -56,7 +56,7 @@ def _slot_line(slot: int, module: ModulePlant, doubts: list[DoubtValues]) -> Lin
     size = f"{module.inputs or 0} in, {module.outputs or 0} out"
     line = [*_signed(doubts), (f"slot {slot}  ", "label"), piece(module.name or "no name", "bold")]
     line.append(piece(f"  {module.config or 'no identifier'}  {size}", "stale"))
-    return line + [part for one in doubts if one.channel is None for part in _told(one)]
+    return line + [part for one in doubts if one.channel is None for part in _reason(one)]
 
 
 def _area_lines(
@@ -104,10 +104,10 @@ def _channel_lines(
     lines = []
     for field, quality in zip(own, told, strict=True):
         line = [*head, ("  ", ""), *field_pieces(view, address, field, style)]
-        lines.append([*line, *(_told(quality) if quality is not None and rank(quality) else [])])
+        lines.append([*line, *(_reason(quality) if quality is not None and rank(quality) else [])])
         head = [(" " * sum(len(text) for text, _ in head), "")]
     # the words of a channel stand once: beside its value, else at the channel
     others = [one for one in doubts if all(one.text != each.text for each in told if each is not None)]
     if others or not lines:
-        lines.append([*head, *(part for one in others for part in _told(one))])
+        lines.append([*head, *(part for one in others for part in _reason(one))])
     return lines

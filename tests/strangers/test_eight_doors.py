@@ -100,7 +100,7 @@ def terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Termin
 
 
 def agrees(door: str, look: Callable[[], Any], wanted: Any) -> str:
-    """Look at a door until it agrees. Returns the difference; empty if there is none."""
+    """Look at a door until it agrees. Returns the difference; empty if it agrees."""
     found: Any = None
     for _ in range(_LOOKS):
         try:
