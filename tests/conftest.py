@@ -60,6 +60,16 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@pytest.fixture
+def no_collection() -> Iterator[None]:
+    """For tests that count calls: no garbage of other tests is collected meanwhile, with its ``__del__``."""
+    collecting = gc.isenabled()
+    gc.disable()
+    yield
+    if collecting:
+        gc.enable()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def runtime_directory() -> Iterator[str]:
     """Programs under test, in this process and in others, keep their sockets to themselves (short: a socket's path).

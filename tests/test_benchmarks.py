@@ -302,6 +302,7 @@ def calls_an_exchange(plant: VirtualPlant, run: Callable[[], object]) -> float:
     return calls / (plant.exchanges - before)
 
 
+@pytest.mark.usefixtures("no_collection")
 @pytest.mark.parametrize(("drive", "most"), [(None, 68), ("demag-dedrive", 77)], ids=["mirrors", "drives"])
 def test_an_exchange_in_virtual_time_costs_so_many_python_calls(drive: str | None, most: int) -> None:
     # 150 and 175 before a station heard an edge without a heap entry and an unchanged answer was not encoded again
@@ -309,6 +310,7 @@ def test_an_exchange_in_virtual_time_costs_so_many_python_calls(drive: str | Non
     assert calls_an_exchange(plant, lambda: plant.world.run_for(200 * NS_PER_MS)) <= most
 
 
+@pytest.mark.usefixtures("no_collection")
 def test_an_exchange_in_virtual_time_costs_hardly_a_heap_entry() -> None:
     # nothing comes between request, answer, T_SDR and T_ID1; the master's slot time ends in the middle of the answer
     entries = 0
@@ -368,6 +370,7 @@ def test_the_drives_of_the_benchmark_run_at_their_speed() -> None:
         assert status.speed == pytest.approx(0.5, abs=0.01)
 
 
+@pytest.mark.usefixtures("no_collection")
 def test_a_global_control_to_all_slaves_costs_an_exchange_hardly_more_than_one_to_one_slave() -> None:
     found = []
     for members in (30, 1):

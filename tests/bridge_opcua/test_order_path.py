@@ -37,7 +37,7 @@ SPEED: Final = 0.40404
 MOST_CALLS: Final = 120
 
 
-pytestmark = pytest.mark.usefixtures("probe")
+pytestmark = pytest.mark.usefixtures("probe", "no_collection")
 
 
 class Walk:

@@ -116,7 +116,7 @@ def still(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(line_runtime, "monotonic_ns", lambda: 10**15)
 
 
-@pytest.mark.usefixtures("each_driver", "still")
+@pytest.mark.usefixtures("each_driver", "still", "no_collection")
 async def test_a_tap_adds_two_calls_and_two_entries_to_an_exchange() -> None:
     async with Rig() as rig:
         rig.machine.on_receive = lambda _chunk, _now: rig.machine.tx.append(TOKEN)
@@ -146,7 +146,7 @@ async def test_a_tap_adds_two_calls_and_two_entries_to_an_exchange() -> None:
         assert calls.of_c - without[0].of_c == 2
 
 
-@pytest.mark.usefixtures("each_driver", "still")
+@pytest.mark.usefixtures("each_driver", "still", "no_collection")
 async def test_an_exchange_with_a_tap_keeps_its_two_entries_and_nothing_else() -> None:
     def blocks(rig: Rig) -> int:
         chunks = [bytes(REQUEST) for _ in range(200)]

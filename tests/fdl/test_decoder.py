@@ -298,6 +298,7 @@ def calls(work: Callable[[], object]) -> int:
     return count
 
 
+@pytest.mark.usefixtures("no_collection")
 @pytest.mark.parametrize("name", ["random", *(f"{value:02X} repeated" for value in (0, 0x10, 0x16, 0x55, *Kind))])
 def test_garbage_takes_at_most_a_call_an_octet(name: str) -> None:
     # one call an octet would be parse() alone; before runs were skipped it was four to seven

@@ -203,6 +203,7 @@ def calls_of(asked: Asked) -> int:
     return count
 
 
+@pytest.mark.usefixtures("no_collection")
 def test_a_slave_without_faults_costs_no_call_more() -> None:
     plain = calls_of(Asked())
     assert plain <= 33

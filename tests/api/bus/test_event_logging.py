@@ -155,6 +155,7 @@ def test_any_record_is_one_json_line() -> None:
     assert line == {"level": "error", "logger": "other", "text": r"failed: a\x1b[2J", "port": "p"}
 
 
+@pytest.mark.usefixtures("no_collection")
 def test_an_event_whose_level_is_off_costs_a_handful_of_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     """No text, no fields and no record is made: counted by the functions of ours and of logging that are called."""
     calls: list[str] = []

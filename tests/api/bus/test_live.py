@@ -227,6 +227,7 @@ def test_the_clock_of_the_computer_may_be_set(monkeypatch: pytest.MonkeyPatch) -
     run()
 
 
+@pytest.mark.usefixtures("no_collection")
 @in_virtual_time
 async def test_a_reader_costs_calls_a_snapshot_and_none_a_telegram() -> None:
     calls: Counter[str] = Counter()

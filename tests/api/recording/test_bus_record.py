@@ -199,6 +199,7 @@ def _calls_of(work: Callable[[], object]) -> list[CodeType]:
     return codes
 
 
+@pytest.mark.usefixtures("no_collection")
 @pytest.mark.parametrize(("outputs", "most"), [(False, 12), (True, 12 + 5 * 10)])
 async def test_the_cost_of_a_round(outputs: bool, most: int, tmp_path: Path) -> None:
     """Ten slaves: calls of Python functions at the end of a round, none without a recording."""

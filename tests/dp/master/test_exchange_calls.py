@@ -14,6 +14,7 @@ EXCHANGES = 400
 #: calls of dpstack's functions in an exchange of Data_Exchange, with the share of the token and of the round's ends;
 #: 59.5 with changing outputs at commit 364aac1, counted by this test's function
 MOST_CALLS = 32.5
+pytestmark = pytest.mark.usefixtures("no_collection")
 
 
 def calls_of(bus: NullBus) -> Counter[str]:
