@@ -13,7 +13,7 @@ from typing import Final
 
 import dpstack
 from bench.report import Report
-from dpstack.profile import ParamSpec, ParamStore, ParamTable
+from dpstack.profile import ParamSpec, ParamStore, ParamTable, ParamType
 from dpstack.profile.record47 import Counters, ParameterServer, Rules, StoreParameters, TimedRecords
 from dpstack.slave import DpSlave, SlaveDescription
 from dpstack.units import NS_PER_MS, baud_text
@@ -39,7 +39,9 @@ class Reading:
 def mixer(busy_ms: int = 0) -> DpSlave:
     """The device, ``busy_ms`` at each request."""
     words = [ParamSpec(number=n, name=f"p{n}", title="Word", factory=n % 1000) for n in _WORDS]
-    arrays = [ParamSpec(number=n, name=f"p{n}", title="Sets", long=True, per_set=True, factory=7) for n in _ARRAYS]
+    arrays = [
+        ParamSpec(number=n, name=f"p{n}", title="Sets", type=ParamType.U32, per_set=True, factory=7) for n in _ARRAYS
+    ]
     store = ParamStore(ParamTable((*words, *arrays)), {}, sets=_ELEMENTS)
     server = ParameterServer(StoreParameters(store), Rules(busy_ns=busy_ms * NS_PER_MS))
     return DpSlave(MIXER, lambda outputs, elapsed: outputs, parameters=TimedRecords(server))

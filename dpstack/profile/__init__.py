@@ -82,6 +82,7 @@ if TYPE_CHECKING:
     from dpstack.profile.model.param_errors import PARAMETER_ERRORS as PARAMETER_ERRORS
     from dpstack.profile.model.param_errors import error_text as error_text
     from dpstack.profile.model.param_store import ParamStore as ParamStore
+    from dpstack.profile.model.param_types import ParamType as ParamType
     from dpstack.profile.model.params import POWER_ON as POWER_ON
     from dpstack.profile.model.params import ListedParam as ListedParam
     from dpstack.profile.model.params import ParamSpec as ParamSpec
@@ -141,6 +142,7 @@ model.drive_type CHANNEL_LEN Options TelegramFamily TelegramSpec
 model.jobs Args CommandError Steps
 model.param_errors PARAMETER_ERRORS error_text
 model.param_store ParamStore
+model.param_types ParamType
 model.params POWER_ON ListedParam ParamSpec ParamTable Use count_of listing
 model.states FAULTED MOVING ControlTable Goal State StateRow StateTable
 model.status DriveStatus SettingsState

@@ -192,7 +192,7 @@ class DriveProfile(DriveType):
         checked = self._core_options({**(self.simulated_options if simulated else {}), **(options or {})}, where)
         core = self.core_factory(self, name, self.telegram(telegram), checked)
         if records is not None and (acyclic := core.over_records(records)) is not None:
-            core.records = records
+            core.records, acyclic.notice = records, core.notice
             acyclic.cyclic, core.access = core.access, acyclic
         return core
 

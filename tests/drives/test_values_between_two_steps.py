@@ -8,7 +8,7 @@ from demag_kit import ZERO, ppo1
 from drive_bench import Times
 
 from dpstack.errors import ConfigError
-from dpstack.profile import CommandError, ParamKey, ParamSpec, ParamTable, count_of
+from dpstack.profile import CommandError, ParamKey, ParamSpec, ParamTable, ParamType, count_of
 from dpstack.profile.record47 import AcyclicAccess, ParameterClient, RecordQueue, WriteReq, plain_places
 from dpstack_drives.demag import DRIVE as DEMAG
 from tests.drives.fuji_kit import IDLE
@@ -66,8 +66,8 @@ def test_parameters_of_a_simulated_drive_are_not_rounded_either() -> None:
 TABLE = ParamTable(
     [
         ParamSpec(number=11, name="ramp", title="Ramp time", decimals=1, unit="s", high=600),
-        ParamSpec(number=12, name="offset", title="Offset", low=-100_000, high=100_000),
-        ParamSpec(number=13, name="count", title="Count", high=100_000),
+        ParamSpec(number=12, name="offset", title="Offset", type=ParamType.I32, low=-100_000, high=100_000),
+        ParamSpec(number=13, name="count", title="Count", type=ParamType.U32, high=100_000),
     ]
 )
 

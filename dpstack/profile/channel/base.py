@@ -66,6 +66,16 @@ class ParameterChannel(abc.ABC):
     ``data_set``. Deadlines in ns.
     """
 
+    #: reports a remark to people
+    notice: Callable[[str], None] = staticmethod(lambda text: None)
+    _remarked: frozenset[str] = frozenset()
+
+    def remark(self, label: str, text: str | None) -> None:
+        """Report ``text`` about a parameter, once for each; None: nothing to report."""
+        if text is not None and label not in self._remarked:
+            self._remarked |= {label}
+            self.notice(f"{label}: {text}")
+
     @property
     def octets(self) -> bytes:
         """The octets to send in front of the process data; empty if the channel is not part of them."""

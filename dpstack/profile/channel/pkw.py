@@ -31,6 +31,7 @@ from dpstack.profile.channel.base import (
 from dpstack.profile.channel.stored_writes import StoredWrites
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.param_errors import OPERATING_STATE, PARAMETER_ERRORS
+from dpstack.profile.model.param_types import ParamType
 from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.text import NamedInt
 from dpstack.units import NS_PER_MS
@@ -202,9 +203,9 @@ class PkwChannel:
             found["error"] = f"error {number}, {self._dialect.error_text(number)}"
             return found | {"text": f"{text}: {found['error']}"}
         reads = order and "READ" in what.upper()
-        if spec is not None and not reads:
-            long = "long" in what
-            value = spec.to_value(spec.from_wire(pkw.pwe, 32 if long else 16))
+        bits = 32 if "long" in what else 16
+        if spec is not None and not reads and (spec.type is not ParamType.F32 or bits == 32):
+            value = spec.to_value(spec.from_wire(pkw.pwe, bits))
             found["value"] = value
             if spec.unit:
                 found["unit"] = spec.unit
@@ -347,14 +348,14 @@ class PkwAccess(PkwChannel, ParameterChannel):
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         ref = self._core.resolve(key)
-        return _outcome(ref, (yield from self._read(ref, deadline)))
+        return self._outcome(ref, (yield from self._read(ref, deadline)))
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter; of an unknown one the type is read first and ``value`` is the integer on the wire."""
         ref = self._core.resolve(key)
         raw = check_write(ref.spec, ref.label, value)
         if ref.spec is not None and raw is not None:
-            pwe, long = ref.spec.pwe(raw), ref.spec.long
+            pwe, long = ref.spec.pwe(raw), ref.spec.type.wide
         else:
             reply = yield from self._read(ref, deadline)
             long = reply.id in (ReplyId.LONG, ReplyId.ARRAY_LONG)
@@ -367,7 +368,7 @@ class PkwAccess(PkwChannel, ParameterChannel):
             self._stored_writes.admit((ref.pnu, ref.ind), ref.label, self._core.now, ref.spec)
         reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.ind, pwe), ref, deadline)
         self._core.written(ref)
-        return _outcome(ref, reply, value)
+        return self._outcome(ref, reply, value)
 
     def _read(self, ref: ParamRef, deadline: int) -> Steps[Pkw]:
         return self._exchange(Pkw(TaskId.READ_ARRAY if ref.array else TaskId.READ, ref.pnu, ref.ind), ref, deadline)
@@ -398,20 +399,23 @@ class PkwAccess(PkwChannel, ParameterChannel):
             raise CommandError("parameter", f"{ref.label}: reply {reply.id:d} does not answer order {order.id:d}")
         return reply
 
-
-def _outcome(ref: ParamRef, reply: Pkw, written: float = 0) -> dict[str, object]:
-    """The id of the reply decides its size, a word or a double word, also if the table has the other type.
-    ``written``: the value of a write; a negative one says that a parameter of unknown type has a sign."""
-    spec = ref.spec
-    bits = 32 if reply.id in (ReplyId.LONG, ReplyId.ARRAY_LONG) else 16
-    raw = reply.pwe & (1 << bits) - 1
-    if written < 0 and raw >> bits - 1:
-        raw -= 1 << bits
-    value: int | float = raw
-    if spec is not None:
-        raw = spec.from_wire(reply.pwe, bits)
-        value = spec.to_value(raw)
-    return outcome(spec, ref.pnu, value, raw, ref.data_set)
+    def _outcome(self, ref: ParamRef, reply: Pkw, written: float = 0) -> dict[str, object]:
+        """The id of the reply decides its size, a word or a double word, also if the table has the other type.
+        ``written``: the value of a write; a negative one says that a parameter of unknown type has a sign."""
+        spec = ref.spec
+        bits = 32 if reply.id in (ReplyId.LONG, ReplyId.ARRAY_LONG) else 16
+        raw = reply.pwe & (1 << bits) - 1
+        if written < 0 and raw >> bits - 1:
+            raw -= 1 << bits
+        value: int | float = raw
+        if spec is not None:
+            raw = spec.from_wire(reply.pwe, bits)
+            misfit = spec.misfit(raw, real=spec.type is ParamType.F32 and bits == 32)
+            if misfit is not None and spec.type is ParamType.F32:
+                raise CommandError("parameter", f"{ref.label}: {misfit}")
+            self.remark(ref.label, misfit)
+            value = spec.to_value(raw)
+        return outcome(spec, ref.pnu, value, raw, ref.data_set)
 
 
 def _raw(ref: ParamRef, value: float, long: bool) -> int:

@@ -180,6 +180,7 @@ class DriveCore:
         self.access: ParameterChannel | None = None
         if telegram.channel and self.parameter_table is not None:
             self.access = self.open_channel()
+            self.access.notice = self.notice
         #: Reads and Writes to its slave (record 47); None until its master gives it one
         self.records: RecordQueue | None = None
         #: requests over ``access`` that depend on the status word

@@ -270,13 +270,13 @@ def delivered(spec: ParamSpec | None) -> str:
 
 def described_parameters(table: Iterable[ParamSpec]) -> tuple[DescribedParameter, ...]:
     """The parameters of a table. Limits and settings at delivery that are made up are left out, as are limits that are
-    only those of a word."""
+    only those of the type."""
     return tuple(
         DescribedParameter(
             name=spec.name if spec.by_name or spec.index else f"{spec.number} {spec.name}",
             title=spec.title,
             range=""
-            if spec.made_up or spec.text or spec.high == _WORD
+            if spec.made_up or spec.text or (spec.low, spec.high) == spec.type_limits
             else f"{spec.low:g}..{value_text(spec, spec.high)}",
             delivered=delivered(spec),
             read_only=spec.read_only,

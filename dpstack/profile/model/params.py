@@ -10,9 +10,12 @@ from enum import StrEnum
 from typing import Final
 
 from dpstack.profile.model.param_errors import LIMITS, READ_ONLY
+from dpstack.profile.model.param_types import ParamType, float_bits, float_of
 
 _WORD: Final = 0xFFFF
 _LONG: Final = 0xFFFF_FFFF
+#: up to here a float of 32 bits holds every whole number
+_EXACT: Final = 1 << 24
 #: parts of a step by which a value may miss it: what decimal fractions lose as floats
 _TOLERANCE: Final = 1e-6
 
@@ -34,6 +37,13 @@ def count_of(what: str, value: float, per_unit: float, unit: str = "") -> int:
         f"{what}: {_shown(value)}{behind} lies between two values, the step is {step}{behind}: "
         f"give {low} or {high}{behind}"
     )
+
+
+def check_float(what: str, value: float) -> None:
+    """Raises ValueError with the two nearest values for a whole number that no float of 32 bits is equal to."""
+    if value == int(value) and abs(value) > _EXACT:
+        step = 1 << int(abs(value)).bit_length() - _EXACT.bit_length() + 1
+        count_of(what, value, 1 / step)
 
 
 def _shown(value: float) -> str:
@@ -58,13 +68,14 @@ POWER_ON: Final = "power-on"
 
 @dataclass(frozen=True, slots=True)
 class ParamSpec:
-    """A parameter. ``low``, ``high`` and ``factory`` are in ``unit``; on the wire stands value x 10^decimals.
+    """A parameter of a ``type``. ``low``, ``high`` and ``factory`` are in ``unit``; without limits they are the type's.
 
-    ``per_unit`` instead of ``decimals`` if that is no power of ten. ``index``: a fixed subindex that belongs to the
-    number. ``by_name``: people know it by its name. ``read_only``. ``text``: a string, which the parameter channel
-    cannot carry. ``made_up``: limits or factory value are ours. ``volatile``: the drive never stores it in its EEPROM.
-    ``acts``: when a write counts: at once (empty), from :data:`POWER_ON`, or with a write of the parameter of this
-    name.
+    On the wire stands value x 10^decimals in the type's width and sign, or the float itself (``ParamType.F32``); its
+    "integer on the wire" (raw) is then the 32 bits of the float. ``per_unit`` instead of ``decimals`` if that is no
+    power of ten. ``index``: a fixed subindex that belongs to the number. ``by_name``: people know it by its name.
+    ``read_only``. ``made_up``: limits or factory value are ours. ``volatile``: the drive never stores it in its
+    EEPROM. ``acts``: when a write counts: at once (empty), from :data:`POWER_ON`, or with a write of the parameter of
+    this name. Raises ValueError if the type cannot hold the limits.
     """
 
     #: number
@@ -74,15 +85,15 @@ class ParamSpec:
     #: title for people
     title: str
     #: lowest value in ``unit``
-    low: float = 0
+    low: float = -math.inf
     #: highest value in ``unit``
-    high: float = 0xFFFF
+    high: float = math.inf
     #: value at delivery in ``unit``
     factory: float = 0
     _: KW_ONLY
     index: int = 0
-    #: 32 bits on the wire instead of 16
-    long: bool = False
+    #: data type on the wire
+    type: ParamType = ParamType.U16
     #: decimals: the wire carries value x 10^decimals
     decimals: int = 0
     #: counts on the wire that make 1 in ``unit``, if that is no power of ten
@@ -93,7 +104,6 @@ class ParamSpec:
     per_set: bool = False
     #: the drive refuses writes
     read_only: bool = False
-    text: bool = False
     made_up: bool = False
     by_name: bool = False
     volatile: bool = False
@@ -101,27 +111,55 @@ class ParamSpec:
     use: Use = Use.NONE
     acts: str = ""
 
+    def __post_init__(self) -> None:
+        if self.type is ParamType.F32 and (self.decimals or self.per_unit):
+            raise ValueError(f"parameter {self.label}: a float has neither decimals nor per_unit")
+        lowest, highest = self.type_limits
+        for name, given, limit in (("low", self.low, lowest), ("high", self.high, highest)):
+            if math.isinf(given):
+                object.__setattr__(self, name, limit)
+            elif not self.text and not lowest - _TOLERANCE <= given <= highest + _TOLERANCE:
+                raise ValueError(
+                    f"parameter {self.label}: {name} = {given:g} does not fit its type {self.type}, which holds "
+                    f"{lowest:g}..{highest:g}"
+                )
+
+    @property
+    def type_limits(self) -> tuple[float, float]:
+        """Lowest and highest value in ``unit`` that the type holds."""
+        low, high = self.type.limits
+        return (low, high) if self.counts == 1 else (low / self.counts, high / self.counts)
+
+    @property
+    def text(self) -> bool:
+        """A string, which the parameter channel cannot carry."""
+        return self.type is ParamType.TEXT
+
     def to_raw(self, value: float) -> int:
         """The integer on the wire. Raises ValueError with the limits, or with the step if it lies between two."""
         if not (math.isfinite(value) and self.low <= value <= self.high):
             unit = f" {self.unit}" if self.unit else ""
             raise ValueError(f"{self.label}: {value:g}{unit} is outside {self.low:g}..{self.high:g}{unit}")
+        if self.type is ParamType.F32:
+            check_float(self.label, value)
+            return float_bits(value)
         return count_of(self.label, value, self.counts, self.unit)
 
     def nearest_raw(self, value: float) -> int:
         """The integer on the wire that is nearest to a measured ``value``, within the limits."""
-        return round(min(max(value, self.low), self.high) * self.counts)
+        value = min(max(value, self.low), self.high)
+        return float_bits(value) if self.type is ParamType.F32 else round(value * self.counts)
 
     @property
     def counts(self) -> float:
-        """Counts on the wire that make 1 in ``unit``."""
-        return self.per_unit or float(10**self.decimals)
+        """Counts on the wire that make 1 in ``unit``; 1 for a float."""
+        return self.per_unit or float(10**self.decimals) * self.type.counts
 
     def to_value(self, raw: int) -> int | float:
         """The value in ``unit`` of an integer on the wire: an int if there are no decimals."""
-        if self.per_unit not in (0, 1):
-            return raw / self.per_unit
-        return raw / 10**self.decimals if self.decimals else raw
+        if self.type is ParamType.F32:
+            return float_of(raw & _LONG)
+        return raw if self.counts == 1 else raw / self.counts
 
     def write_error(self, raw: int) -> int | None:
         """The error number of a write of ``raw``: of a read-only parameter, or beyond the limits; None: it may be."""
@@ -131,17 +169,37 @@ class ParamSpec:
 
     def pwe(self, raw: int) -> int:
         """``raw`` as the 32 bits of PWE; a word stands in the low half, its high half is 0."""
-        return raw & (_LONG if self.long else _WORD)
+        return raw & (_LONG if self.type.wide else _WORD)
 
     def from_pwe(self, pwe: int) -> int:
-        """The integer in PWE; signed if the parameter can be negative."""
-        return self.from_wire(pwe, 32 if self.long else 16)
+        """The integer in PWE, with the sign of the type."""
+        return self.from_wire(pwe, 32 if self.type.wide else 16)
 
     def from_wire(self, raw: int, bits: int) -> int:
-        """The low ``bits`` as the drive sent them, whatever its type is here; signed if it can be negative."""
+        """The low ``bits`` as the drive sent them, whatever width the type has, with the sign of the type."""
         half = 1 << bits - 1
         raw &= (half << 1) - 1
-        return (raw ^ half) - half if self.low < 0 else raw
+        return (raw ^ half) - half if self.type.signed else raw
+
+    def misfit(self, raw: int, real: bool = False) -> str | None:
+        """Why the type cannot be that of the drive if it answers ``raw`` (:meth:`from_wire`), for people; None if it
+        can. ``real``: the drive says that it is a float.
+        """
+        declared, low, high = f"it is declared as {self.type}", *self.type.limits
+        remedy = "declare the type that the drive's manual gives"
+        if self.type is ParamType.F32:
+            return None if real else f"{declared}, and the drive answers an integer: {remedy}"
+        if real:
+            return f"{declared}, and the drive answers a float: {remedy}, {ParamType.F32}"
+        maybe = float_of(raw & _LONG)
+        as_float = f" (as a float it is {maybe:g})" if _TOLERANCE < abs(maybe) < 1 / _TOLERANCE else ""
+        if not low <= raw <= high:
+            return f"{declared}, and the drive answers {raw}{as_float}, which that cannot hold: {remedy}"
+        value = self.to_value(raw)
+        if as_float and self.type.wide and not self.low <= value <= self.high and self.low <= maybe <= self.high:
+            limits = f"outside {self.low:g}..{self.high:g}"
+            return f"{declared}, and the drive's value {value:g} is {limits}{as_float}: {remedy}"
+        return None
 
     @property
     def label(self) -> str:
@@ -241,7 +299,7 @@ def listing(
             index=index,
             unit=spec.unit,
             read_only=spec.read_only,
-            per_unit=spec.counts,
+            per_unit=0 if spec.type is ParamType.F32 else spec.counts,
             why_not="it is a text, which the parameter channel cannot carry" if spec.text else why_not(spec),
         )
         for spec in table

@@ -25,9 +25,18 @@ from dpstack.profile.channel.base import (
 from dpstack.profile.channel.stored_writes import StoredWrites
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.param_errors import error_text
+from dpstack.profile.model.param_types import ParamType
 from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.profile.record47.client import NoRecordError, ParameterClient
-from dpstack.profile.record47.formats import BIT_STRING, FORMATS, OCTET_STRING, Raw, Value
+from dpstack.profile.record47.formats import (
+    BIT_STRING,
+    DOUBLE_WORD,
+    FLOAT,
+    FORMATS,
+    OCTET_STRING,
+    Raw,
+    Value,
+)
 from dpstack.profile.record47.pdu import Address, Answer, ErrorValue, Pause, Refused, Result, Silent, Transport, Values
 
 T = TypeVar("T")
@@ -165,7 +174,7 @@ class AcyclicAccess(ParameterChannel):
 
     def _read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         place = self._placed(key)
-        return _outcome(place, (yield from self._values(place, deadline)))
+        return self._outcome(place, (yield from self._values(place, deadline)))
 
     def _read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
         """Read in as few requests as possible; adjacent elements of an array are one address."""
@@ -178,12 +187,12 @@ class AcyclicAccess(ParameterChannel):
             if isinstance(result, Values) and len(result.raws) == len(run.places):
                 for place, raw in zip(run.places, result.raws, strict=True):
                     self._formats[place.address] = result.format
-                    found.append(_outcome(place, Values(result.format, (raw,))))
+                    found.append(self._outcome(place, Values(result.format, (raw,))))
                 continue
             for place in run.places:  # one of them is the reason: ask for each by itself
                 try:
                     values = yield from self._values(place, deadline, result if len(run.places) == 1 else None)
-                    found.append(_outcome(place, values))
+                    found.append(self._outcome(place, values))
                 except CommandError as error:
                     found.append(refused(error))
         return found
@@ -204,7 +213,7 @@ class AcyclicAccess(ParameterChannel):
         except ValueError as error:
             raise CommandError("usage", f"{place.label}: {error}") from None
         _check_refused(place, result)
-        return _outcome(place, values)
+        return self._outcome(place, values)
 
     def run(self, transport: Transport[T], deadline: int, label: str) -> Steps[T]:
         """Run ``transport`` with the drive after those before it. Raises CommandError."""
@@ -260,6 +269,31 @@ class AcyclicAccess(ParameterChannel):
         self._formats[place.address] = result.format
         return result
 
+    def _outcome(self, place: Place, values: Values) -> dict[str, object]:
+        spec = place.spec
+        form = FORMATS[values.format]
+        first = values.raws[0]
+        octets = form.octets
+        if isinstance(first, bytes) and form.number in _NUMBERS and 0 < len(first) <= _LONGEST_NUMBER:
+            octets = len(first)
+            first = int.from_bytes(first, "big")
+        value: Value = first if form.number in _NUMBERS else form.value(first)
+        if isinstance(value, (str, bytes)):
+            raise CommandError("parameter", f"{place.label} is no number but {form.name}: {value!r}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise CommandError("parameter", f"{place.label} is no number: the drive answers {value} ({form.name})")
+        raw = first if isinstance(first, int) else int.from_bytes(form.pack((first,)), "big")
+        if spec is not None:
+            raw = spec.from_wire(raw, 8 * octets) if isinstance(first, int) else raw
+            real = isinstance(first, float)
+            misfit = spec.misfit(raw, real or (form.number == DOUBLE_WORD and spec.type is ParamType.F32))
+            if misfit is not None and spec.type is ParamType.F32:
+                raise CommandError("parameter", f"{place.label}: {misfit} ({form.name})")
+            self.remark(place.label, misfit and f"{misfit} ({form.name})")
+            if not real or (form.number == FLOAT and spec.type is ParamType.F32):
+                value = spec.to_value(raw)
+        return outcome(spec, place.number, value, raw, place.data_set)
+
 
 def _check_refused(place: Place, result: Result) -> None:
     if isinstance(result, ErrorValue):
@@ -282,35 +316,20 @@ def answer_of(outcome: Outcome) -> bytes | Refused | Silent:
 def _raw(spec: ParamSpec | None, number: int, value: float) -> Raw:
     """``value`` in format ``number``. Raises ValueError."""
     form = FORMATS[number]
-    if spec is None or form.code in ("f", "d"):
+    if form.code in ("f", "d"):
         raw = form.raw(value)
-        if isinstance(raw, float) and form.code not in ("f", "d") and raw != int(raw):
+        return float(raw) if isinstance(raw, int) else raw
+    if spec is None:
+        raw = form.raw(value)
+        if isinstance(raw, float) and raw != int(raw):
             raise ValueError(f"its scale is unknown here, give the integer of format {form.name} on the wire")
         return raw
     integer = spec.to_raw(value)
-    if spec.low >= 0 or form.low < 0:
+    if spec.type is ParamType.F32 and number != DOUBLE_WORD:
+        raise ValueError(f"{spec.misfit(integer)} ({form.name})")
+    if not spec.type.signed or form.low < 0:
         return integer
     half = form.high + 1 >> 1  # two's complement in a format without a sign
     if not -half <= integer < half:
         raise ValueError(f"{value:g} {spec.unit}".rstrip() + f" is more than the drive's format {form.name} can hold")
     return integer & form.high
-
-
-def _outcome(place: Place, values: Values) -> dict[str, object]:
-    spec = place.spec
-    form = FORMATS[values.format]
-    first = values.raws[0]
-    octets = form.octets
-    if isinstance(first, bytes) and form.number in _NUMBERS and 0 < len(first) <= _LONGEST_NUMBER:
-        octets = len(first)
-        first = int.from_bytes(first, "big")
-    value: Value = first if form.number in _NUMBERS else form.value(first)
-    if isinstance(value, (str, bytes)):
-        raise CommandError("parameter", f"{place.label} is no number but {form.name}: {value!r}")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise CommandError("parameter", f"{place.label} is no number: the drive answers {value} ({form.name})")
-    raw = first if isinstance(first, int) else int.from_bytes(form.pack((first,)), "big")
-    if spec is not None and isinstance(first, int):
-        raw = spec.from_wire(first, 8 * octets)
-        value = spec.to_value(raw)
-    return outcome(spec, place.number, value, raw, place.data_set)

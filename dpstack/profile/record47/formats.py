@@ -17,7 +17,7 @@ from typing import Final
 from msgspec import Struct
 
 from dpstack.errors import PduError
-from dpstack.profile.model.params import count_of
+from dpstack.profile.model.params import check_float, count_of
 
 #: a value on the wire: an integer, a float (formats 8 and 15), or octets
 Raw = int | float | bytes
@@ -99,17 +99,13 @@ class Format(Struct, frozen=True):
             return value.encode("latin-1", "replace")
         if isinstance(value, bytes):
             return value
-        if self.code == "f" and value == int(value) and abs(value) > _EXACT:
-            # beyond 24 bits a float cannot hold every whole number
-            step = 1 << int(abs(value)).bit_length() - _EXACT.bit_length() + 1
-            count_of(self.name, value, 1 / step)
+        if self.code == "f":
+            check_float(self.name, value)
         if not self.scale:
             return value
         return count_of(self.name, value, 1 / self.scale)
 
 
-#: up to here FloatingPoint holds every whole number
-_EXACT: Final = 1 << 24
 BOOLEAN, INTEGER8, INTEGER16, INTEGER32, UNSIGNED8, UNSIGNED16, UNSIGNED32, FLOAT = range(1, 9)
 VISIBLE_STRING, OCTET_STRING, BIT_STRING = 9, 10, 14
 #: no value: the answer to a successful change beside failed ones

@@ -24,6 +24,7 @@ from dpstack.dpv1.slave.record_requests import Asker, RecordRequest
 from dpstack.errors import PduError
 from dpstack.profile.model import param_errors as errors
 from dpstack.profile.model.param_store import ParamStore
+from dpstack.profile.model.param_types import ParamType
 from dpstack.profile.model.params import ParamSpec
 from dpstack.profile.record47 import formats
 from dpstack.profile.record47.formats import Raw, UnknownFormatError, format_of
@@ -191,13 +192,8 @@ def _failed(request: Request, error: int) -> Response:
 
 
 _LIST_LEN: Final = 300
-#: substitutes for a format of the same size (Siemens SINAMICS manual p97)
-_SUBSTITUTES: Final = {
-    formats.INTEGER16: formats.WORD,
-    formats.UNSIGNED16: formats.WORD,
-    formats.INTEGER32: formats.DOUBLE_WORD,
-    formats.UNSIGNED32: formats.DOUBLE_WORD,
-}
+#: substitutes for a format by its octets (Siemens SINAMICS manual p97)
+_SUBSTITUTES: Final = {1: formats.BYTE, 2: formats.WORD, 4: formats.DOUBLE_WORD}
 
 
 class _Place(NamedTuple):
@@ -206,13 +202,6 @@ class _Place(NamedTuple):
     spec: ParamSpec
     data_set: int = 1
     fixed: int | None = None
-
-
-def _format_number(spec: ParamSpec) -> int:
-    """The format of a parameter: 16 or 32 bits, signed if it can be negative."""
-    if spec.long:
-        return formats.INTEGER32 if spec.low < 0 else formats.UNSIGNED32
-    return formats.INTEGER16 if spec.low < 0 else formats.UNSIGNED16
 
 
 class StoreParameters(ParameterModel):
@@ -258,7 +247,7 @@ class StoreParameters(ParameterModel):
         places = self._wanted(address)
         if isinstance(places, ErrorValue):
             return places
-        return Values(_format_number(places[0].spec), tuple(map(self._raw, places)))
+        return Values(places[0].spec.type.data_format, tuple(map(self._raw, places)))
 
     def change(self, address: Address, values: Values) -> ErrorValue | None:
         if address.pnu in self._own:
@@ -278,10 +267,10 @@ class StoreParameters(ParameterModel):
         return None
 
     def _checked(self, spec: ParamSpec, number: int, raw: Raw, subindex: int) -> int | ErrorValue:
-        form = _format_number(spec)
-        if number not in (form, _SUBSTITUTES[form]) or not isinstance(raw, int):
+        form = format_of(number)
+        if number not in (spec.type.data_format, _SUBSTITUTES[spec.type.bits // 8]):
             return ErrorValue(errors.BAD_TYPE)
-        checked = spec.from_pwe(raw)
+        checked = spec.from_wire(int.from_bytes(form.repack((raw,)), "big"), spec.type.bits)
         if (error := spec.write_error(checked)) is not None:
             return ErrorValue(error, subindex)
         return ErrorValue(errors.OPERATING_STATE) if self._locked(spec) else checked
@@ -295,14 +284,15 @@ class StoreParameters(ParameterModel):
             return ErrorValue(errors.BAD_ADDRESS)
         spec = next(iter(places.values())).spec
         array = _is_array(places)
-        limit = format_of(formats.INTEGER32 if spec.low < 0 else formats.UNSIGNED32)
+        real = spec.type is ParamType.F32
+        limit = format_of(formats.FLOAT if real else formats.INTEGER32 if spec.type.signed else formats.UNSIGNED32)
         # as near as four octets can hold the limits
         low, high = (
-            limit.pack((min(max(round(value * spec.counts), limit.low), limit.high),))
+            limit.pack((value if real else min(max(round(value * spec.counts), limit.low), limit.high),))
             for value in (spec.low, spec.high)
         )
         described = Description(
-            _format_number(spec),
+            spec.type.data_format,
             max(places) + 1 if array else 1,
             spec.title,
             spec.read_only,
@@ -328,12 +318,14 @@ class StoreParameters(ParameterModel):
         octets = "".join(f"{one:16.16}" for one in found[address.subindex : end]).encode("latin-1", "replace")
         return Values(formats.VISIBLE_STRING, (octets,))
 
-    def _raw(self, place: _Place) -> int:
+    def _raw(self, place: _Place) -> Raw:
         if place.fixed is not None:
             return place.fixed
-        live = self._live(place.spec)
-        raw = self._store.raw(place.spec, place.data_set) if live is None else live
-        return place.spec.from_pwe(place.spec.pwe(raw))
+        spec = place.spec
+        live = self._live(spec)
+        raw = self._store.raw(spec, place.data_set) if live is None else live
+        octets = spec.type.bits // 8
+        return format_of(spec.type.data_format).unpack((raw & (1 << 8 * octets) - 1).to_bytes(octets, "big"))[0]
 
     def _wanted(self, address: Address) -> list[_Place] | ErrorValue:
         places = self._places.get(address.pnu)

@@ -377,13 +377,13 @@ class DriveDevice(Device):
         spec = self.store.table.get(order.pnu)
         if spec is None or spec.text:
             return ReplyId.ERROR, ILLEGAL_NUMBER
-        reply = ReplyId.LONG if spec.long else ReplyId.WORD
+        reply = ReplyId.LONG if spec.type.wide else ReplyId.WORD
         if order.id == TaskId.READ:
             actual = self.live(spec)
             return reply, spec.pwe(self.store.raw(spec) if actual is None else actual)
         raw = spec.from_pwe(order.pwe)
         error = spec.write_error(raw)
-        if error != READ_ONLY and order.id != (TaskId.WRITE_LONG if spec.long else TaskId.WRITE_WORD):
+        if error != READ_ONLY and order.id != (TaskId.WRITE_LONG if spec.type.wide else TaskId.WRITE_WORD):
             error = BAD_TYPE
         elif error is None and self.locked(spec):
             error = OPERATING_STATE

@@ -469,7 +469,7 @@ class DemagDevice(DriveDevice):
         if order.id in _WORDS or order.id in _LONGS:
             if spec.read_only:
                 return ReplyId.ERROR, 1
-            if spec.long != (order.id in _LONGS):
+            if spec.type.wide != (order.id in _LONGS):
                 return ReplyId.ERROR, 5
             raw = spec.from_pwe(order.pwe)
             if not spec.low <= spec.to_value(raw) <= spec.high:
@@ -489,8 +489,8 @@ class DemagDevice(DriveDevice):
         else:
             live = self._live(order.pnu)
             raw = self.store.raw(spec, data_set or 1) if live is None else spec.nearest_raw(live)
-        plain = ReplyId.LONG if spec.long else ReplyId.WORD
-        in_set = ReplyId.ARRAY_LONG if spec.long else ReplyId.ARRAY_WORD
+        plain = ReplyId.LONG if spec.type.wide else ReplyId.WORD
+        in_set = ReplyId.ARRAY_LONG if spec.type.wide else ReplyId.ARRAY_WORD
         return in_set if array else plain, spec.pwe(raw)
 
     def _reset(self) -> None:

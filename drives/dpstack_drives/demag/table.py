@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
-from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Use, Word, drivecom_states
+from dpstack.profile import ParamSpec, ParamTable, ParamType, PkwDialect, TelegramSpec, Use, Word, drivecom_states
 from dpstack_drives import ppo
 
 IDENT: Final = 0x0696
@@ -85,19 +85,22 @@ FAULT_LOCK_S: Final = 15
 
 # Types of 400 and 480 as in 11.1.6; the others by their range (a reading: the list of types is an extra file).
 # Data sets: those the manual names so, 424 and 425 a reading. made_up: factory values and limits not in the manual.
-_frequency = partial(ParamSpec, decimals=2, unit="Hz", long=True)
+_frequency = partial(ParamSpec, decimals=2, unit="Hz", type=ParamType.U32)
+_signed_frequency = partial(_frequency, type=ParamType.I32)
 _ramp = partial(_frequency, unit="Hz/s", made_up=True)
 
 PARAMETERS: Final = ParamTable(
     (
-        _frequency(228, "internal_reference_frequency", "Internal reference frequency", -1000, 1000, read_only=True),
+        _signed_frequency(
+            228, "internal_reference_frequency", "Internal reference frequency", -1000, 1000, read_only=True
+        ),
         ParamSpec(249, "active_data_set", "Active data set", 1, 4, 1, read_only=True),
         ParamSpec(250, "digital_inputs", "Digital inputs", 0, 255, read_only=True),
         ParamSpec(270, "warnings", "Warnings", 0, 0xFFFF, read_only=True),
-        ParamSpec(281, "dp_master_out", "DP-Master OUT", text=True, read_only=True),
-        _frequency(282, "reference_bus_frequency", "Reference bus frequency", -1000, 1000, read_only=True),
-        _frequency(283, "reference_ramp_frequency", "Reference ramp frequency", -1000, 1000, read_only=True),
-        ParamSpec(284, "dp_master_in", "DP-Master IN", text=True, read_only=True),
+        ParamSpec(281, "dp_master_out", "DP-Master OUT", type=ParamType.TEXT, read_only=True),
+        _signed_frequency(282, "reference_bus_frequency", "Reference bus frequency", -1000, 1000, read_only=True),
+        _signed_frequency(283, "reference_ramp_frequency", "Reference ramp frequency", -1000, 1000, read_only=True),
+        ParamSpec(284, "dp_master_in", "DP-Master IN", type=ParamType.TEXT, read_only=True),
         ParamSpec(
             371, "rated_current", "Rated current", 0.1, 1000, 4, decimals=1, unit="A", per_set=True, made_up=True
         ),
@@ -111,7 +114,7 @@ PARAMETERS: Final = ParamTable(
         _ramp(424, "emergency_stop_clockwise", "Emergency stop clockwise", 0.01, 9999.99, 100),
         _ramp(425, "emergency_stop_anticlockwise", "Emergency stop anticlockwise", 0.01, 9999.99, 100),
         ParamSpec(434, "ramp_set_point", "Ramp set point", 1, 3, 3, per_set=True, use=Use.SOURCE),
-        _frequency(480, "fixed_frequency_1", "Fixed frequency 1", -999, 999, 5, per_set=True),
+        _signed_frequency(480, "fixed_frequency_1", "Fixed frequency 1", -999, 999, 5, per_set=True),
         ParamSpec(
             549, "max_control_deviation", "max. Control deviation", 0.01, 20, 1, decimals=2, unit="%", made_up=True
         ),

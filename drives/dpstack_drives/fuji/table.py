@@ -10,7 +10,7 @@ import re
 from functools import partial
 from typing import Final, NamedTuple
 
-from dpstack.profile import POWER_ON, ParamSpec, ParamTable, PkwDialect, Use, Word, profidrive_states
+from dpstack.profile import POWER_ON, ParamSpec, ParamTable, ParamType, PkwDialect, Use, Word, profidrive_states
 from dpstack_drives import ppo
 from dpstack_drives.codes import placed
 
@@ -182,7 +182,7 @@ _pnu = partial(ParamSpec, read_only=True)
 PARAMETERS: Final = ParamTable(
     placed(
         address,
-        _row("S01", "Frequency reference, per unit", -32_768, 32_767, made_up=True, read_only=True),
+        _row("S01", "Frequency reference, per unit", type=ParamType.I16, made_up=True, read_only=True),
         _row("S05", "Frequency reference", 0, 655.35, 0, decimals=2, unit="Hz", made_up=True, read_only=True),
         _row("S06", "Operation command", made_up=True, volatile=True),
         *(_row(f"M{16 + n}", f"Alarm code, {n} before the latest", 0, 254, read_only=True) for n in range(4)),

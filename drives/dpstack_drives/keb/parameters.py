@@ -36,7 +36,7 @@ class Parameters(Struct, eq=False):
 
     def provides(self, entry: Entry) -> bool:
         spec = t.PARAMETERS.get(entry.index)
-        return spec is not None and spec.long == entry.long
+        return spec is not None and spec.type.wide == entry.long
 
     def fetch(self, entry: Entry) -> int:
         """The value for the operator; of sets with different values the first one (a reading)."""
@@ -78,7 +78,7 @@ class Parameters(Struct, eq=False):
         if raw is not None:
             self._change(spec, sets, raw, octets)
             return raw, octets
-        return self._read(spec, sets), 4 if spec.long else 2
+        return self._read(spec, sets), 4 if spec.type.wide else 2
 
     def _sets(self, spec: ParamSpec, subindex: int) -> int:
         """The sets meant; 0 is the one that Fr.09 points to, set 0 here."""

@@ -12,7 +12,7 @@ import re
 from functools import partial
 from typing import Final, NamedTuple
 
-from dpstack.profile import ParamSpec, ParamTable, Use
+from dpstack.profile import ParamSpec, ParamTable, ParamType, Use
 from dpstack_drives.codes import placed
 
 #: a guess from the name of the GSD file, keb305EB.gsd
@@ -221,38 +221,42 @@ PARAMETERS: Final = ParamTable(
                 low,
                 high,
                 factory=low,
+                type=kind,
                 read_only=True,
                 made_up=False,
                 use=Use.MAP,
             )
             for first, way, at in ((16, "read", 1), (24, "write", 1), (58, "read", 5), (66, "write", 5))
             for n in range(BLOCK_VALUES)
-            for more, what, low, high in ((0, "definition", -1, 0x7FFF), (1, "set", 1, 0xFF))
+            for more, what, low, high, kind in (
+                (0, "definition", -1, 0x7FFF, ParamType.I16),
+                (1, "set", 1, 0xFF, ParamType.U16),
+            )
         ),
-        _row("sy.43", "control word (long)", -_ANY, _ANY, long=True, volatile=True),
-        _row("sy.44", "status word (long)", -_ANY, _ANY, long=True, read_only=True),
+        _row("sy.43", "control word (long)", -_ANY, _ANY, type=ParamType.I32, volatile=True),
+        _row("sy.44", "status word (long)", -_ANY, _ANY, type=ParamType.I32, read_only=True),
         _row("sy.50", "control word (low)", volatile=True),
         _row("sy.51", "status word (low)", read_only=True),
-        _row("sy.52", "set speed value", -0x8000, 0x7FFF, volatile=True),
-        _row("sy.53", "actual speed value", -0x8000, 0x7FFF, read_only=True),
+        _row("sy.52", "set speed value", type=ParamType.I16, volatile=True),
+        _row("sy.53", "actual speed value", type=ParamType.I16, read_only=True),
         _row("ru.00", "inverter state", read_only=True),
-        _row("ru.12", "actual torque display", -_ANY, _ANY, long=True, read_only=True),
+        _row("ru.12", "actual torque display", -_ANY, _ANY, type=ParamType.I32, read_only=True),
         _row("ru.39", "OL counter display", read_only=True),
         _row("oP.00", "reference source", high=10, use=Use.SOURCE),
         _row("oP.01", "rotation source", high=10, factory=2, use=Use.SOURCE),
-        _row("oP.03", "digital setpoint setting", -400, 400, per_unit=80, unit="Hz", per_set=True),
+        _row("oP.03", "digital setpoint setting", -400, 400, type=ParamType.I16, per_unit=80, unit="Hz", per_set=True),
         _row("oP.10", "max reference forward", 0, 400, 70, per_unit=80, unit="Hz", per_set=True),
         _row("oP.28", "acceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
         _row("oP.30", "deceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
-        _row("oP.59", "motorpoti ramp time", 0, 50_000, 66, long=True, per_set=True),
-        _row("LE.00", "switching level", -30_000, 30_000, long=True, per_set=True),
-        _row("cS.19", "abs. torque reference", -32_000, 32_000, long=True, per_set=True),
+        _row("oP.59", "motorpoti ramp time", 0, 50_000, 66, type=ParamType.U32, per_set=True),
+        _row("LE.00", "switching level", -30_000, 30_000, type=ParamType.I32, per_set=True),
+        _row("cS.19", "abs. torque reference", -32_000, 32_000, type=ParamType.I32, per_set=True),
         # at indexes that are made up
         _row("Pn.05", "E.buS stopping mode", high=6, factory=6),
         _row("Pn.06", "watchdog time", high=40, per_unit=100, unit="s"),
-        _row("ud.01", "password", -32_767, 32_767),
+        _row("ud.01", "password", -32_767, 32_767, type=ParamType.I16),
         _row("ud.05", "auto store", high=2, factory=2),
-        _row("Fr.01", "copy parameter set", -9, 7),
+        _row("Fr.01", "copy parameter set", -9, 7, type=ParamType.I16),
         _row("Fr.02", "parameter set source", high=5),
         _row("di.01", "select signal source", high=4095),
         _row("di.02", "digital input setting", high=4095),

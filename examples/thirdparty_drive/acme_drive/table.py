@@ -10,6 +10,7 @@ from dpstack.profile import (
     Goal,
     ParamSpec,
     ParamTable,
+    ParamType,
     Scale,
     State,
     StateRow,
@@ -63,7 +64,7 @@ PARAMETERS: Final = ParamTable(
         ParamSpec(number=3, name="deceleration", title="Deceleration time", decimals=1, unit="s", high=60, factory=0.5),
         ParamSpec(number=4, name="quick_stop", title="Quick stop time", decimals=1, unit="s", high=60, factory=0.1),
         ParamSpec(number=5, name="reference", title="Reference", decimals=1, unit="Hz", low=1, high=400, factory=50),
-        ParamSpec(number=10, name="starts", title="Starts so far", long=True, high=0xFFFF_FFFF, read_only=True),
+        ParamSpec(number=10, name="starts", title="Starts so far", type=ParamType.U32, read_only=True),
     )
 )
 

@@ -19,7 +19,7 @@ from dpstack.api.slave.record_parameters import RecordParameters
 from dpstack.dpv1.slave.record_requests import RecordRequest
 from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.errors import DriveError
-from dpstack.profile import ParamSpec, ParamStore, ParamTable
+from dpstack.profile import ParamSpec, ParamStore, ParamTable, ParamType
 from dpstack.profile.record47 import (
     Address,
     ErrorValue,
@@ -297,8 +297,19 @@ def drive(busy_ms: int = 10) -> tuple[RecordParameters, ParamStore]:
     table = ParamTable(
         [
             ParamSpec(number=11, name="ramp", title="Ramp time", decimals=1, unit="s", high=600, factory=1),
-            ParamSpec(number=12, name="offset", title="Offset", low=-100, high=100, factory=-3, per_set=True),
-            ParamSpec(number=13, name="hours", title="Hours", long=True, high=1e6, factory=70000, read_only=True),
+            ParamSpec(
+                number=12,
+                name="offset",
+                title="Offset",
+                type=ParamType.I16,
+                low=-100,
+                high=100,
+                factory=-3,
+                per_set=True,
+            ),
+            ParamSpec(
+                number=13, name="hours", title="Hours", type=ParamType.U32, high=1e6, factory=70000, read_only=True
+            ),
         ]
     )
     store = ParamStore(table, {}, sets=4)

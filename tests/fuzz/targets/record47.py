@@ -9,6 +9,7 @@ from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.profile.model.jobs import CommandError
 from dpstack.profile.model.param_store import ParamStore
+from dpstack.profile.model.param_types import ParamType
 from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.profile.record47.client import Item, ParameterClient
 from dpstack.profile.record47.param_lists import ReadParameter, read_limits, read_out, texts
@@ -31,8 +32,10 @@ from tests.fuzz.frame import Cutter, Target, assert_plain, parsed
 _TABLE: Final = ParamTable(
     [
         *(ParamSpec(number=n, name=f"p{n}", title=f"Parameter {n}", factory=n) for n in range(1, 5)),
-        ParamSpec(number=20, name="sets", title="Sets", low=-100, high=100, factory=-3, per_set=True),
-        ParamSpec(number=21, name="long", title="Long", long=True, high=1e6, factory=70000, read_only=True),
+        ParamSpec(
+            number=20, name="sets", title="Sets", type=ParamType.I16, low=-100, high=100, factory=-3, per_set=True
+        ),
+        ParamSpec(number=21, name="long", title="Long", type=ParamType.U32, high=1e6, factory=70000, read_only=True),
     ]
 )
 #: services that one job of the master may take: it ends by its patience

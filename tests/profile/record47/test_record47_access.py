@@ -7,14 +7,14 @@ from typing import TypeVar
 import pytest
 from acyclic_kit import outcome
 
-from dpstack.profile import CommandError, ParamKey, ParamSpec, ParamTable, Steps
+from dpstack.profile import CommandError, ParamKey, ParamSpec, ParamTable, ParamType, Steps
 from dpstack.profile.record47 import AcyclicAccess, ParameterClient, RecordQueue, WriteReq, plain_places
 
 TABLE = ParamTable(
     [
         ParamSpec(number=11, name="ramp", title="Ramp time", decimals=1, unit="s", high=600),
-        ParamSpec(number=12, name="offset", title="Offset", low=-100, high=100),
-        ParamSpec(number=13, name="hours", title="Hours", long=True, high=1e6, read_only=True),
+        ParamSpec(number=12, name="offset", title="Offset", type=ParamType.I16, low=-100, high=100),
+        ParamSpec(number=13, name="hours", title="Hours", type=ParamType.U32, high=1e6, read_only=True),
     ]
 )
 S = 10**9

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from acyclic_kit import Script, Wire, octets, talk
 
-from dpstack.profile import ParamSpec, ParamStore, ParamTable
+from dpstack.profile import ParamSpec, ParamStore, ParamTable, ParamType
 from dpstack.profile.model.jobs import CommandError
 from dpstack.profile.record47 import (
     Address,
@@ -30,9 +30,18 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 TABLE = ParamTable(
     [
         *(ParamSpec(number=n, name=f"p{n}", title=f"Parameter {n}", factory=n) for n in range(1, 12)),
-        ParamSpec(number=20, name="sets", title="Sets", low=-100, high=100, factory=-3, per_set=True),
         ParamSpec(
-            number=21, name="long", title="Long", long=True, high=1e6, factory=70000, per_set=True, read_only=True
+            number=20, name="sets", title="Sets", type=ParamType.I16, low=-100, high=100, factory=-3, per_set=True
+        ),
+        ParamSpec(
+            number=21,
+            name="long",
+            title="Long",
+            type=ParamType.U32,
+            high=1e6,
+            factory=70000,
+            per_set=True,
+            read_only=True,
         ),
     ]
 )
