@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from acyclic_kit import outcome
-from drive_bench import ALONE, PluginBench
+from drive_bench import PluginBench
 
 from dpstack.profile import (
     DriveCore,
@@ -94,4 +94,4 @@ class RecordBench(PluginBench):
 
 def over_pkw(core: type[DriveCore] = Core) -> PluginBench:
     """The plugin with PPO1, at standstill."""
-    return PluginBench(core(DRIVE, "belt", PPO1, ALONE), NO_REPLY + READY)
+    return PluginBench(core(DRIVE, "belt", PPO1, {"check_settings": False}), NO_REPLY + READY)
