@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dpstack.profile.channel.base import ParameterChannel as ParameterChannel
     from dpstack.profile.channel.base import ParamKey as ParamKey
     from dpstack.profile.channel.base import find_parameter as find_parameter
+    from dpstack.profile.channel.pkw import PAGED_PKW as PAGED_PKW
     from dpstack.profile.channel.pkw import RETRY_NS as RETRY_NS
     from dpstack.profile.channel.pkw import ParamRef as ParamRef
     from dpstack.profile.channel.pkw import Pkw as Pkw
@@ -124,7 +125,7 @@ dpstack.dpv1.slave.device Device
 dpstack.errors ConfigError
 record47
 channel.base Clock CycleTimes FindSpec ParameterChannel ParamKey find_parameter
-channel.pkw RETRY_NS ParamRef Pkw PkwAccess PkwChannel PkwDialect PkwServer ReplyId TaskId
+channel.pkw PAGED_PKW RETRY_NS ParamRef Pkw PkwAccess PkwChannel PkwDialect PkwServer ReplyId TaskId
 channel.stored_writes StoredWrites
 core_description speed_range
 drive_profile DriveProfile OptionSpec RateSetting TelegramSetting

@@ -30,7 +30,7 @@ from dpstack.profile.channel.base import (
 )
 from dpstack.profile.channel.stored_writes import StoredWrites
 from dpstack.profile.model.jobs import CommandError, Steps
-from dpstack.profile.model.param_errors import OPERATING_STATE, PARAMETER_ERRORS
+from dpstack.profile.model.param_errors import OPERATING_STATE, PARAMETER_ERRORS, SIEMENS
 from dpstack.profile.model.param_types import ParamType
 from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.text import NamedInt
@@ -39,10 +39,13 @@ from dpstack.units import NS_PER_MS
 PKW_LEN: Final = 8
 ZEROS: Final = bytes(PKW_LEN)
 _LAYOUT: Final = struct.Struct(">HBBI")
+_MOST_INDEX: Final = 0xFF
 #: pause before the order to a busy drive is repeated
 RETRY_NS: Final = 25 * NS_PER_MS
-#: the highest PNU that PKE holds
-_MOST: Final = 0x7FF
+#: numbers of one page of :class:`PagedPkw`
+_PAGE: Final = 2000
+#: bits of the page octet with their weights
+_WEIGHTS: Final = {0x80: 1, 0x10: 2, 0x20: 4, 0x40: 8, 0x04: 16}
 
 
 class TaskId(NamedInt):
@@ -75,12 +78,16 @@ class ReplyId(NamedInt):
 READS: Final = frozenset({int(TaskId.READ), int(TaskId.READ_ARRAY), int(TaskId.ELEMENTS)})
 
 
+#: orders with an index in IND
+ARRAYS: Final = frozenset(map(int, (TaskId.READ_ARRAY, TaskId.WRITE_ARRAY_WORD, TaskId.WRITE_ARRAY_LONG)))
+
+
 class Pkw(NamedTuple):
     """Content of the channel: order or reply id, PNU, IND (its high octet), value (32 bits unsigned)."""
 
     #: order or reply id, 0..15
     id: int
-    #: parameter number, 0..2047
+    #: parameter number
     pnu: int
     #: high octet of IND
     ind: int = 0
@@ -96,6 +103,40 @@ class Pkw(NamedTuple):
         pke, ind, _, pwe = _LAYOUT.unpack_from(octets)
         return cls(pke >> 12, pke & 0x7FF, ind, pwe)
 
+    @property
+    def most(self) -> int:
+        """The highest parameter number that this layout holds."""
+        return 0x7FF
+
+
+class PagedPkw(Pkw):
+    """Parameter numbers in pages of 2000: PKE has the number in its page, the low octet of IND the page.
+
+    Bit 7 of that octet is page 1 (2000 to 3999), bits 4, 5, 6 and 2 are 2, 4, 8 and 16 pages. Sources: MICROMASTER
+    PROFIBUS optional board, 6SE6400-5AK00-0BP0, p28 (bit 7); MICROMASTER 420 operating instructions p115 (weights);
+    SINAMICS G120C operating instructions p224 (80h 2000, 90h 6000, 20h 8000, A0h 10000, 50h 20000, F0h 30000,
+    74h 60000; p7841[2] is PNU 1841, IND 0290h). That 29000 is number 1000 of page 70h follows from the weights; the
+    manual prints no example.
+    """
+
+    __slots__ = ()
+
+    def build(self) -> bytes:
+        page, pnu = divmod(self.pnu, _PAGE)
+        octet = sum(bit for bit, weight in _WEIGHTS.items() if page & weight)
+        return _LAYOUT.pack(self.id << 12 | pnu, self.ind, octet, self.pwe)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> PagedPkw:
+        """From (at least) eight octets; SPM and the other bits of IND's low octet are ignored."""
+        pke, ind, octet, pwe = _LAYOUT.unpack_from(octets)
+        page = sum(weight for bit, weight in _WEIGHTS.items() if octet & bit)
+        return cls(pke >> 12, page * _PAGE + (pke & 0x7FF), ind, pwe)
+
+    @property
+    def most(self) -> int:
+        return _PAGE * (sum(_WEIGHTS.values()) + 1) - 1
+
 
 class PkwDialect(Struct, frozen=True, kw_only=True):
     """Differences between drives: positive replies allowed to each order, error texts, and the handshake.
@@ -103,7 +144,7 @@ class PkwDialect(Struct, frozen=True, kw_only=True):
     ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (as
     docs/reference/drives/demag.md#handshake-of-the-parameter-channel). Without it a new order may follow at once unless
     it looks like the last one; then a reply counts only when id, PNU and index match. ``busy``: error numbers of a
-    drive that cannot carry out the order yet: the order is repeated.
+    drive that cannot carry out the order yet: the order is repeated. ``layout``: where the eight octets have what.
     """
 
     #: reply ids that are positive, by order id
@@ -111,13 +152,23 @@ class PkwDialect(Struct, frozen=True, kw_only=True):
     #: error texts by number
     errors: Mapping[int, str]
     zero_between: bool = True
-    #: reads a :class:`Pkw` whose octets are laid out in another way
-    parse: Callable[[bytes], Pkw] = Pkw.parse
+    #: a subclass of :class:`Pkw` for octets that are laid out in another way
+    layout: type[Pkw] = Pkw
     busy: frozenset[int] = frozenset()
 
     def error_text(self, number: int) -> str:
         """The drive's text for an error number."""
         return self.errors.get(number, "error without a text in the manual")
+
+    @property
+    def most(self) -> int:
+        """The highest parameter number."""
+        return self.layout(0, 0).most
+
+    @property
+    def arrays(self) -> bool:
+        """Whether the drive knows the orders of arrays, with an index in IND."""
+        return TaskId.READ_ARRAY in self.answers
 
 
 #: a drive without peculiarities: words and double words, no arrays, no data sets. V2 has error texts of its own
@@ -128,6 +179,17 @@ PLAIN_PKW: Final = PkwDialect(
         TaskId.WRITE_LONG: (ReplyId.LONG,),
     },
     errors={**PARAMETER_ERRORS, OPERATING_STATE: "not in this operating state", 18: "another error"},
+)
+#: SINAMICS and MICROMASTER 4: arrays by index, numbers up to 63999 by pages; replies, G110M operating instructions p198
+PAGED_PKW: Final = PkwDialect(
+    answers={
+        **PLAIN_PKW.answers,
+        TaskId.READ_ARRAY: (ReplyId.ARRAY_WORD, ReplyId.ARRAY_LONG),
+        TaskId.WRITE_ARRAY_WORD: (ReplyId.ARRAY_WORD,),
+        TaskId.WRITE_ARRAY_LONG: (ReplyId.ARRAY_LONG,),
+    },
+    errors={**PLAIN_PKW.errors, **SIEMENS},
+    layout=PagedPkw,
 )
 
 
@@ -186,7 +248,7 @@ class PkwChannel:
 
     def fields(self, octets: bytes, *, order: bool, find: FindSpec) -> dict[str, object]:
         """See :class:`ParameterChannel`. AK, PNU, IND and PWE have PROFIdrive's names; PWE in hex."""
-        pkw = self._dialect.parse(octets)
+        pkw = self._dialect.layout.parse(octets)
         if not pkw.id:
             return {}
         names = self.orders if order else self.replies
@@ -246,7 +308,7 @@ class PkwChannel:
 
     def step(self, inputs: bytes, now: int) -> None:
         """Process the channel's octets in ``inputs`` (the first eight) and advance the handshake."""
-        reply = self._dialect.parse(inputs)
+        reply = self._dialect.layout.parse(inputs)
         replied = reply.id != ReplyId.NONE
         active = self._active
         if active is None:
@@ -304,7 +366,7 @@ class ParamRef(NamedTuple):
     ``data_set`` for messages, None if the drive has none or the parameter exists once.
     """
 
-    #: parameter number on the wire, 0..2047
+    #: parameter number on the wire
     pnu: int
     #: high octet of IND
     ind: int
@@ -328,14 +390,19 @@ class PkwCore(CycleTimes, Protocol):
         """The drive has taken a write."""
 
 
-def plain_ref(key: ParamKey, table: ParamTable, drive: str) -> ParamRef:
-    """A parameter of ``table`` by name or number; a number that is not in it goes as it is, without a scale."""
-    spec, number, label = find_parameter(key, table, _MOST)
-    if key.data_set is not None or key.index is not None:
-        raise CommandError("usage", f"{label}: {drive} has neither data sets nor indexes")
+def plain_ref(key: ParamKey, table: ParamTable, drive: str, dialect: PkwDialect = PLAIN_PKW) -> ParamRef:
+    """A parameter of ``table`` by name or number, elements of arrays by index if the dialect has them; a number that
+    is not in the table goes as it is, without a scale."""
+    spec, number, label = find_parameter(key, table, dialect.most)
+    if key.data_set is not None or (key.index is not None and not dialect.arrays):
+        lacks = "no data sets" if dialect.arrays else "neither data sets nor indexes"
+        raise CommandError("usage", f"{label}: {drive} has {lacks}")
     if key.ram:
         raise CommandError("usage", f"{label}: {drive} has no writes to RAM only")
-    return ParamRef(number, 0, False, spec, label)
+    index = key.index if key.index is not None else 0 if spec is None else spec.index
+    if index > _MOST_INDEX:
+        raise CommandError("usage", f"{label}: indexes are 0..{_MOST_INDEX}")
+    return ParamRef(number, index, key.index is not None or index > 0, spec, label)
 
 
 class PkwAccess(PkwChannel, ParameterChannel):
@@ -366,12 +433,13 @@ class PkwAccess(PkwChannel, ParameterChannel):
             kind = TaskId.WRITE_LONG if long else TaskId.WRITE_WORD
         if not key.ram:
             self._stored_writes.admit((ref.pnu, ref.ind), ref.label, self._core.now, ref.spec)
-        reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.ind, pwe), ref, deadline)
+        reply = yield from self._exchange(self._dialect.layout(kind, ref.pnu, ref.ind, pwe), ref, deadline)
         self._core.written(ref)
         return self._outcome(ref, reply, value)
 
     def _read(self, ref: ParamRef, deadline: int) -> Steps[Pkw]:
-        return self._exchange(Pkw(TaskId.READ_ARRAY if ref.array else TaskId.READ, ref.pnu, ref.ind), ref, deadline)
+        order = TaskId.READ_ARRAY if ref.array else TaskId.READ
+        return self._exchange(self._dialect.layout(order, ref.pnu, ref.ind), ref, deadline)
 
     def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
         if order.id not in self._dialect.answers:
@@ -457,7 +525,7 @@ class PkwServer:
             if self._last != ZEROS:
                 self.reset()
             return ZEROS
-        order = self._dialect.parse(octets)
+        order = self._dialect.layout.parse(octets)
         if order.id == TaskId.NONE:
             self.reset()
             return ZEROS

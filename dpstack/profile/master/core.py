@@ -628,7 +628,7 @@ class DriveCore:
     def resolve(self, key: ParamKey) -> ParamRef:
         """Find the parameter that a user has named, for the parameter channel. Raises CommandError."""
         assert self.parameter_table is not None
-        return plain_ref(key, self.parameter_table, self.drive)
+        return plain_ref(key, self.parameter_table, self.drive, self.dialect)
 
     def place_of(self, key: ParamKey) -> tuple[int, int]:
         """Number and index of the parameter that a user has named, as ``parameter_table`` has them. Raises

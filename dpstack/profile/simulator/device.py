@@ -20,9 +20,9 @@ from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import AlarmError
 from dpstack.profile.channel.base import ChannelServer
-from dpstack.profile.channel.pkw import PLAIN_PKW, READS, Pkw, PkwDialect, PkwServer, ReplyId, TaskId
+from dpstack.profile.channel.pkw import ARRAYS, PLAIN_PKW, READS, Pkw, PkwDialect, PkwServer, ReplyId, TaskId
 from dpstack.profile.model.drive_type import CHANNEL_LEN, DriveType, Options, TelegramSpec
-from dpstack.profile.model.param_errors import BAD_TYPE, ILLEGAL_NUMBER, OPERATING_STATE, READ_ONLY
+from dpstack.profile.model.param_errors import BAD_SUBINDEX, BAD_TYPE, ILLEGAL_NUMBER, OPERATING_STATE, READ_ONLY
 from dpstack.profile.model.param_store import ParamStore
 from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.profile.record47.parameter_server import ParameterServer
@@ -31,6 +31,9 @@ from dpstack.units import NEVER, NS_PER_MS
 
 #: from a setting that restarts the station to the restart: time to fetch the answer (made up)
 RESTART_NS: Final = 100 * NS_PER_MS
+#: ids of the parameter channel: read, write of a word (a double word is the next one), replies with either
+_PLAIN_IDS: Final = (TaskId.READ, TaskId.WRITE_WORD, ReplyId.WORD, ReplyId.LONG)
+_ARRAY_IDS: Final = (TaskId.READ_ARRAY, TaskId.WRITE_ARRAY_WORD, ReplyId.ARRAY_WORD, ReplyId.ARRAY_LONG)
 #: scans that are caught up one by one; the first part of a longer pause is skipped
 _MOST_SCANS = 20_000
 
@@ -373,17 +376,22 @@ class DriveDevice(Device):
         return False
 
     def carry_out(self, order: Pkw) -> tuple[int, int]:
-        """Reply id and PWE to an order of the parameter channel: every parameter by its PNU."""
-        spec = self.store.table.get(order.pnu)
+        """Reply id and PWE to an order of the parameter channel: every parameter by its PNU, and by its index if the
+        drive has orders of arrays."""
+        table, array = self.store.table, self.dialect.arrays and order.id in ARRAYS
+        spec = table.get(order.pnu, order.ind if array else 0)
         if spec is None or spec.text:
-            return ReplyId.ERROR, ILLEGAL_NUMBER
-        reply = ReplyId.LONG if spec.type.wide else ReplyId.WORD
-        if order.id == TaskId.READ:
+            others = array and any(one.number == order.pnu for one in table)
+            return ReplyId.ERROR, BAD_SUBINDEX if others else ILLEGAL_NUMBER
+        wide = spec.type.wide
+        read, write, word, long = _ARRAY_IDS if array else _PLAIN_IDS
+        reply = long if wide else word
+        if order.id == read:
             actual = self.live(spec)
             return reply, spec.pwe(self.store.raw(spec) if actual is None else actual)
         raw = spec.from_pwe(order.pwe)
         error = spec.write_error(raw)
-        if error != READ_ONLY and order.id != (TaskId.WRITE_LONG if spec.type.wide else TaskId.WRITE_WORD):
+        if error != READ_ONLY and order.id != write + wide:
             error = BAD_TYPE
         elif error is None and self.locked(spec):
             error = OPERATING_STATE

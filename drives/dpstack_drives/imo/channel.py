@@ -74,7 +74,7 @@ PKW: Final = PkwDialect(
     },
     errors=t.ERRORS,
     zero_between=False,
-    parse=ImoPkw.parse,
+    layout=ImoPkw,
 )
 _NO_RAM: Final = (
     "the card does not support writes to RAM only (request 2): leave ram out, it then writes RAM and EEPROM (request 4)"

@@ -100,7 +100,9 @@ def test_a_word_for_a_float_is_an_error_that_says_what_to_declare() -> None:
     bench = over_pkw()
     token = bench.order_and_run(2, "read", number=1120)
     bench.see(f"14 60 00 00 00 00 00 0A {READY}")
-    text = "parameter 1120 (Ramp-up time): it is declared as f32, and the drive answers an integer: declare the type that"
+    text = (
+        "parameter 1120 (Ramp-up time): it is declared as f32, and the drive answers an integer: declare the type that"
+    )
     assert bench.text(token, "parameter") == f"{text} the drive's manual gives"
 
 
