@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final
 
 from acyclic_kit import outcome
@@ -40,6 +41,7 @@ class Core(DriveCore):
         Word("control word", profidrive_states.CONTROL_BITS), Word("status word", profidrive_states.STATUS_BITS)
     )
     scan_ns = 8_000_000
+    record_slot = 0
     parameter_table = PARAMETERS
 
 
@@ -95,3 +97,10 @@ class RecordBench(PluginBench):
 def over_pkw(core: type[DriveCore] = Core) -> PluginBench:
     """The plugin with PPO1, at standstill."""
     return PluginBench(core(DRIVE, "belt", PPO1, {"check_settings": False}), NO_REPLY + READY)
+
+
+def over_records(core: type[DriveCore] = Core) -> RecordBench:
+    """The plugin without a parameter channel in its telegram, over record 47."""
+    records = RecordQueue()
+    profile = dataclasses.replace(DRIVE, core_factory=core)
+    return RecordBench(profile.core("belt", "STD1", {"check_settings": False}, records=records), records)

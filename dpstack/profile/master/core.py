@@ -140,6 +140,8 @@ class DriveCore:
     dialect: PkwDialect = PLAIN_PKW
     #: the slot of record 47 of a drive whose parameters have the same numbers there; None: it has no record 47
     record_slot: int | None = None
+    #: the drive object in record 47, 0..255: the axis of a drive with several, DO-ID of SINAMICS
+    record_object: int = 1
     #: why the drive may ignore an acknowledgement, for people
     lock_hint: str = ""
     #: what to check when the drive does not start for no known reason, for people
@@ -623,7 +625,8 @@ class DriveCore:
         if self.record_slot is None or self.parameter_table is None:
             return None
         places = plain_places(self.parameter_table, self.drive)
-        return AcyclicAccess(ParameterClient(self.record_slot, references=PLUGIN), queue, places, self)
+        client = ParameterClient(self.record_slot, object=self.record_object, references=PLUGIN)
+        return AcyclicAccess(client, queue, places, self)
 
     def resolve(self, key: ParamKey) -> ParamRef:
         """Find the parameter that a user has named, for the parameter channel. Raises CommandError."""

@@ -12,18 +12,10 @@ import pytest
 from drive_bench import PluginBench
 from hypothesis import given
 from hypothesis import strategies as st
-from profidrive_kit import DRIVE, NO_REPLY, PARAMETERS, READY, RecordBench, over_pkw
+from profidrive_kit import DRIVE, NO_REPLY, PARAMETERS, READY, Core, over_pkw, over_records
 
 from dpstack.profile import ParamSpec, ParamStore, ParamTable, ParamType, Pkw
-from dpstack.profile.record47 import (
-    AcyclicAccess,
-    Address,
-    ParameterClient,
-    RecordQueue,
-    StoreParameters,
-    Values,
-    plain_places,
-)
+from dpstack.profile.record47 import Address, StoreParameters, Values
 
 # -- the type itself -----------------------------------------------------------------------------------------------
 
@@ -153,12 +145,15 @@ def test_the_simulated_drive_carries_floats_in_its_parameter_channel() -> None:
 # -- record 47 -----------------------------------------------------------------------------------------------------
 
 
-def over_records() -> RecordBench:
-    records = RecordQueue()
-    core = DRIVE.core("belt", "STD1", {"check_settings": False})
-    core.access = AcyclicAccess(ParameterClient(0), records, plain_places(PARAMETERS, "kit"), core)
-    core.access.notice = core.notice
-    return RecordBench(core, records)
+def test_the_axis_of_record_47_is_the_cores() -> None:
+    class Second(Core):
+        record_object = 3
+
+    bench = over_records(Second)
+    token = bench.order("read", number="p1120")
+    bench.answer("01 01 03 01 08 01 41 20 00 00")
+    assert bench.requests == ["01 01 03 01 10 00 04 60 00 00"]
+    assert bench.value(token) == 10.0
 
 
 def test_a_write_of_an_int_to_a_float_returns_what_the_drive_got() -> None:
