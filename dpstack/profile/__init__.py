@@ -43,11 +43,14 @@ if TYPE_CHECKING:
     from dpstack.profile.drive_profile import RateSetting as RateSetting
     from dpstack.profile.drive_profile import TelegramSetting as TelegramSetting
     from dpstack.profile.master.core import DriveCore as DriveCore
-    from dpstack.profile.master.core import Lookup as Lookup
     from dpstack.profile.master.core import settled as settled
+    from dpstack.profile.master.lookup import Lookup as Lookup
     from dpstack.profile.master.mapped_core import MAP_OPS as MAP_OPS
     from dpstack.profile.master.mapped_core import MapCodes as MapCodes
     from dpstack.profile.master.mapped_core import MappedCore as MappedCore
+    from dpstack.profile.master.messages import FAULT_CODES as FAULT_CODES
+    from dpstack.profile.master.messages import FAULT_NUMBERS as FAULT_NUMBERS
+    from dpstack.profile.master.messages import MessageParameter as MessageParameter
     from dpstack.profile.master.settings import Setting as Setting
     from dpstack.profile.master.settings import equal as equal
     from dpstack.profile.master.settings import same as same
@@ -129,8 +132,10 @@ channel.pkw PAGED_PKW RETRY_NS ParamRef Pkw PkwAccess PkwChannel PkwDialect PkwS
 channel.stored_writes StoredWrites
 core_description speed_range
 drive_profile DriveProfile OptionSpec RateSetting TelegramSetting
-master.core DriveCore Lookup settled
+master.core DriveCore settled
+master.lookup Lookup
 master.mapped_core MAP_OPS MapCodes MappedCore
+master.messages FAULT_CODES FAULT_NUMBERS MessageParameter
 master.settings Setting equal same
 model.drivecom_states
 model.process_data_map

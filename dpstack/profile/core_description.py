@@ -45,7 +45,7 @@ def describe_core(
         words=(described_word(table.control), described_word(table.status, states_of(table))),
         ranges=(speed_range(core),),
         faults=messages(core.fault_names, "{}", _PLUGIN),
-        warnings=messages(core.warning_names, "bit {}", _PLUGIN),
+        warnings=messages(core.warning_names, "{}" if core.warning_numbers else "bit {}", _PLUGIN),
         errors=messages(core.dialect.errors, "{}", _PLUGIN) if parameters is not None else (),
         parameters=() if parameters is None else described_parameters(_listed(core, parameters)),
     )

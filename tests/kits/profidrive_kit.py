@@ -8,6 +8,7 @@ from typing import Final
 from acyclic_kit import outcome
 from drive_bench import PluginBench
 
+from dpstack.dpv1.master.plugin_queue import PendingRecord
 from dpstack.profile import (
     DriveCore,
     DriveDevice,
@@ -74,18 +75,21 @@ class RecordBench(PluginBench):
         self.records = records
         self.requests: list[str] = []
         self.responses: list[str] = []
+        self._pending: PendingRecord | None = None
         super().__init__(core, inputs)
 
     def run(self, rotations: int = 1) -> bytes:
         out = b""
         for _ in range(rotations):
             out = super().run()
-            pending = self.records.take()
+            pending = self._pending = self._pending or self.records.take()
             if pending is not None and isinstance(pending.request, WriteReq):
                 self.requests.append(pending.request.data.hex(" ").upper())
                 pending.outcome = outcome("")
-            elif pending is not None:
+            elif pending is not None and self.responses:
                 pending.outcome = outcome(self.responses.pop(0))
+            if pending is not None and pending.outcome is not None:
+                self._pending = None
         return out
 
     def answer(self, *responses: str) -> None:

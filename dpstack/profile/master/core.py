@@ -10,12 +10,14 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Final, Generic, TypeVar
+from typing import Final
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile.channel.base import ParameterChannel, ParamKey
 from dpstack.profile.channel.pkw import PLAIN_PKW, ParamRef, PkwAccess, PkwDialect, plain_ref
 from dpstack.profile.master.guarded_writes import guarded_write
+from dpstack.profile.master.lookup import Lookup, Lookups
+from dpstack.profile.master.messages import PATIENCE_NS, MessageParameter, read_messages
 from dpstack.profile.master.new_address import NewAddress
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_type import CHANNEL_LEN, CHECK_SETTINGS, DriveType, Options, TelegramSpec
@@ -61,53 +63,6 @@ NOT_NAMED: Final = "not yet named"
 _LEAST_NS: Final = 20 * NS_PER_MS
 #: in Clear: a drive that has just come up has shown its status after this time
 _CLEAR_NS: Final = NS_PER_S
-T = TypeVar("T")
-
-
-class Lookup(Generic[T]):
-    """A request to the drive, ``ask(deadline)``, sent once while ``when()`` is true.
-
-    It is repeated after the drive was offline, and after a time-out. An answer from before that does not count.
-    """
-
-    __slots__ = ("_ask", "_asked", "_turn", "_when", "value")
-
-    def __init__(self, when: Callable[[], bool], ask: Callable[[int], Steps[T]]) -> None:
-        self._when = when
-        self._ask = ask
-        self._asked = False
-        self._turn = 0
-        #: answer of the drive; None until it came
-        self.value: T | None = None
-
-    def reset(self) -> None:
-        if self._asked:
-            self._asked = False
-            self._turn += 1
-            self.value = None
-
-    def watch(self, core: DriveCore) -> None:
-        """After new inputs: ask if due."""
-        if not self._when():
-            self.reset()
-        elif not self._asked:
-            self._asked = True
-            core.spawn("lookup", self._run(core, self._turn))
-
-    def _run(self, core: DriveCore, turn: int) -> Steps[dict[str, object]]:
-        try:
-            value = yield from self._ask(core.now + NS_PER_S)
-        except CommandError as error:
-            if error.kind == "timeout" and turn == self._turn:
-                self.reset()
-            raise
-        if turn == self._turn:
-            self.value = value
-            core.update()
-        return {}
-
-
-Lookups = tuple[Lookup[Any], ...]
 
 
 class DriveCore:
@@ -124,7 +79,8 @@ class DriveCore:
     #: time that the drive may take to notice outputs and show it in its inputs, in ns
     scan_ns: int
     #: the words of the process data received, in order: ``status`` first, then ``speed``, ``current``, ``torque``,
-    #: ``fault`` (a number), ``warning`` (bits), or a name of its own; a telegram has as many of them as it has words
+    #: ``fault`` (a number), ``warning`` (bits or a number), or a name of its own; a telegram has as many of them as it
+    #: has words
     inputs: tuple[str, ...] = ("status", "speed")
     #: scale of speed and set point, in parts of the reference
     scale: Scale = SPEED
@@ -132,8 +88,19 @@ class DriveCore:
     current_scale: Scale = Scale("current")
     #: texts by number of the fault
     fault_names: Mapping[int, str] = {}
-    #: texts by bit of the warning word
+    #: text of a fault that has none, a format of its number
+    unknown_fault: str = "number {}"
+    #: the parameter that has the numbers of the present faults, if no word of the telegram has; None: none has
+    fault_parameter: MessageParameter | None = None
+    #: texts by bit of the warning word, or by number of the warning
     warning_names: Mapping[int, str] = {}
+    #: the warning word, or the warning's parameter, is a number
+    warning_numbers: bool = False
+    #: text of a warning that has none, a format of its number; "": ``number`` or ``bit`` with it
+    unknown_warning: str = ""
+    #: the parameter that has the present warnings while the status bit ``warning`` is set, if no word of the telegram
+    #: has; None: none has
+    warning_parameter: MessageParameter | None = None
     #: what the parameter channel and record 47 reach; None: the drive has no parameters
     parameter_table: ParamTable | None = None
     #: differences of the drive's parameter channel from plain PKW
@@ -185,8 +152,6 @@ class DriveCore:
             self.access.notice = self.notice
         #: Reads and Writes to its slave (record 47); None until its master gives it one
         self.records: RecordQueue | None = None
-        #: requests over ``access`` that depend on the status word
-        self.lookups: Lookups = ()
         #: bus time of the present cycle in ns
         self.now = 0
         #: the inputs are those of a drive in data exchange
@@ -194,6 +159,12 @@ class DriveCore:
         #: the process data received, 16 bits each
         self.words: tuple[int, ...] = (0,) * (telegram.inputs // 2)
         self._places = {word: place for place, word in enumerate(self.inputs[: len(self.words)])}
+        self._faults: Lookup[tuple[str, ...]] = Lookup(self._faults_asked, self._ask_faults, patience_ns=PATIENCE_NS)
+        self._warnings: Lookup[tuple[str, ...]] = Lookup(
+            self._warnings_asked, self._ask_warnings, patience_ns=PATIENCE_NS
+        )
+        #: requests over ``access`` that depend on the status word; a plugin adds its own
+        self.lookups: Lookups = () if self.access is None else self._message_lookups()
         #: last status word received, 16 bits
         self.status_word = 0
         #: state of the drive; OFFLINE outside data exchange
@@ -607,14 +578,30 @@ class DriveCore:
     def fault_texts(self) -> tuple[str, ...] | None:
         """The fault that stands in the status word, by name; None while the drive has not yet named it."""
         number = self.word("fault")
-        if number is None:
-            return (f"without a name: telegram {self.telegram.name} does not carry it",)
-        return (self.fault_names.get(number, f"number {number}"),) if number else None
+        if number is not None:
+            return (self.fault_text(number),) if number else None
+        if self.fault_parameter is not None and self.access is not None:
+            return self._faults.value
+        channel = "" if self.fault_parameter is None else ", and it has no parameter channel"
+        return (f"without a name: telegram {self.telegram.name} does not carry it{channel}",)
+
+    def fault_text(self, number: int) -> str:
+        """The text of the fault with this number."""
+        return self.fault_names.get(number) or self.unknown_fault.format(number)
 
     def warnings(self) -> tuple[str, ...]:
         """The present warnings by name."""
-        word = self.word("warning") or 0
-        return tuple(self.warning_names.get(bit, f"bit {bit}") for bit in range(16) if word >> bit & 1)
+        word = self.word("warning")
+        return self._warnings.value or () if word is None else self.warning_texts(word)
+
+    def warning_texts(self, value: int) -> tuple[str, ...]:
+        """The texts of the warnings in a warning word, or of the warning with this number; none for 0."""
+        if self.warning_numbers:
+            unknown, found = self.unknown_warning or "number {}", [value] if value else []
+        else:
+            unknown = self.unknown_warning or "bit {}"
+            found = [bit for bit in range(value.bit_length()) if value >> bit & 1]
+        return tuple(self.warning_names.get(one) or unknown.format(one) for one in found)
 
     def open_channel(self) -> ParameterChannel:
         """The master's end of the telegram's parameter channel."""
@@ -625,6 +612,8 @@ class DriveCore:
         if self.record_slot is None or self.parameter_table is None:
             return None
         places = plain_places(self.parameter_table, self.drive)
+        messages = self._message_lookups()
+        self.lookups = (*messages, *(one for one in self.lookups if one not in messages))
         client = ParameterClient(self.record_slot, object=self.record_object, references=PLUGIN)
         return AcyclicAccess(client, queue, places, self)
 
@@ -704,6 +693,37 @@ class DriveCore:
         yield from ()
 
     # -- inside ---------------------------------------------------------------------------------------------------
+
+    def _message_lookups(self) -> Lookups:
+        """The requests for faults and warnings that the telegram does not have."""
+        asked = ((self.fault_parameter, "fault", self._faults), (self.warning_parameter, "warning", self._warnings))
+        return tuple(lookup for parameter, word, lookup in asked if parameter is not None and word not in self._places)
+
+    def _faults_asked(self) -> bool:
+        return self.raw_state in FAULTED
+
+    def _ask_faults(self, deadline: int) -> Steps[tuple[str, ...]]:
+        assert self.fault_parameter is not None
+        try:
+            numbers = yield from read_messages(self, self.fault_parameter, deadline)
+        except CommandError as error:
+            if error.kind in ("timeout", "lost"):
+                raise
+            return (f"without a name: {error.text}",)
+        return tuple(map(self.fault_text, numbers))
+
+    def _warnings_asked(self) -> bool:
+        return self.online and self.table.status.is_set(self.status_word, "warning")
+
+    def _ask_warnings(self, deadline: int) -> Steps[tuple[str, ...]]:
+        assert self.warning_parameter is not None
+        try:
+            values = yield from read_messages(self, self.warning_parameter, deadline)
+        except CommandError as error:
+            if error.kind in ("timeout", "lost"):
+                raise
+            return (f"without a name: {error.text}",)
+        return tuple(text for value in values for text in self.warning_texts(value))
 
     def _build(self) -> None:
         self.dirty = False
@@ -904,7 +924,7 @@ def _near(core: DriveCore, speed: float | None) -> bool:
 def _left(core: DriveCore) -> Steps[dict[str, object]]:
     """Report why the drive left RUNNING by itself, as soon as the fault has a name."""
     if core.raw_state in FAULTED:
-        why = yield from _fault_text(core, core.now + NS_PER_S)
+        why = yield from _fault_text(core, core.now + PATIENCE_NS)
     else:
         reports = f"it reports {core.raw_state}"
         why = (yield from core.why_left()) or reports
@@ -924,8 +944,9 @@ def settled(core: DriveCore, wanted: Callable[[], bool], deadline: int) -> Steps
 
 
 def _fault_text(core: DriveCore, deadline: int) -> Steps[str]:
-    """The fault's text; some drives send its number only some cycles later."""
-    until = min(core.now + 4 * core.settle_ns, deadline)
+    """The fault's text; some drives send its number only some cycles later, others are asked for it."""
+    by_parameter = core.fault_parameter is not None and core.access is not None
+    until = deadline if by_parameter else min(core.now + 4 * core.settle_ns, deadline)
     while core.raw_state in FAULTED and core.fault_texts() is None and core.now < until:
         yield
     return f"fault {', '.join(core.faults()) or 'without a name'}"
