@@ -88,8 +88,8 @@ class DriveProfile(DriveType):
     on_loss: str
     #: makes the :class:`DriveCore` of a master
     core_factory: CoreFactory
-    #: makes the :class:`DriveDevice` of a simulation
-    device_factory: DeviceFactory
+    #: makes the :class:`DriveDevice` of a simulation; None: the plugin has no simulated drive
+    device_factory: DeviceFactory | None = None
     #: no manual gives the ident number
     ident_made_up: bool = False
     #: baud rates in bit/s; empty if the manual gives none
@@ -210,8 +210,10 @@ class DriveProfile(DriveType):
         """A simulated drive, as delivered. Options: those declared, :data:`READY`, and parameters by number or name
         with their value.
 
-        Raises ConfigError.
+        Raises ConfigError, also if the plugin has no simulated drive.
         """
+        if self.device_factory is None:
+            raise ConfigError(f"{self.name} has no simulated drive: use the drive itself, on a port of this computer")
         specs = {**self.device_options, **_DEVICE_OPTIONS}
         checked, extra = _checked(specs, options or {}, f"simulated {self.name}")
         if checked[READY]:

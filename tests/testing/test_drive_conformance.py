@@ -40,7 +40,7 @@ class TestFuji(Quick):
 class TestImo(Quick):
     drive = "imo-hd2"
     options = {"baud_index": 1}  # 19.2 kbit/s: it answers at the rate of its own setting only
-    simulated = {"P15.02": 1, "P15.13": 1}
+    simulated = {"P15.02": 1, "P15.13": 1, "P15.14": 11}  # the actual value 11 is the fault code
     has_quick_stop = False
     stops_when_lost = False
 
@@ -131,3 +131,30 @@ def test_a_plugin_that_fails_is_named_with_the_place(dpstack_bus: BusFactory) ->
     place = r"ZeroDivisionError: of the plugin's, in obstacle\(\), test_drive_conformance\.py line \d+"
     assert re.fullmatch(f"drive tested: its plugin failed: {place}", str(told.value))
     assert re.search(rf"drive 7 \(tested\): its plugin failed: {place}", dpstack_bus.buses[0].report(0))
+
+
+def test_a_trip_without_a_name_fails_unless_the_class_says_so(dpstack_bus: BusFactory) -> None:
+    acme = importlib.import_module("acme_drive").DRIVE
+    plugin = importlib.import_module("acme_drive.plugin").AcmeCore
+
+    class Silent(plugin):  # type: ignore[misc,valid-type]
+        inputs = ("status", "speed", "current")
+
+    class Nameless(Quick):
+        profile = dataclasses.replace(acme, core_factory=Silent)
+
+    with pytest.raises(AssertionError, match=r"fault without a name: telegram STD does not carry it: give the plugin"):
+        Nameless().test_a_fault_is_reported_and_acknowledged(dpstack_bus, "STD")
+
+    class Declared(Nameless):
+        names_faults = False
+
+    Declared().test_a_fault_is_reported_and_acknowledged(dpstack_bus, "STD")
+
+
+def test_a_plugin_without_a_simulated_drive_cannot_be_checked() -> None:
+    class Real(Quick):
+        profile = dataclasses.replace(FUJI, device_factory=None)
+
+    with pytest.raises(UsageError, match="Real: fuji-frenic has no simulated drive, and the checks need one"):
+        Real.dpstack_telegrams()

@@ -36,8 +36,9 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     simulated = given.get("simulated", {})
     with table.blaming(next(iter(references), "options")):
         core = profile.core(who["name"], telegram.name, options)
-    with table.blaming("simulated"):
-        profile.simulated(telegram.name, options, simulated)
+    if profile.device_factory is not None or "simulated" in given:
+        with table.blaming("simulated"):
+            profile.simulated(telegram.name, options, simulated)
     rest = {
         "profile": profile,
         "telegram": telegram.name,

@@ -6,7 +6,7 @@ import argparse
 import asyncio
 import contextlib
 import json
-from collections import deque
+from collections import Counter, deque
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, field
 
@@ -69,18 +69,25 @@ def execute(args: argparse.Namespace) -> int:
         raise UsageError("demo: --listen is the address of the page; add --web")
     if args.web and args.fast:
         raise UsageError("demo: --fast is over before a page is open; leave out one of --web and --fast")
+    for name, drive in registry.known().items():
+        if drive.device_factory is None and not args.json:
+            output.line(f"{name} has no simulated drive: left out")
     return run_virtual(_demo(plant(args.baud), args), paced=not args.fast)
 
 
 def plant(baud: int) -> Config:
-    """Every known drive at an address of its own. One master alone: the GAP is off, the rotation is the shortest."""
-    drives = registry.known()
+    """Every known drive that can be simulated, at an address of its own, called by its maker, or by its full name if
+    there are several of that maker. One master alone: the GAP is off, the rotation is the shortest."""
+    drives = {name: drive for name, drive in registry.known().items() if drive.device_factory is not None}
     names = sorted(drives)
     if not names:
         raise ConfigError("no drive is known; install dpstack with `pip install .` or `make demo`")
     slaves: list[dict[str, object]] = []
+    makers = Counter(name.partition("-")[0] for name in names)
     for address, name in enumerate(names, _MASTER + 1):
-        table: dict[str, object] = {"name": name.partition("-")[0], "address": address, "drive": name}
+        maker = name.partition("-")[0]
+        called = maker if makers[maker] == 1 else name
+        table: dict[str, object] = {"name": called, "address": address, "drive": name}
         telegram = STORIES.get(name, OTHERS).telegram
         if telegram is not None:
             table["telegram"] = telegram

@@ -60,6 +60,8 @@ _BELIEVED: Final = 0.02
 
 #: a fault whose name the plugin is asking for
 NOT_NAMED: Final = "not yet named"
+#: begins the text of a fault whose name the plugin cannot find out; the reason follows
+NO_NAME: Final = "without a name"
 _LEAST_NS: Final = 20 * NS_PER_MS
 #: in Clear: a drive that has just come up has shown its status after this time
 _CLEAR_NS: Final = NS_PER_S
@@ -583,7 +585,7 @@ class DriveCore:
         if self.fault_parameter is not None and self.access is not None:
             return self._faults.value
         channel = "" if self.fault_parameter is None else ", and it has no parameter channel"
-        return (f"without a name: telegram {self.telegram.name} does not carry it{channel}",)
+        return (f"{NO_NAME}: telegram {self.telegram.name} does not carry it{channel}",)
 
     def fault_text(self, number: int) -> str:
         """The text of the fault with this number."""
@@ -709,7 +711,7 @@ class DriveCore:
         except CommandError as error:
             if error.kind in ("timeout", "lost"):
                 raise
-            return (f"without a name: {error.text}",)
+            return (f"{NO_NAME}: {error.text}",)
         return tuple(map(self.fault_text, numbers))
 
     def _warnings_asked(self) -> bool:
@@ -722,7 +724,7 @@ class DriveCore:
         except CommandError as error:
             if error.kind in ("timeout", "lost"):
                 raise
-            return (f"without a name: {error.text}",)
+            return (f"{NO_NAME}: {error.text}",)
         return tuple(text for value in values for text in self.warning_texts(value))
 
     def _build(self) -> None:
@@ -861,7 +863,7 @@ def _acknowledge(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
                 while core.now < until:
                     yield
             if core.now >= deadline and core.raw_state in FAULTED:
-                text = f"fault {', '.join(core.faults()) or 'without a name'}"
+                text = f"fault {', '.join(core.faults()) or NO_NAME}"
                 raise CommandError("fault", f"{text} cannot be acknowledged{core.lock_hint}")
     finally:
         core.set_goal(Goal.IDLE)
@@ -949,7 +951,7 @@ def _fault_text(core: DriveCore, deadline: int) -> Steps[str]:
     until = deadline if by_parameter else min(core.now + 4 * core.settle_ns, deadline)
     while core.raw_state in FAULTED and core.fault_texts() is None and core.now < until:
         yield
-    return f"fault {', '.join(core.faults()) or 'without a name'}"
+    return f"fault {', '.join(core.faults()) or NO_NAME}"
 
 
 # --- orders over the parameter channel ---
