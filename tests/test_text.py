@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.api.config.toml import quoted
+from dpstack.toml.reading import quoted
 from dpstack.api.streams import SlaveFlapping, call_on_event
 from dpstack.dp.master.events import DriveEvent, SlaveRemark
 from dpstack.drivers.runtime import PortLost

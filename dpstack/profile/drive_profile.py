@@ -115,6 +115,14 @@ class DriveProfile(DriveType):
     #: ``module:function``, loaded for a sheet only: gets core, description, station address and options of the core;
     #: returns the description with the facts of the manual. None: the description is what core and profile have
     details: str | None = None
+    #: path of its device file; "" for a plugin
+    file: str = ""
+    #: the maker's GSD file that comes with the device file
+    gsd_file: str | None = None
+    #: the modules of a telegram in the GSD file, by its name
+    modules: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    #: the named values of inputs and outputs in a telegram, as a plant file writes them; None: it has none
+    fields: Callable[[str], tuple[dict[str, object], dict[str, object]]] | None = None
 
     def describe(
         self, address: int, telegram: str | None = None, options: Mapping[str, object] | None = None

@@ -89,6 +89,11 @@ def also(profile: DriveProfile) -> Iterator[None]:
             _given[profile.name] = before
 
 
+def is_given(name: str) -> bool:
+    """Whether :func:`also` gives a drive of this name now."""
+    return name in _given
+
+
 def find(name: str) -> DriveProfile:
     """The drive called ``name``. Raises ConfigError with the nearest names, or with the reason why it cannot load."""
     found = _given.get(name) or (_loaded(name) if name in _points() else None)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Final, Literal
 
-from dpstack.api.config.table import Source, Table
+from dpstack.toml.table import Source, Table
 from dpstack.api.control.scenario import NORMAL, kind_of
 from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.slave_side.fault_steps import End

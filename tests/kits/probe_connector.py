@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
 from dpstack.api.config.connectors import CONNECTORS, ConnectorConfig, read_names
-from dpstack.api.config.table import Key
+from dpstack.toml.table import Key
 from dpstack.api.connectors.kinds import KINDS, ConnectorKind, Parts
 from dpstack.bridge.connector import Connector
 from dpstack.bridge.orders import Orders

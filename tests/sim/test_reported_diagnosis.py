@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from simulated_kit import Asked
 
-from dpstack.api.config.table import Source, Table
+from dpstack.toml.table import Source, Table
 from dpstack.api.slave_side.fault_steps import KINDS, Deed, End
 from dpstack.errors import ConfigError, DpError
 from dpstack.sim.io_station import IoStation

@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.config.channel_names import name_lines, slot_remarks
-from dpstack.api.config.toml import comment, table_lines
+from dpstack.toml.reading import comment, table_lines
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import BusError, ConfigError

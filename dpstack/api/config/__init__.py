@@ -13,7 +13,5 @@
 - ``simulate``: The table [slave.simulate]: inputs of a simulated slave from a recording or from a function
 - ``slave``: The [[slave]] table: keys, checks, changes while the bus runs
 - ``slave_source``: The base of a [[slave]] table without drive and GSD file; keys and types of the others
-- ``table``: Typed reading of configuration tables, errors with file and line
-- ``toml``: TOML reader with limits and the line of every key
 - ``toml_edit``: Changes of single keys in the text of a TOML file, whose other lines stay as they are
 """

@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Struct
 
-from dpstack.api.config.table import Key, Source, Table, is_integer, keys_of
+from dpstack.toml.table import Key, Source, Table, is_integer, keys_of
 from dpstack.params import BUS_LIMITS, MAX_STATION
 from dpstack.text import brief
 from dpstack.units import BAUD_RATES, NS_PER_MS

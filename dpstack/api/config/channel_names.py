@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from dpstack.api.config.toml import comment, toml_value
+from dpstack.toml.reading import comment, toml_value
 from dpstack.dp.channels import proposed_names
 from dpstack.dp.slot_map import SlotMap
 

@@ -20,9 +20,9 @@ from msgspec import structs
 
 from dpstack.api.config.bus import AUTO, BusConfig, read_bus
 from dpstack.api.config.slave import SlaveConfig, read_slave
-from dpstack.api.config.table import Source, Table
-from dpstack.api.config.toml import MAX_OCTETS, TomlError, read_toml
-from dpstack.api.config.toml import Path as KeyPath
+from dpstack.toml.table import Source, Table
+from dpstack.toml.reading import MAX_OCTETS, TomlError, read_toml
+from dpstack.toml.reading import Path as KeyPath
 from dpstack.api.files import read_file
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo

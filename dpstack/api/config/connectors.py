@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Struct, structs
 
-from dpstack.api.config.table import Key, Source, Table, keys_of
+from dpstack.toml.table import Key, Source, Table, keys_of
 from dpstack.errors import UsageError
 from dpstack.text import brief
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypedDict
 
 from msgspec import structs
 
-from dpstack.api.config.table import Gsd, Key, Table, as_given, keys_of
+from dpstack.toml.table import Gsd, Key, Table, as_given, keys_of
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS, DPV1_ENABLE, Dpv1
 from dpstack.dp.pdu.layouts import MAX_RECORD, Layout
 from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock

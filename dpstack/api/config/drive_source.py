@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dpstack.api.config.slave_source import REFERENCES, Basis, Who, leave_out
-from dpstack.api.config.table import Table
+from dpstack.toml.table import Table
 from dpstack.dp.slave_params import DriveTelegrams, SlaveParams
 from dpstack.gsd.configuration import Configuration, configuration_like
 from dpstack.profile import DriveProfile, TelegramSpec, registry

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from msgspec import Struct, field
 
 from dpstack.api.config.channel_names import name_lines, slot_remarks
-from dpstack.api.config.toml import comment, table_lines
+from dpstack.toml.reading import comment, table_lines
 from dpstack.dp.channels import channels
 from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import GsdError

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from dpstack.api.config.slave_source import Basis, Who
-from dpstack.api.config.table import Table
+from dpstack.toml.table import Table
 from dpstack.api.gsd_info import read_gsd
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu.requests import SET_PRM_LEN

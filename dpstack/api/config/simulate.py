@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Final, TypedDict
 
-from dpstack.api.config.table import Key, Table, keys_of
+from dpstack.toml.table import Key, Table, keys_of
 from dpstack.errors import ConfigError
 from dpstack.text import brief
 from dpstack.units import NS_PER_MS

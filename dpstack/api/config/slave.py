@@ -26,7 +26,7 @@ from dpstack.api.config.slave_source import (
     modules_of,
     remarks,
 )
-from dpstack.api.config.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
+from dpstack.toml.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale, with_status
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
 from dpstack.dp.slot_map import Direction, SlotMap

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypedDict
 
-from dpstack.api.config.table import Key, Table, is_integer
+from dpstack.toml.table import Key, Table, is_integer
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS

@@ -1,6 +1,6 @@
 """Changes of single keys in the text of a TOML file: other lines, comments and the layout stay as they are.
 
-The text must be one that :func:`dpstack.api.config.toml.read_toml` accepts. Paths are as there: a table of an array has
+The text must be one that :func:`dpstack.toml.reading.read_toml` accepts. Paths are as there: a table of an array has
 its number in them, and so has a member of a list.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from msgspec import Struct
 
-from dpstack.api.config.toml import TOKEN, Path, toml_key, unquoted
+from dpstack.toml.reading import TOKEN, Path, toml_key, unquoted
 
 
 class _Span(Struct, frozen=True):
@@ -181,7 +181,7 @@ class _Reader:
 class TomlEdit:
     """The changes of a TOML ``text``. All of them refer to the text as it was; :meth:`result` is the new one.
 
-    Values are TOML already (:func:`dpstack.api.config.toml.toml_value`).
+    Values are TOML already (:func:`dpstack.toml.reading.toml_value`).
     """
 
     def __init__(self, text: str) -> None:

@@ -20,7 +20,7 @@ from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.driver_choice import PROCESS
 from dpstack.api.bus.live import LiveStream, named_values
 from dpstack.api.config.connectors import KEEP, ConnectorConfig, loss_text, read_connectors
-from dpstack.api.config.table import Source
+from dpstack.toml.table import Source
 from dpstack.api.connectors.kinds import KINDS, ConnectorKind, Parts
 from dpstack.api.connectors.outside import OutsideOrders
 from dpstack.api.streams import LEVELS, load_beside

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Final, TypeVar
 
-from dpstack.api.config.table import parse_hex
+from dpstack.toml.table import parse_hex
 from dpstack.errors import UsageError
 from dpstack.text import decimal, shortened
 from dpstack.units import NS_PER_S

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dpstack.api.config.config import read_tables, read_text
-from dpstack.api.config.table import Key, Source, Table
+from dpstack.toml.table import Key, Source, Table
 from dpstack.api.control.arguments import time_ns
 from dpstack.api.control.commands import SLAVES, Spec
 from dpstack.api.control.control_server import Handler

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from dpstack.api.config.config import Config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.config.table import Key, Source, Table
-from dpstack.api.config.toml import TomlError, read_toml
+from dpstack.toml.table import Key, Source, Table
+from dpstack.toml.reading import TomlError, read_toml
 from dpstack.api.files import read_file
 from dpstack.api.gsd_info import gsd_files, read_gsd
 from dpstack.errors import ConfigError, GsdError

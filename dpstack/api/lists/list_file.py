@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, NoReturn, Self, TypeVar
 
-from dpstack.api.config.toml import MAX_OCTETS, TomlError, quoted, read_toml
+from dpstack.toml.reading import MAX_OCTETS, TomlError, quoted, read_toml
 from dpstack.api.files import AtomicFile, read_file
 from dpstack.errors import ConfigError
 from dpstack.profile import ListedParam

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final, Literal
 
-from dpstack.api.config.table import Key, Table
+from dpstack.toml.table import Key, Table
 from dpstack.api.slave_side.virtual_bench import SimulatedSlave
 from dpstack.dp.pdu.alarm_blocks import ModuleState
 from dpstack.dp.pdu.diag_blocks import CHANNEL_ERRORS, FIRST_SLOT, SIZES, UserDiag, channel_block

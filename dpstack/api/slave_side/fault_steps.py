@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from dpstack.api.config.table import Key, Table
+from dpstack.toml.table import Key, Table
 from dpstack.api.slave_side import diagnosis_steps
 from dpstack.api.slave_side.diagnosis_steps import read_diagnosis
 from dpstack.api.slave_side.virtual_bench import Bench, SimulatedSlave

@@ -12,7 +12,7 @@ from property_kit import examples
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import make_config, parse_config
 from dpstack.api.config.slave import Changes, SlaveKeys
-from dpstack.api.config.table import keys_of
+from dpstack.toml.table import keys_of
 from dpstack.errors import ConfigError
 
 #: values as TOML texts

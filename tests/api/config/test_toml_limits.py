@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from linear_kit import assert_linear
 
 from dpstack.api.config.config import parse_config
-from dpstack.api.config.toml import MAX_BARE, MAX_DEPTH, MAX_PARTS, TomlError, line_numbers, read_toml
+from dpstack.toml.reading import MAX_BARE, MAX_DEPTH, MAX_PARTS, TomlError, line_numbers, read_toml
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.api.lists.record_list import RecordList
 from dpstack.errors import ConfigError

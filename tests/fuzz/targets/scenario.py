@@ -55,7 +55,7 @@ TARGET = Target(
         "dpstack.api.control.scenario",
         "dpstack.api.slave_side.fault_steps",
         "dpstack.api.slave_side.diagnosis_steps",
-        "dpstack.api.config.table",
+        "dpstack.toml.table",
     ),
     max_len=200,
     repair=repair,

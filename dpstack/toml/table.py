@@ -29,8 +29,8 @@ from typing import (
 
 from msgspec import Struct, structs
 
-from dpstack.api.config.toml import Path as KeyPath
-from dpstack.api.config.toml import quoted
+from dpstack.toml.reading import Path as KeyPath
+from dpstack.toml.reading import quoted
 from dpstack.errors import ConfigError, PduError
 from dpstack.text import brief
 

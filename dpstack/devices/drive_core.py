@@ -1,0 +1,287 @@
+"""Master side of a drive that a device file describes: the core of all drives, fed by data."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from dpstack.devices.model import DeviceFile, Messages, WordSpec
+from dpstack.errors import ConfigError
+from dpstack.profile.channel.pkw import PLAIN_PKW
+from dpstack.profile.master.core import DriveCore
+from dpstack.profile.master.settings import Setting, equal
+from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
+from dpstack.profile.model.jobs import Args, CommandError, Steps
+
+#: the order that sets free words of the outputs
+SET: Final = "set"
+
+
+class FileCore(DriveCore):
+    """The core of the drive in ``file``. Orders of its own: :data:`SET`, and those of the file.
+
+    Free words of the outputs (:attr:`free`) have their neutral values until they are set, and again after the drive was
+    away or its outputs were safe; so have the bits that orders of the file have set.
+    """
+
+    def __init__(
+        self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
+    ) -> None:
+        self.file = file
+        self._layout = layout = Layout(file, telegram.name)
+        self.table = file.table
+        self.inputs = layout.names
+        self.safe_control = file.safe_control
+        self.scan_ns = round(file.simulate.scan_ms * 1_000_000)
+        self.parameter_table = file.parameters if len(list(file.parameters)) else None
+        self.record_slot = file.channel.record_slot
+        self.lock_hint, self.start_hint = file.lock_hint, file.start_hint
+        self.address_parameter = file.address_parameter
+        self.dialect = PLAIN_PKW
+        self.own_ops = ((SET,) if layout.free else ()) + tuple(file.orders)
+        self.fault_names = file.fault.texts
+        self.warning_names = file.warning.texts
+        if layout.setpoint is not None:
+            self.scale = layout.setpoint.scale
+        self._options = options
+        #: counts of the free words by name
+        self.values: dict[str, int] = dict(layout.neutral)
+        self._extra = 0
+        self._numbers: dict[str, int] = {}
+        super().__init__(profile, name, telegram, options)
+        self.safe_outputs = bytes(self.offset) + layout.pack(file.safe_control, 0, layout.neutral)
+        for obstacle in file.obstacles:  # a change of their bits is a new status
+            self._event_mask |= obstacle.mask
+
+    # -- outputs --------------------------------------------------------------------------------------------------
+
+    def encode(self, control: int, setpoint: int) -> bytes:
+        return self._layout.pack(control, setpoint, self.values)
+
+    def encode_held(self) -> bytes:
+        return self._layout.pack(self.file.safe_control, 0, self._layout.neutral)
+
+    def decode(self, process: bytes) -> tuple[int | None, float | None]:
+        return self._layout.unpack_outputs(process, self.file)
+
+    def control_bits(self) -> int:
+        reverse = self.file.reverse
+        return self._extra | (reverse if reverse is not None and self.setpoint < 0 else 0)
+
+    def setpoint_word(self, fraction: float) -> int:
+        word = self._layout.setpoint
+        if word is None:
+            raise ValueError(f"telegram {self.telegram.name} has no speed set point")
+        percent, low, high = 100 * fraction, word.low, word.high
+        if (low is not None and percent < low) or (high is not None and percent > high):
+            limits = ("" if limit is None else f"{limit:g}" for limit in (low, high))
+            raise ValueError(f"speed {fraction:g} is outside {'..'.join(limits)} %")
+        return self.scale.encode(abs(fraction) if self.file.reverse is not None else fraction)
+
+    def lost(self, now: int) -> None:
+        self.values = dict(self._layout.neutral)
+        self._extra = 0
+        super().lost(now)
+
+    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
+        own = self.file.orders.get(op)
+        if own is not None:
+            return self._own(own.set, own.clear)
+        if op == SET and self._layout.free:
+            return self._set([(str(one.name_or_number("name")), one.number("value")) for one in args.tables("values")])
+        return None
+
+    def _own(self, wanted: int, clear: int) -> Steps[dict[str, object]]:
+        yield from ()
+        self._extra = self._extra & ~clear | wanted
+        self.update()
+        return {"value": f"{self._extra:04X}"}
+
+    def _set(self, given: Sequence[tuple[str, float]]) -> Steps[dict[str, object]]:
+        yield from ()
+        found = {}
+        for name, value in given:
+            word = self._layout.free.get(name)
+            if word is None:
+                raise CommandError("usage", f"{name!r} is no free word; it has {', '.join(self._layout.free)}")
+            try:
+                found[name] = counts_of(word, value)
+            except ValueError as error:
+                raise CommandError("usage", str(error)) from None
+        self.values.update(found)
+        self.dirty = True
+        return {"value": {name: value for name, value in given}}
+
+    # -- inputs ---------------------------------------------------------------------------------------------------
+
+    def word(self, name: str) -> int | None:
+        """The word called ``name``, or the one that has this part; unsigned. A derived value too."""
+        place = self._layout.places.get(name)
+        if place is not None:
+            at, wide = place
+            return self.words[at] << 16 | self.words[at + 1] if wide else self.words[at]
+        derived = self.file.derived.get(name)
+        if derived is None:
+            return None
+        word = self.word(derived.of)
+        if word is None:
+            return None
+        return word >> derived.shift & derived.mask if word & derived.when == derived.when else 0
+
+    def measured(self) -> tuple[float | None, float | None, float | None]:
+        speed, current, torque = (self._part(part) for part in ("speed", "current", "torque"))
+        turned = self.file.reversed
+        if speed is not None and turned is not None and self.status_word & turned:
+            speed = -speed
+        return speed, current, torque
+
+    def _part(self, part: str) -> float | None:
+        word = self.word(part)
+        return None if word is None else self._layout.scales[part].decode(word)
+
+    def fault_texts(self) -> tuple[str, ...] | None:
+        return self._texts(self.file.fault, "fault", standing=True)
+
+    def warnings(self) -> tuple[str, ...]:
+        return self._texts(self.file.warning, "warning", standing=False) or ()
+
+    def _texts(self, messages: Messages, part: str, *, standing: bool) -> tuple[str, ...] | None:
+        """The messages in a word; None while a number that must come has not come yet."""
+        value = self.word(messages.word or part)
+        if value is None:
+            if standing:
+                return (f"without a name: telegram {self.telegram.name} does not carry it",)
+            shown = self.table.status.is_set(self.status_word, "warning")
+            return ("warning",) if shown else ()
+        if messages.kind == "bits":
+            return tuple(
+                messages.texts.get(bit, f"bit {bit}") for bit in range(value.bit_length()) if value >> bit & 1
+            )
+        if not value:
+            return None if standing else ()
+        return (messages.texts.get(value) or messages.unknown.format(value),)
+
+    # -- what keeps it from running -------------------------------------------------------------------------------
+
+    def obstacle(self) -> str | None:
+        word = self.status_word
+        return next((one.text for one in self.file.obstacles if word & one.mask == one.value), None)
+
+    def settings(self) -> Sequence[Setting]:
+        found = []
+        for one in self.file.settings:
+            wanted = self._wanted(one.equals)
+            if wanted is None:
+                continue
+            remedy = one.remedy or f"set {one.parameter} = {wanted:g}"
+            found.append(
+                equal(
+                    one.parameter,
+                    wanted,
+                    remedy,
+                    unit=one.unit,
+                    refuse=not one.notice,
+                    why=one.why,
+                    source=one.source,
+                )
+            )
+        return found
+
+    def _wanted(self, equals: float | str) -> float | None:
+        if not isinstance(equals, str):
+            return equals
+        if equals == "telegram":
+            number = self.file.telegrams[self.telegram.name].number
+            return None if number is None else float(number)
+        value = self._options.get(equals)
+        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) and value else None
+
+
+def counts_of(word: WordSpec, value: float) -> int:
+    """The unsigned integer in the octets of ``value``. Raises ValueError with the range."""
+    if word.type == "f32":
+        return int.from_bytes(struct.pack(">f", value), "big")
+    bits = 8 * word.octets
+    lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if word.signed else (0, (1 << bits) - 1)
+    low = lowest * word.step if word.low is None else word.low
+    high = highest * word.step if word.high is None else word.high
+    if not low <= value <= high:
+        unit = f" {word.shown_unit}" if word.shown_unit else ""
+        raise ValueError(f"{word.name} {value:g}{unit} is outside {low:g}..{high:g}{unit}")
+    return min(max(round(value / word.step), lowest), highest) & (1 << bits) - 1
+
+
+def value_of(word: WordSpec, counts: int) -> float | int:
+    """The value of an unsigned integer in the octets."""
+    if word.type == "f32":
+        return float(struct.unpack(">f", counts.to_bytes(4, "big"))[0])
+    half = 1 << 8 * word.octets - 1
+    signed = (counts ^ half) - half if word.signed else counts
+    return signed * word.step if word.full else signed
+
+
+class Layout:
+    """The words of one telegram in their places."""
+
+    def __init__(self, file: DeviceFile, telegram: str) -> None:
+        found = file.telegrams.get(telegram)
+        if found is None:
+            raise ConfigError(f"{file.name} has no telegram {telegram!r}; it has {', '.join(file.telegrams)}")
+        self._outputs = [one if isinstance(one, int) else file.words[one] for one in found.outputs]
+        self._out = struct.Struct(
+            ">" + "".join("H" if isinstance(one, int) or one.octets == 2 else "I" for one in self._outputs)
+        )
+        #: the words behind control word and set point that a program may set
+        self.free: Mapping[str, WordSpec] = {
+            one.name: one for one in self._outputs if not isinstance(one, int) and one.part not in ("control", "setpoint")
+        }
+        self.neutral: Mapping[str, int] = {name: counts_of(one, one.neutral) for name, one in self.free.items()}
+        self.setpoint = next((one for one in self._outputs if not isinstance(one, int) and one.part == "setpoint"), None)
+        #: place (of 16 bits) and width of the input words, by name and by part
+        self.places: dict[str, tuple[int, bool]] = {}
+        self.scales = {}
+        #: names of the words of 16 bits, as the core has them
+        names: list[str] = []
+        for number in found.inputs:
+            word = None if isinstance(number, int) else file.words[number]
+            name = f"constant {len(names)}" if word is None else word.name
+            wide = word is not None and word.octets == 4
+            if word is not None:
+                self.places[name] = (len(names), wide)
+                if word.part:
+                    self.places.setdefault(word.part, (len(names), wide))
+                    self.scales[word.part] = word.scale
+            names += [name, f"{name} low"] if wide else [name]
+        self.names = tuple(names)
+
+    def pack(self, control: int, setpoint: int, values: Mapping[str, int]) -> bytes:
+        """The process data of the outputs, by counts."""
+        found = []
+        for one in self._outputs:
+            if isinstance(one, int):
+                found.append(one)
+            elif one.part == "control":
+                found.append(control & 0xFFFF)
+            elif one.part == "setpoint":
+                found.append(setpoint)
+            else:
+                found.append(values[one.name])
+        return self._out.pack(*found)
+
+    def unpack_outputs(self, process: bytes, file: DeviceFile) -> tuple[int | None, float | None]:
+        """Control word and set point of the reference in ``process``; None if it does not have them."""
+        if len(process) != self._out.size:
+            return None, None
+        control: int | None = None
+        setpoint: float | None = None
+        for one, value in zip(self._outputs, self._out.unpack(process), strict=True):
+            if isinstance(one, int):
+                continue
+            if one.part == "control":
+                control = value
+            elif one.part == "setpoint":
+                setpoint = one.scale.decode(value)
+        if setpoint is not None and control is not None and file.reverse is not None and control & file.reverse:
+            setpoint = -setpoint
+        return control, setpoint

@@ -1,0 +1,228 @@
+"""The simulated drive of a device file: the state machine of its base, a motor, its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.devices.drive_core import counts_of
+from dpstack.devices.machines import machine_of
+from dpstack.devices.model import DeviceFile, WordSpec
+from dpstack.dp.slave.device import Leave
+from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
+from dpstack.profile.model.params import ParamSpec
+from dpstack.profile.model.states import State
+from dpstack.profile.record47.parameter_server import ParameterServer, Rules, StoreParameters
+from dpstack.profile.simulator.device import DriveDevice
+from dpstack.profile.simulator.motor import AT_ONCE, ramp
+
+#: the fault of the simulated drive of a file that has no fault texts
+_ANY_FAULT: Final = {1: "a fault"}
+_DEFAULT_RAMP_S: Final = 1.0
+
+
+class FileDevice(DriveDevice):
+    """The simulated drive of ``file``. It follows the bus while its settings are those that the file wants."""
+
+    def __init__(
+        self,
+        file: DeviceFile,
+        profile: DriveType,
+        telegram: TelegramSpec,
+        options: Options,
+        presets: Mapping[str, object],
+    ) -> None:
+        self.file = file
+        self.parameter_table = file.parameters
+        self.address_parameter = file.address_parameter
+        self.trips = file.fault.texts or _ANY_FAULT
+        self.scan_ns = round(file.simulate.scan_ms * 1_000_000)
+        super().__init__(profile, telegram, options, presets)
+        self.motor.load = file.simulate.load
+        self._machine = machine_of(file)
+        self._fault = 0
+        self._lost_by: str | None = None  # what its lost master ordered
+        slot = file.channel.record_slot
+        if slot is not None and self.parameter_table is not None:
+            self.record47 = ParameterServer(
+                StoreParameters(self.store, locked=self.locked),
+                Rules(slots=frozenset({slot}), objects=frozenset({0, file.channel.record_object})),
+            )
+            self.records = self.record47
+
+    @property
+    def faulted(self) -> bool:
+        return self._machine.state is State.FAULT
+
+    def reset_fault(self) -> None:
+        self._machine.reset()
+        self._fault = 0
+
+    def fault_code(self, code: str) -> int:
+        """By number, text or the text's beginning, such as ``F07011``."""
+        wanted = code.strip().lower()
+        for number, text in self.trips.items():
+            if text.lower().startswith(wanted) and wanted:
+                return number
+        return super().fault_code(code)
+
+    def locked(self, spec: ParamSpec) -> bool:
+        return self._machine.powered and spec.name in self.file.standstill
+
+    def master_lost(self, reason: Leave, now: int) -> None:
+        self._lost_by = self.file.simulate.lost
+
+    def enter(self, config: bytes, now: int) -> None:
+        self._lost_by = None
+        super().enter(config, now)
+
+    def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
+        machine, motor, file = self._machine, self.motor, self.file
+        if (trip := self.take_trip()) is not None:
+            self._trip(trip)
+        still = not motor.frequency or not motor.on
+        control, setpoint = self._ordered(words)
+        follows = self.follows
+        if self._lost_by is not None:
+            self._without_master(still)
+        elif control is not None and follows:
+            before = machine.state
+            machine.obey(control, still=still)
+            if before is State.FAULT and machine.state is not State.FAULT:
+                self._fault = 0
+        elif words is None or not follows:
+            machine.hold()
+            if machine.state is State.STOPPING and still:
+                machine.reset()
+        motor.switch(machine.powered)
+        motor.accel = self._rate(file.simulate.up)
+        motor.decel = self._rate(file.simulate.quick if machine.state is State.QUICK_STOP else file.simulate.down)
+        if machine.state is State.RUNNING:
+            if setpoint is not None:
+                motor.setpoint = min(max(setpoint, -2.0), 2.0)
+        else:
+            motor.setpoint = 0.0
+        return self._report(follows)
+
+    # -- inside ---------------------------------------------------------------------------------------------------
+
+    @property
+    def follows(self) -> bool:
+        """It follows the bus: released, and set as the file wants it."""
+        if not self.released:
+            return False
+        for one in self.file.settings:
+            if not one.notice and isinstance(one.equals, (int, float)):
+                if abs(float(self.store.value(one.parameter)) - one.equals) >= 0.01:
+                    return False
+        return True
+
+    def _ordered(self, words: tuple[int, ...] | None) -> tuple[int | None, float | None]:
+        """Control word and set point of the reference in the outputs."""
+        if words is None:
+            return None, None
+        found = self.file.telegrams[self.telegram.name]
+        control: int | None = None
+        setpoint: float | None = None
+        at = 0
+        for name in found.outputs:
+            word = None if isinstance(name, int) else self.file.words[name]
+            wide = word is not None and word.octets == 4
+            value = words[at] << 16 | words[at + 1] if wide else words[at]
+            at += 2 if wide else 1
+            if word is not None and word.part == "control":
+                control = value
+            elif word is not None and word.part == "setpoint":
+                setpoint = word.scale.decode(value)
+        if control is not None and setpoint is not None and self.file.reverse is not None and control & self.file.reverse:
+            setpoint = -setpoint
+        return control, setpoint
+
+    def _without_master(self, still: bool) -> None:
+        machine, lost = self._machine, self._lost_by
+        if lost == "go_on" or machine.state is State.FAULT:
+            return
+        if lost == "coast":
+            machine.reset()
+        elif lost in ("stop", "quick_stop"):
+            if machine.state is State.RUNNING:
+                machine.state = State.QUICK_STOP if lost == "quick_stop" else State.STOPPING
+            if machine.state in (State.QUICK_STOP, State.STOPPING) and still:
+                machine.reset()
+        elif machine.powered:
+            self._trip(int(str(lost)))
+
+    def _trip(self, number: int) -> None:
+        if self._machine.state is not State.FAULT:
+            self._machine.fail()
+            self._fault = number
+
+    def _rate(self, name: str) -> float:
+        seconds = float(self.store.value(name)) if name else _DEFAULT_RAMP_S
+        return ramp(seconds) if seconds else AT_ONCE
+
+    def _report(self, follows: bool) -> tuple[int, ...]:
+        found: list[int] = []
+        for name in self.file.telegrams[self.telegram.name].inputs:
+            if isinstance(name, int):
+                found.append(name)
+                continue
+            word = self.file.words[name]
+            value = self._value(word, follows)
+            found += [value >> 16, value & 0xFFFF] if word.octets == 4 else [value]
+        return tuple(found)
+
+    def _value(self, word: WordSpec, follows: bool) -> int:
+        motor = self.motor
+        match word.part:
+            case "status":
+                return self._status(follows)
+            case "speed":
+                turned = abs(motor.frequency) if self.file.reversed is not None else motor.frequency
+                return word.scale.nearest(turned)
+            case "current":
+                return word.scale.nearest(motor.current)
+            case "torque":
+                return word.scale.nearest(motor.torque)
+            case "fault":
+                return self._fault if word.name == self.file.fault.word else 0
+            case "warning":
+                return self.warning_mask
+        if word.name == self.file.fault.word:
+            return self._fault
+        return counts_of(word, 0.0) if (word.low or 0) <= 0 else 0
+
+    def _status(self, follows: bool) -> int:
+        file, machine, motor = self.file, self._machine, self.motor
+        bits = file.table.status.bits
+        status = machine.shown
+        said = {
+            "remote": follows,
+            "warning": bool(self.warning_mask),
+            "reached": machine.state is State.RUNNING and motor.reached(motor.setpoint),
+        }
+        mask = self._judged
+        for name, on in said.items():
+            if on and name in bits and not mask >> bits[name] & 1:
+                status |= 1 << bits[name]
+        if file.reversed is not None and motor.frequency < 0:
+            status |= file.reversed
+        if machine.state is State.FAULT:
+            for name, derived in file.derived.items():
+                if name == file.fault.word and file.words[derived.of].part == "status":
+                    status = status & ~(derived.mask << derived.shift) | derived.when
+                    status |= (self._fault & derived.mask) << derived.shift
+        for obstacle in file.obstacles:
+            ahead = follows and not status & obstacle.mask and obstacle.value == 0
+            if ahead and not mask & obstacle.mask:
+                status |= obstacle.mask
+        return status & 0xFFFF
+
+    @property
+    def _judged(self) -> int:
+        """The bits of the status word that show the state."""
+        mask = 0
+        for row in self.file.table.states.rows:
+            mask |= row.mask
+        return mask
+

@@ -1,0 +1,196 @@
+"""Drives by name or path: plugins of packages, and device files in folders.
+
+A name is looked for among the entry points of plugins, in the folders of the environment variable ``DPSTACK_DEVICES``, in
+the user's data folder, among the files that packages bring (entry points of the group ``dpstack.device_files``) and among
+those that come with dpstack. The first one found counts.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from dpstack.errors import ConfigError
+from dpstack.profile import registry
+
+if TYPE_CHECKING:
+    from dpstack.devices.model import DeviceFile
+    from dpstack.profile.drive_profile import DriveProfile
+
+#: entry points of packages that bring device files: the name of the device, and the package whose folder has ``NAME.toml``
+GROUP: Final = "dpstack.device_files"
+ENDING: Final = ".toml"
+_HERE: Final = Path(__file__).parent
+#: files that are looked at in a folder
+_MOST_FILES: Final = 1000
+
+
+def is_path(name: str) -> bool:
+    """Whether ``name`` is the path of a device file and no name."""
+    return name.endswith(ENDING) or "/" in name or os.sep in name
+
+
+def find(name: str, folder: Path | None = None) -> DriveProfile:
+    """The drive called ``name``, or that of the device file at this path (relative to ``folder``).
+
+    Raises ConfigError with the nearest names, or with the mistakes of the file.
+    """
+    if is_path(name):
+        return _profile(Path(folder or ".", name))
+    if name in registry.places() or registry.is_given(name):
+        return registry.find(name)
+    path = path_of(name)
+    if path is not None:
+        return _profile(path)
+    import difflib  # here, as most names are right
+
+    names = [*registry.places(), *files()]
+    near = difflib.get_close_matches(name.lower(), names, n=3)
+    if near:
+        raise ConfigError(f"no drive is called {name!r}; did you mean {' or '.join(near)}?")
+    raise ConfigError(f"no drive is called {name!r}; known: {', '.join(sorted(names)) or 'none (is dpstack installed?)'}")
+
+
+def profile_at(place: str) -> DriveProfile:
+    """The drive of the device file ``path``, if its digest is still the given one: ``DIGEST PATH``, for a bus process.
+
+    Raises ConfigError.
+    """
+    digest, _, path = place.partition(" ")
+    profile = _profile(Path(path))
+    if file_at(Path(path)).digest != digest:
+        raise ConfigError(f"{path} has changed while the bus was opened; open it again")
+    return profile
+
+
+def known() -> dict[str, DriveProfile]:
+    """All drives by name; those that cannot be loaded are left out, see :func:`broken`."""
+    found = {}
+    for name, path in files().items():
+        try:
+            found[name] = _profile(path)
+        except ConfigError:
+            continue
+    return dict(sorted((found | registry.known()).items()))
+
+
+def broken() -> dict[str, str]:
+    """Plugins and device files that cannot be loaded: name -> why."""
+    found = {}
+    for name, path in files().items():
+        try:
+            _profile(path)
+        except ConfigError as error:
+            found[name] = str(error)
+    return found | registry.broken()
+
+
+def files() -> dict[str, Path]:
+    """Device files by name, in the folders and of packages; the first one of a name counts."""
+    found: dict[str, Path] = {}
+    for folder in folders():
+        for path in _listed(folder):
+            found.setdefault(path.stem, path)
+    for name, package in _of_packages().items():
+        path = _in_package(name, package)
+        if path is not None:
+            found.setdefault(name, path)
+    for folder in (_HERE / "library", _HERE / "bases"):
+        for path in _listed(folder):
+            if path.stem not in _NO_DRIVES:
+                found.setdefault(path.stem, path)
+    return found
+
+
+#: bases that are no drive without a file
+_NO_DRIVES: Final = frozenset({"drivecom", "bits", "encoder"})
+
+
+def path_of(name: str) -> Path | None:
+    """The device file called ``name``; None if there is none."""
+    if name != Path(name).name or name.startswith("."):
+        return None
+    for folder in folders():
+        if (path := folder / (name + ENDING)).is_file():
+            return path
+    package = _of_packages().get(name)
+    if package is not None and (found := _in_package(name, package)) is not None:
+        return found
+    for folder in (_HERE / "library", _HERE / "bases"):
+        if (path := folder / (name + ENDING)).is_file() and name not in _NO_DRIVES:
+            return path
+    return None
+
+
+def base_of(name: str, beside: Path) -> Path:
+    """The file of a base called ``name`` in the file ``beside``. Raises ConfigError."""
+    own = _HERE / "bases" / (name + ENDING)
+    if name == Path(name).name and own.is_file():
+        return own
+    found = beside.parent / name if is_path(name) else path_of(name)
+    if found is None or not found.is_file():
+        bases = sorted(path.stem for path in (_HERE / "bases").glob("*" + ENDING))
+        raise ConfigError.at(
+            str(beside), None, f"base = {name!r}: there is no such file", f"it must be {', '.join(bases)} or a device file"
+        )
+    return found
+
+
+def folders() -> list[Path]:
+    """The folders of the user: those of ``DPSTACK_DEVICES``, then the data folder."""
+    given = [Path(one) for one in os.environ.get("DPSTACK_DEVICES", "").split(os.pathsep) if one]
+    data = os.environ.get("XDG_DATA_HOME") or os.path.join(os.path.expanduser("~"), ".local", "share")
+    return [*given, Path(data, "dpstack", "devices")]
+
+
+def file_at(path: Path) -> DeviceFile:
+    """The device file at ``path``, read again when it or its time has changed. Raises ConfigError."""
+    try:
+        stamp = path.stat()
+    except OSError as error:
+        raise ConfigError(f"the device file {path} cannot be read ({error.strerror}); give its path") from None
+    return _read(path.resolve(), stamp.st_mtime_ns, stamp.st_size)
+
+
+def _profile(path: Path) -> DriveProfile:
+    from dpstack.devices.profiles import profile_of
+
+    return profile_of(file_at(path))
+
+
+@functools.lru_cache(maxsize=256)
+def _read(path: Path, _changed_at: int, _size: int) -> DeviceFile:
+    from dpstack.devices.reader import Reader
+
+    return Reader(path, base_of).read()
+
+
+def _listed(folder: Path) -> Iterator[Path]:
+    try:
+        entries = sorted(folder.glob("*" + ENDING))[:_MOST_FILES]
+    except OSError:
+        return
+    yield from (path for path in entries if path.is_file())
+
+
+@functools.cache
+def _of_packages() -> dict[str, str]:
+    """The packages of device files by the name of the device; none is imported for it."""
+    from importlib import metadata  # here, as it takes 10 ms
+
+    return {point.name: point.value for point in sorted(metadata.entry_points(group=GROUP), key=lambda one: one.name)}
+
+
+def _in_package(name: str, package: str) -> Path | None:
+    try:
+        spec = importlib.util.find_spec(package)
+    except (ImportError, ValueError):
+        return None
+    for folder in () if spec is None else spec.submodule_search_locations or ():
+        if (path := Path(folder, name + ENDING)).is_file():
+            return path
+    return None

@@ -1,0 +1,433 @@
+"""The keys of a device file: names, types and limits; docs/reference/device-files.md is made from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Final, Literal, TypedDict
+
+from dpstack.toml.table import Key, Octets, Table
+
+#: a word, an index, a number of a parameter
+_WORD: Final = Key(0, 0xFFFF)
+_MOST: Final = 1e9
+
+
+def _texts(table: Table, name: str, _: Key) -> tuple[str, ...]:
+    """Reader of a text or a list of texts."""
+    value = table.raw(name)
+    if isinstance(value, str):
+        return (table.text(name),)
+    if not isinstance(value, list) or not all(isinstance(one, str) and one.isprintable() for one in value):
+        table.fail(name, f"{name} is no list of texts", f'write {name} = ["...", "..."]')
+    return tuple(str(one) for one in value)
+
+
+def _as_given(table: Table, name: str, _: Key) -> object:
+    return table.raw(name)
+
+
+_TEXTS: Final = Key(read=_texts)
+_GIVEN: Final = Key(read=_as_given)
+
+
+class DeviceKeys(TypedDict, total=False):
+    """The keys in front of all tables.
+
+    format: 1
+    name: the name for `drive = "NAME"`: the name of the file without `.toml`
+    title: maker and type for people
+    base: `profidrive`, `drivecom`, `bits`, `encoder`, or another device file, by name or relative to this one
+    gsd: the maker's GSD file, relative to this one. Left out: the plant file names one, or `[bus]` has its facts
+    source: manual, edition and where it is public
+    tried: whether it was tried at the device
+    on_loss: what the device does when its master stops
+    notes: further facts for people
+    address: name of the parameter with the station address. Left out: the drive has none
+    machine: the state machine of the simulated drive: `profidrive`, `drivecom` or `table`. Left out: that of the base
+    python: the Python of an installed package, by its name in the entry point group `dpstack.devices`. Left out: none
+    telegram: the telegram of a plant file that names none. Left out: the first one of this file
+    start_hint: what to check when it does not start for no known reason
+    lock_hint: why it may ignore an acknowledgement
+    acknowledge: how a fault is acknowledged, for the commissioning sheet
+    """
+
+    format: Annotated[int, Key(1, 1, hint="this dpstack reads format = 1")]
+    name: str
+    title: str
+    base: str
+    gsd: str
+    source: str
+    tried: str
+    on_loss: str
+    notes: Annotated[Sequence[str], _TEXTS]
+    address: str
+    machine: Literal["profidrive", "drivecom", "table"]
+    python: str
+    telegram: str
+    start_hint: str
+    lock_hint: str
+    acknowledge: str
+    bus: Mapping[str, object]
+    telegrams: Mapping[str, object]
+    words: Mapping[str, object]
+    derived: Mapping[str, object]
+    control: Mapping[str, object]
+    status: Mapping[str, object]
+    orders: Mapping[str, object]
+    obstacles: Mapping[str, object]
+    fault: Mapping[str, object]
+    warning: Mapping[str, object]
+    reference: Mapping[str, object]
+    channel: Mapping[str, object]
+    parameters: Mapping[str, object]
+    settings: Mapping[str, object]
+    options: Mapping[str, object]
+    simulate: Mapping[str, object]
+    step: Annotated[Sequence[object], _GIVEN]
+    example: Annotated[Sequence[object], _GIVEN]
+
+
+class BusKeys(TypedDict, total=False):
+    """`[bus]`: the facts of the GSD file, for a device file without one.
+
+    ident: the ident number
+    rates: baud rates in bit/s
+    user_prm: user parameters in hex
+    max_tsdr: MaxTsdr in bit times by baud rate, `{ 9600 = 60 }`
+    min_slave_interval_us: the shortest time between two exchanges
+    fail_safe: it understands an empty output frame in Clear
+    """
+
+    ident: Annotated[int, _WORD]
+    rates: Sequence[int]
+    user_prm: Octets
+    max_tsdr: Mapping[str, object]
+    min_slave_interval_us: Annotated[int, Key(0, 6_553_500)]
+    fail_safe: bool
+
+
+class TelegramKeys(TypedDict, total=False):
+    """`[telegrams.NAME]`: the words in their order, each way; a number is a constant word.
+
+    out: words to the device, the control word first
+    in: words from the device, the status word first
+    pkw: a parameter channel of eight octets leads. Left out: false
+    config: identifier octets in hex. Left out: those of `modules` in the GSD file
+    modules: names of the modules in the GSD file
+    number: value of the drive's parameter that chooses it, for `{telegram}` in `[settings]`. Left out: its name, if that
+        is a number
+    """
+
+    out: Annotated[Sequence[object], _GIVEN]
+    in_: Annotated[Sequence[object], _GIVEN]
+    pkw: bool
+    config: Octets
+    modules: Annotated[Sequence[str], _TEXTS]
+    number: Annotated[int, _WORD]
+
+
+class WordKeys(TypedDict, total=False):
+    """`[words]`, `NAME = { ... }`: a word of a telegram.
+
+    type: `n2`, `n4` (PROFIdrive: 4000h or 4000 0000h is 100 %), `i16`, `u16`, `i32`, `u32` or `f32`. Left out: `u16`
+    full: the counts at `of`. Left out: with `n2` and `n4` theirs, else the value is the count
+    of: the value at `full` in `unit`, or the name of the parameter that holds it. Left out: 100
+    unit: the unit of the value. Left out: `%` beside a full scale
+    low: lowest value that may be set
+    high: highest value that may be set
+    neutral: the value in the safe outputs. Left out: 0
+    as: the part of the word: `setpoint`, `speed`, `current`, `torque`, `fault` or `warning`. Left out: by its name
+    bits: names of its bits by their numbers, `{ line = 1 }`
+    """
+
+    type: Literal["n2", "n4", "i16", "u16", "i32", "u32", "f32"]
+    full: Annotated[int, Key(1, 0x7FFF_FFFF)]
+    of: Annotated[object, _GIVEN]
+    unit: str
+    low: Annotated[float, Key(-_MOST, _MOST)]
+    high: Annotated[float, Key(-_MOST, _MOST)]
+    neutral: Annotated[float, Key(-_MOST, _MOST)]
+    as_: Literal["control", "status", "setpoint", "speed", "current", "torque", "fault", "warning"]
+    bits: Mapping[str, object]
+
+
+class DerivedKeys(TypedDict, total=False):
+    """`[derived]`, `NAME = { ... }`: a value in part of a word.
+
+    of: the word
+    shift: bits below it. Left out: 0
+    mask: bits of the value, behind the shift. Left out: FFFFh
+    when: the value counts only while these bits of the word are set. Left out: always
+    """
+
+    of: str
+    shift: Annotated[int, Key(0, 31)]
+    mask: Annotated[int, Key(1, 0xFFFF_FFFF)]
+    when: Annotated[int, Key(0, 0xFFFF_FFFF)]
+
+
+class ControlKeys(TypedDict, total=False):
+    """`[control]`: the control word.
+
+    bits: names of its bits by their numbers
+    run: the word that leads on from each state towards running
+    goals: the words of `idle`, `stop`, `quick_stop`, `coast`, `ack_high` and `ack_low`
+    released: bits of one's own word without which the states of `releasing` are a stop. Left out: none
+    releasing: those states
+    safe: the control word of the safe outputs. Left out: that of `idle`
+    reverse: the bit for the other direction. Left out: the sign of the set point is the direction
+    """
+
+    bits: Mapping[str, object]
+    run: Mapping[str, object]
+    goals: Mapping[str, object]
+    released: Annotated[int, _WORD]
+    releasing: Annotated[Sequence[str], _TEXTS]
+    safe: Annotated[int, _WORD]
+    reverse: str
+
+
+class StatusKeys(TypedDict, total=False):
+    """`[status]`: the status word.
+
+    bits: names of its bits by their numbers; `reached`, `remote` and `warning` mean what they say
+    states: mask and value of each state, `fault = [0x0008, 0x0008]`, or several such pairs
+    reversed: the bit of the other direction. Left out: the sign of the actual value is the direction
+    """
+
+    bits: Mapping[str, object]
+    states: Mapping[str, object]
+    reversed: str
+
+
+class OrderKeys(TypedDict, total=False):
+    """`[orders]`, `NAME = { ... }`: an order of the file's own.
+
+    set: bits of the control word that it sets, until the outputs are safe
+    clear: bits that it clears
+    """
+
+    set: Annotated[Sequence[str], _TEXTS]
+    clear: Annotated[Sequence[str], _TEXTS]
+
+
+class ObstacleKeys(TypedDict, total=False):
+    """`[obstacles]`, `BIT = { ... }`, or `BIT = "text"` for a bit that is 0: why the drive cannot run.
+
+    when: value of the bit, 0 or 1
+    text: the reason, and what to do
+    """
+
+    when: Annotated[int, Key(0, 1)]
+    text: str
+
+
+class MessageKeys(TypedDict, total=False):
+    """`[fault]` and `[warning]`.
+
+    word: the word or the derived value. Left out: the word of this name
+    kind: `number` or `bits`. Left out: `number` for faults, `bits` for warnings
+    parameter: the parameter that holds the number where the telegram does not: `{ number = 947, index = 0 }`
+    texts: texts by number or by bit; or the name of a CSV file with a number and a text in each row
+    unknown: text for a number that has none, such as `"F{:05d}"`. Left out: `number {}`
+    """
+
+    word: str
+    kind: Literal["number", "bits"]
+    parameter: Mapping[str, object]
+    texts: Annotated[object, _GIVEN]
+    unknown: str
+
+
+class PlaceKeys(TypedDict, total=False):
+    """A parameter by its number.
+
+    number: the number
+    index: the index. Left out: 0
+    """
+
+    number: Annotated[int, _WORD]
+    index: Annotated[int, _WORD]
+
+
+class ReferenceKeys(TypedDict, total=False):
+    """`[reference]`: what 100 % of the speed is.
+
+    hz: a number, or the name of the parameter that holds it. Left out: not known
+    rpm: the same in rpm
+    """
+
+    hz: Annotated[object, _GIVEN]
+    rpm: Annotated[object, _GIVEN]
+
+
+class ChannelKeys(TypedDict, total=False):
+    """`[channel]`: the way to parameters.
+
+    dialect: the kind of parameter channel in telegrams with `pkw`. Left out: `plain`
+    errors: texts of the errors of the parameter channel by number
+    record47: `{ slot = 0, object = 1 }`, for a drive that has record 47. Left out: it has none
+    """
+
+    dialect: str
+    errors: Mapping[str, object]
+    record47: Mapping[str, object]
+
+
+class Record47Keys(TypedDict, total=False):
+    """`record47`.
+
+    slot: the slot. Left out: 0
+    object: the axis or drive object (DO-ID). Left out: 1
+    """
+
+    slot: Annotated[int, Key(0, 254)]
+    object: Annotated[int, Key(0, 255)]
+
+
+class ParameterKeys(TypedDict, total=False):
+    """`[parameters]`, `NAME = { ... }`: a parameter.
+
+    number: the number. Left out: the name, if that is a number
+    index: a fixed subindex. Left out: 0
+    title: what it is
+    type: `u8`, `i8`, `u16`, `i16`, `u32`, `i32`, `f32`. Left out: `u16`
+    unit: unit of the value
+    decimals: the wire carries value x 10^decimals. Left out: 0
+    per_unit: counts on the wire that make 1 in `unit`, if that is no power of ten
+    low: lowest value. Left out: that of the type
+    high: highest value. Left out: that of the type
+    factory: value at delivery. Left out: 0
+    read_only: it cannot be written
+    text: a text, which the parameter channel cannot carry
+    per_set: it exists in each data set
+    by_name: people know it by its name
+    volatile: the drive never stores it
+    made_up: limits or factory value are in no manual
+    use: what the plugin relies on it for: `scale`, `source`, `setting` or `map`
+    acts: when a write counts: `power-on`, or the name of the parameter whose write makes it count. Left out: at once
+    standstill: it can only be written at standstill
+    """
+
+    number: Annotated[int, _WORD]
+    index: Annotated[int, _WORD]
+    title: str
+    type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "f32"]
+    unit: str
+    decimals: Annotated[int, Key(0, 9)]
+    per_unit: Annotated[float, Key(-_MOST, _MOST)]
+    low: Annotated[float, Key(-1e39, 1e39)]
+    high: Annotated[float, Key(-1e39, 1e39)]
+    factory: Annotated[float, Key(-1e39, 1e39)]
+    read_only: bool
+    text: bool
+    per_set: bool
+    by_name: bool
+    volatile: bool
+    made_up: bool
+    use: Literal["scale", "source", "setting", "map"]
+    acts: str
+    standstill: bool
+
+
+class SettingKeys(TypedDict, total=False):
+    """`[settings]`, `PARAMETER = { ... }`: a value that the drive must have, compared when it comes and before a start.
+
+    equals: a number, or `"{OPTION}"`; `"{telegram}"` is the number of the telegram
+    remedy: what to do otherwise. Left out: to set it
+    notice: a difference is reported and refuses no start. Left out: false
+    why: the reason, for the commissioning sheet
+    source: section of the manual
+    """
+
+    equals: Annotated[object, _GIVEN]
+    remedy: str
+    notice: bool
+    why: str
+    source: str
+
+
+class OptionKeys(TypedDict, total=False):
+    """`[options]`, `NAME = { ... }`: an option of the plant file.
+
+    default: its value there, which fixes the type
+    text: what it is
+    low: lowest value
+    high: highest value
+    choices: the texts that are allowed
+    simulated: it is one of the simulated drive: `simulated = { NAME = ... }`. Left out: false
+    """
+
+    default: Annotated[object, _GIVEN]
+    text: str
+    low: Annotated[float, Key(-_MOST, _MOST)]
+    high: Annotated[float, Key(-_MOST, _MOST)]
+    choices: Annotated[Sequence[str], _TEXTS]
+    simulated: bool
+
+
+class SimulateKeys(TypedDict, total=False):
+    """`[simulate]`: how the simulated drive differs from that of the base.
+
+    ramps: parameters with the times of `up`, `down` and `quick` in s, from standstill to 100 %. Left out: 1 s
+    lost: what it does without its master: `stop`, `quick_stop`, `coast`, `go_on`, or the number of a fault
+    scan_ms: its internal scan time. Left out: 4
+    load: load torque of the rated one. Left out: 0.2
+    """
+
+    ramps: Mapping[str, object]
+    lost: Annotated[object, _GIVEN]
+    scan_ms: Annotated[float, Key(0.1, 1000)]
+    load: Annotated[float, Key(0, 2)]
+
+
+class StepKeys(TypedDict, total=False):
+    """`[[step]]`: a step of the commissioning.
+
+    what: what to do
+    why: the reason
+    delivered: how it is at delivery
+    source: section of the manual
+    """
+
+    what: str
+    why: str
+    delivered: str
+    source: str
+
+
+class ExampleKeys(TypedDict, total=False):
+    """`[[example]]`: octets of the manual with their meaning, run by `dpstack device check`.
+
+    telegram: the telegram. Left out: the default one
+    options: options of the drive
+    source: section of the manual
+    inputs: process data received, in hex
+    after: process data sent before, as far as the state depends on them
+    state: the state that they mean
+    fault: the text or number of the fault; `""`: none stands
+    warning: the text or number of the warning; `""`: none stands
+    speed: actual speed of the reference
+    values: named values
+    outputs: process data sent by an order: `{ start = "047F 0000", "speed 0.5" = "047E 2000" }`
+    parameter: `read NAME` or `write NAME VALUE`, over the parameter channel
+    request: its octets
+    answer: the octets of the drive's answer
+    value: the value in the answer
+    """
+
+    telegram: str
+    options: Mapping[str, object]
+    source: str
+    inputs: Octets
+    after: Octets
+    state: str
+    fault: Annotated[str, _GIVEN]
+    warning: Annotated[str, _GIVEN]
+    speed: Annotated[float, Key(-100, 100)]
+    values: Mapping[str, object]
+    outputs: Mapping[str, object]
+    parameter: str
+    request: Octets
+    answer: Octets
+    value: Annotated[float, Key(-1e39, 1e39)]

@@ -1,0 +1,269 @@
+"""A device file as data: telegrams, words, states, faults, parameters, settings, examples.
+
+docs/reference/device-files.md describes the keys. Everything here is checked by the reader.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from msgspec import Struct, field
+
+from dpstack.profile.drive_profile import OptionSpec
+from dpstack.profile.model.description import DescribedStep
+from dpstack.profile.model.drive_type import TelegramSpec
+from dpstack.profile.model.params import ParamTable
+from dpstack.profile.model.states import ControlTable, Goal, State
+from dpstack.profile.model.words import Scale
+
+#: the types of words: bits, and whether the number has a sign
+TYPES: Final[Mapping[str, tuple[int, bool]]] = {
+    "n2": (16, True),
+    "n4": (32, True),
+    "i16": (16, True),
+    "u16": (16, False),
+    "i32": (32, True),
+    "u32": (32, False),
+    "f32": (32, True),
+}
+#: PROFIdrive's normalised values: counts at 100 %
+NORMALISED: Final = {"n2": 0x4000, "n4": 0x4000_0000}
+
+#: the words that the state machine and the status of a drive use; a word takes one of these parts by its name or `as`
+PARTS: Final = ("control", "status", "setpoint", "speed", "current", "torque", "fault", "warning")
+
+
+class WordSpec(Struct, frozen=True, kw_only=True):
+    """A word of a telegram, 16 or 32 bits.
+
+    ``full``: the counts at ``of``; ``of``: a value in ``unit``, or the name of the parameter that holds it. ``part``:
+    one of :data:`PARTS`, "" for a value of its own.
+    """
+
+    name: str
+    type: str = "u16"
+    #: counts at ``of``; 0: the value is the count
+    full: int = 0
+    of: float | str = 100.0
+    unit: str = ""
+    #: lowest and highest value that may be set, in ``unit``; None: what the octets can hold
+    low: float | None = None
+    high: float | None = None
+    #: value in the safe outputs, in ``unit``
+    neutral: float = 0.0
+    part: str = ""
+    #: bits by name
+    bits: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def octets(self) -> int:
+        return TYPES[self.type][0] // 8
+
+    @property
+    def signed(self) -> bool:
+        return TYPES[self.type][1]
+
+    @property
+    def step(self) -> float:
+        """The value of one count in :attr:`unit`; in per cent while only the drive knows the value at ``full``."""
+        if not self.full:
+            return 1.0
+        return (self.of if isinstance(self.of, (int, float)) else 100.0) / self.full
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit of :attr:`step`."""
+        return "%" if self.full and isinstance(self.of, str) else self.unit
+
+    @property
+    def scale(self) -> Scale:
+        """In parts of the reference, for set point and actual values."""
+        return Scale(self.name, full=self.full or NORMALISED["n2"], bits=8 * self.octets)
+
+
+class Telegram(Struct, frozen=True, kw_only=True):
+    """A telegram: its words by name in their order, each way; an integer is a constant of 16 bits."""
+
+    spec: TelegramSpec
+    outputs: tuple[str | int, ...]
+    inputs: tuple[str | int, ...]
+    #: the modules in the GSD file that it is made of
+    modules: tuple[str, ...] = ()
+    #: value of the setting that chooses it in the drive, see ``settings``
+    number: int | None = None
+
+
+class Derived(Struct, frozen=True, kw_only=True):
+    """A value in part of a word: ``(word >> shift) & mask`` while a bit of ``when`` is set in the word."""
+
+    of: str
+    shift: int = 0
+    mask: int = 0xFFFF
+    #: bits that must be set; 0: always
+    when: int = 0
+
+
+class Messages(Struct, frozen=True, kw_only=True):
+    """Faults or warnings: where the number or the bits stand, and the texts by number or bit."""
+
+    #: the word, or the name of a derived value; "": none in the telegram
+    word: str = ""
+    #: "number" or "bits"
+    kind: str = "number"
+    #: PNU and index of the parameter that holds the number, where no word has it; None: none does
+    parameter: tuple[int, int] | None = None
+    texts: Mapping[int, str] = field(default_factory=dict)
+    #: text for a number that has none, with ``{}`` for it
+    unknown: str = "number {}"
+
+
+class Obstacle(Struct, frozen=True):
+    """``text`` says why the drive cannot run while the status word has ``value`` in the bits of ``mask``."""
+
+    mask: int
+    value: int
+    text: str
+
+
+class OwnOrder(Struct, frozen=True, kw_only=True):
+    """An order of the file's own: bits of the control word that it sets and clears, until the outputs are safe."""
+
+    set: int = 0
+    clear: int = 0
+
+
+class SettingSpec(Struct, frozen=True, kw_only=True):
+    """A parameter that must have a value: a number, or ``{option}`` for the value of an option or ``{telegram}``."""
+
+    parameter: str
+    equals: float | str
+    unit: str = ""
+    remedy: str = ""
+    #: a difference is a notice only, it refuses no start
+    notice: bool = False
+    why: str = ""
+    source: str = ""
+
+
+class Channel(Struct, frozen=True, kw_only=True):
+    """The ways to parameters: the dialect of the PKW area, and slot and object of record 47 (None: it has none)."""
+
+    dialect: str = "plain"
+    errors: Mapping[int, str] = field(default_factory=dict)
+    record_slot: int | None = None
+    record_object: int = 1
+
+
+class Reference(Struct, frozen=True, kw_only=True):
+    """What 100 % of the speed is: a number, or the name of the parameter that holds it; 0: not known."""
+
+    hz: float | str = 0.0
+    rpm: float | str = 0.0
+
+
+class Simulation(Struct, frozen=True, kw_only=True):
+    """How the simulated drive differs from that of its base."""
+
+    #: names of the parameters with the ramp times
+    up: str = ""
+    down: str = ""
+    quick: str = ""
+    #: what it does when it loses its master: "stop", "quick_stop", "coast", "go_on" or the number of a fault
+    lost: str = "quick_stop"
+    scan_ms: float = 4.0
+    load: float = 0.2
+
+
+class Example(Struct, frozen=True, kw_only=True):
+    """Octets of the manual with their meaning; ``line``: of the file."""
+
+    line: int
+    telegram: str | None = None
+    source: str = ""
+    #: octets of the process data received, and what they mean
+    inputs: bytes | None = None
+    #: octets sent before, as far as the meaning of the inputs depends on them
+    after: bytes | None = None
+    state: str = ""
+    fault: str = ""
+    warning: str = ""
+    speed: float | None = None
+    values: Mapping[str, float | bool] = field(default_factory=dict)
+    #: octets sent by an order, such as "start" or "speed 0.5"
+    outputs: Mapping[str, bytes] = field(default_factory=dict)
+    #: options of the drive
+    options: Mapping[str, object] = field(default_factory=dict)
+    #: a request and its answer in the parameter channel: "read NAME" or "write NAME VALUE", request, answer, value
+    parameter: str = ""
+    request: bytes | None = None
+    answer: bytes | None = None
+    value: float | None = None
+
+
+class BusFacts(Struct, frozen=True, kw_only=True):
+    """The facts of the GSD file, where none comes with the device file."""
+
+    ident: int | None = None
+    rates: tuple[int, ...] = ()
+    user_prm: bytes = b""
+    max_tsdr: Mapping[int, int] = field(default_factory=dict)
+    min_slave_interval_us: int = 0
+    fail_safe: bool = False
+
+
+class DeviceFile(Struct, frozen=True, kw_only=True):
+    """A device file, read and checked."""
+
+    path: Path
+    #: SHA-256 of its text, hex
+    digest: str
+    name: str
+    title: str
+    base: str
+    #: manual and edition
+    source: str = ""
+    #: whether it was tried at the device, for people
+    tried: str = ""
+    on_loss: str = ""
+    notes: tuple[str, ...] = ()
+    gsd: Path | None = None
+    bus: BusFacts = BusFacts()
+    telegrams: Mapping[str, Telegram]
+    default_telegram: str
+    words: Mapping[str, WordSpec] = field(default_factory=dict)
+    derived: Mapping[str, Derived] = field(default_factory=dict)
+    table: ControlTable
+    #: the state machine of the simulated drive: "profidrive", "drivecom" or "table"
+    machine: str = "table"
+    #: the states and goals as the file or its base has them, for the simulation
+    run: Mapping[State, int] = field(default_factory=dict)
+    steady: Mapping[Goal, int] = field(default_factory=dict)
+    safe_control: int = 0
+    #: the bit of the control word for the other direction; None: the sign of the set point is the direction
+    reverse: int | None = None
+    #: and that of the status word
+    reversed: int | None = None
+    orders: Mapping[str, OwnOrder] = field(default_factory=dict)
+    fault: Messages = Messages()
+    warning: Messages = Messages(kind="bits")
+    obstacles: tuple[Obstacle, ...] = ()
+    channel: Channel = Channel()
+    parameters: ParamTable
+    settings: tuple[SettingSpec, ...] = ()
+    reference: Reference = Reference()
+    address_parameter: str = ""
+    lock_hint: str = ""
+    start_hint: str = ""
+    simulate: Simulation = Simulation()
+    options: Mapping[str, OptionSpec] = field(default_factory=dict)
+    #: options of the simulated drive
+    device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
+    #: names of the parameters that are written at standstill only
+    standstill: frozenset[str] = frozenset()
+    steps: tuple[DescribedStep, ...] = ()
+    acknowledge: str = ""
+    examples: tuple[Example, ...] = ()
+    #: name of the Python of a package, in the entry point group ``dpstack.devices``
+    python: str = ""

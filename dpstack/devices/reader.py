@@ -1,0 +1,848 @@
+"""Device files read and checked: every mistake by line, with a remedy. The bases are files of the same form."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from dpstack.devices import keys as k
+from dpstack.devices.model import (
+    NORMALISED,
+    PARTS,
+    TYPES,
+    BusFacts,
+    Channel,
+    Derived,
+    DeviceFile,
+    Example,
+    Messages,
+    Obstacle,
+    OwnOrder,
+    Reference,
+    SettingSpec,
+    Simulation,
+    Telegram,
+    WordSpec,
+)
+from dpstack.errors import ConfigError, GsdError
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.profile.drive_profile import OptionSpec
+from dpstack.profile.model.description import DescribedStep
+from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
+from dpstack.profile.model.params import ParamSpec, ParamTable, Use
+from dpstack.profile.model.states import ControlTable, Goal, State, StateRow, StateTable
+from dpstack.profile.model.words import Word
+from dpstack.text import brief, nearest
+from dpstack.toml.reading import TomlError, read_toml
+from dpstack.toml.table import Key, Source, Table, is_integer, keys_of
+
+#: octets of a device file: the largest of the library has a tenth of it
+MAX_OCTETS: Final = 1_000_000
+#: files that stand on one another
+MAX_BASES: Final = 8
+#: rows of a CSV file of texts
+_MOST_TEXTS: Final = 10_000
+_GOALS: Final = {
+    "idle": Goal.IDLE,
+    "stop": Goal.STOP,
+    "quick_stop": Goal.QUICK_STOP,
+    "coast": Goal.COAST,
+    "ack_high": Goal.ACK_HIGH,
+    "ack_low": Goal.ACK_LOW,
+}
+_STATES: Final = {str(state): state for state in State if state not in (State.OFFLINE, State.UNKNOWN)}
+#: bits of a word by their type
+_BITS_OF_WORD: Final = 16
+T = TypeVar("T")
+
+
+class DeviceErrors(ConfigError):
+    """All mistakes of a device file, in the order of their lines; the text is the first one."""
+
+    def __init__(self, errors: Sequence[ConfigError]) -> None:
+        self.errors = tuple(errors)
+        first = self.errors[0]
+        more = len(self.errors) - 1
+        text = str(first) if not more else f"{first} (and {more} more: `dpstack device check` shows them)"
+        super().__init__(text)
+        self.what = first.what
+
+
+class _Bounded(Table):
+    """A table whose errors are collected, not raised one by one."""
+
+
+class Reader:
+    """Reads one file over its bases. ``find_base``: the path of a base by its name, for the file at a path."""
+
+    def __init__(self, path: Path, find_base: Callable[[str, Path], Path]) -> None:
+        self.path = path
+        self._find_base = find_base
+        self.errors: list[ConfigError] = []
+        self.options: dict[str, OptionSpec] = {}
+        self.device_options: dict[str, OptionSpec] = {}
+
+    # -- the text, its bases and its tables -------------------------------------------------------------------------
+
+    def read(self) -> DeviceFile:
+        """Raises DeviceErrors with all mistakes."""
+        text, digest = text_of(self.path)
+        data, lines = _toml(text, self.path)
+        self._source = Source(str(self.path), lines, self.path, digest)
+        merged = self._over_bases(data, {self.path.resolve()})
+        self._own = data
+        try:
+            found = self._file(Table(self._source, (), merged, "the file"), digest)
+        except ConfigError as error:
+            self.errors.append(error)
+            found = None
+        if self.errors:
+            raise DeviceErrors(sorted(self.errors, key=_line))
+        assert found is not None
+        return found
+
+    def _over_bases(self, data: dict[str, Any], seen: set[Path]) -> dict[str, Any]:
+        """``data`` over the data of its bases: tables are joined key by key, everything else is replaced."""
+        layers, path, at = [data], self.path, data
+        while (name := at.get("base")) is not None:
+            if not isinstance(name, str):
+                raise self._source.error(("base",), f"base = {brief(name)} is no name", 'write base = "profidrive"')
+            path = self._find_base(name, path)
+            if path.resolve() in seen or len(seen) > MAX_BASES:
+                raise self._source.error(
+                    ("base",), f"the bases stand on one another in a circle: {path.name}", "take a base of dpstack"
+                )
+            seen.add(path.resolve())
+            at, _ = _toml(text_of(path)[0], path)
+            layers.append(at)
+        self._root = path.stem if len(layers) > 1 else str(data.get("name", path.stem))
+        merged: dict[str, Any] = {}
+        for layer in reversed(layers):
+            merged = _joined(merged, layer)
+        return merged
+
+    @contextlib.contextmanager
+    def _collected(self) -> Iterator[None]:
+        """A mistake inside is noted, and reading goes on behind the block."""
+        try:
+            yield
+        except DeviceErrors as error:
+            self.errors += error.errors
+        except ConfigError as error:
+            self.errors.append(error)
+
+    def _members(self, table: Table, key: str) -> Iterator[tuple[str, Table]]:
+        """The tables in the table ``key``; one that is none is noted."""
+        if table.raw(key) is None:
+            return
+        with self._collected():
+            inside = table.table(key)
+            for name in inside:
+                with self._collected():
+                    yield name, inside.table(name, f"a table, for instance {name} = {{ ... }}")
+
+    # -- the whole file -----------------------------------------------------------------------------------------------
+
+    def _file(self, table: Table, digest: str) -> DeviceFile:
+        given: dict[str, Any] = {}
+        with self._collected():
+            given = table.read(_keys(k.DeviceKeys))
+        if not given:
+            raise DeviceErrors(self.errors)
+        for key, why in (("format", "write format = 1"), ("name", "give the name of the file"), ("base", "")):
+            if key not in given and why:
+                self.errors.append(table.error(None, f"no {key}", why))
+        name = str(given.get("name", self.path.stem))
+        if name != self.path.stem:
+            self.errors.append(
+                table.error("name", f"name = {brief(name)}, but the file is {self.path.name}", "give both the same name")
+            )
+        words = self._words(table)
+        derived = self._derived(table, words)
+        gsd = self.path.parent / given["gsd"] if "gsd" in given else None
+        telegrams = self._telegrams(table, words, gsd)
+        control, status, states, own = self._control(table)
+        run, steady = own["run"], own["goals"]
+        parameters = self._parameters(table)
+        for option, spec, simulated in self._options(table):
+            (self.device_options if simulated else self.options)[option] = spec
+        first = next((one for one in telegrams if one in self._own.get("telegrams", {})), next(iter(telegrams), ""))
+        default = str(given.get("telegram", first))
+        if telegrams and default not in telegrams:
+            self.errors.append(table.error("telegram", f"no telegram {default!r}", f"it has {', '.join(telegrams)}"))
+        if self.errors:
+            raise DeviceErrors(self.errors)
+        released, releasing = own["released"], own["releasing"]
+        idle = steady.get(Goal.IDLE, 0)
+        found = DeviceFile(
+            path=self.path,
+            digest=digest,
+            name=name,
+            title=given.get("title", name),
+            base=self._root,
+            source=given.get("source", ""),
+            tried=given.get("tried", ""),
+            on_loss=given.get("on_loss", "not in its manual"),
+            notes=tuple(given.get("notes", ())),
+            gsd=gsd,
+            bus=self._bus(table),
+            telegrams=telegrams,
+            default_telegram=default,
+            words=words,
+            derived=derived,
+            table=ControlTable(
+                control=control,
+                status=status,
+                states=states,
+                run=run,
+                steady={goal: idle for goal in Goal} | steady,
+                released_mask=released,
+                releasing=releasing,
+            ),
+            machine=given.get("machine", "table"),
+            run=run,
+            steady=steady,
+            safe_control=own["safe"] if own["safe"] is not None else idle,
+            reverse=own["reverse"],
+            reversed=own["reversed"],
+            orders=self._orders(table, control),
+            fault=self._messages(table, "fault", words, derived, parameters),
+            warning=self._messages(table, "warning", words, derived, parameters),
+            obstacles=self._obstacles(table, status),
+            channel=self._channel(table),
+            parameters=parameters,
+            settings=self._settings(table, parameters),
+            reference=self._reference(table, parameters),
+            address_parameter=self._parameter_named(table, "address", given.get("address", ""), parameters),
+            lock_hint=given.get("lock_hint", ""),
+            start_hint=given.get("start_hint", ""),
+            simulate=self._simulation(table, parameters),
+            options=self.options,
+            device_options=self.device_options,
+            standstill=self._standstill,
+            steps=self._steps(table),
+            acknowledge=given.get("acknowledge", ""),
+            examples=self._examples(table),
+            python=given.get("python", ""),
+        )
+        self._lengths(table, found)
+        if self.errors:
+            raise DeviceErrors(self.errors)
+        return found
+
+    # -- telegrams and words ------------------------------------------------------------------------------------------
+
+    def _words(self, table: Table) -> dict[str, WordSpec]:
+        found: dict[str, WordSpec] = {}
+        for name, inside in self._members(table, "words"):
+            given = inside.read(_keys(k.WordKeys))
+            kind = given.get("type", "u16")
+            full = given.get("full", NORMALISED.get(kind, 0))
+            of = given.get("of", 100.0)
+            if not isinstance(of, (str, int, float)) or isinstance(of, bool) or of == 0:
+                inside.fail("of", f"of = {brief(of)}: a scale of zero or no number", "give the value at full")
+            bits = self._bits(inside, "bits", 8 * TYPES[kind][0] // 8)
+            part = given.get("as", name if name in PARTS else "")
+            if part in ("control", "status") and TYPES[kind][0] != _BITS_OF_WORD:
+                inside.fail("type", f"the {part} word has 16 bits, not those of {kind}", 'leave type out, or "u16"')
+            found[name] = WordSpec(
+                name=name,
+                type=kind,
+                full=full,
+                of=of if isinstance(of, str) else float(of),
+                unit=given.get("unit", "%" if full and not isinstance(of, str) and "of" not in given else ""),
+                low=given.get("low"),
+                high=given.get("high"),
+                neutral=given.get("neutral", 0.0),
+                part=part,
+                bits=bits,
+            )
+        for part in ("control", "status"):
+            found.setdefault(part, WordSpec(name=part, part=part))
+        return found
+
+    def _bits(self, table: Table, key: str, most: int) -> dict[str, int]:
+        if table.raw(key) is None:
+            return {}
+        inside = table.table(key)
+        bits = {name: inside.integer(name, 0, most - 1) for name in inside}
+        for name, bit in bits.items():
+            other = next((one for one, at in bits.items() if at == bit and one != name), None)
+            if other is not None:
+                inside.fail(name, f"{name} and {other} are both bit {bit}", "give each bit one name")
+        return bits
+
+    def _derived(self, table: Table, words: Mapping[str, WordSpec]) -> dict[str, Derived]:
+        found = {}
+        for name, inside in self._members(table, "derived"):
+            given = inside.read(_keys(k.DerivedKeys))
+            if name in words:
+                inside.fail(None, f"{name!r} is a word and a derived value", "give one of them another name")
+            if given.get("of") not in words:
+                inside.fail("of", f"of = {brief(given.get('of'))} is no word", f"it has {', '.join(words)}")
+            found[name] = Derived(**given)
+        return found
+
+    def _telegrams(self, table: Table, words: Mapping[str, WordSpec], gsd: Path | None) -> dict[str, Telegram]:
+        found: dict[str, Telegram] = {}
+        for name, inside in self._members(table, "telegrams"):
+            given = inside.read(_keys(k.TelegramKeys))
+            ways: list[tuple[str | int, ...]] = []
+            for key, first in (("out", "control"), ("in", "status")):
+                ways.append(self._way(inside, key, given.get(key), words, first))
+            outputs, inputs = ways
+            pkw = bool(given.get("pkw", False))
+            sizes = [sum(2 if is_integer(one) else words[str(one)].octets for one in way) for way in ways]
+            modules = tuple(given.get("modules", ()))
+            config = given.get("config")
+            made_up = False
+            if config is None and modules and gsd is not None:
+                config = self._config_of(inside, gsd, modules)
+            if config is None:
+                config, made_up = _identifiers(sizes[0], sizes[1], given.get("number", name), pkw=pkw), True
+            lead = CHANNEL_LEN if pkw else 0
+            with inside.blaming("config"):
+                declared = io_lengths(config)
+            if declared != (sizes[1] + lead, sizes[0] + lead):
+                inside.fail(
+                    "out",
+                    f"telegram {name} has {sizes[1] + lead} octets of inputs and {sizes[0] + lead} of outputs, its "
+                    f"identifiers {config.hex(' ').upper()} have {declared[0]} and {declared[1]}",
+                    "correct the words, or config",
+                )
+            number = given.get("number")
+            if number is None and name.isascii() and name.isdecimal():
+                number = int(name)
+            found[name] = Telegram(
+                spec=TelegramSpec(
+                    name=name, config=config, outputs=sizes[0], inputs=sizes[1], channel=pkw, made_up=made_up
+                ),
+                outputs=outputs,
+                inputs=inputs,
+                modules=modules,
+                number=number,
+            )
+        if not found and not self.errors:
+            self.errors.append(table.error("telegrams", "no telegram", 'add [telegrams] with 1 = { out = [...], ... }'))
+        return found
+
+    def _way(
+        self, table: Table, key: str, given: object, words: Mapping[str, WordSpec], first: str
+    ) -> tuple[str | int, ...]:
+        todo = f'write {key} = ["{first}", ...]'
+        if not isinstance(given, list) or not given:
+            table.fail(key, f"{key} is no list of words", todo)
+        found: list[str | int] = []
+        for one in given:
+            if is_integer(one) and 0 <= one <= 0xFFFF:
+                found.append(one)
+            elif isinstance(one, str) and one in words:
+                if one in found:
+                    table.fail(key, f"{key} names {one!r} twice", "give each word a name of its own")
+                found.append(one)
+            elif isinstance(one, str):
+                near = nearest(one, words)
+                hint = f"did you mean {near!r}?" if near else "declare it in [words]"
+                table.fail(key, f"{key}: {brief(one)} is no word of this file", hint)
+            else:
+                table.fail(key, f"{key} holds {brief(one)}", "a word is a name or a constant of 0..65535")
+        if found[0] != first:
+            table.fail(key, f"{key} begins with {brief(found[0])}", f"the first word must be {first!r}")
+        return tuple(found)
+
+    def _config_of(self, table: Table, gsd: Path, modules: Sequence[str]) -> bytes:
+        from dpstack.gsd.configuration import find_module
+        from dpstack.gsd.parser import load_gsd
+
+        try:
+            device = load_gsd(gsd.read_bytes(), gsd.name).device
+            return b"".join(find_module(device, name).config for name in modules)
+        except OSError as error:
+            raise self._source.error(
+                ("gsd",), f"gsd: {gsd.name} cannot be read ({error.strerror})", "give the path of the file"
+            ) from None
+        except GsdError as error:
+            what, _, todo = str(error).partition("; ")
+            raise table.error("modules", what, todo or "give the names of its modules") from None
+
+    def _lengths(self, table: Table, file: DeviceFile) -> None:
+        """Nothing that needs a whole file yet."""
+
+    # -- control, status, states --------------------------------------------------------------------------------------
+
+    def _control(self, table: Table) -> tuple[Word, Word, StateTable, dict[str, Any]]:
+        own: dict[str, Any] = {
+            "run": {},
+            "goals": {},
+            "released": 0,
+            "releasing": frozenset(),
+            "safe": None,
+            "reverse": None,
+            "reversed": None,
+        }
+        control_bits: dict[str, int] = {}
+        status_bits: dict[str, int] = {}
+        rows: list[StateRow] = []
+        with self._collected():
+            if table.raw("control") is not None:
+                inside = table.table("control")
+                given = inside.read(_keys(k.ControlKeys))
+                control_bits = self._bits(inside, "bits", 16)
+                own["run"] = self._by_name(inside, "run", _STATES)
+                own["goals"] = self._by_name(inside, "goals", _GOALS)
+                own["released"] = given.get("released", 0)
+                own["releasing"] = frozenset(self._state(inside, "releasing", one) for one in given.get("releasing", ()))
+                own["safe"] = given.get("safe")
+                own["reverse"] = self._bit_of(inside, "reverse", given, control_bits)
+        with self._collected():
+            if table.raw("status") is not None:
+                inside = table.table("status")
+                given = inside.read(_keys(k.StatusKeys))
+                status_bits = self._bits(inside, "bits", 16)
+                own["reversed"] = self._bit_of(inside, "reversed", given, status_bits)
+                rows = self._rows(inside)
+        states = StateTable(())
+        with self._collected():
+            try:
+                states = StateTable(rows)
+            except ValueError as error:
+                raise table.error("status", str(error), "make masks and values of the states exclude one another") from None
+            if not rows:
+                raise table.error("status", "no states", "add states = { running = [mask, value], ... }")
+        return Word("control word", control_bits), Word("status word", status_bits), states, own
+
+    def _bit_of(self, table: Table, key: str, given: Mapping[str, Any], bits: Mapping[str, int]) -> int | None:
+        name = given.get(key)
+        if name is None:
+            return None
+        if name not in bits:
+            table.fail(key, f"{key} = {brief(name)} is no bit of the word", f"it has {', '.join(bits) or 'none'}")
+        return 1 << bits[name]
+
+    def _by_name(self, table: Table, key: str, known: Mapping[str, T]) -> dict[T, int]:
+        if table.raw(key) is None:
+            return {}
+        inside = table.table(key)
+        found = {}
+        for name in inside:
+            if name not in known:
+                inside.fail(name, f"unknown {name!r}", f"it must be {', '.join(known)}")
+            found[known[name]] = inside.integer(name, 0, 0xFFFF)
+        return found
+
+    def _state(self, table: Table, key: str, name: str) -> State:
+        if name not in _STATES:
+            table.fail(key, f"{brief(name)} is no state", f"it must be {', '.join(_STATES)}")
+        return _STATES[name]
+
+    def _rows(self, table: Table) -> list[StateRow]:
+        if table.raw("states") is None:
+            return []
+        inside = table.table("states")
+        rows = []
+        for name in inside:
+            state, pairs = self._state(inside, name, name), inside.raw(name)
+            if isinstance(pairs, list) and pairs and all(map(is_integer, pairs)):
+                pairs = [pairs]
+            if not isinstance(pairs, list) or not all(
+                isinstance(pair, list) and len(pair) == 2 and all(is_integer(one) for one in pair) for pair in pairs
+            ):
+                inside.fail(name, f"{name} = {brief(pairs)}", f"write mask and value: {name} = [0x0008, 0x0008]")
+            for mask, value in pairs:
+                if not (0 <= mask <= 0xFFFF and 0 <= value <= 0xFFFF):
+                    inside.fail(name, f"{name}: mask or value beyond FFFFh", "the status word has 16 bits")
+                rows.append(StateRow(state, mask, value))
+        return rows
+
+    def _orders(self, table: Table, control: Word) -> dict[str, OwnOrder]:
+        found = {}
+        for name, inside in self._members(table, "orders"):
+            given = inside.read(_keys(k.OrderKeys))
+            masks = {}
+            for key in ("set", "clear"):
+                for bit in given.get(key, ()):
+                    if bit not in control.bits:
+                        inside.fail(key, f"{brief(bit)} is no bit of the control word", f"it has {', '.join(control.bits)}")
+                masks[key] = control.mask(*given.get(key, ()))
+            if not any(masks.values()):
+                inside.fail(None, f"the order {name} changes no bit", "give it set or clear")
+            found[name] = OwnOrder(**masks)
+        return found
+
+    def _obstacles(self, table: Table, status: Word) -> tuple[Obstacle, ...]:
+        if table.raw("obstacles") is None:
+            return ()
+        found: list[Obstacle] = []
+        with self._collected():
+            inside = table.table("obstacles")
+            for bit in inside:
+                if bit not in status.bits:
+                    inside.fail(bit, f"{brief(bit)} is no bit of the status word", f"it has {', '.join(status.bits)}")
+                value, text = 0, ""
+                if isinstance(inside.raw(bit), Mapping):
+                    given = inside.table(bit).read(_keys(k.ObstacleKeys))
+                    value, text = given.get("when", 0), given.get("text", "")
+                else:
+                    text = inside.text(bit)
+                if not text:
+                    inside.fail(bit, f"{bit} has no text", "say why the drive cannot run, and what to do")
+                mask = status.mask(bit)
+                found.append(Obstacle(mask, mask if value else 0, text))
+        return tuple(found)
+
+    def _messages(
+        self,
+        table: Table,
+        key: str,
+        words: Mapping[str, WordSpec],
+        derived: Mapping[str, Derived],
+        parameters: ParamTable,
+    ) -> Messages:
+        default = "number" if key == "fault" else "bits"
+        own = next((name for name, word in words.items() if word.part == key), key if key in derived else "")
+        if table.raw(key) is None:
+            return Messages(word=own, kind=default)
+        with self._collected():
+            inside = table.table(key)
+            given = inside.read(_keys(k.MessageKeys))
+            word = given.get("word", own)
+            if word and word not in words and word not in derived:
+                inside.fail("word", f"word = {brief(word)} is no word of this file", f"it has {', '.join(words)}")
+            place = None
+            if "parameter" in given:
+                place_given = inside.table("parameter").read(_keys(k.PlaceKeys))
+                if "number" not in place_given:
+                    inside.fail("parameter", "parameter has no number", "write parameter = { number = 947, index = 0 }")
+                place = (place_given["number"], place_given.get("index", 0))
+            unknown = given.get("unknown", "number {}" if key == "fault" else "{}")
+            try:
+                unknown.format(1)
+            except (ValueError, IndexError, KeyError, AttributeError):
+                inside.fail("unknown", f"unknown = {brief(unknown)} takes no number", 'write "F{:05d}" or "number {}"')
+            return Messages(
+                word=word,
+                kind=given.get("kind", default),
+                parameter=place,
+                texts=self._texts(inside, given.get("texts")),
+                unknown=unknown,
+            )
+        return Messages()
+
+    def _texts(self, table: Table, given: object) -> dict[int, str]:
+        """Texts by number, from a table or from a CSV file."""
+        if given is None:
+            return {}
+        found: dict[int, str] = {}
+        if isinstance(given, str):
+            rows = self._csv(table, given)
+        else:
+            inside = table.table("texts")
+            rows = [(name, inside.text(name)) for name in inside]
+        for number, text in rows:
+            try:
+                found[int(number, 0)] = text
+            except ValueError:
+                table.fail("texts", f"{brief(number)} is no number", "write each text behind its number")
+        return found
+
+    def _csv(self, table: Table, name: str) -> list[tuple[str, str]]:
+        path = self.path.parent / name
+        try:
+            text, _ = text_of(path)
+        except ConfigError as error:
+            raise table.error("texts", f"texts: {error.what or error}", "give the path of the CSV file") from None
+        separator = ";" if text.partition("\n")[0].count(";") else ","
+        rows = [row for row in csv.reader(text.splitlines()[:_MOST_TEXTS], delimiter=separator) if row]
+        wrong = next((row for row in rows if len(row) < 2 or not row[1].isprintable()), None)
+        if wrong is not None:
+            table.fail("texts", f"{name} has a row without number and text: {brief(wrong)}", "write number;text")
+        return [(row[0].strip(), row[1].strip()) for row in rows if row[0].strip()[:1].isdigit()]
+
+    # -- parameters ---------------------------------------------------------------------------------------------------
+
+    def _parameters(self, table: Table) -> ParamTable:
+        specs: dict[tuple[int, int], ParamSpec] = {}
+        names: dict[str, str] = {}
+        self._standstill: frozenset[str] = frozenset()
+        for name, inside in self._members(table, "parameters"):
+            given = inside.read(_keys(k.ParameterKeys))
+            number = given.get("number", int(name) if name.isascii() and name.isdecimal() else None)
+            if number is None:
+                inside.fail(None, f"parameter {name} has no number", "add number = ...")
+            spec = self._parameter(inside, name, number, given)
+            if (spec.number, spec.index) in specs or name.lower() in names:
+                other = specs.get((spec.number, spec.index))
+                inside.fail(None, f"{spec.label} is declared twice" + (f", also as {other.name}" if other else ""), "take one of them out")
+            specs[spec.number, spec.index] = spec
+            names[name.lower()] = name
+            if given.get("standstill"):
+                self._standstill |= {name}
+        return ParamTable(specs.values())
+
+    def _parameter(self, table: Table, name: str, number: int, given: Mapping[str, Any]) -> ParamSpec:
+        kind = given.get("type", "u16")
+        decimals, per_unit = given.get("decimals", 0), given.get("per_unit", 0.0)
+        if "per_unit" in given and not per_unit:
+            table.fail("per_unit", "per_unit = 0: a scale of zero", "give the counts that make 1")
+        counts = per_unit or 10**decimals
+        low, high = (limit / counts for limit in _RANGES[kind])
+        low, high = given.get("low", low), given.get("high", high)
+        factory = given.get("factory", min(max(0.0, low), high))
+        if not low <= factory <= high:
+            table.fail("factory", f"factory = {factory:g} is outside {low:g}..{high:g}", "correct limits or value")
+        use = given.get("use", "setting" if given.get("standstill") else "")
+        return ParamSpec(
+            number,
+            name,
+            given.get("title", name),
+            low,
+            high,
+            factory,
+            index=given.get("index", 0),
+            long=kind in ("i32", "u32", "f32"),
+            decimals=decimals,
+            per_unit=per_unit,
+            unit=given.get("unit", ""),
+            per_set=given.get("per_set", False),
+            read_only=given.get("read_only", False),
+            text=given.get("text", False),
+            made_up=given.get("made_up", False),
+            by_name=given.get("by_name", not name.isdecimal()),
+            volatile=given.get("volatile", False),
+            use=Use(use),
+            acts=given.get("acts", ""),
+        )
+
+    def _parameter_named(self, table: Table, key: str, name: object, parameters: ParamTable) -> str:
+        if not name:
+            return ""
+        if not isinstance(name, str) or parameters.named(name) is None:
+            near = parameters.hint(str(name))
+            self.errors.append(table.error(key, f"{key} = {brief(name)} is no parameter of this file{near}", "declare it in [parameters]"))
+        return str(name)
+
+    def _settings(self, table: Table, parameters: ParamTable) -> tuple[SettingSpec, ...]:
+        found = []
+        for name, inside in self._members(table, "settings"):
+            given = inside.read(_keys(k.SettingKeys))
+            spec = parameters.named(name)
+            if spec is None:
+                inside.fail(None, f"{brief(name)} is no parameter of this file", "declare it in [parameters]")
+            equals = given.get("equals")
+            if isinstance(equals, str):
+                option = equals.strip("{}")
+                if equals != f"{{{option}}}" or option not in ("telegram", *self.options, *_REFERENCES):
+                    known = ", ".join(f"{{{one}}}" for one in ("telegram", *self.options))
+                    inside.fail("equals", f"equals = {brief(equals)} is no option", f"write a number or one of {known}")
+                equals = option
+            elif not isinstance(equals, (int, float)) or isinstance(equals, bool):
+                inside.fail("equals", f"equals = {brief(equals)}", 'give a number, or "{OPTION}"')
+            rest = {key: value for key, value in given.items() if key != "equals"}
+            found.append(SettingSpec(parameter=name, equals=equals, unit=spec.unit, **rest))
+        return tuple(found)
+
+    def _reference(self, table: Table, parameters: ParamTable) -> Reference:
+        if table.raw("reference") is None:
+            return Reference()
+        with self._collected():
+            inside = table.table("reference")
+            given = inside.read(_keys(k.ReferenceKeys))
+            for key, value in given.items():
+                if isinstance(value, str):
+                    self._parameter_named(inside, key, value, parameters)
+                elif isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1e6:
+                    inside.fail(key, f"{key} = {brief(value)}", "give a number above 0, or the name of a parameter")
+            return Reference(**given)
+        return Reference()
+
+    def _channel(self, table: Table) -> Channel:
+        if table.raw("channel") is None:
+            return Channel()
+        with self._collected():
+            inside = table.table("channel")
+            given = inside.read(_keys(k.ChannelKeys))
+            slot, object_ = None, 1
+            if "record47" in given:
+                record = inside.table("record47").read(_keys(k.Record47Keys))
+                slot, object_ = record.get("slot", 0), record.get("object", 1)
+            dialect = given.get("dialect", "plain")
+            if dialect not in DIALECTS:
+                inside.fail("dialect", f"unknown dialect {brief(dialect)}", f"it must be {', '.join(DIALECTS)}")
+            errors: dict[int, str] = {}
+            if "errors" in given:
+                texts = inside.table("errors")
+                for number in texts:
+                    if not number.isdecimal():
+                        texts.fail(number, f"{brief(number)} is no number", "write each text behind its number")
+                    errors[int(number)] = texts.text(number)
+            return Channel(dialect=dialect, errors=errors, record_slot=slot, record_object=object_)
+        return Channel()
+
+    # -- the rest -----------------------------------------------------------------------------------------------------
+
+    def _bus(self, table: Table) -> BusFacts:
+        if table.raw("bus") is None:
+            return BusFacts()
+        with self._collected():
+            inside = table.table("bus")
+            given = inside.read(_keys(k.BusKeys))
+            times: dict[int, int] = {}
+            if "max_tsdr" in given:
+                tsdr = inside.table("max_tsdr")
+                for rate in tsdr:
+                    if not rate.isdecimal():
+                        tsdr.fail(rate, f"{brief(rate)} is no baud rate", "write for instance 9600 = 60")
+                    times[int(rate)] = tsdr.integer(rate, 0, 0xFFFF)
+            return BusFacts(**(given | {"max_tsdr": times}))
+        return BusFacts()
+
+    def _options(self, table: Table) -> Iterator[tuple[str, OptionSpec, bool]]:
+        for name, inside in self._members(table, "options"):
+            given = inside.read(_keys(k.OptionKeys))
+            default = given.get("default")
+            if not isinstance(default, (bool, int, float, str)):
+                inside.fail("default", f"option {name} has no default", "give true or false, a number or a text")
+            if isinstance(default, int) and not isinstance(default, bool):
+                default = float(default)
+            yield (
+                name,
+                OptionSpec(
+                    default=default,
+                    text=given.get("text", ""),
+                    low=given.get("low"),
+                    high=given.get("high"),
+                    choices=tuple(given.get("choices", ())),
+                ),
+                bool(given.get("simulated", False)),
+            )
+
+    def _simulation(self, table: Table, parameters: ParamTable) -> Simulation:
+        if table.raw("simulate") is None:
+            return Simulation()
+        with self._collected():
+            inside = table.table("simulate")
+            given = inside.read(_keys(k.SimulateKeys))
+            ramps: dict[str, str] = {}
+            if "ramps" in given:
+                named = inside.table("ramps")
+                for way in named:
+                    if way not in ("up", "down", "quick"):
+                        named.fail(way, f"unknown ramp {way!r}", "it must be up, down or quick")
+                    ramps[way] = self._parameter_named(named, way, named.text(way), parameters)
+            lost = given.get("lost", "quick_stop")
+            known = ("stop", "quick_stop", "coast", "go_on")
+            if lost not in known and not is_integer(lost):
+                inside.fail("lost", f"lost = {brief(lost)}", f"it must be {', '.join(known)} or the number of a fault")
+            rest = {key: value for key, value in given.items() if key in ("scan_ms", "load")}
+            return Simulation(lost=str(lost), **ramps, **rest)
+        return Simulation()
+
+    def _each(self, table: Table, key: str) -> Iterator[tuple[int, Table]]:
+        """The tables of an array of tables, with the line of each."""
+        listed = table.raw(key)
+        if listed is None:
+            return
+        if not isinstance(listed, list):
+            self.errors.append(table.error(key, f"{key} is no array of tables", f"write [[{key}]]"))
+            return
+        for number, one in enumerate(listed):
+            with self._collected():
+                line = self._source.line((key, number))
+                yield line, Table(self._source, (key, number), one, f"[[{key}]] {number + 1}")
+
+    def _steps(self, table: Table) -> tuple[DescribedStep, ...]:
+        found = []
+        for _, inside in self._each(table, "step"):
+            given = inside.read(_keys(k.StepKeys))
+            if "what" not in given:
+                inside.fail(None, "no what", "say what to do")
+            found.append(DescribedStep(**({"why": ""} | given)))
+        return tuple(found)
+
+    def _examples(self, table: Table) -> tuple[Example, ...]:
+        found = []
+        for line, inside in self._each(table, "example"):
+            given = inside.read(_keys(k.ExampleKeys))
+            if not {"inputs", "outputs", "parameter"} & set(given):
+                inside.fail(None, "it has no octets", "give inputs, outputs, or parameter with request and answer")
+            outputs: dict[str, bytes] = {}
+            if "outputs" in given:
+                orders = inside.table("outputs")
+                outputs = {order: orders.octets(order) for order in orders}
+            values = {}
+            if "values" in given:
+                numbers = inside.table("values")
+                for name in numbers:
+                    value = numbers.raw(name)
+                    if not isinstance(value, (bool, int, float)):
+                        numbers.fail(name, f"{name} = {brief(value)}", "give a number, or true or false")
+                    values[name] = value
+            found.append(Example(line=line, **(given | {"outputs": outputs, "values": values})))
+        return tuple(found)
+
+
+#: lowest and highest count on the wire
+_RANGES: Final[Mapping[str, tuple[float, float]]] = {
+    "u8": (0, 0xFF),
+    "i8": (-0x80, 0x7F),
+    "u16": (0, 0xFFFF),
+    "i16": (-0x8000, 0x7FFF),
+    "u32": (0, 0xFFFF_FFFF),
+    "i32": (-0x8000_0000, 0x7FFF_FFFF),
+    "f32": (-3.402823466e38, 3.402823466e38),
+}
+#: kinds of parameter channel by name
+DIALECTS: Final = ("plain",)
+_REFERENCES: Final = ("reference_hz", "reference_rpm")
+
+
+def text_of(path: Path) -> tuple[str, str]:
+    """The text of a file and the SHA-256 of its octets. Raises ConfigError."""
+    try:
+        with path.open("rb") as file:
+            octets = file.read(MAX_OCTETS + 1)
+    except OSError as error:
+        raise ConfigError.at(str(path), None, f"{path.name} cannot be read ({error.strerror})", "give the path of a file") from None
+    if len(octets) > MAX_OCTETS:
+        raise ConfigError.at(str(path), None, f"the file has more than {MAX_OCTETS // 1_000_000} MB", "a device file has some kB")
+    try:
+        return octets.decode(), hashlib.sha256(octets).hexdigest()
+    except UnicodeDecodeError:
+        raise ConfigError.at(str(path), None, "the file is no UTF-8 text", "save it as UTF-8") from None
+
+
+def _toml(text: str, path: Path) -> tuple[dict[str, Any], dict[tuple[str | int, ...], int]]:
+    try:
+        return read_toml(text)
+    except TomlError as error:
+        raise ConfigError.at(str(path), error.line, error.what, "correct the line") from None
+
+
+def _joined(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    found = dict(below)
+    for key, value in above.items():
+        under = found.get(key)
+        found[key] = _joined(under, value) if isinstance(under, dict) and isinstance(value, dict) else value
+    return found
+
+
+def _keys(kind: type) -> Mapping[str, Key]:
+    """The keys of ``kind``; a Python keyword has an underscore behind it there."""
+    return {name.rstrip("_"): key for name, key in keys_of(kind).items()}
+
+
+def _line(error: ConfigError) -> int:
+    return error.line or 0
+
+
+def _identifiers(outputs: int, inputs: int, number: object, *, pkw: bool) -> bytes:
+    """Identifiers of PROFIdrive for a telegram that no GSD file describes, in words: PPO, or the special format."""
+    out, into = outputs // 2, inputs // 2
+    if pkw or not str(number).isdecimal():
+        lead = b"\xf3" if pkw else b""
+        return lead + (bytes((0x70 | out - 1,)) if out == into <= 16 else bytes((0xC0, 0xC0 | out - 1, 0xC0 | into - 1)))
+    return bytes((0xC3, 0xC0 | out - 1, 0xC0 | into - 1, 0xFD)) + int(str(number)).to_bytes(2, "big")
