@@ -119,7 +119,21 @@ MAY: dict[str, set[str]] = {
     },
     "events": {"api", "dp", "dpv1", "drivers", "fdl", "trace"},
     "slave": {"api", "dp", "dpv1", "errors"},
-    "testing": {"api", "decode", "devices", "dp", "drivers", "fdl", "gsd", "namespaces", "params", "profile", "sim", "toml"} | PURE_BASE,
+    "testing": {
+        "api",
+        "decode",
+        "devices",
+        "dp",
+        "drivers",
+        "fdl",
+        "gsd",
+        "namespaces",
+        "params",
+        "profile",
+        "sim",
+        "toml",
+    }
+    | PURE_BASE,
     "__main__": {"cli"},
 }
 #: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.

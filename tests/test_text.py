@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.toml.reading import quoted
 from dpstack.api.streams import SlaveFlapping, call_on_event
 from dpstack.dp.master.events import DriveEvent, SlaveRemark
 from dpstack.drivers.runtime import PortLost
 from dpstack.errors import ConfigError, DriveTimeout, NoInputs, PortError, SlaveFault
 from dpstack.text import json_text, printable, shortened, traceback_text
+from dpstack.toml.reading import quoted
 from dpstack.trace import Event, Notice
 
 #: C0, DEL, C1; bidi embeddings, isolates and marks; zero width; line and paragraph separator; a tag

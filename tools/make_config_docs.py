@@ -16,10 +16,10 @@ from dpstack.api.config.connectors import CONNECTORS
 from dpstack.api.config.dpv1 import Dpv1Keys
 from dpstack.api.config.simulate import SimulateConfig, SimulateKeys
 from dpstack.api.config.slave import Changes, FieldKeys, IdentKeys, SlaveConfig, SlaveKeys
-from dpstack.toml.table import Key, Octets, keys_of
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.process_data import Field
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.toml.table import Key, Octets, keys_of
 
 TARGET: Final = Path(__file__).resolve().parent.parent / "docs" / "reference" / "configuration.md"
 #: the class of each table, and the one whose fields have the plain defaults

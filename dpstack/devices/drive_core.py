@@ -111,7 +111,7 @@ class FileCore(DriveCore):
                 raise CommandError("usage", str(error)) from None
         self.values.update(found)
         self.dirty = True
-        return {"value": {name: value for name, value in given}}
+        return {"value": dict(given)}
 
     # -- inputs ---------------------------------------------------------------------------------------------------
 
@@ -155,9 +155,7 @@ class FileCore(DriveCore):
             shown = self.table.status.is_set(self.status_word, "warning")
             return ("warning",) if shown else ()
         if messages.kind == "bits":
-            return tuple(
-                messages.texts.get(bit, f"bit {bit}") for bit in range(value.bit_length()) if value >> bit & 1
-            )
+            return tuple(messages.texts.get(bit, f"bit {bit}") for bit in range(value.bit_length()) if value >> bit & 1)
         if not value:
             return None if standing else ()
         return (messages.texts.get(value) or messages.unknown.format(value),)
@@ -234,10 +232,14 @@ class Layout:
         )
         #: the words behind control word and set point that a program may set
         self.free: Mapping[str, WordSpec] = {
-            one.name: one for one in self._outputs if not isinstance(one, int) and one.part not in ("control", "setpoint")
+            one.name: one
+            for one in self._outputs
+            if not isinstance(one, int) and one.part not in ("control", "setpoint")
         }
         self.neutral: Mapping[str, int] = {name: counts_of(one, one.neutral) for name, one in self.free.items()}
-        self.setpoint = next((one for one in self._outputs if not isinstance(one, int) and one.part == "setpoint"), None)
+        self.setpoint = next(
+            (one for one in self._outputs if not isinstance(one, int) and one.part == "setpoint"), None
+        )
         #: place (of 16 bits) and width of the input words, by name and by part
         self.places: dict[str, tuple[int, bool]] = {}
         self.scales = {}

@@ -9,10 +9,11 @@ from dpstack.devices.drive_core import counts_of
 from dpstack.devices.machines import machine_of
 from dpstack.devices.model import DeviceFile, WordSpec
 from dpstack.dp.slave.device import Leave
+from dpstack.profile.master.settings import same
 from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
 from dpstack.profile.model.params import ParamSpec
 from dpstack.profile.model.states import State
-from dpstack.profile.record47.parameter_server import ParameterServer, Rules, StoreParameters
+from dpstack.profile.record47.parameter_server import ParameterServer, Rules, StoreParameters, TimedRecords
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.profile.simulator.motor import AT_ONCE, ramp
 
@@ -44,11 +45,11 @@ class FileDevice(DriveDevice):
         self._lost_by: str | None = None  # what its lost master ordered
         slot = file.channel.record_slot
         if slot is not None and self.parameter_table is not None:
-            self.record47 = ParameterServer(
+            self.record47 = server = ParameterServer(
                 StoreParameters(self.store, locked=self.locked),
                 Rules(slots=frozenset({slot}), objects=frozenset({0, file.channel.record_object})),
             )
-            self.records = self.record47
+            self.records = TimedRecords(server, self._caught_up)
 
     @property
     def faulted(self) -> bool:
@@ -112,10 +113,16 @@ class FileDevice(DriveDevice):
         if not self.released:
             return False
         for one in self.file.settings:
-            if not one.notice and isinstance(one.equals, (int, float)):
-                if abs(float(self.store.value(one.parameter)) - one.equals) >= 0.01:
-                    return False
+            if one.notice or isinstance(one.equals, str):
+                continue
+            if not same(float(self.store.value(one.parameter)), one.equals):
+                return False
         return True
+
+    def _caught_up(self, now: int) -> int:
+        """The time of its last scan: a master of class 2 asks also while nobody exchanges data with it."""
+        self.advance(now)
+        return self.seen_until or 0
 
     def _ordered(self, words: tuple[int, ...] | None) -> tuple[int | None, float | None]:
         """Control word and set point of the reference in the outputs."""
@@ -134,7 +141,12 @@ class FileDevice(DriveDevice):
                 control = value
             elif word is not None and word.part == "setpoint":
                 setpoint = word.scale.decode(value)
-        if control is not None and setpoint is not None and self.file.reverse is not None and control & self.file.reverse:
+        if (
+            control is not None
+            and setpoint is not None
+            and self.file.reverse is not None
+            and control & self.file.reverse
+        ):
             setpoint = -setpoint
         return control, setpoint
 
@@ -225,4 +237,3 @@ class FileDevice(DriveDevice):
         for row in self.file.table.states.rows:
             mask |= row.mask
         return mask
-

@@ -1,8 +1,8 @@
 """Drives by name or path: plugins of packages, and device files in folders.
 
-A name is looked for among the entry points of plugins, in the folders of the environment variable ``DPSTACK_DEVICES``, in
-the user's data folder, among the files that packages bring (entry points of the group ``dpstack.device_files``) and among
-those that come with dpstack. The first one found counts.
+A name is looked for among the entry points of plugins, in the folders of the environment variable ``DPSTACK_DEVICES``,
+in the user's data folder, among the files that packages bring (entry points of the group ``dpstack.device_files``) and
+among those that come with dpstack. The first one found counts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from dpstack.devices.model import DeviceFile
     from dpstack.profile.drive_profile import DriveProfile
 
-#: entry points of packages that bring device files: the name of the device, and the package whose folder has ``NAME.toml``
+#: entry points of packages that bring device files: the name of a device, and the package with ``NAME.toml`` in it
 GROUP: Final = "dpstack.device_files"
 ENDING: Final = ".toml"
 _HERE: Final = Path(__file__).parent
@@ -52,7 +52,9 @@ def find(name: str, folder: Path | None = None) -> DriveProfile:
     near = difflib.get_close_matches(name.lower(), names, n=3)
     if near:
         raise ConfigError(f"no drive is called {name!r}; did you mean {' or '.join(near)}?")
-    raise ConfigError(f"no drive is called {name!r}; known: {', '.join(sorted(names)) or 'none (is dpstack installed?)'}")
+    raise ConfigError(
+        f"no drive is called {name!r}; known: {', '.join(sorted(names)) or 'none (is dpstack installed?)'}"
+    )
 
 
 def profile_at(place: str) -> DriveProfile:
@@ -96,9 +98,8 @@ def files() -> dict[str, Path]:
         for path in _listed(folder):
             found.setdefault(path.stem, path)
     for name, package in _of_packages().items():
-        path = _in_package(name, package)
-        if path is not None:
-            found.setdefault(name, path)
+        if (brought := _in_package(name, package)) is not None:
+            found.setdefault(name, brought)
     for folder in (_HERE / "library", _HERE / "bases"):
         for path in _listed(folder):
             if path.stem not in _NO_DRIVES:
@@ -135,7 +136,10 @@ def base_of(name: str, beside: Path) -> Path:
     if found is None or not found.is_file():
         bases = sorted(path.stem for path in (_HERE / "bases").glob("*" + ENDING))
         raise ConfigError.at(
-            str(beside), None, f"base = {name!r}: there is no such file", f"it must be {', '.join(bases)} or a device file"
+            str(beside),
+            None,
+            f"base = {name!r}: there is no such file",
+            f"it must be {', '.join(bases)} or a device file",
         )
     return found
 

@@ -114,8 +114,8 @@ class TelegramKeys(TypedDict, total=False):
     pkw: a parameter channel of eight octets leads. Left out: false
     config: identifier octets in hex. Left out: those of `modules` in the GSD file
     modules: names of the modules in the GSD file
-    number: value of the drive's parameter that chooses it, for `{telegram}` in `[settings]`. Left out: its name, if that
-        is a number
+    number: value of the drive's parameter that chooses it, for `{telegram}` in `[settings]`. Left out: its name, if
+        that is a number
     """
 
     out: Annotated[Sequence[object], _GIVEN]
@@ -291,7 +291,7 @@ class ParameterKeys(TypedDict, total=False):
     number: the number. Left out: the name, if that is a number
     index: a fixed subindex. Left out: 0
     title: what it is
-    type: `u8`, `i8`, `u16`, `i16`, `u32`, `i32`, `f32`. Left out: `u16`
+    type: `u8`, `i8`, `u16`, `i16`, `u32`, `i32`, `f32`, PROFIdrive's `n2`, `n4`, `e2`, `c4`, or `text`. Left out: `u16`
     unit: unit of the value
     decimals: the wire carries value x 10^decimals. Left out: 0
     per_unit: counts on the wire that make 1 in `unit`, if that is no power of ten
@@ -299,7 +299,6 @@ class ParameterKeys(TypedDict, total=False):
     high: highest value. Left out: that of the type
     factory: value at delivery. Left out: 0
     read_only: it cannot be written
-    text: a text, which the parameter channel cannot carry
     per_set: it exists in each data set
     by_name: people know it by its name
     volatile: the drive never stores it
@@ -312,7 +311,7 @@ class ParameterKeys(TypedDict, total=False):
     number: Annotated[int, _WORD]
     index: Annotated[int, _WORD]
     title: str
-    type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "f32"]
+    type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "f32", "n2", "n4", "e2", "c4", "text"]
     unit: str
     decimals: Annotated[int, Key(0, 9)]
     per_unit: Annotated[float, Key(-_MOST, _MOST)]
@@ -320,7 +319,6 @@ class ParameterKeys(TypedDict, total=False):
     high: Annotated[float, Key(-1e39, 1e39)]
     factory: Annotated[float, Key(-1e39, 1e39)]
     read_only: bool
-    text: bool
     per_set: bool
     by_name: bool
     volatile: bool

@@ -11,7 +11,7 @@ from dpstack.profile.model.profidrive_states import ProfidriveMachine
 from dpstack.profile.model.states import Goal, State
 
 #: the way up, lowest first
-_WAY: Final = (
+_WAY: Final[tuple[State, ...]] = (
     State.NOT_READY,
     State.SWITCH_ON_INHIBITED,
     State.READY_TO_SWITCH_ON,
@@ -106,7 +106,7 @@ class TableMachine:
         self._shown = {row.state: row.value for row in reversed(file.table.states.rows)}
         self._way = [state for state in _WAY if state in self._shown]
         self._acknowledge = False
-        self.state = self._way[0]
+        self.state: State = self._way[0]
 
     @property
     def powered(self) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Final, NamedTuple
 
-from dpstack.devices.drive_core import FileCore
+from dpstack.devices.drive_core import FileCore, counts_of
 from dpstack.devices.drive_device import FileDevice
 from dpstack.devices.model import DeviceFile, Telegram, WordSpec
 from dpstack.errors import ConfigError
@@ -35,6 +35,10 @@ def profile_of(file: DeviceFile) -> DriveProfile:
     """The drive that ``file`` describes. Raises ConfigError if the Python that it names is not installed."""
     core: CoreFactory = partial(FileCore, file)
     device: DeviceFactory = partial(FileDevice, file)
+    details = None
+    if file.python:
+        own = python_of(file.python)
+        core, device, details = own.core, own.device or device, own.details
     bus = file.bus
     options = dict(file.options)
     for name, text in _REFERENCES.items():
@@ -61,15 +65,44 @@ def profile_of(file: DeviceFile) -> DriveProfile:
         on_loss=file.on_loss,
         core_factory=core,
         device_factory=device,
+        details=details,
         core_options=options,
         device_options=file.device_options,
         notes=tuple(one for one in (*file.notes, file.tried) if one),
         ready=ready,
         file=str(file.path),
+        digest=file.digest,
         gsd_file=None if file.gsd is None else str(file.gsd),
         modules={name: one.modules for name, one in file.telegrams.items() if one.modules},
         fields=partial(fields_of, file),
+        check_word=partial(_check_word, file),
     )
+
+
+def python_of(name: str) -> DevicePython:
+    """The Python that packages have registered under ``name``. Raises ConfigError."""
+    from importlib import metadata
+
+    points = {point.name: point for point in metadata.entry_points(group=GROUP)}
+    if name not in points:
+        known = ", ".join(sorted(points)) or "none"
+        raise ConfigError(
+            f"python = {name!r}: no installed package has registered it (group {GROUP}; known: {known}); install it"
+        )
+    try:
+        found = points[name].load()
+    except Exception as error:
+        raise ConfigError(
+            f"python = {name!r} cannot be loaded: {type(error).__name__}: {error}; repair or uninstall its package"
+        ) from None
+    if not isinstance(found, DevicePython):
+        raise ConfigError(f"python = {name!r} is {type(found).__name__}, not a DevicePython; repair its package")
+    return found
+
+
+def _check_word(file: DeviceFile, name: str, value: object) -> None:
+    if isinstance(value, (int, float)):
+        counts_of(file.words[name], value)
 
 
 def fields_of(file: DeviceFile, telegram: str) -> tuple[dict[str, object], dict[str, object]]:
@@ -87,7 +120,7 @@ def _fields(file: DeviceFile, telegram: Telegram, *, outputs: bool) -> dict[str,
         word = None if isinstance(name, int) else file.words[name]
         if word is not None and word.part not in ("control", "status") and not (outputs and word.part == "setpoint"):
             found[word.name] = _field(word, at)
-            for bit, number in word.bits.items():
+            for bit, number in () if outputs else word.bits.items():
                 found[f"{word.name}_{bit}"] = f"bool@{at + (word.octets * 8 - 1 - number) // 8}.{number % 8}"
         at += 2 if word is None else word.octets
     return found

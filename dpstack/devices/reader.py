@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,6 +32,7 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.profile.drive_profile import OptionSpec
 from dpstack.profile.model.description import DescribedStep
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
+from dpstack.profile.model.param_types import ParamType
 from dpstack.profile.model.params import ParamSpec, ParamTable, Use
 from dpstack.profile.model.states import ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.model.words import Word
@@ -60,7 +60,7 @@ _BITS_OF_WORD: Final = 16
 T = TypeVar("T")
 
 
-class DeviceErrors(ConfigError):
+class DeviceFileError(ConfigError):
     """All mistakes of a device file, in the order of their lines; the text is the first one."""
 
     def __init__(self, errors: Sequence[ConfigError]) -> None:
@@ -72,8 +72,20 @@ class DeviceErrors(ConfigError):
         self.what = first.what
 
 
-class _Bounded(Table):
-    """A table whose errors are collected, not raised one by one."""
+class _Collected:
+    """Takes the mistakes of a block into a list."""
+
+    def __init__(self, errors: list[ConfigError]) -> None:
+        self._errors = errors
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> bool:
+        if not isinstance(error, ConfigError):
+            return False
+        self._errors += error.errors if isinstance(error, DeviceFileError) else (error,)
+        return True
 
 
 class Reader:
@@ -89,7 +101,7 @@ class Reader:
     # -- the text, its bases and its tables -------------------------------------------------------------------------
 
     def read(self) -> DeviceFile:
-        """Raises DeviceErrors with all mistakes."""
+        """Raises DeviceFileError with all mistakes."""
         text, digest = text_of(self.path)
         data, lines = _toml(text, self.path)
         self._source = Source(str(self.path), lines, self.path, digest)
@@ -101,7 +113,7 @@ class Reader:
             self.errors.append(error)
             found = None
         if self.errors:
-            raise DeviceErrors(sorted(self.errors, key=_line))
+            raise DeviceFileError(sorted(self.errors, key=_line))
         assert found is not None
         return found
 
@@ -125,15 +137,9 @@ class Reader:
             merged = _joined(merged, layer)
         return merged
 
-    @contextlib.contextmanager
-    def _collected(self) -> Iterator[None]:
+    def _collected(self) -> _Collected:
         """A mistake inside is noted, and reading goes on behind the block."""
-        try:
-            yield
-        except DeviceErrors as error:
-            self.errors += error.errors
-        except ConfigError as error:
-            self.errors.append(error)
+        return _Collected(self.errors)
 
     def _members(self, table: Table, key: str) -> Iterator[tuple[str, Table]]:
         """The tables in the table ``key``; one that is none is noted."""
@@ -152,14 +158,16 @@ class Reader:
         with self._collected():
             given = table.read(_keys(k.DeviceKeys))
         if not given:
-            raise DeviceErrors(self.errors)
+            raise DeviceFileError(self.errors)
         for key, why in (("format", "write format = 1"), ("name", "give the name of the file"), ("base", "")):
             if key not in given and why:
                 self.errors.append(table.error(None, f"no {key}", why))
         name = str(given.get("name", self.path.stem))
         if name != self.path.stem:
             self.errors.append(
-                table.error("name", f"name = {brief(name)}, but the file is {self.path.name}", "give both the same name")
+                table.error(
+                    "name", f"name = {brief(name)}, but the file is {self.path.name}", "give both the same name"
+                )
             )
         words = self._words(table)
         derived = self._derived(table, words)
@@ -175,7 +183,7 @@ class Reader:
         if telegrams and default not in telegrams:
             self.errors.append(table.error("telegram", f"no telegram {default!r}", f"it has {', '.join(telegrams)}"))
         if self.errors:
-            raise DeviceErrors(self.errors)
+            raise DeviceFileError(self.errors)
         released, releasing = own["released"], own["releasing"]
         idle = steady.get(Goal.IDLE, 0)
         found = DeviceFile(
@@ -199,7 +207,7 @@ class Reader:
                 status=status,
                 states=states,
                 run=run,
-                steady={goal: idle for goal in Goal} | steady,
+                steady=dict.fromkeys(Goal, idle) | steady,
                 released_mask=released,
                 releasing=releasing,
             ),
@@ -229,9 +237,8 @@ class Reader:
             examples=self._examples(table),
             python=given.get("python", ""),
         )
-        self._lengths(table, found)
         if self.errors:
-            raise DeviceErrors(self.errors)
+            raise DeviceFileError(self.errors)
         return found
 
     # -- telegrams and words ------------------------------------------------------------------------------------------
@@ -261,7 +268,7 @@ class Reader:
                 part=part,
                 bits=bits,
             )
-        for part in ("control", "status"):
+        for part in ("control", "status", "fault", "warning"):
             found.setdefault(part, WordSpec(name=part, part=part))
         return found
 
@@ -327,7 +334,7 @@ class Reader:
                 number=number,
             )
         if not found and not self.errors:
-            self.errors.append(table.error("telegrams", "no telegram", 'add [telegrams] with 1 = { out = [...], ... }'))
+            self.errors.append(table.error("telegrams", "no telegram", "add [telegrams] with 1 = { out = [...], ... }"))
         return found
 
     def _way(
@@ -369,9 +376,6 @@ class Reader:
             what, _, todo = str(error).partition("; ")
             raise table.error("modules", what, todo or "give the names of its modules") from None
 
-    def _lengths(self, table: Table, file: DeviceFile) -> None:
-        """Nothing that needs a whole file yet."""
-
     # -- control, status, states --------------------------------------------------------------------------------------
 
     def _control(self, table: Table) -> tuple[Word, Word, StateTable, dict[str, Any]]:
@@ -395,7 +399,9 @@ class Reader:
                 own["run"] = self._by_name(inside, "run", _STATES)
                 own["goals"] = self._by_name(inside, "goals", _GOALS)
                 own["released"] = given.get("released", 0)
-                own["releasing"] = frozenset(self._state(inside, "releasing", one) for one in given.get("releasing", ()))
+                own["releasing"] = frozenset(
+                    self._state(inside, "releasing", one) for one in given.get("releasing", ())
+                )
                 own["safe"] = given.get("safe")
                 own["reverse"] = self._bit_of(inside, "reverse", given, control_bits)
         with self._collected():
@@ -410,7 +416,9 @@ class Reader:
             try:
                 states = StateTable(rows)
             except ValueError as error:
-                raise table.error("status", str(error), "make masks and values of the states exclude one another") from None
+                raise table.error(
+                    "status", str(error), "make masks and values of the states exclude one another"
+                ) from None
             if not rows:
                 raise table.error("status", "no states", "add states = { running = [mask, value], ... }")
         return Word("control word", control_bits), Word("status word", status_bits), states, own
@@ -466,7 +474,9 @@ class Reader:
             for key in ("set", "clear"):
                 for bit in given.get(key, ()):
                     if bit not in control.bits:
-                        inside.fail(key, f"{brief(bit)} is no bit of the control word", f"it has {', '.join(control.bits)}")
+                        inside.fail(
+                            key, f"{brief(bit)} is no bit of the control word", f"it has {', '.join(control.bits)}"
+                        )
                 masks[key] = control.mask(*given.get(key, ()))
             if not any(masks.values()):
                 inside.fail(None, f"the order {name} changes no bit", "give it set or clear")
@@ -576,7 +586,11 @@ class Reader:
             spec = self._parameter(inside, name, number, given)
             if (spec.number, spec.index) in specs or name.lower() in names:
                 other = specs.get((spec.number, spec.index))
-                inside.fail(None, f"{spec.label} is declared twice" + (f", also as {other.name}" if other else ""), "take one of them out")
+                inside.fail(
+                    None,
+                    f"{spec.label} is declared twice" + (f", also as {other.name}" if other else ""),
+                    "take one of them out",
+                )
             specs[spec.number, spec.index] = spec
             names[name.lower()] = name
             if given.get("standstill"):
@@ -584,45 +598,33 @@ class Reader:
         return ParamTable(specs.values())
 
     def _parameter(self, table: Table, name: str, number: int, given: Mapping[str, Any]) -> ParamSpec:
-        kind = given.get("type", "u16")
-        decimals, per_unit = given.get("decimals", 0), given.get("per_unit", 0.0)
-        if "per_unit" in given and not per_unit:
+        if "per_unit" in given and not given["per_unit"]:
             table.fail("per_unit", "per_unit = 0: a scale of zero", "give the counts that make 1")
-        counts = per_unit or 10**decimals
-        low, high = (limit / counts for limit in _RANGES[kind])
-        low, high = given.get("low", low), given.get("high", high)
-        factory = given.get("factory", min(max(0.0, low), high))
-        if not low <= factory <= high:
-            table.fail("factory", f"factory = {factory:g} is outside {low:g}..{high:g}", "correct limits or value")
         use = given.get("use", "setting" if given.get("standstill") else "")
-        return ParamSpec(
-            number,
-            name,
-            given.get("title", name),
-            low,
-            high,
-            factory,
-            index=given.get("index", 0),
-            long=kind in ("i32", "u32", "f32"),
-            decimals=decimals,
-            per_unit=per_unit,
-            unit=given.get("unit", ""),
-            per_set=given.get("per_set", False),
-            read_only=given.get("read_only", False),
-            text=given.get("text", False),
-            made_up=given.get("made_up", False),
-            by_name=given.get("by_name", not name.isdecimal()),
-            volatile=given.get("volatile", False),
-            use=Use(use),
-            acts=given.get("acts", ""),
-        )
+        rest = {key: given[key] for key in _SPEC_KEYS if key in given}
+        try:
+            return ParamSpec(
+                number,
+                name,
+                given.get("title", name),
+                type=ParamType(given.get("type", "u16")),
+                by_name=given.get("by_name", not name.isdecimal()),
+                use=Use(use),
+                **rest,
+            )
+        except ValueError as error:
+            raise table.error(None, str(error), "correct type or limits") from None
 
     def _parameter_named(self, table: Table, key: str, name: object, parameters: ParamTable) -> str:
         if not name:
             return ""
         if not isinstance(name, str) or parameters.named(name) is None:
             near = parameters.hint(str(name))
-            self.errors.append(table.error(key, f"{key} = {brief(name)} is no parameter of this file{near}", "declare it in [parameters]"))
+            self.errors.append(
+                table.error(
+                    key, f"{key} = {brief(name)} is no parameter of this file{near}", "declare it in [parameters]"
+                )
+            )
         return str(name)
 
     def _settings(self, table: Table, parameters: ParamTable) -> tuple[SettingSpec, ...]:
@@ -738,7 +740,8 @@ class Reader:
             if lost not in known and not is_integer(lost):
                 inside.fail("lost", f"lost = {brief(lost)}", f"it must be {', '.join(known)} or the number of a fault")
             rest = {key: value for key, value in given.items() if key in ("scan_ms", "load")}
-            return Simulation(lost=str(lost), **ramps, **rest)
+            up, down, quick = (ramps.get(way, "") for way in ("up", "down", "quick"))
+            return Simulation(lost=str(lost), up=up, down=down, quick=quick, **rest)
         return Simulation()
 
     def _each(self, table: Table, key: str) -> Iterator[tuple[int, Table]]:
@@ -785,16 +788,21 @@ class Reader:
         return tuple(found)
 
 
-#: lowest and highest count on the wire
-_RANGES: Final[Mapping[str, tuple[float, float]]] = {
-    "u8": (0, 0xFF),
-    "i8": (-0x80, 0x7F),
-    "u16": (0, 0xFFFF),
-    "i16": (-0x8000, 0x7FFF),
-    "u32": (0, 0xFFFF_FFFF),
-    "i32": (-0x8000_0000, 0x7FFF_FFFF),
-    "f32": (-3.402823466e38, 3.402823466e38),
-}
+#: keys of a parameter that are fields of its specification
+_SPEC_KEYS: Final = (
+    "low",
+    "high",
+    "factory",
+    "index",
+    "decimals",
+    "per_unit",
+    "unit",
+    "per_set",
+    "read_only",
+    "made_up",
+    "volatile",
+    "acts",
+)
 #: kinds of parameter channel by name
 DIALECTS: Final = ("plain",)
 _REFERENCES: Final = ("reference_hz", "reference_rpm")
@@ -806,9 +814,13 @@ def text_of(path: Path) -> tuple[str, str]:
         with path.open("rb") as file:
             octets = file.read(MAX_OCTETS + 1)
     except OSError as error:
-        raise ConfigError.at(str(path), None, f"{path.name} cannot be read ({error.strerror})", "give the path of a file") from None
+        raise ConfigError.at(
+            str(path), None, f"{path.name} cannot be read ({error.strerror})", "give the path of a file"
+        ) from None
     if len(octets) > MAX_OCTETS:
-        raise ConfigError.at(str(path), None, f"the file has more than {MAX_OCTETS // 1_000_000} MB", "a device file has some kB")
+        raise ConfigError.at(
+            str(path), None, f"the file has more than {MAX_OCTETS // 1_000_000} MB", "a device file has some kB"
+        )
     try:
         return octets.decode(), hashlib.sha256(octets).hexdigest()
     except UnicodeDecodeError:
@@ -844,5 +856,7 @@ def _identifiers(outputs: int, inputs: int, number: object, *, pkw: bool) -> byt
     out, into = outputs // 2, inputs // 2
     if pkw or not str(number).isdecimal():
         lead = b"\xf3" if pkw else b""
-        return lead + (bytes((0x70 | out - 1,)) if out == into <= 16 else bytes((0xC0, 0xC0 | out - 1, 0xC0 | into - 1)))
+        return lead + (
+            bytes((0x70 | out - 1,)) if out == into <= 16 else bytes((0xC0, 0xC0 | out - 1, 0xC0 | into - 1))
+        )
     return bytes((0xC3, 0xC0 | out - 1, 0xC0 | into - 1, 0xFD)) + int(str(number)).to_bytes(2, "big")

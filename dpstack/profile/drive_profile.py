@@ -117,12 +117,16 @@ class DriveProfile(DriveType):
     details: str | None = None
     #: path of its device file; "" for a plugin
     file: str = ""
+    #: SHA-256 of that file, hex
+    digest: str = ""
     #: the maker's GSD file that comes with the device file
     gsd_file: str | None = None
     #: the modules of a telegram in the GSD file, by its name
     modules: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     #: the named values of inputs and outputs in a telegram, as a plant file writes them; None: it has none
     fields: Callable[[str], tuple[dict[str, object], dict[str, object]]] | None = None
+    #: raises ValueError for a value that a free word of the outputs cannot have; None: it has no such words
+    check_word: Callable[[str, object], None] | None = None
 
     def describe(
         self, address: int, telegram: str | None = None, options: Mapping[str, object] | None = None

@@ -8,7 +8,6 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Final, Literal
 
-from dpstack.toml.table import Source, Table
 from dpstack.api.control.scenario import NORMAL, kind_of
 from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.slave_side.fault_steps import End
@@ -16,6 +15,7 @@ from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.errors import ConfigError
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
+from dpstack.toml.table import Source, Table
 from dpstack.units import ns_to_s, s_to_ns
 
 #: a year in seconds

@@ -29,10 +29,10 @@ from typing import (
 
 from msgspec import Struct, structs
 
-from dpstack.toml.reading import Path as KeyPath
-from dpstack.toml.reading import quoted
 from dpstack.errors import ConfigError, PduError
 from dpstack.text import brief
+from dpstack.toml.reading import Path as KeyPath
+from dpstack.toml.reading import quoted
 
 if TYPE_CHECKING:
     from dpstack.gsd.model import Device
@@ -114,6 +114,10 @@ class Table:
         self._data: dict[str, object] = {
             str(key): list(value) if type(value) is tuple else value for key, value in data.items()
         }
+
+    def extended(self, more: Mapping[str, object]) -> Table:
+        """The same table with the keys ``more``, which go before its own."""
+        return Table(self._source, self._path, self._data | dict(more), self.title)
 
     def fail(self, key: str | None, what: str, todo: str) -> NoReturn:
         """Raises ConfigError at ``key``, or at the table."""

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
 from dpstack.api.config.connectors import CONNECTORS, ConnectorConfig, read_names
-from dpstack.toml.table import Key
 from dpstack.api.connectors.kinds import KINDS, ConnectorKind, Parts
 from dpstack.bridge.connector import Connector
 from dpstack.bridge.orders import Orders
 from dpstack.errors import PortError
 from dpstack.plant.tree import Born, Change, Changed, Died
+from dpstack.toml.table import Key
 from dpstack.trace import Severity
 
 #: s for which the failures "thread" and "loop" last, which nobody can end

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from simulated_kit import Asked
 
-from dpstack.toml.table import Source, Table
 from dpstack.api.slave_side.fault_steps import KINDS, Deed, End
 from dpstack.errors import ConfigError, DpError
 from dpstack.sim.io_station import IoStation
 from dpstack.testing import BusFactory
+from dpstack.toml.table import Source, Table
 
 #: two words of inputs, an octet of inputs, two octets of outputs, an empty slot, two words of outputs
 RACK: dict[str, object] = {"name": "rack", "address": 8, "ident": 0x1234, "config": "51 10 21 00 61"}

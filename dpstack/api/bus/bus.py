@@ -15,7 +15,6 @@ from dpstack.api.bus.sync_freeze import Group, Groups, send_control
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import Config, slave_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.toml.table import keys_of
 from dpstack.api.slave.slave import Slave, all_ready
 from dpstack.api.streams import EventStream, OnEvent, load_beside
 from dpstack.argcheck import Sealed, instance, plain_function
@@ -29,6 +28,7 @@ from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import BusParams
 from dpstack.text import brief, did_you_mean
+from dpstack.toml.table import keys_of
 from dpstack.trace import Severity
 from dpstack.units import baud_text
 

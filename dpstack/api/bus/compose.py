@@ -270,7 +270,9 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
     from dpstack.drivers.process.plugins import AttachPlugin
     from dpstack.profile import registry
 
-    place = registry.places().get(slave.profile.name)
+    place, argument = registry.places().get(slave.profile.name), ""
+    if slave.profile.file:
+        place, argument = "dpstack.devices.finding:profile_at", f"{slave.profile.digest} {slave.profile.file}"
     if place is None:
         raise ConfigError(
             f"slave {slave.address} ({slave.name}): its drive plugin {slave.profile.name!r} is an object of this "
@@ -280,6 +282,7 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
     return AttachPlugin(
         address=slave.address,
         place=place,
+        argument=argument,
         name=slave.name,
         telegram=slave.telegram,
         options=dict(slave.options),

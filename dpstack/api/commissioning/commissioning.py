@@ -19,14 +19,14 @@ from dpstack.api.commissioning.candidates import candidates, module_choice
 from dpstack.api.commissioning.sheet import Sheet, make_sheets
 from dpstack.api.config.config import Config, check_config, load_config, slave_config
 from dpstack.api.config.gsd_choice import base_name, octet_remarks
-from dpstack.toml.table import parse_hex
-from dpstack.toml.reading import TomlError, read_toml, table_lines
 from dpstack.api.files import read_file
 from dpstack.api.gsd_folder import GsdFolder
 from dpstack.api.gsd_info import bundled
 from dpstack.errors import ConfigError, DpError, UsageError
 from dpstack.params import MAX_STATION
 from dpstack.text import printable, shortened
+from dpstack.toml.reading import TomlError, read_toml, table_lines
+from dpstack.toml.table import parse_hex
 
 #: errors of one text, stations of one question
 _MOST_ERRORS: Final = 50

@@ -10,13 +10,13 @@ from msgspec import Struct
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.config.channel_names import name_lines, slot_remarks
-from dpstack.toml.reading import comment, table_lines
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.telegram import MAX_DATA, StationType
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION
+from dpstack.toml.reading import comment, table_lines
 
 if TYPE_CHECKING:
     from dpstack.profile import DriveProfile

@@ -6,9 +6,9 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Struct
 
-from dpstack.toml.table import Key, Source, Table, is_integer, keys_of
 from dpstack.params import BUS_LIMITS, MAX_STATION
 from dpstack.text import brief
+from dpstack.toml.table import Key, Source, Table, is_integer, keys_of
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
 #: the baud rate is found by listening (see :mod:`dpstack.api.bus.find_baud`); echo is recognised

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from dpstack.toml.reading import comment, toml_value
 from dpstack.dp.channels import proposed_names
 from dpstack.dp.slot_map import SlotMap
+from dpstack.toml.reading import comment, toml_value
 
 #: places of a list in one line: the bits of an octet
 _IN_A_LINE: Final = 8

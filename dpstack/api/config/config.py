@@ -20,9 +20,6 @@ from msgspec import structs
 
 from dpstack.api.config.bus import AUTO, BusConfig, read_bus
 from dpstack.api.config.slave import SlaveConfig, read_slave
-from dpstack.toml.table import Source, Table
-from dpstack.toml.reading import MAX_OCTETS, TomlError, read_toml
-from dpstack.toml.reading import Path as KeyPath
 from dpstack.api.files import read_file
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
@@ -31,6 +28,9 @@ from dpstack.params import BusParams
 from dpstack.ports import Port, open_port
 from dpstack.ports.base import VIRTUAL
 from dpstack.text import octets_text
+from dpstack.toml.reading import MAX_OCTETS, TomlError, read_toml
+from dpstack.toml.reading import Path as KeyPath
+from dpstack.toml.table import Source, Table
 from dpstack.units import baud_text
 
 if TYPE_CHECKING:

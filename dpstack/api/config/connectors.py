@@ -9,9 +9,9 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Struct, structs
 
-from dpstack.toml.table import Key, Source, Table, keys_of
 from dpstack.errors import UsageError
 from dpstack.text import brief
+from dpstack.toml.table import Key, Source, Table, keys_of
 
 
 def read_names(table: Table, name: str, _: Key) -> object:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypedDict
 
 from msgspec import structs
 
-from dpstack.toml.table import Gsd, Key, Table, as_given, keys_of
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS, DPV1_ENABLE, Dpv1
 from dpstack.dp.pdu.layouts import MAX_RECORD, Layout
 from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, alarm_kinds
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import brief
+from dpstack.toml.table import Gsd, Key, Table, as_given, keys_of
 from dpstack.units import NS_PER_MS
 
 if TYPE_CHECKING:

@@ -7,23 +7,28 @@ from collections.abc import Mapping
 from typing import Any
 
 from dpstack.api.config.slave_source import REFERENCES, Basis, Who, leave_out
-from dpstack.toml.table import Table
+from dpstack.devices import finding
 from dpstack.dp.slave_params import DriveTelegrams, SlaveParams
 from dpstack.gsd.configuration import Configuration, configuration_like
-from dpstack.profile import DriveProfile, TelegramSpec, registry
+from dpstack.profile import DriveProfile, TelegramSpec
+from dpstack.toml.table import Table
 
 
 def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     leave_out(table, "config", "beside drive", "leave config out: it follows from drive and telegram")
     with table.blaming("drive"):
-        profile = registry.find(given["drive"])
+        profile = finding.find(given["drive"], table.folder)
     with table.blaming("telegram"):
         telegram = profile.telegram(given.get("telegram"))
     by_gsd: Basis | None = None
+    if "gsd" not in given and profile.gsd_file is not None:
+        given = {**given, "gsd": profile.gsd_file}
     if "gsd" in given:
         from dpstack.api.config.gsd_source import read_gsd_slave  # here, as most drives need no GSD file
 
         like = telegram.config, _lengths(telegram)
+        if "modules" not in given and telegram.name in profile.modules:
+            given = {**given, "modules": profile.modules[telegram.name]}
         configuration, by_gsd = read_gsd_slave(
             table, given, who, lambda device, own_prm: configuration_like(device, *like, own_prm=own_prm)
         )

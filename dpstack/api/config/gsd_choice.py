@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from msgspec import Struct, field
 
 from dpstack.api.config.channel_names import name_lines, slot_remarks
-from dpstack.toml.reading import comment, table_lines
 from dpstack.dp.channels import channels
 from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import GsdError
@@ -16,6 +15,7 @@ from dpstack.gsd.configuration import find_module, plug
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module
+from dpstack.toml.reading import comment, table_lines
 
 
 class Choice(Struct):

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from dpstack.api.config.slave_source import Basis, Who
-from dpstack.toml.table import Table
 from dpstack.api.gsd_info import read_gsd
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu.requests import SET_PRM_LEN
@@ -19,6 +18,7 @@ from dpstack.gsd.model import Device
 from dpstack.gsd.prm import MAY_REFUSE, Reading, UserPrm
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import brief, octets_text
+from dpstack.toml.table import Table
 
 _OTHER: Final = {Reading.REFS: Reading.CONST, Reading.CONST: Reading.REFS}
 #: most octet numbers in a message about two readings of a file

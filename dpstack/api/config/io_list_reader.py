@@ -17,14 +17,14 @@ from msgspec import Struct
 from dpstack.api.config.config import Config, parse_config
 from dpstack.api.config.io_list import COLUMNS, fields_of, first_bit, text_of_cell, type_cell
 from dpstack.api.config.slave import SlaveConfig, read_field
-from dpstack.toml.table import Source, Table
-from dpstack.toml.reading import Path as KeyPath
-from dpstack.toml.reading import read_toml, toml_value
 from dpstack.api.config.toml_edit import TomlEdit
 from dpstack.dp.process_data import Field, overlap
 from dpstack.dp.slot_map import Direction
 from dpstack.errors import ConfigError
 from dpstack.text import did_you_mean, nearest, shortened
+from dpstack.toml.reading import Path as KeyPath
+from dpstack.toml.reading import read_toml, toml_value
+from dpstack.toml.table import Source, Table
 
 #: octets of a list: 125 slaves with 1952 channels each way have some 40 MB
 MAX_LIST: Final = 50_000_000

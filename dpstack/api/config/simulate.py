@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Final, TypedDict
 
-from dpstack.toml.table import Key, Table, keys_of
 from dpstack.errors import ConfigError
 from dpstack.text import brief
+from dpstack.toml.table import Key, Table, keys_of
 from dpstack.units import NS_PER_MS
 
 _FUNCTION: Final = re.compile(r"[^\W\d]\w*(?:\.[^\W\d]\w*)*:[^\W\d]\w*(?:\.[^\W\d]\w*)*")

@@ -26,7 +26,6 @@ from dpstack.api.config.slave_source import (
     modules_of,
     remarks,
 )
-from dpstack.toml.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale, with_status
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
 from dpstack.dp.slot_map import Direction, SlotMap
@@ -35,6 +34,7 @@ from dpstack.gsd.dpv1_keywords import NO_GSD, DpV1
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.text import brief
+from dpstack.toml.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
 from dpstack.units import ms_text
 
 if TYPE_CHECKING:
@@ -357,11 +357,25 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     changes = _changes(slave, table, given)
     with table.blaming():
         params = dataclasses.replace(known, **changes)
-    inputs, outputs = read_fields(table, params)
+    inputs, outputs = read_fields(_with_words(table, slave), params)
     simulate = read_simulate(table, drive=slave.profile is not None)
     slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs, simulate=simulate)
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, given) if note)
     return dataclasses.replace(slave, notes=tuple(notes))
+
+
+def _with_words(table: Table, slave: SlaveConfig) -> Table:
+    """``table`` with the words that a device file names; the names that a user gives go before them."""
+    profile = slave.profile
+    if profile is None:
+        return table
+    if "outputs" in table and not slave.raw:
+        table.fail("outputs", "outputs beside drive: its plugin makes the outputs", "leave outputs out")
+    if profile.fields is None:
+        return table
+    inputs, outputs = profile.fields(profile.telegram(slave.telegram).name)
+    given = table.raw("inputs")
+    return table.extended({"inputs": inputs | (given if isinstance(given, dict) else {}), "outputs": outputs})
 
 
 def _basis_of(table: Table, given: Mapping[str, Any], who: Who) -> Basis:

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypedDict
 
-from dpstack.toml.table import Key, Table, is_integer
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.text import brief
+from dpstack.toml.table import Key, Table, is_integer
 
 if TYPE_CHECKING:
     from dpstack.gsd.model import Device

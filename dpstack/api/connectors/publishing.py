@@ -20,7 +20,6 @@ from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.driver_choice import PROCESS
 from dpstack.api.bus.live import LiveStream, named_values
 from dpstack.api.config.connectors import KEEP, ConnectorConfig, loss_text, read_connectors
-from dpstack.toml.table import Source
 from dpstack.api.connectors.kinds import KINDS, ConnectorKind, Parts
 from dpstack.api.connectors.outside import OutsideOrders
 from dpstack.api.streams import LEVELS, load_beside
@@ -35,6 +34,7 @@ from dpstack.plant.orders import DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.tree import PlantTree
 from dpstack.ports import posix
 from dpstack.text import printable
+from dpstack.toml.table import Source
 from dpstack.trace import Severity
 from dpstack.units import NS_PER_S
 

@@ -8,9 +8,9 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Final, TypeVar
 
-from dpstack.toml.table import parse_hex
 from dpstack.errors import UsageError
 from dpstack.text import decimal, shortened
+from dpstack.toml.table import parse_hex
 from dpstack.units import NS_PER_S
 
 #: as a port: a pty that the program makes itself

@@ -40,28 +40,38 @@ async def carry_out(bus: Bus, order: PlantOrder, *, now: bool = False) -> object
     return None
 
 
-def octets_of(bus: Bus, orders: Sequence[SetOutputs | SetOctets], *, now: bool = False) -> dict[Slave, bytes]:
-    """The output octets that ``orders`` mean; several orders to one slave add up.
+#: outputs by slave: octets, or the free words of a drive by name
+Wanted = dict[Slave, bytes | dict[str, object]]
+
+
+def octets_of(bus: Bus, orders: Sequence[SetOutputs | SetOctets], *, now: bool = False) -> Wanted:
+    """The output octets that ``orders`` mean, or the free words of a drive; several orders to one slave add up.
 
     Raises UsageError for outputs that a slave does not have or a drive plugin makes, and for values that do not fit;
     with ``now`` BusError or SlaveError for the first slave that outputs do not reach now.
     """
-    wanted: dict[Slave, bytes] = {}
+    wanted: Wanted = {}
     for order in orders:
         slave = bus.slave(order.address)
+        before = wanted.get(slave, slave.outputs_held)
         if isinstance(order, SetOctets):
             wanted[slave] = order.octets
+        elif slave.has_free_words:
+            slave.check_words(order.values)
+            wanted[slave] = {**(before if isinstance(before, dict) else {}), **order.values}
         else:
-            wanted[slave] = put_values(slave, wanted.get(slave, slave.outputs_held), order.values)
+            assert isinstance(before, bytes)
+            wanted[slave] = put_values(slave, before, order.values)
     if now:
         for slave in wanted:
             _refuse_held(bus, slave)
     for slave, octets in wanted.items():
-        slave.check_outputs(octets)
+        if isinstance(octets, bytes):
+            slave.check_outputs(octets)
     return wanted
 
 
-async def put_out(bus: Bus, wanted: Mapping[Slave, bytes]) -> dict[str, dict[str, str]] | None:
+async def put_out(bus: Bus, wanted: Mapping[Slave, bytes | dict[str, object]]) -> dict[str, dict[str, str]] | None:
     """Set outputs that :func:`octets_of` has made, and wait until the master has them. Raises OrderDropped if it does
     not take them in time.
 
@@ -70,7 +80,10 @@ async def put_out(bus: Bus, wanted: Mapping[Slave, bytes]) -> dict[str, dict[str
     """
     view = core_of(bus).view
     for slave, octets in wanted.items():
-        view.set_outputs(slave.address, octets)
+        if isinstance(octets, bytes):
+            view.set_outputs(slave.address, octets)
+        else:
+            slave.update(octets)
     await bus.outputs_taken()
     held = {
         slave.name: f"held until {'operate' if _waits_for_operate(bus, slave) else 'data exchange'}: {why}"

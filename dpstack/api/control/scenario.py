@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from dpstack.api.config.config import read_tables, read_text
-from dpstack.toml.table import Key, Source, Table
 from dpstack.api.control.arguments import time_ns
 from dpstack.api.control.commands import SLAVES, Spec
 from dpstack.api.control.control_server import Handler
@@ -24,6 +23,7 @@ from dpstack.api.slave_side.simulated_inputs import SimulatedInputs
 from dpstack.api.slave_side.virtual_bench import Bench
 from dpstack.errors import ConfigError, DpError
 from dpstack.text import brief, did_you_mean, shortened
+from dpstack.toml.table import Key, Source, Table
 from dpstack.trace import Event
 from dpstack.units import ns_to_s, s_to_ns
 

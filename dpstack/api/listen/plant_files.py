@@ -8,8 +8,6 @@ from pathlib import Path
 
 from dpstack.api.config.config import Config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.toml.table import Key, Source, Table
-from dpstack.toml.reading import TomlError, read_toml
 from dpstack.api.files import read_file
 from dpstack.api.gsd_info import gsd_files, read_gsd
 from dpstack.errors import ConfigError, GsdError
@@ -17,6 +15,8 @@ from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.model import Device
 from dpstack.monitor.devices import Devices, KnownDevice
 from dpstack.monitor.thresholds import Thresholds, limits
+from dpstack.toml.reading import TomlError, read_toml
+from dpstack.toml.table import Key, Source, Table
 from dpstack.units import BAUD_RATES
 
 #: octets of a file with thresholds

@@ -13,10 +13,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, NoReturn, Self, TypeVar
 
-from dpstack.toml.reading import MAX_OCTETS, TomlError, quoted, read_toml
 from dpstack.api.files import AtomicFile, read_file
 from dpstack.errors import ConfigError
 from dpstack.profile import ListedParam
+from dpstack.toml.reading import MAX_OCTETS, TomlError, quoted, read_toml
 
 _FORMAT: Final = "format = 1"
 _ENTRIES: Final = "parameters"

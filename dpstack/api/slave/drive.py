@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-import itertools
 import math
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue, Readable
-from dpstack.api.slave.host import Host
+from dpstack.api.slave.host import TOKENS, Host
 from dpstack.api.slave.record_parameters import drive_error
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Stream
@@ -29,7 +28,6 @@ from dpstack.text import brief
 _GRACE: Final = 0.25
 #: most notices that a Drive keeps
 _NOTICES: Final = 5
-_tokens = itertools.count(1)
 
 
 def declared_parameters(core: DriveCore) -> tuple[ListedParam, ...]:
@@ -141,7 +139,7 @@ class Drive(Sealed, Readable):
             self._core.setpoint_word(value / reference)
         except (ValueError, TypeError) as error:
             raise UsageError(f"drive {self.name}: {error}") from None
-        token = next(_tokens)
+        token = next(TOKENS)
         self._setpoints[token] = value / reference
         try:
             self._bus.command(DriveCommand(self.slave.address, op, {"value": value}, token))
@@ -353,7 +351,7 @@ class Drive(Sealed, Readable):
     async def _order(self, op: str, timeout: float, **args: object) -> dict[str, object]:
         if not is_number(timeout) or not 0 <= timeout <= LARGEST:
             raise UsageError(f"drive {self.name}: {op}: timeout must be a number of seconds, not {timeout!r}")
-        token = next(_tokens)
+        token = next(TOKENS)
         refused, self._refused = self._refused, None
         if refused is not None and op not in HALTS:
             raise refused
@@ -378,7 +376,7 @@ class Drive(Sealed, Readable):
             if self._pending.pop(token, None) is not None and not self._over and op not in HALTS:
                 # the caller was cancelled or its time is over: the plugin must not start the motor later
                 with contextlib.suppress(UsageError, BusError):
-                    self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(_tokens)))
+                    self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(TOKENS)))
         if refused is not None:
             raise refused
         return result

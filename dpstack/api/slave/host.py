@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
-from typing import Protocol
+from typing import Final, Protocol
 
 from dpstack.api.config.config import Config
 from dpstack.api.config.slave import SlaveConfig
@@ -15,6 +16,9 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.snapshots import View
 from dpstack.params import BusParams
+
+#: tokens of orders to drive plugins
+TOKENS: Final = itertools.count(1)
 
 
 class Host(Protocol):

@@ -8,14 +8,14 @@ from typing import TypeVar, Unpack, overload
 from dpstack import argcheck
 from dpstack.api.config.slave import Changes, SlaveConfig, changed
 from dpstack.api.slave.alarms import AlarmStream
-from dpstack.api.slave.host import Host
+from dpstack.api.slave.host import TOKENS, Host
 from dpstack.api.slave.quality import QualifiedValue, SlaveQuality, qualified
 from dpstack.api.slave.records import RecordAccess, RecordWay
 from dpstack.api.slave.typed import Inputs, Outputs, typed
 from dpstack.api.streams import Reader
 from dpstack.argcheck import Sealed, instance, plain_function
 from dpstack.dp.master import fault_texts
-from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
+from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, DriveCommand, Mode, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.dp.master.slave_reports import AlarmCounts
@@ -294,7 +294,8 @@ class Slave(Sealed, RecordAccess):
         if self._bus.view.read_only:
             why = "this bus is read-only; leave read_only out"
         elif self._has_plugin:
-            why = "its drive plugin makes the outputs; give the drive an order (bus.drive())"
+            free = f", or set {', '.join(self.config.output_fields)} by name" if self.config.output_fields else ""
+            why = f"its drive plugin makes the outputs; give the drive an order (bus.drive()){free}"
         elif len(octets) != length:
             why = f"{octets_text(len(octets))} of outputs given, the slave's configuration has {length}"
         if why:
@@ -336,9 +337,34 @@ class Slave(Sealed, RecordAccess):
     def update(self, values: Mapping[str, object]) -> None:
         """Change several named outputs: they go out in the same rotation, all of them or none.
 
-        Raises UsageError for a name that is no output, a value that does not fit, and as :attr:`outputs` does.
+        The free words of a drive by its device file are named outputs too; they are back at their neutral values when
+        the drive was away. Raises UsageError for a name that is no output, a value that does not fit, and as
+        :attr:`outputs` does.
         """
-        self.outputs = put_values(self, self.outputs, values)
+        if not self.has_free_words:
+            self.outputs = put_values(self, self.outputs, values)
+            return
+        self.check_words(values)
+        words = [{"name": name, "value": value} for name, value in values.items()]
+        self._bus.command(DriveCommand(self.address, "set", {"values": words}, next(TOKENS)))
+
+    @property
+    def has_free_words(self) -> bool:
+        """Whether a device file makes its outputs, with words among them that a program may set by name."""
+        return self._has_plugin and bool(self.config.output_fields)
+
+    def check_words(self, values: Mapping[str, object]) -> None:
+        """Raises UsageError if ``values`` cannot become free words of a drive."""
+        self._bus.check_open()
+        put_values(self, bytes(self._setup.output_len), values)
+        profile = self.config.profile
+        if profile is None or profile.check_word is None:
+            return
+        for name, value in values.items():
+            try:
+                profile.check_word(name, value)
+            except ValueError as error:
+                raise UsageError(f"{self.who}: {error}") from None
 
     @overload
     def value(self, name: str, kind: None = None) -> QualifiedValue: ...

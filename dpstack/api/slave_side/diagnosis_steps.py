@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final, Literal
 
-from dpstack.toml.table import Key, Table
 from dpstack.api.slave_side.virtual_bench import SimulatedSlave
 from dpstack.dp.pdu.alarm_blocks import ModuleState
 from dpstack.dp.pdu.diag_blocks import CHANNEL_ERRORS, FIRST_SLOT, SIZES, UserDiag, channel_block
@@ -16,6 +15,7 @@ from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.model import DiagText
 from dpstack.sim.reported_diagnosis import Reported, ReportedOctets, SlotDiagnosis, TextDiagnosis
 from dpstack.text import did_you_mean
+from dpstack.toml.table import Key, Table
 
 #: "slot 3 channel 0 line break", also as a diagnosis is shown: "slot 3 (2 AI), input channel 0 (word): line break"
 _WHAT: Final = re.compile(

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from dpstack.toml.table import Key, Table
 from dpstack.api.slave_side import diagnosis_steps
 from dpstack.api.slave_side.diagnosis_steps import read_diagnosis
 from dpstack.api.slave_side.virtual_bench import Bench, SimulatedSlave
@@ -26,6 +25,7 @@ from dpstack.sim.slave_faults import (
     fault_text,
 )
 from dpstack.text import octets_text
+from dpstack.toml.table import Key, Table
 from dpstack.units import NS_PER_MS
 
 #: ends a deed; False: it has ended before, or another one has replaced it

@@ -8,11 +8,11 @@ from pathlib import Path
 from dpstack.api.config.config import Config, parse_config, read_text
 from dpstack.api.config.io_list import COLUMNS, csv_text, io_rows
 from dpstack.api.config.io_list_reader import MAX_LIST, TakenList, take_list
-from dpstack.toml.reading import MAX_OCTETS
 from dpstack.api.files import AtomicFile, read_file
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError, UsageError
+from dpstack.toml.reading import MAX_OCTETS
 
 #: the value of ``--csv`` without a file
 _STDOUT = "-"

@@ -19,20 +19,23 @@ from dpstack.machine import Order
 class AttachPlugin(Order):
     """Put the drive plugin at ``place`` ("package.module:name") onto the process image of the slave at ``address``.
 
-    ``name``: of the slave; ``options`` are plain data. ``records``: the slave has DP-V1, and the plugin may ask it by
-    Read and Write.
+    ``argument``: what ``place`` is called with to make the profile, "" for a profile itself (a device file: its digest
+    and path). ``name``: of the slave; ``options`` are plain data. ``records``: the slave has DP-V1, and the plugin may
+    ask it by Read and Write.
     """
 
     address: int
     place: str
     name: str
+    argument: str = ""
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
     records: bool = False
 
 
-def core_at(place: str) -> Callable[..., CyclicPlugin]:
-    """The method ``core`` of the drive profile at ``place``, or of another object: it makes the drive plugin of a slave
+def core_at(place: str, argument: str = "") -> Callable[..., CyclicPlugin]:
+    """The method ``core`` of the drive profile at ``place``, which makes the drive plugin of a slave. With ``argument``
+    the function at ``place`` is called with it and returns the profile
     (see :class:`dpstack.profile.DriveProfile`).
 
     Raises ConfigError that names the place, and why it cannot be imported.
@@ -44,6 +47,10 @@ def core_at(place: str) -> Callable[..., CyclicPlugin]:
         found = importlib.import_module(module)
         for name in path.split("."):
             found = getattr(found, name)
+        if argument:
+            found = found(argument)  # type: ignore[operator]
+    except ConfigError:
+        raise
     except Exception as error:  # the module of a plugin may raise any exception when it is imported
         raise ConfigError(
             f"plugin {place} cannot be imported in the bus process ({type(error).__name__}: {error}); "
@@ -73,4 +80,4 @@ def load_all(group: str) -> None:
 def load(order: AttachPlugin) -> CyclicPlugin:
     """The drive plugin that ``order`` names. Raises ConfigError."""
     records = RecordQueue() if order.records else None
-    return core_at(order.place)(order.name, order.telegram, order.options, records=records)
+    return core_at(order.place, order.argument)(order.name, order.telegram, order.options, records=records)

@@ -12,8 +12,8 @@ from property_kit import examples
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import make_config, parse_config
 from dpstack.api.config.slave import Changes, SlaveKeys
-from dpstack.toml.table import keys_of
 from dpstack.errors import ConfigError
+from dpstack.toml.table import keys_of
 
 #: values as TOML texts
 VALUES = st.one_of(

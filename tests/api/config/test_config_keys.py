@@ -22,9 +22,9 @@ from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import parse_config
 from dpstack.api.config.dpv1 import Dpv1Keys
 from dpstack.api.config.slave import Changes, SlaveConfig, SlaveKeys, changed
-from dpstack.toml.table import Key, keys_of
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError
+from dpstack.toml.table import Key, keys_of
 
 ROOT = Path(dpstack.__file__).parent.parent
 BUS = {"port": '"virtual"', "baud": "500000"}

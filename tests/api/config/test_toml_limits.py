@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from linear_kit import assert_linear
 
 from dpstack.api.config.config import parse_config
-from dpstack.toml.reading import MAX_BARE, MAX_DEPTH, MAX_PARTS, TomlError, line_numbers, read_toml
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.api.lists.record_list import RecordList
 from dpstack.errors import ConfigError
+from dpstack.toml.reading import MAX_BARE, MAX_DEPTH, MAX_PARTS, TomlError, line_numbers, read_toml
 
 BUS = '[bus]\nport = "virtual"\nbaud = 500000\n'
 SLAVE = '[[slave]]\naddress = 8\nident = 0x1234\nconfig = "20 10"\n'
