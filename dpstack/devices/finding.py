@@ -112,7 +112,7 @@ _NO_DRIVES: Final = frozenset({"drivecom", "bits", "encoder"})
 
 
 def path_of(name: str) -> Path | None:
-    """The device file called ``name``; None if there is none."""
+    """The device file called ``name``; None if no folder has it."""
     if name != Path(name).name or name.startswith("."):
         return None
     for folder in folders():

@@ -1,4 +1,4 @@
-"""The keys of a device file: names, types and limits; docs/reference/device-files.md is made from them."""
+"""The keys of a device file: names, types and limits."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A device file as data: telegrams, words, states, faults, parameters, settings, examples.
 
-docs/reference/device-files.md describes the keys. Everything here is checked by the reader.
+The keys are in :mod:`dpstack.devices.keys`. Everything here is checked by the reader.
 """
 
 from __future__ import annotations

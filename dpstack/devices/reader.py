@@ -142,7 +142,7 @@ class Reader:
         return _Collected(self.errors)
 
     def _members(self, table: Table, key: str) -> Iterator[tuple[str, Table]]:
-        """The tables in the table ``key``; one that is none is noted."""
+        """The tables in the table ``key``; anything else is noted as a mistake."""
         if table.raw(key) is None:
             return
         with self._collected():

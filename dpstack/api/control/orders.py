@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.parts import SEARCHING
-from dpstack.api.slave.slave import Slave, put_values
+from dpstack.api.slave.slave import Slave, check_words, has_free_words, put_values
 from dpstack.errors import BusError, SlaveError
 from dpstack.plant.orders import DriveOrder, ModeOrder, PlantOrder, SetOctets, SetOutputs
 
@@ -56,8 +56,8 @@ def octets_of(bus: Bus, orders: Sequence[SetOutputs | SetOctets], *, now: bool =
         before = wanted.get(slave, slave.outputs_held)
         if isinstance(order, SetOctets):
             wanted[slave] = order.octets
-        elif slave.has_free_words:
-            slave.check_words(order.values)
+        elif has_free_words(slave):
+            check_words(slave, order.values)
             wanted[slave] = {**(before if isinstance(before, dict) else {}), **order.values}
         else:
             assert isinstance(before, bytes)

@@ -341,30 +341,12 @@ class Slave(Sealed, RecordAccess):
         the drive was away. Raises UsageError for a name that is no output, a value that does not fit, and as
         :attr:`outputs` does.
         """
-        if not self.has_free_words:
+        if not has_free_words(self):
             self.outputs = put_values(self, self.outputs, values)
             return
-        self.check_words(values)
+        check_words(self, values)
         words = [{"name": name, "value": value} for name, value in values.items()]
         self._bus.command(DriveCommand(self.address, "set", {"values": words}, next(TOKENS)))
-
-    @property
-    def has_free_words(self) -> bool:
-        """Whether a device file makes its outputs, with words among them that a program may set by name."""
-        return self._has_plugin and bool(self.config.output_fields)
-
-    def check_words(self, values: Mapping[str, object]) -> None:
-        """Raises UsageError if ``values`` cannot become free words of a drive."""
-        self._bus.check_open()
-        put_values(self, bytes(self._setup.output_len), values)
-        profile = self.config.profile
-        if profile is None or profile.check_word is None:
-            return
-        for name, value in values.items():
-            try:
-                profile.check_word(name, value)
-            except ValueError as error:
-                raise UsageError(f"{self.who}: {error}") from None
 
     @overload
     def value(self, name: str, kind: None = None) -> QualifiedValue: ...
@@ -676,6 +658,25 @@ async def all_ready(bus: Host, slaves: Collection[Slave], timeout: float | None)
             if not slave.ready_now:
                 raise slave._late("data exchange", timeout) from None
         raise
+
+
+def has_free_words(slave: Slave) -> bool:
+    """Whether a device file makes the outputs of ``slave``, with words among them that a program may set by name."""
+    return slave._has_plugin and bool(slave.config.output_fields)
+
+
+def check_words(slave: Slave, values: Mapping[str, object]) -> None:
+    """Raises UsageError if ``values`` cannot become free words of a drive."""
+    slave._bus.check_open()
+    put_values(slave, bytes(slave.setup.output_len), values)
+    profile = slave.config.profile
+    if profile is None or profile.check_word is None:
+        return
+    for name, value in values.items():
+        try:
+            profile.check_word(name, value)
+        except ValueError as error:
+            raise UsageError(f"{slave.who}: {error}") from None
 
 
 def put_values(slave: Slave, octets: bytes, values: Mapping[str, object]) -> bytes:

@@ -152,6 +152,7 @@ LISTS = {
     "gsd_source.read_gsd_slave": "from what a GSD file says to the parameters",
     "drive_source.basis_of_drive": "from what a drive plugin says to the parameters",
     "drive_profile.DriveProfile": "what a drive plugin says",
+    "profiles.profile_of": "what a device file says",
     "live.slave_plant": "a slave as the live stream describes it, some of its parameters in JSON",
     "sheet.Sheet": "a slave as its commissioning sheet shows it",
     "sheet._sheet": "the same, from its configuration",

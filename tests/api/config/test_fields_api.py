@@ -208,18 +208,19 @@ async def test_scaled_values_in_a_program() -> None:
 @in_virtual_time
 async def test_slaves_without_names_and_slaves_with_a_plugin() -> None:
     hoist = {**HOIST, "outputs": {"command": "u16@8"}}
-    async with bus_of(RAW, hoist) as bus:
+    with pytest.raises(dpstack.ConfigError, match="outputs beside drive: its plugin makes the outputs; leave outputs"):
+        bus_of(RAW, hoist)
+    async with bus_of(RAW, HOIST) as bus:
         with pytest.raises(dpstack.UsageError, match="no field is called 'a'; there are: none"):
             _ = bus.slave("raw")["a"]
         assert (bus.slave("raw").input_values, bus.slave("raw").output_values) == ({}, {})
-        assert bus.slave("hoist")["command"] == 0
         with pytest.raises(dpstack.UsageError, match="its drive plugin makes the outputs"):
-            bus.slave("hoist")["command"] = 1
+            bus.slave("hoist").outputs = bytes(12)
 
 
 async def test_in_the_summary_and_through_the_control_socket() -> None:
     async with (
-        bus_of(VALVES, {**HOIST, "outputs": {"command": "u16@8"}}) as bus,
+        bus_of(VALVES, HOIST) as bus,
         control_run(bus, "named"),
         octet_client("named") as client,
     ):
@@ -245,7 +246,7 @@ async def test_in_the_summary_and_through_the_control_socket() -> None:
             (("8.open=off", "8.target=low"), "target = 'low' is no i16: write a number, for instance 12"),
             (("8.open=off", "7.open=on"), "no slave '7' here; there are: 3 (hoist), 8 (valves)"),
             (("8.open=off", "open=on"), "'open=on' is not SLAVE.FIELD=VALUE; write it as 8.limit=on"),
-            (("8.open=off", "3.command=1"), "its drive plugin makes the outputs"),
+            (("8.open=off", "3.command=1"), "no output is called 'command'"),
         ):
             assert text in await ask("set", *args)
             assert valves["open"] is True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import itertools
 import os
 import signal
@@ -279,9 +280,12 @@ async def test_a_plugin_that_cannot_be_imported_there(monkeypatch: pytest.Monkey
     monkeypatch.setattr(registry, "places", lambda: {"fuji-frenic": "elsewhere.module:DRIVE"})
     with pytest.raises(ConfigError, match=r"plugin elsewhere.module:DRIVE cannot be imported in the bus process"):
         await bus_on("/dev/null", "process", fan).open()
-    monkeypatch.setattr(registry, "places", dict)
-    with pytest.raises(ConfigError, match=r"slave 4 \(fan\): its drive plugin 'fuji-frenic' is an object of this prog"):
-        bus_on("/dev/null", "process", fan)
+    own = dataclasses.replace(registry.find("fuji-frenic"), name="own", file="")
+    with (
+        registry.also(own),
+        pytest.raises(ConfigError, match=r"slave 4 \(fan\): its drive plugin 'own' is an object of this program"),
+    ):
+        bus_on("/dev/null", "process", fan | {"drive": "own"})
 
 
 def test_it_runs_in_a_thread_of_the_application() -> None:
