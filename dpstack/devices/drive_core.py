@@ -6,9 +6,8 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from dpstack.devices.model import DeviceFile, Messages, WordSpec
+from dpstack.devices.model import DeviceFile, WordSpec
 from dpstack.errors import ConfigError
-from dpstack.profile.channel.pkw import PLAIN_PKW
 from dpstack.profile.master.core import DriveCore
 from dpstack.profile.master.settings import Setting, equal
 from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
@@ -16,6 +15,7 @@ from dpstack.profile.model.jobs import Args, CommandError, Steps
 
 #: the order that sets free words of the outputs
 SET: Final = "set"
+_MESSAGES: Final = ("fault", "warning")
 
 
 class FileCore(DriveCore):
@@ -34,14 +34,19 @@ class FileCore(DriveCore):
         self.inputs = layout.names
         self.safe_control = file.safe_control
         self.scan_ns = round(file.simulate.scan_ms * 1_000_000)
-        self.parameter_table = file.parameters if len(list(file.parameters)) else None
-        self.record_slot = file.channel.record_slot
+        self.fault_parameter, self.warning_parameter = (
+            None if layout.has(one.word, file) else one.parameter for one in (file.fault, file.warning)
+        )
+        has_channel = file.channel.record_slot is not None or telegram.channel
+        self.parameter_table = file.parameters if has_channel or len(list(file.parameters)) else None
+        self.record_slot, self.record_object = file.channel.record_slot, file.channel.record_object
         self.lock_hint, self.start_hint = file.lock_hint, file.start_hint
         self.address_parameter = file.address_parameter
-        self.dialect = PLAIN_PKW
+        self.dialect = file.channel.pkw
         self.own_ops = ((SET,) if layout.free else ()) + tuple(file.orders)
-        self.fault_names = file.fault.texts
-        self.warning_names = file.warning.texts
+        self.fault_names, self.unknown_fault = file.fault.texts, file.fault.unknown
+        self.warning_names, self.unknown_warning = file.warning.texts, file.warning.unknown
+        self.warning_numbers = file.warning.kind == "number"
         if layout.setpoint is not None:
             self.scale = layout.setpoint.scale
         self._options = options
@@ -117,6 +122,8 @@ class FileCore(DriveCore):
 
     def word(self, name: str) -> int | None:
         """The word called ``name``, or the one that has this part; unsigned. A derived value too."""
+        if name in _MESSAGES:
+            name = (self.file.fault if name == "fault" else self.file.warning).word or name
         place = self._layout.places.get(name)
         if place is not None:
             at, wide = place
@@ -141,24 +148,15 @@ class FileCore(DriveCore):
         return None if word is None else self._layout.scales[part].decode(word)
 
     def fault_texts(self) -> tuple[str, ...] | None:
-        return self._texts(self.file.fault, "fault", standing=True)
+        value = self.word("fault")
+        if value is None or self.file.fault.kind == "number":
+            return super().fault_texts()
+        return tuple(self.fault_text(bit) for bit in range(value.bit_length()) if value >> bit & 1) or None
 
     def warnings(self) -> tuple[str, ...]:
-        return self._texts(self.file.warning, "warning", standing=False) or ()
-
-    def _texts(self, messages: Messages, part: str, *, standing: bool) -> tuple[str, ...] | None:
-        """The messages in a word; None while a number that must come has not come yet."""
-        value = self.word(messages.word or part)
-        if value is None:
-            if standing:
-                return (f"without a name: telegram {self.telegram.name} does not carry it",)
-            shown = self.table.status.is_set(self.status_word, "warning")
-            return ("warning",) if shown else ()
-        if messages.kind == "bits":
-            return tuple(messages.texts.get(bit, f"bit {bit}") for bit in range(value.bit_length()) if value >> bit & 1)
-        if not value:
-            return None if standing else ()
-        return (messages.texts.get(value) or messages.unknown.format(value),)
+        if self.word("warning") is None and self.warning_parameter is None:
+            return ("warning",) if self.table.status.is_set(self.status_word, "warning") else ()
+        return super().warnings()
 
     # -- what keeps it from running -------------------------------------------------------------------------------
 
@@ -256,6 +254,11 @@ class Layout:
                     self.scales[word.part] = word.scale
             names += [name, f"{name} low"] if wide else [name]
         self.names = tuple(names)
+
+    def has(self, name: str, file: DeviceFile) -> bool:
+        """Whether the inputs have the word called ``name``, or the word of this derived value."""
+        derived = file.derived.get(name)
+        return (name if derived is None else derived.of) in self.places
 
     def pack(self, control: int, setpoint: int, values: Mapping[str, int]) -> bytes:
         """The process data of the outputs, by counts."""

@@ -11,7 +11,7 @@ from dpstack.devices.model import DeviceFile, WordSpec
 from dpstack.dp.slave.device import Leave
 from dpstack.profile.master.settings import same
 from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
-from dpstack.profile.model.params import ParamSpec
+from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.profile.model.states import State
 from dpstack.profile.record47.parameter_server import ParameterServer, Rules, StoreParameters, TimedRecords
 from dpstack.profile.simulator.device import DriveDevice
@@ -19,6 +19,8 @@ from dpstack.profile.simulator.motor import AT_ONCE, ramp
 
 #: the fault of the simulated drive of a file that has no fault texts
 _ANY_FAULT: Final = {1: "a fault"}
+#: bits of the status word that follow those of the control word: OFF2 and OFF3 of PROFIdrive
+_ECHOED: Final = ("no_coast", "no_quick_stop")
 _DEFAULT_RAMP_S: Final = 1.0
 
 
@@ -34,7 +36,8 @@ class FileDevice(DriveDevice):
         presets: Mapping[str, object],
     ) -> None:
         self.file = file
-        self.parameter_table = file.parameters
+        self.parameter_table = _with_messages(file)
+        self.dialect = file.channel.pkw
         self.address_parameter = file.address_parameter
         self.trips = file.fault.texts or _ANY_FAULT
         self.scan_ns = round(file.simulate.scan_ms * 1_000_000)
@@ -42,11 +45,13 @@ class FileDevice(DriveDevice):
         self.motor.load = file.simulate.load
         self._machine = machine_of(file)
         self._fault = 0
+        self._changes = 0  # of the faults that stand
+        self._control = 0
         self._lost_by: str | None = None  # what its lost master ordered
         slot = file.channel.record_slot
         if slot is not None and self.parameter_table is not None:
             self.record47 = server = ParameterServer(
-                StoreParameters(self.store, locked=self.locked),
+                StoreParameters(self.store, live=self.live, locked=self.locked),
                 Rules(slots=frozenset({slot}), objects=frozenset({0, file.channel.record_object})),
             )
             self.records = TimedRecords(server, self._caught_up)
@@ -67,6 +72,16 @@ class FileDevice(DriveDevice):
                 return number
         return super().fault_code(code)
 
+    def live(self, spec: ParamSpec) -> int | None:
+        """Faults and warnings that stand, in the parameters that have them."""
+        for messages, number in ((self.file.fault, self._fault), (self.file.warning, self.warning_mask)):
+            place = messages.parameter
+            if place is not None and spec.number == place.number:
+                return number if spec.index == (place.index or 0) else 0
+            if place is not None and spec.number == place.counter:
+                return self._changes & 0xFFFF
+        return None
+
     def locked(self, spec: ParamSpec) -> bool:
         return self._machine.powered and spec.name in self.file.standstill
 
@@ -83,6 +98,7 @@ class FileDevice(DriveDevice):
             self._trip(trip)
         still = not motor.frequency or not motor.on
         control, setpoint = self._ordered(words)
+        self._control = control or 0
         follows = self.follows
         if self._lost_by is not None:
             self._without_master(still)
@@ -168,6 +184,7 @@ class FileDevice(DriveDevice):
         if self._machine.state is not State.FAULT:
             self._machine.fail()
             self._fault = number
+            self._changes += 1
 
     def _rate(self, name: str) -> float:
         seconds = float(self.store.value(name)) if name else _DEFAULT_RAMP_S
@@ -206,11 +223,12 @@ class FileDevice(DriveDevice):
 
     def _status(self, follows: bool) -> int:
         file, machine, motor = self.file, self._machine, self.motor
-        bits = file.table.status.bits
+        bits, ordered = file.table.status.bits, file.table.control.bits
         status = machine.shown
         said = {
             "remote": follows,
             "warning": bool(self.warning_mask),
+            **{name: file.table.control.is_set(self._control, name) for name in _ECHOED if name in ordered},
             "reached": machine.state is State.RUNNING and motor.reached(motor.setpoint),
         }
         mask = self._judged
@@ -237,3 +255,17 @@ class FileDevice(DriveDevice):
         for row in self.file.table.states.rows:
             mask |= row.mask
         return mask
+
+
+def _with_messages(file: DeviceFile) -> ParamTable:
+    """The parameters of ``file``, and those that have its faults and warnings."""
+    found = {(one.number, one.index): one for one in file.parameters}
+    for place in (file.fault.parameter, file.warning.parameter):
+        if place is not None:
+            first = place.index or 0
+            keys = [(place.number, at) for at in range(first, first + place.count)]
+            for number, index in keys + ([] if place.counter is None else [(place.counter, 0)]):
+                name = f"{number}[{index}]" if index else f"{number}"
+                spec = ParamSpec(number, name, "Messages that stand", index=index, read_only=True)
+                found.setdefault((number, index), spec)
+    return ParamTable(found.values())

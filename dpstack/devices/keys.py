@@ -227,7 +227,7 @@ class MessageKeys(TypedDict, total=False):
 
     word: the word or the derived value. Left out: the word of this name
     kind: `number` or `bits`. Left out: `number` for faults, `bits` for warnings
-    parameter: the parameter that holds the number where the telegram does not: `{ number = 947, index = 0 }`
+    parameter: the parameter that holds the numbers where the telegram does not: `{ number = 947, counter = 944 }`
     texts: texts by number or by bit; or the name of a CSV file with a number and a text in each row
     unknown: text for a number that has none, such as `"F{:05d}"`. Left out: `number {}`
     """
@@ -240,14 +240,20 @@ class MessageKeys(TypedDict, total=False):
 
 
 class PlaceKeys(TypedDict, total=False):
-    """A parameter by its number.
+    """`parameter` of `[fault]` and `[warning]`: the numbers of the messages that stand; 0 ends them.
 
-    number: the number
-    index: the index. Left out: 0
+    number: the number of the parameter
+    index: the first element. Left out: 0
+    count: elements that are read at most. Left out: 8, and 1 beside `array = false`
+    array: whether it is an array. Left out: true
+    counter: the parameter that counts changes of the buffer, read before and after. Left out: none is read
     """
 
     number: Annotated[int, _WORD]
     index: Annotated[int, _WORD]
+    count: Annotated[int, Key(1, 64)]
+    array: bool
+    counter: Annotated[int, _WORD]
 
 
 class ReferenceKeys(TypedDict, total=False):

@@ -11,7 +11,9 @@ from typing import Final
 
 from msgspec import Struct, field
 
+from dpstack.profile.channel.pkw import ARRAY_PKW, PAGED_PKW, PLAIN_PKW, PkwDialect
 from dpstack.profile.drive_profile import OptionSpec
+from dpstack.profile.master.messages import MessageParameter
 from dpstack.profile.model.description import DescribedStep
 from dpstack.profile.model.drive_type import TelegramSpec
 from dpstack.profile.model.params import ParamTable
@@ -33,6 +35,14 @@ NORMALISED: Final = {"n2": 0x4000, "n4": 0x4000_0000}
 
 #: the words that the state machine and the status of a drive use; a word takes one of these parts by its name or `as`
 PARTS: Final = ("control", "status", "setpoint", "speed", "current", "torque", "fault", "warning")
+
+
+#: kinds of PKW by name
+DIALECTS: Final[Mapping[str, PkwDialect]] = {
+    "plain": PLAIN_PKW,
+    "arrays": ARRAY_PKW,
+    "paged": PAGED_PKW,
+}
 
 
 class WordSpec(Struct, frozen=True, kw_only=True):
@@ -112,8 +122,8 @@ class Messages(Struct, frozen=True, kw_only=True):
     word: str = ""
     #: "number" or "bits"
     kind: str = "number"
-    #: PNU and index of the parameter that holds the number, where no word has it; None: none does
-    parameter: tuple[int, int] | None = None
+    #: the parameter that holds the numbers, where no word has them; None: none does
+    parameter: MessageParameter | None = None
     texts: Mapping[int, str] = field(default_factory=dict)
     #: text for a number that has none, with ``{}`` for it
     unknown: str = "number {}"
@@ -150,8 +160,7 @@ class SettingSpec(Struct, frozen=True, kw_only=True):
 class Channel(Struct, frozen=True, kw_only=True):
     """The ways to parameters: the dialect of the PKW area, and slot and object of record 47 (None: it has none)."""
 
-    dialect: str = "plain"
-    errors: Mapping[int, str] = field(default_factory=dict)
+    pkw: PkwDialect = PLAIN_PKW
     record_slot: int | None = None
     record_object: int = 1
 

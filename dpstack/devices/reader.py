@@ -8,8 +8,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from msgspec import structs
+
 from dpstack.devices import keys as k
 from dpstack.devices.model import (
+    DIALECTS,
     NORMALISED,
     PARTS,
     TYPES,
@@ -30,6 +33,7 @@ from dpstack.devices.model import (
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.profile.drive_profile import OptionSpec
+from dpstack.profile.master.messages import MessageParameter
 from dpstack.profile.model.description import DescribedStep
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
 from dpstack.profile.model.param_types import ParamType
@@ -118,7 +122,8 @@ class Reader:
         return found
 
     def _over_bases(self, data: dict[str, Any], seen: set[Path]) -> dict[str, Any]:
-        """``data`` over the data of its bases: tables are joined key by key, everything else is replaced."""
+        """``data`` over the data of its bases: tables are joined key by key, everything else is replaced.
+        False takes out a table of the base: a telegram that the drive does not have."""
         layers, path, at = [data], self.path, data
         while (name := at.get("base")) is not None:
             if not isinstance(name, str):
@@ -524,10 +529,13 @@ class Reader:
                 inside.fail("word", f"word = {brief(word)} is no word of this file", f"it has {', '.join(words)}")
             place = None
             if "parameter" in given:
-                place_given = inside.table("parameter").read(_keys(k.PlaceKeys))
-                if "number" not in place_given:
-                    inside.fail("parameter", "parameter has no number", "write parameter = { number = 947, index = 0 }")
-                place = (place_given["number"], place_given.get("index", 0))
+                at = inside.table("parameter").read(_keys(k.PlaceKeys))
+                if "number" not in at:
+                    todo = "write parameter = { number = 947, counter = 944 }"
+                    inside.fail("parameter", "parameter has no number", todo)
+                if not at.pop("array", True):
+                    at |= {"index": None, "count": 1}
+                place = MessageParameter(**at)
             unknown = given.get("unknown", "number {}" if key == "fault" else "{}")
             try:
                 unknown.format(1)
@@ -681,7 +689,10 @@ class Reader:
                     if not number.isdecimal():
                         texts.fail(number, f"{brief(number)} is no number", "write each text behind its number")
                     errors[int(number)] = texts.text(number)
-            return Channel(dialect=dialect, errors=errors, record_slot=slot, record_object=object_)
+            pkw = DIALECTS[dialect]
+            if errors:
+                pkw = structs.replace(pkw, errors={**pkw.errors, **errors})
+            return Channel(pkw=pkw, record_slot=slot, record_object=object_)
         return Channel()
 
     # -- the rest -----------------------------------------------------------------------------------------------------
@@ -803,8 +814,6 @@ _SPEC_KEYS: Final = (
     "volatile",
     "acts",
 )
-#: kinds of parameter channel by name
-DIALECTS: Final = ("plain",)
 _REFERENCES: Final = ("reference_hz", "reference_rpm")
 
 
@@ -835,10 +844,14 @@ def _toml(text: str, path: Path) -> tuple[dict[str, Any], dict[tuple[str | int, 
 
 
 def _joined(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """``above`` over ``below``; false in the place of a table takes it out."""
     found = dict(below)
     for key, value in above.items():
         under = found.get(key)
-        found[key] = _joined(under, value) if isinstance(under, dict) and isinstance(value, dict) else value
+        if value is False and isinstance(under, dict):
+            del found[key]
+        else:
+            found[key] = _joined(under, value) if isinstance(under, dict) and isinstance(value, dict) else value
     return found
 
 

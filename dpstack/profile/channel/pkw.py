@@ -180,17 +180,18 @@ PLAIN_PKW: Final = PkwDialect(
     },
     errors={**PARAMETER_ERRORS, OPERATING_STATE: "not in this operating state", 18: "another error"},
 )
-#: SINAMICS and MICROMASTER 4: arrays by index, numbers up to 63999 by pages; replies, G110M operating instructions p198
-PAGED_PKW: Final = PkwDialect(
+#: arrays by index too, numbers up to 2047; ABB FPBA-01 manual 3AFE68573271 p117 and p121
+ARRAY_PKW: Final = PkwDialect(
     answers={
         **PLAIN_PKW.answers,
         TaskId.READ_ARRAY: (ReplyId.ARRAY_WORD, ReplyId.ARRAY_LONG),
         TaskId.WRITE_ARRAY_WORD: (ReplyId.ARRAY_WORD,),
         TaskId.WRITE_ARRAY_LONG: (ReplyId.ARRAY_LONG,),
     },
-    errors={**PLAIN_PKW.errors, **SIEMENS},
-    layout=PagedPkw,
+    errors=PLAIN_PKW.errors,
 )
+#: SINAMICS and MICROMASTER 4: arrays by index, numbers up to 63999 by pages; replies, G110M operating instructions p198
+PAGED_PKW: Final = PkwDialect(answers=ARRAY_PKW.answers, errors={**PLAIN_PKW.errors, **SIEMENS}, layout=PagedPkw)
 
 
 @dataclass(slots=True, eq=False)

@@ -1,0 +1,108 @@
+"""Constructs of device files, by the octets of both ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from drive_bench import PairBench, PluginBench, pair
+
+from dpstack.devices.finding import find
+from dpstack.profile import DriveProfile
+
+ALONE = {"check_settings": False}
+HEAD = 'format = 1\nname = "it"\n'
+
+
+def read(folder: Path, text: str) -> DriveProfile:
+    path = folder / "it.toml"
+    path.write_text(HEAD + text)
+    return find(str(path))
+
+
+def tripped(profile: DriveProfile, telegram: str, fault: str) -> PairBench:
+    """Both ends, until the master has the name of the fault."""
+    both = pair(profile, telegram, options=ALONE)
+    both.pass_time(100)
+    both.device.trip(fault)
+    both.pass_time(400)
+    return both
+
+
+def test_false_takes_out_a_table_of_the_base(tmp_path: Path) -> None:
+    profile = read(tmp_path, 'base = "profidrive"\n[telegrams]\n5 = false\n6 = false\n')
+    assert "4" in profile.telegrams
+    assert not {"5", "6"} & set(profile.telegrams)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "orders"),
+    [
+        ("{ number = 945, counter = 944 }", {"13 B0 00 00", "63 B1 00 00", "63 B1 01 00"}),
+        ("{ number = 945, index = 1, count = 1, counter = 952 }", {"13 B8 00 00", "63 B1 01 00"}),
+        ("{ number = 801, array = false, counter = 944 }", {"13 B0 00 00", "13 21 00 00"}),
+    ],
+)
+def test_a_fault_is_read_from_its_parameter(tmp_path: Path, parameter: str, orders: set[str]) -> None:
+    text = f"""base = "profidrive"
+    [fault]
+    parameter = {parameter}
+    texts = {{ 7011 = "F07011 motor overtemperature" }}
+    unknown = "F{{:05d}}"
+    """
+    both = pair(read(tmp_path, text), "PPO1", options=ALONE)
+    both.pass_time(100)
+    both.device.trip("F07011")
+    seen = set()
+    for _ in range(200):
+        seen.add(both.run()[:4].hex(" ").upper())
+    assert seen - {"00 00 00 00"} == orders
+    assert both.core.faults() == ("F07011 motor overtemperature",)
+    both.ok("acknowledge")
+    both.pass_time(100)
+    assert both.core.faults() == ()
+
+
+def test_a_warning_that_is_a_number_comes_from_its_parameter(tmp_path: Path) -> None:
+    text = """base = "profidrive"
+    [warning]
+    kind = "number"
+    parameter = { number = 2122 }
+    texts = { 910 = "A00910 too hot" }
+    unknown = "A{:05d}"
+    [channel]
+    dialect = "paged"
+    """
+    core = read(tmp_path, text).core("drive", "PPO1", ALONE, simulated=True)
+    plugin = PluginBench(core, "00" * 8 + "02B1 0000")  # bit 7: a warning stands
+    assert plugin.out(2)[:11] == "60 7A 00 80"  # number 122 on the page of 2000
+    plugin.see("40 7A 00 80 00 00 03 8E 02 B1 00 00")
+    plugin.see("00" * 8 + "02B1 0000", 3)
+    assert plugin.out(1)[:11] == "60 7A 01 80"
+    plugin.see("40 7A 01 80 00 00 00 00 02 B1 00 00")
+    plugin.see("00" * 8 + "02B1 0000", 3)
+    assert plugin.core.warnings() == ("A00910 too hot",)
+
+
+def test_texts_of_errors_of_the_parameter_channel_are_those_of_the_file(tmp_path: Path) -> None:
+    text = 'base = "profidrive"\n[channel]\ndialect = "arrays"\nerrors = { 120 = "it cannot be mapped" }\n'
+    core = read(tmp_path, text).core("drive", "PPO1", ALONE, simulated=True)
+    plugin = PluginBench(core, "00" * 8 + "0231 0000")
+    token = plugin.order("write", number=915, index=3, value=3074)
+    assert plugin.out(3)[:23] == "63 93 03 00 00 00 00 00"  # of an unknown type: it is read first
+    plugin.see("43 93 03 00 00 00 00 00 02 31 00 00")
+    plugin.see("00" * 8 + "0231 0000", 3)
+    assert plugin.out(1)[:23] == "73 93 03 00 00 00 0C 02"
+    plugin.see("73 93 03 00 00 00 00 78 02 31 00 00")
+    assert plugin.text(token, "parameter") == "parameter 915: error 120, it cannot be mapped"
+
+
+def test_the_simulated_drive_shows_off2_and_off3_of_its_control_word() -> None:
+    """PROFIdrive: bits 4 and 5 of the status word are 1 while neither is ordered."""
+    both = pair(find("profidrive"), "PPO3", options=ALONE)
+    both.pass_time(50)
+    assert both.inputs[:2].hex() == "0231"
+    both.ok("start")
+    assert both.inputs[:2].hex() == "0337"
+    both.ok("coast")
+    assert both.inputs[:2].hex() == "0260"
