@@ -1,0 +1,140 @@
+"""The device files that come with dpstack: conformance of each, and the octets that its manual prints.
+
+The octets here are those of the manuals again, not read from the files: a wrong example in a file is found too.
+"""
+
+from __future__ import annotations
+
+import pytest
+from drive_bench import PluginBench
+
+from dpstack.devices.finding import find
+from dpstack.profile import DriveProfile, DriveStatus, State
+from dpstack.testing import DriveConformance
+
+CHANNEL = "00 " * 8
+ALONE = {"check_settings": False}
+
+
+def meaning(profile: DriveProfile, telegram: str, inputs: str, sent: str) -> DriveStatus:
+    """The status that process data received mean, of a drive whose master last sent the control word ``sent``."""
+    core = profile.core("drive", telegram, ALONE, simulated=True)
+    return core.read_inputs(bytes(core.offset) + bytes.fromhex(inputs), int(sent, 16))
+
+
+def bench(profile: DriveProfile, telegram: str, inputs: str) -> PluginBench:
+    """The plugin, with inputs behind its parameter channel that stand still."""
+    core = profile.core("drive", telegram, ALONE, simulated=True)
+    return PluginBench(core, "00" * core.offset + inputs)
+
+
+def asked(plugin: PluginBench, request: str, answer: str, op: str, **args: object) -> dict[str, object]:
+    """The result of an order over the parameter channel that sends ``request`` and is answered ``answer``."""
+    rest = plugin.inputs[8:].hex(" ")
+    token = plugin.order(op, **args)
+    assert plugin.out(3)[:23] == request
+    plugin.see(f"{answer} {rest}")
+    return plugin.done(token, CHANNEL + rest, 3)
+
+
+# -- ABB ACS355 with FPBA-01 -------------------------------------------------------------------------------------------
+
+PROFIDRIVE = find("abb-acs355-profidrive")
+ABB_DRIVES = find("abb-acs355")
+REST = " 0000 0000 0000 0000"
+
+
+class TestAcs355Profidrive(DriveConformance):
+    profile = PROFIDRIVE
+    telegrams = ("PPO1", "PPO2", "PPO5", "PPO7")
+    stops_when_lost = False
+
+
+class TestAcs355ProfidriveWithoutChannel(DriveConformance):
+    profile = PROFIDRIVE
+    telegrams = ("PPO3", "PPO8")
+    stops_when_lost = False
+    names_faults = False
+
+
+class TestAcs355(DriveConformance):
+    profile = ABB_DRIVES
+    telegrams = ("PPO1", "PPO2", "PPO5", "PPO7")
+    stops_when_lost = False
+
+
+def test_acs355_the_worked_answer_means_running_at_the_actual_value() -> None:
+    """FPBA-01 manual p121: CW 047F REF 3415, SW 0337 ACT 3415."""
+    for profile, speed in ((PROFIDRIVE, 0x3415 / 0x4000), (ABB_DRIVES, 0x3415 / 20000)):
+        if profile is ABB_DRIVES:  # p96: operation is enabled only with bit 12
+            assert "run enable" in str(_obstacle(profile, "0337 3415" + REST))
+            assert _obstacle(profile, "1337 3415" + REST) is None
+        status = meaning(profile, "PPO2", "0337 3415" + REST, "047F")
+        assert (status.state, status.speed, status.remote) == (State.RUNNING, speed, True)
+        assert status.bits == _SHOWN
+
+
+_SHOWN = ("ready_to_switch_on", "ready", "operation_enabled", "no_coast", "no_quick_stop", "reached", "remote")
+
+
+def _obstacle(profile: DriveProfile, inputs: str) -> str | None:
+    core = profile.core("drive", "PPO2", ALONE, simulated=True)
+    core.read_inputs(bytes(8) + bytes.fromhex(inputs), 0x047F)
+    return core.obstacle()
+
+
+def test_acs355_start_sequence_and_torque_mode() -> None:
+    """p51: 047E ready to switch on, 047F operating; p53: 0C7F torque mode; p97: REF1 MAX is 20000, REF2 MAX 10000."""
+    plugin = bench(ABB_DRIVES, "PPO2", "1230 0000" + REST)
+    assert plugin.out() == CHANNEL + "04 7E 00 00 00 00 00 00 00 00 00 00"
+    plugin.ok("speed", value=1.0)
+    plugin.order("start")
+    assert plugin.out() == CHANNEL + "04 7E 4E 20 00 00 00 00 00 00 00 00"  # not ready to switch on
+    assert plugin.see(CHANNEL + "1231 0000" + REST) == CHANNEL + "04 7F 4E 20 00 00 00 00 00 00 00 00"
+    plugin.see(CHANNEL + "1237 0000" + REST)
+    plugin.order("ext2")
+    plugin.order("set", values=[{"name": "ref2", "value": 100}])
+    assert plugin.out(2) == CHANNEL + "0C 7F 4E 20 27 10 00 00 00 00 00 00"
+    plugin.order("ext1")
+    assert plugin.out(2) == CHANNEL + "04 7F 4E 20 27 10 00 00 00 00 00 00"
+
+
+@pytest.mark.parametrize(
+    ("request_", "answer", "order", "value"),
+    [
+        ("70 0C 02 00 00 00 00 64", "40 0C 02 00 00 00 00 64", ("write", "12.02", 100), 100),  # p123
+        ("13 96 00 00 00 00 00 00", "13 96 00 00 00 00 00 02", ("read", 918), 2),  # p125
+        ("23 CB 00 00 00 00 00 01", "13 CB 00 00 00 00 00 01", ("write", 971, 1), 1),  # p126
+        ("63 B1 01 00 00 00 00 00", "43 B1 01 00 00 00 23 00", ("read", "945.1"), 0x2300),  # p127
+        ("73 93 03 00 00 00 0C 02", "43 93 03 00 00 00 0C 02", ("write", "915.3", 0x0C02), 0x0C02),  # p128
+        ("73 94 03 00 00 00 01 04", "43 94 03 00 00 00 01 04", ("write", "916.3", 0x0104), 0x0104),  # p129
+    ],
+)
+def test_acs355_parameters(request_: str, answer: str, order: tuple[str, str | int, int], value: int) -> None:
+    op, number, *given = order
+    plugin = bench(PROFIDRIVE, "PPO1", "0331 0000")
+    result = asked(plugin, request_, answer, op, number=number, **({"value": given[0]} if given else {}))
+    assert (result["ok"], result["value"]) == (True, value)
+
+
+def test_acs355_any_parameter_by_group_and_index() -> None:
+    """p121, p122: 84.11 is read as 100, or refused with error 3."""
+    plugin = bench(PROFIDRIVE, "PPO1", "0331 0000")
+    asks = "60 54 0B 00 00 00 00 00"
+    assert asked(plugin, asks, "40 54 0B 00 00 00 00 64", "read", number=84, index=11)["value"] == 100
+    refused = asked(plugin, asks, "70 54 0B 00 00 00 00 03", "read", number=84, index=11)
+    assert "error 3, invalid subindex" in str(refused["text"])
+
+
+def test_acs355_the_fault_that_stands_is_read() -> None:
+    """p127: 945 with subindex 1; ACS550-02 manual p259: the text of 2310h."""
+    plugin = bench(PROFIDRIVE, "PPO1", "0338 0000")
+    for request, answer in (
+        ("13 B8 00 00 00 00 00 00", "13 B8 00 00 00 00 00 01"),  # 952 counts
+        ("63 B1 01 00 00 00 00 00", "43 B1 01 00 00 00 23 10"),
+        ("13 B8 00 00 00 00 00 00", "13 B8 00 00 00 00 00 01"),
+    ):
+        assert plugin.out(2)[:23] == request
+        plugin.see(f"{answer} 03 38 00 00")
+        plugin.see(CHANNEL + "03 38 00 00", 3)
+    assert plugin.core.faults() == ("2310h overcurrent",)
