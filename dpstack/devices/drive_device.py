@@ -9,6 +9,7 @@ from dpstack.devices.drive_core import counts_of
 from dpstack.devices.machines import machine_of
 from dpstack.devices.model import DeviceFile, WordSpec
 from dpstack.dp.slave.device import Leave
+from dpstack.profile.drive_profile import READY
 from dpstack.profile.master.settings import same
 from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
 from dpstack.profile.model.params import ParamSpec, ParamTable
@@ -41,6 +42,10 @@ class FileDevice(DriveDevice):
         self.address_parameter = file.address_parameter
         self.trips = file.fault.texts or _ANY_FAULT
         self.scan_ns = round(file.simulate.scan_ms * 1_000_000)
+        number = file.telegrams[telegram.name].number
+        if options.get(READY) and number is not None:  # set up for this telegram
+            wanted = {one.parameter: number for one in file.settings if one.equals == "telegram"}
+            presets = {**wanted, **presets}
         super().__init__(profile, telegram, options, presets)
         self.motor.load = file.simulate.load
         self._machine = machine_of(file)
@@ -87,6 +92,10 @@ class FileDevice(DriveDevice):
 
     def master_lost(self, reason: Leave, now: int) -> None:
         self._lost_by = self.file.simulate.lost
+
+    def check_prm(self, user_prm: bytes) -> str | None:
+        """Any octets while no file says how many there are."""
+        return super().check_prm(user_prm) if self.profile.user_prm else None
 
     def enter(self, config: bytes, now: int) -> None:
         self._lost_by = None

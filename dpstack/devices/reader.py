@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -88,7 +88,8 @@ class _Collected:
     def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> bool:
         if not isinstance(error, ConfigError):
             return False
-        self._errors += error.errors if isinstance(error, DeviceFileError) else (error,)
+        more = error.errors if isinstance(error, DeviceFileError) else (error,)
+        self._errors += [one for one in more if one not in self._errors]
         return True
 
 
@@ -111,15 +112,9 @@ class Reader:
         self._source = Source(str(self.path), lines, self.path, digest)
         merged = self._over_bases(data, {self.path.resolve()})
         self._own = data
-        try:
-            found = self._file(Table(self._source, (), merged, "the file"), digest)
-        except ConfigError as error:
-            self.errors.append(error)
-            found = None
-        if self.errors:
-            raise DeviceFileError(sorted(self.errors, key=_line))
-        assert found is not None
-        return found
+        with self._collected():
+            return self._file(Table(self._source, (), merged, "the file"), digest)
+        raise DeviceFileError(sorted(self.errors, key=_line))
 
     def _over_bases(self, data: dict[str, Any], seen: set[Path]) -> dict[str, Any]:
         """``data`` over the data of its bases: tables are joined key by key, everything else is replaced.
@@ -146,15 +141,15 @@ class Reader:
         """A mistake inside is noted, and reading goes on behind the block."""
         return _Collected(self.errors)
 
-    def _members(self, table: Table, key: str) -> Iterator[tuple[str, Table]]:
-        """The tables in the table ``key``; anything else is noted as a mistake."""
+    def _members(self, table: Table, key: str, read: Callable[[str, Table], None]) -> None:
+        """Call ``read`` with each of the tables in the table ``key``; its mistakes are noted."""
         if table.raw(key) is None:
             return
         with self._collected():
             inside = table.table(key)
             for name in inside:
                 with self._collected():
-                    yield name, inside.table(name, f"a table, for instance {name} = {{ ... }}")
+                    read(name, inside.table(name, f"a table, for instance {name} = {{ ... }}"))
 
     # -- the whole file -----------------------------------------------------------------------------------------------
 
@@ -181,17 +176,30 @@ class Reader:
         control, status, states, own = self._control(table)
         run, steady = own["run"], own["goals"]
         parameters = self._parameters(table)
-        for option, spec, simulated in self._options(table):
-            (self.device_options if simulated else self.options)[option] = spec
+        self._options(table)
         first = next((one for one in telegrams if one in self._own.get("telegrams", {})), next(iter(telegrams), ""))
         default = str(given.get("telegram", first))
         if telegrams and default not in telegrams:
             self.errors.append(table.error("telegram", f"no telegram {default!r}", f"it has {', '.join(telegrams)}"))
-        if self.errors:
-            raise DeviceFileError(self.errors)
         released, releasing = own["released"], own["releasing"]
         idle = steady.get(Goal.IDLE, 0)
-        found = DeviceFile(
+        parts: dict[str, Any] = {
+            "bus": self._bus(table),
+            "orders": self._orders(table, control),
+            "fault": self._messages(table, "fault", words, derived),
+            "warning": self._messages(table, "warning", words, derived),
+            "obstacles": self._obstacles(table, status),
+            "channel": self._channel(table),
+            "settings": self._settings(table, parameters),
+            "reference": self._reference(table, parameters),
+            "address_parameter": self._parameter_named(table, "address", given.get("address", ""), parameters),
+            "simulate": self._simulation(table, parameters),
+            "steps": self._steps(table),
+            "examples": self._examples(table),
+        }
+        if self.errors:
+            raise DeviceFileError(self.errors)
+        return DeviceFile(
             path=self.path,
             digest=digest,
             name=name,
@@ -202,7 +210,6 @@ class Reader:
             on_loss=given.get("on_loss", "not in its manual"),
             notes=tuple(given.get("notes", ())),
             gsd=gsd,
-            bus=self._bus(table),
             telegrams=telegrams,
             default_telegram=default,
             words=words,
@@ -222,35 +229,24 @@ class Reader:
             safe_control=own["safe"] if own["safe"] is not None else idle,
             reverse=own["reverse"],
             reversed=own["reversed"],
-            orders=self._orders(table, control),
-            fault=self._messages(table, "fault", words, derived, parameters),
-            warning=self._messages(table, "warning", words, derived, parameters),
-            obstacles=self._obstacles(table, status),
-            channel=self._channel(table),
             parameters=parameters,
-            settings=self._settings(table, parameters),
-            reference=self._reference(table, parameters),
-            address_parameter=self._parameter_named(table, "address", given.get("address", ""), parameters),
             lock_hint=given.get("lock_hint", ""),
             start_hint=given.get("start_hint", ""),
-            simulate=self._simulation(table, parameters),
             options=self.options,
             device_options=self.device_options,
             standstill=self._standstill,
-            steps=self._steps(table),
             acknowledge=given.get("acknowledge", ""),
-            examples=self._examples(table),
             python=given.get("python", ""),
+            **parts,
         )
-        if self.errors:
-            raise DeviceFileError(self.errors)
-        return found
 
     # -- telegrams and words ------------------------------------------------------------------------------------------
 
     def _words(self, table: Table) -> dict[str, WordSpec]:
         found: dict[str, WordSpec] = {}
-        for name, inside in self._members(table, "words"):
+
+        def read(name: str, inside: Table) -> None:
+            found[name] = WordSpec(name=name)  # known to telegrams even if it is wrong
             given = inside.read(_keys(k.WordKeys))
             kind = given.get("type", "u16")
             full = given.get("full", NORMALISED.get(kind, 0))
@@ -273,6 +269,8 @@ class Reader:
                 part=part,
                 bits=bits,
             )
+
+        self._members(table, "words", read)
         for part in ("control", "status", "fault", "warning"):
             found.setdefault(part, WordSpec(name=part, part=part))
         return found
@@ -290,18 +288,22 @@ class Reader:
 
     def _derived(self, table: Table, words: Mapping[str, WordSpec]) -> dict[str, Derived]:
         found = {}
-        for name, inside in self._members(table, "derived"):
+
+        def read(name: str, inside: Table) -> None:
             given = inside.read(_keys(k.DerivedKeys))
             if name in words:
                 inside.fail(None, f"{name!r} is a word and a derived value", "give one of them another name")
             if given.get("of") not in words:
                 inside.fail("of", f"of = {brief(given.get('of'))} is no word", f"it has {', '.join(words)}")
             found[name] = Derived(**given)
+
+        self._members(table, "derived", read)
         return found
 
     def _telegrams(self, table: Table, words: Mapping[str, WordSpec], gsd: Path | None) -> dict[str, Telegram]:
         found: dict[str, Telegram] = {}
-        for name, inside in self._members(table, "telegrams"):
+
+        def read(name: str, inside: Table) -> None:
             given = inside.read(_keys(k.TelegramKeys))
             ways: list[tuple[str | int, ...]] = []
             for key, first in (("out", "control"), ("in", "status")):
@@ -319,7 +321,7 @@ class Reader:
             lead = CHANNEL_LEN if pkw else 0
             with inside.blaming("config"):
                 declared = io_lengths(config)
-            if declared != (sizes[1] + lead, sizes[0] + lead):
+            if not self.errors and declared != (sizes[1] + lead, sizes[0] + lead):
                 inside.fail(
                     "out",
                     f"telegram {name} has {sizes[1] + lead} octets of inputs and {sizes[0] + lead} of outputs, its "
@@ -338,6 +340,8 @@ class Reader:
                 modules=modules,
                 number=number,
             )
+
+        self._members(table, "telegrams", read)
         if not found and not self.errors:
             self.errors.append(table.error("telegrams", "no telegram", "add [telegrams] with 1 = { out = [...], ... }"))
         return found
@@ -473,7 +477,8 @@ class Reader:
 
     def _orders(self, table: Table, control: Word) -> dict[str, OwnOrder]:
         found = {}
-        for name, inside in self._members(table, "orders"):
+
+        def read(name: str, inside: Table) -> None:
             given = inside.read(_keys(k.OrderKeys))
             masks = {}
             for key in ("set", "clear"):
@@ -486,6 +491,8 @@ class Reader:
             if not any(masks.values()):
                 inside.fail(None, f"the order {name} changes no bit", "give it set or clear")
             found[name] = OwnOrder(**masks)
+
+        self._members(table, "orders", read)
         return found
 
     def _obstacles(self, table: Table, status: Word) -> tuple[Obstacle, ...]:
@@ -515,7 +522,6 @@ class Reader:
         key: str,
         words: Mapping[str, WordSpec],
         derived: Mapping[str, Derived],
-        parameters: ParamTable,
     ) -> Messages:
         default = "number" if key == "fault" else "bits"
         own = next((name for name, word in words.items() if word.part == key), key if key in derived else "")
@@ -586,23 +592,25 @@ class Reader:
         specs: dict[tuple[int, int], ParamSpec] = {}
         names: dict[str, str] = {}
         self._standstill: frozenset[str] = frozenset()
-        for name, inside in self._members(table, "parameters"):
+
+        def read(name: str, inside: Table) -> None:
             given = inside.read(_keys(k.ParameterKeys))
             number = given.get("number", int(name) if name.isascii() and name.isdecimal() else None)
             if number is None:
                 inside.fail(None, f"parameter {name} has no number", "add number = ...")
             spec = self._parameter(inside, name, number, given)
-            if (spec.number, spec.index) in specs or name.lower() in names:
-                other = specs.get((spec.number, spec.index))
-                inside.fail(
-                    None,
-                    f"{spec.label} is declared twice" + (f", also as {other.name}" if other else ""),
-                    "take one of them out",
-                )
+            other = specs.pop((spec.number, spec.index), None)
+            own = self._own.get("parameters", {})
+            if other is not None and (other.name in own or name not in own):
+                inside.fail(None, f"{spec.label} is declared twice, also as {other.name}", "take one of them out")
+            if name.lower() in names:
+                inside.fail(None, f"{name} is declared twice", "take one of them out")
             specs[spec.number, spec.index] = spec
             names[name.lower()] = name
             if given.get("standstill"):
                 self._standstill |= {name}
+
+        self._members(table, "parameters", read)
         return ParamTable(specs.values())
 
     def _parameter(self, table: Table, name: str, number: int, given: Mapping[str, Any]) -> ParamSpec:
@@ -637,7 +645,8 @@ class Reader:
 
     def _settings(self, table: Table, parameters: ParamTable) -> tuple[SettingSpec, ...]:
         found = []
-        for name, inside in self._members(table, "settings"):
+
+        def read(name: str, inside: Table) -> None:
             given = inside.read(_keys(k.SettingKeys))
             spec = parameters.named(name)
             if spec is None:
@@ -653,6 +662,8 @@ class Reader:
                 inside.fail("equals", f"equals = {brief(equals)}", 'give a number, or "{OPTION}"')
             rest = {key: value for key, value in given.items() if key != "equals"}
             found.append(SettingSpec(parameter=name, equals=equals, unit=spec.unit, **rest))
+
+        self._members(table, "settings", read)
         return tuple(found)
 
     def _reference(self, table: Table, parameters: ParamTable) -> Reference:
@@ -713,25 +724,22 @@ class Reader:
             return BusFacts(**(given | {"max_tsdr": times}))
         return BusFacts()
 
-    def _options(self, table: Table) -> Iterator[tuple[str, OptionSpec, bool]]:
-        for name, inside in self._members(table, "options"):
+    def _options(self, table: Table) -> None:
+        def read(name: str, inside: Table) -> None:
             given = inside.read(_keys(k.OptionKeys))
             default = given.get("default")
             if not isinstance(default, (bool, int, float, str)):
                 inside.fail("default", f"option {name} has no default", "give true or false, a number or a text")
-            if isinstance(default, int) and not isinstance(default, bool):
-                default = float(default)
-            yield (
-                name,
-                OptionSpec(
-                    default=default,
-                    text=given.get("text", ""),
-                    low=given.get("low"),
-                    high=given.get("high"),
-                    choices=tuple(given.get("choices", ())),
-                ),
-                bool(given.get("simulated", False)),
+            own = self.device_options if given.get("simulated") else self.options
+            own[name] = OptionSpec(
+                default=float(default) if isinstance(default, int) and not isinstance(default, bool) else default,
+                text=given.get("text", ""),
+                low=given.get("low"),
+                high=given.get("high"),
+                choices=tuple(given.get("choices", ())),
             )
+
+        self._members(table, "options", read)
 
     def _simulation(self, table: Table, parameters: ParamTable) -> Simulation:
         if table.raw("simulate") is None:
@@ -755,8 +763,8 @@ class Reader:
             return Simulation(lost=str(lost), up=up, down=down, quick=quick, **rest)
         return Simulation()
 
-    def _each(self, table: Table, key: str) -> Iterator[tuple[int, Table]]:
-        """The tables of an array of tables, with the line of each."""
+    def _each(self, table: Table, key: str, read: Callable[[int, Table], None]) -> None:
+        """Call ``read`` with line and table of each of an array of tables; its mistakes are noted."""
         listed = table.raw(key)
         if listed is None:
             return
@@ -765,21 +773,25 @@ class Reader:
             return
         for number, one in enumerate(listed):
             with self._collected():
-                line = self._source.line((key, number))
-                yield line, Table(self._source, (key, number), one, f"[[{key}]] {number + 1}")
+                inside = Table(self._source, (key, number), one, f"[[{key}]] {number + 1}")
+                read(self._source.line((key, number)), inside)
 
     def _steps(self, table: Table) -> tuple[DescribedStep, ...]:
-        found = []
-        for _, inside in self._each(table, "step"):
+        found: list[DescribedStep] = []
+
+        def read(_line: int, inside: Table) -> None:
             given = inside.read(_keys(k.StepKeys))
             if "what" not in given:
                 inside.fail(None, "no what", "say what to do")
             found.append(DescribedStep(**({"why": ""} | given)))
+
+        self._each(table, "step", read)
         return tuple(found)
 
     def _examples(self, table: Table) -> tuple[Example, ...]:
-        found = []
-        for line, inside in self._each(table, "example"):
+        found: list[Example] = []
+
+        def read(line: int, inside: Table) -> None:
             given = inside.read(_keys(k.ExampleKeys))
             if not {"inputs", "outputs", "parameter"} & set(given):
                 inside.fail(None, "it has no octets", "give inputs, outputs, or parameter with request and answer")
@@ -787,7 +799,7 @@ class Reader:
             if "outputs" in given:
                 orders = inside.table("outputs")
                 outputs = {order: orders.octets(order) for order in orders}
-            values = {}
+            values: dict[str, float | bool] = {}
             if "values" in given:
                 numbers = inside.table("values")
                 for name in numbers:
@@ -796,6 +808,8 @@ class Reader:
                         numbers.fail(name, f"{name} = {brief(value)}", "give a number, or true or false")
                     values[name] = value
             found.append(Example(line=line, **(given | {"outputs": outputs, "values": values})))
+
+        self._each(table, "example", read)
         return tuple(found)
 
 

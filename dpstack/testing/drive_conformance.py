@@ -7,10 +7,11 @@ from random import Random
 from typing import ClassVar, Final, NamedTuple
 
 from dpstack.api.slave.drive import Drive
+from dpstack.devices.finding import find
 from dpstack.dp.master.commands import Mode
 from dpstack.errors import DriveError, ParameterError, UsageError
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.profile import FAULTED, DriveDevice, DriveProfile, ListedParam, State, find
+from dpstack.profile import FAULTED, DriveDevice, DriveProfile, ListedParam, State
 from dpstack.profile.master.core import NO_NAME, NOT_NAMED
 from dpstack.profile.model.drive_type import CHECK_SETTINGS
 from dpstack.profile.registry import also
