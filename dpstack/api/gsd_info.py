@@ -28,7 +28,8 @@ from dpstack.text import nearest
 
 
 def bundled() -> dict[str, str]:
-    """The GSD files that come with dpstack (its own, not the vendors'): name of the device -> ``package:file``.
+    """The GSD files that come with dpstack (its own, not the vendors'): name of the device -> ``package:file``
+    or an absolute path.
 
     Those of drive plugins, and that of the simulated I/O station.
     """
@@ -62,7 +63,10 @@ def _place(path: str | Path, folder: Path) -> Path:
 
 
 def _bundled_octets(drive: str) -> bytes:
-    package, _, name = bundled()[drive].partition(":")
+    place = bundled()[drive]
+    if Path(place).is_absolute():
+        return Path(place).read_bytes()
+    package, _, name = place.partition(":")
     return (resources.files(package) / name).read_bytes()
 
 

@@ -1,5 +1,6 @@
 """Device files: any device as a TOML file, on the bases PROFIdrive, DRIVECOM, bits, encoder.
 
+- ``description``: The commissioning sheet of a device file
 - ``drive_core``: Master side of a drive that a device file describes
 - ``drive_device``: The simulated drive of a device file
 - ``finding``: Drives by name or path: plugins of packages, and device files in folders

@@ -18,7 +18,70 @@ SET: Final = "set"
 _MESSAGES: Final = ("fault", "warning")
 
 
-class FileCore(DriveCore):
+class DeclaredCore(DriveCore):
+    """A core whose words, states, parameters, texts, obstacles and settings are those of ``file``.
+
+    The Python of a device file derives from it; with maps: ``class AcmeCore(MappedCore[AcmeMap], DeclaredCore)``.
+    """
+
+    def __init__(
+        self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
+    ) -> None:
+        self.file = file
+        self.table = file.table
+        self.safe_control = file.safe_control
+        self.scan_ns = round(file.scan_ms * 1_000_000)
+        has_channel = file.channel.record_slot is not None or telegram.channel
+        self.parameter_table = file.parameters if has_channel or len(list(file.parameters)) else None
+        self.record_slot, self.record_object = file.channel.record_slot, file.channel.record_object
+        self.lock_hint, self.start_hint = file.lock_hint, file.start_hint
+        self.address_parameter, self.address_acts = file.address_parameter, file.address_acts
+        self.dialect = file.channel.pkw
+        self.fault_names, self.unknown_fault = file.fault.texts, file.fault.unknown
+        self.warning_names, self.unknown_warning = file.warning.texts, file.warning.unknown
+        self.warning_numbers = file.warning.kind == "number"
+        self._options = options
+        super().__init__(profile, name, telegram, options)
+
+    def place_name(self, word: str, title: str, *, outputs: bool) -> str:
+        """A word of the telegram for people, by its ``title`` in the file."""
+        return title
+
+    def obstacle(self) -> str | None:
+        word = self.status_word
+        return next((one.text for one in self.file.obstacles if word & one.mask == one.value), None)
+
+    def settings(self) -> Sequence[Setting]:
+        found = []
+        for one in self.file.settings:
+            wanted = self._wanted(one.equals)
+            if wanted is None:
+                continue
+            remedy = (one.remedy or f"set {one.parameter} = {{wanted}}").replace("{wanted}", f"{wanted:g}")
+            found.append(
+                equal(
+                    one.parameter,
+                    wanted,
+                    remedy,
+                    unit=one.unit,
+                    refuse=not one.notice,
+                    why=one.why,
+                    source=one.source,
+                )
+            )
+        return found
+
+    def _wanted(self, equals: float | str) -> float | None:
+        if not isinstance(equals, str):
+            return equals
+        if equals == "telegram":
+            number = self.file.telegrams[self.telegram.name].number
+            return None if number is None else float(number)
+        value = self._options.get(equals)
+        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) and value else None
+
+
+class FileCore(DeclaredCore):
     """The core of the drive in ``file``. Orders of its own: :data:`SET`, and those of the file.
 
     Free words of the outputs (:attr:`free`) have their neutral values until they are set, and again after the drive was
@@ -28,33 +91,18 @@ class FileCore(DriveCore):
     def __init__(
         self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
     ) -> None:
-        self.file = file
         self._layout = layout = Layout(file, telegram.name)
-        self.table = file.table
         self.inputs = layout.names
-        self.safe_control = file.safe_control
-        self.scan_ns = round(file.simulate.scan_ms * 1_000_000)
         self.fault_parameter, self.warning_parameter = (
             None if layout.has(one.word, file) else one.parameter for one in (file.fault, file.warning)
         )
-        has_channel = file.channel.record_slot is not None or telegram.channel
-        self.parameter_table = file.parameters if has_channel or len(list(file.parameters)) else None
-        self.record_slot, self.record_object = file.channel.record_slot, file.channel.record_object
-        self.lock_hint, self.start_hint = file.lock_hint, file.start_hint
-        self.address_parameter = file.address_parameter
-        self.dialect = file.channel.pkw
         self.own_ops = ((SET,) if layout.free else ()) + tuple(file.orders)
-        self.fault_names, self.unknown_fault = file.fault.texts, file.fault.unknown
-        self.warning_names, self.unknown_warning = file.warning.texts, file.warning.unknown
-        self.warning_numbers = file.warning.kind == "number"
         if layout.setpoint is not None:
             self.scale = layout.setpoint.scale
-        self._options = options
         #: counts of the free words by name
         self.values: dict[str, int] = dict(layout.neutral)
         self._extra = 0
-        self._numbers: dict[str, int] = {}
-        super().__init__(profile, name, telegram, options)
+        super().__init__(file, profile, name, telegram, options)
         self.safe_outputs = bytes(self.offset) + layout.pack(file.safe_control, 0, layout.neutral)
         for obstacle in file.obstacles:  # a change of their bits is a new status
             self._event_mask |= obstacle.mask
@@ -157,41 +205,6 @@ class FileCore(DriveCore):
         if self.word("warning") is None and self.warning_parameter is None:
             return ("warning",) if self.table.status.is_set(self.status_word, "warning") else ()
         return super().warnings()
-
-    # -- what keeps it from running -------------------------------------------------------------------------------
-
-    def obstacle(self) -> str | None:
-        word = self.status_word
-        return next((one.text for one in self.file.obstacles if word & one.mask == one.value), None)
-
-    def settings(self) -> Sequence[Setting]:
-        found = []
-        for one in self.file.settings:
-            wanted = self._wanted(one.equals)
-            if wanted is None:
-                continue
-            remedy = one.remedy or f"set {one.parameter} = {wanted:g}"
-            found.append(
-                equal(
-                    one.parameter,
-                    wanted,
-                    remedy,
-                    unit=one.unit,
-                    refuse=not one.notice,
-                    why=one.why,
-                    source=one.source,
-                )
-            )
-        return found
-
-    def _wanted(self, equals: float | str) -> float | None:
-        if not isinstance(equals, str):
-            return equals
-        if equals == "telegram":
-            number = self.file.telegrams[self.telegram.name].number
-            return None if number is None else float(number)
-        value = self._options.get(equals)
-        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) and value else None
 
 
 def counts_of(word: WordSpec, value: float) -> int:

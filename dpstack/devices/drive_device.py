@@ -41,6 +41,10 @@ class FileDevice(DriveDevice):
         self.dialect = file.channel.pkw
         self.address_parameter = file.address_parameter
         self.trips = file.fault.texts or _ANY_FAULT
+        simulate = file.simulate
+        self.read_errors, self.write_errors = frozenset(simulate.read_errors), frozenset(simulate.write_errors)
+        ordered = sorted({*simulate.errors, *self.read_errors, *self.write_errors})
+        self.parameter_errors = {number: self.dialect.error_text(number) for number in ordered}
         self.scan_ns = round(file.simulate.scan_ms * 1_000_000)
         number = file.telegrams[telegram.name].number
         if options.get(READY) and number is not None:  # set up for this telegram

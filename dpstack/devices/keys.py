@@ -49,6 +49,11 @@ class DeviceKeys(TypedDict, total=False):
     start_hint: what to check when it does not start for no known reason
     lock_hint: why it may ignore an acknowledgement
     acknowledge: how a fault is acknowledged, for the commissioning sheet
+    address_acts: when a new station address takes effect. Left out: when it is switched off and on
+    telegram_parameter: name of the parameter that chooses the telegram by its `number`, from power-on. Left out: the
+        drive takes that of its master
+    scan_ms: time that it may take to react. Left out: that of the simulation
+    missing: why the commissioning sheet has no `warnings`, `leds` ...: `{ leds = "it has none" }`
     """
 
     format: Annotated[int, Key(1, 1, hint="this dpstack reads format = 1")]
@@ -67,6 +72,10 @@ class DeviceKeys(TypedDict, total=False):
     start_hint: str
     lock_hint: str
     acknowledge: str
+    address_acts: str
+    telegram_parameter: str
+    scan_ms: Annotated[float, Key(0.1, 10_000)]
+    missing: Mapping[str, object]
     bus: Mapping[str, object]
     telegrams: Mapping[str, object]
     words: Mapping[str, object]
@@ -84,6 +93,8 @@ class DeviceKeys(TypedDict, total=False):
     options: Mapping[str, object]
     simulate: Mapping[str, object]
     step: Annotated[Sequence[object], _GIVEN]
+    range: Annotated[Sequence[object], _GIVEN]
+    led: Annotated[Sequence[object], _GIVEN]
     example: Annotated[Sequence[object], _GIVEN]
 
 
@@ -96,6 +107,8 @@ class BusKeys(TypedDict, total=False):
     max_tsdr: MaxTsdr in bit times by baud rate, `{ 9600 = 60 }`
     min_slave_interval_us: the shortest time between two exchanges
     fail_safe: it understands an empty output frame in Clear
+    made_up: ident number and identifiers are in no manual
+    made_gsd: a GSD file made from the manual, not the maker's, relative to this file
     """
 
     ident: Annotated[int, _WORD]
@@ -104,6 +117,8 @@ class BusKeys(TypedDict, total=False):
     max_tsdr: Mapping[str, object]
     min_slave_interval_us: Annotated[int, Key(0, 6_553_500)]
     fail_safe: bool
+    made_up: bool
+    made_gsd: str
 
 
 class TelegramKeys(TypedDict, total=False):
@@ -138,6 +153,7 @@ class WordKeys(TypedDict, total=False):
     neutral: the value in the safe outputs. Left out: 0
     as: the part of the word: `setpoint`, `speed`, `current`, `torque`, `fault` or `warning`. Left out: by its name
     bits: names of its bits by their numbers, `{ line = 1 }`
+    title: what it is, for the commissioning sheet. Left out: its name
     """
 
     type: Literal["n2", "n4", "i16", "u16", "i32", "u32", "f32"]
@@ -149,6 +165,7 @@ class WordKeys(TypedDict, total=False):
     neutral: Annotated[float, Key(-_MOST, _MOST)]
     as_: Literal["control", "status", "setpoint", "speed", "current", "torque", "fault", "warning"]
     bits: Mapping[str, object]
+    title: str
 
 
 class DerivedKeys(TypedDict, total=False):
@@ -176,6 +193,7 @@ class ControlKeys(TypedDict, total=False):
     releasing: those states
     safe: the control word of the safe outputs. Left out: that of `idle`
     reverse: the bit for the other direction. Left out: the sign of the set point is the direction
+    title: its name in the manual. Left out: `control word`
     """
 
     bits: Mapping[str, object]
@@ -185,6 +203,7 @@ class ControlKeys(TypedDict, total=False):
     releasing: Annotated[Sequence[str], _TEXTS]
     safe: Annotated[int, _WORD]
     reverse: str
+    title: str
 
 
 class StatusKeys(TypedDict, total=False):
@@ -193,11 +212,13 @@ class StatusKeys(TypedDict, total=False):
     bits: names of its bits by their numbers; `reached`, `remote` and `warning` mean what they say
     states: mask and value of each state, `fault = [0x0008, 0x0008]`, or several such pairs
     reversed: the bit of the other direction. Left out: the sign of the actual value is the direction
+    title: its name in the manual. Left out: `status word`
     """
 
     bits: Mapping[str, object]
     states: Mapping[str, object]
     reversed: str
+    title: str
 
 
 class OrderKeys(TypedDict, total=False):
@@ -212,7 +233,7 @@ class OrderKeys(TypedDict, total=False):
 
 
 class ObstacleKeys(TypedDict, total=False):
-    """`[obstacles]`, `BIT = { ... }`, or `BIT = "text"` for a bit that is 0: why the drive cannot run.
+    """`[obstacles]`, `BIT = { ... }`, or `BIT = "text"` for a bit that is 0, or `STATE = "text"`: why it cannot run.
 
     when: value of the bit, 0 or 1
     text: the reason, and what to do
@@ -228,8 +249,11 @@ class MessageKeys(TypedDict, total=False):
     word: the word or the derived value. Left out: the word of this name
     kind: `number` or `bits`. Left out: `number` for faults, `bits` for warnings
     parameter: the parameter that holds the numbers where the telegram does not: `{ number = 947, counter = 944 }`
-    texts: texts by number or by bit; or the name of a CSV file with a number and a text in each row
+    texts: texts by number or by bit, or tables; or the name of a CSV file with a number and a text in each row
     unknown: text for a number that has none, such as `"F{:05d}"`. Left out: `number {}`
+    code: the code in front of each text, such as `"F{number:05d}"`. Left out: none
+    sheet: the code on the commissioning sheet, of `{code}`, `{number}`, `{mask}` and `{malfunction}`. Left out: `code`
+    source: section of the manual
     """
 
     word: str
@@ -237,6 +261,24 @@ class MessageKeys(TypedDict, total=False):
     parameter: Mapping[str, object]
     texts: Annotated[object, _GIVEN]
     unknown: str
+    code: str
+    sheet: str
+    source: str
+
+
+class TextKeys(TypedDict, total=False):
+    """`texts`, `NUMBER = { ... }`: a fault or warning with more than a text.
+
+    text: the text
+    code: its code
+    remedy: what to do
+    malfunction: its number in PNU 947, where that is another one
+    """
+
+    text: str
+    code: str
+    remedy: str
+    malfunction: Annotated[int, _WORD]
 
 
 class PlaceKeys(TypedDict, total=False):
@@ -261,22 +303,34 @@ class ReferenceKeys(TypedDict, total=False):
 
     hz: a number, or the name of the parameter that holds it. Left out: not known
     rpm: the same in rpm
+    meaning: what it is in the drive, for the commissioning sheet. Left out: the reference
+    source: section of the manual
     """
 
     hz: Annotated[object, _GIVEN]
     rpm: Annotated[object, _GIVEN]
+    meaning: str
+    source: str
 
 
 class ChannelKeys(TypedDict, total=False):
     """`[channel]`: the way to parameters.
 
     dialect: the kind of parameter channel in telegrams with `pkw`. Left out: `plain`
-    errors: texts of the errors of the parameter channel by number
+    errors: texts of the errors of the parameter channel by number, beside those of PROFIdrive; beside `answers` alone
+    answers: positive answers by order, `{ 1 = [1, 2], 2 = [1] }`. Left out: words and double words without indexes
+    zero_between: it takes a new order only after it has answered 0 with 0. Left out: true
+    busy: errors after which the order is repeated
+    source: section of the manual with the errors
     record47: `{ slot = 0, object = 1 }`, for a drive that has record 47. Left out: it has none
     """
 
     dialect: str
     errors: Mapping[str, object]
+    answers: Mapping[str, object]
+    zero_between: bool
+    busy: Sequence[int]
+    source: str
     record47: Mapping[str, object]
 
 
@@ -338,7 +392,7 @@ class SettingKeys(TypedDict, total=False):
     """`[settings]`, `PARAMETER = { ... }`: a value that the drive must have, compared when it comes and before a start.
 
     equals: a number, or `"{OPTION}"`; `"{telegram}"` is the number of the telegram
-    remedy: what to do otherwise. Left out: to set it
+    remedy: what to do otherwise; `{wanted}` is the value, `{}` that of the drive. Left out: to set it
     notice: a difference is reported and refuses no start. Left out: false
     why: the reason, for the commissioning sheet
     source: section of the manual
@@ -377,26 +431,75 @@ class SimulateKeys(TypedDict, total=False):
     lost: what it does without its master: `stop`, `quick_stop`, `coast`, `go_on`, or the number of a fault
     scan_ms: its internal scan time. Left out: 4
     load: load torque of the rated one. Left out: 0.2
+    ready: parameters that differ from delivery where it is set up for the bus. Left out: the numbers of `[settings]`
+    left_open: those of them that a plant leaves as delivered
+    options: options of the drive that only the simulated one knows
+    errors: errors of the parameter channel that can be ordered, for reads and writes
+    read_errors: those of reads
+    write_errors: those of writes
     """
 
     ramps: Mapping[str, object]
     lost: Annotated[object, _GIVEN]
     scan_ms: Annotated[float, Key(0.1, 1000)]
     load: Annotated[float, Key(0, 2)]
+    ready: Mapping[str, object]
+    left_open: Mapping[str, object]
+    options: Mapping[str, object]
+    errors: Sequence[int]
+    read_errors: Sequence[int]
+    write_errors: Sequence[int]
 
 
 class StepKeys(TypedDict, total=False):
-    """`[[step]]`: a step of the commissioning.
+    """`[[step]]`: a step of the commissioning. In its texts stand `{address}`, the switches `{tens}` and `{ones}`,
+    `{telegram}`, its `{number}`, and options by their names. One with the address is that of the address.
 
     what: what to do
     why: the reason
     delivered: how it is at delivery
     source: section of the manual
+    first: it comes before the settings. Left out: false
+    when: options with the value at which it counts, `{ address = [1, 99] }` is a range. Left out: always
     """
 
     what: str
     why: str
     delivered: str
+    source: str
+    first: bool
+    when: Mapping[str, object]
+
+
+class RangeKeys(TypedDict, total=False):
+    """`[[range]]`: range and scale of a value in the process data, for the commissioning sheet.
+
+    name: the value
+    range: its range
+    wire: its scale
+    source: section of the manual
+    """
+
+    name: str
+    range: str
+    wire: str
+    source: str
+
+
+class LedKeys(TypedDict, total=False):
+    """`[[led]]`: what an LED shows.
+
+    name: the LED
+    shows: colour and rhythm
+    meaning: what that means
+    remedy: what to do
+    source: section of the manual
+    """
+
+    name: str
+    shows: str
+    meaning: str
+    remedy: str
     source: str
 
 

@@ -5,6 +5,7 @@ The keys are in :mod:`dpstack.devices.keys`. Everything here is checked by the r
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -14,7 +15,7 @@ from msgspec import Struct, field
 from dpstack.profile.channel.pkw import ARRAY_PKW, PAGED_PKW, PLAIN_PKW, PkwDialect
 from dpstack.profile.drive_profile import OptionSpec
 from dpstack.profile.master.messages import MessageParameter
-from dpstack.profile.model.description import DescribedStep
+from dpstack.profile.model.description import DescribedLed, DescribedRange
 from dpstack.profile.model.drive_type import TelegramSpec
 from dpstack.profile.model.params import ParamTable
 from dpstack.profile.model.states import ControlTable, Goal, State
@@ -32,6 +33,15 @@ TYPES: Final[Mapping[str, tuple[int, bool]]] = {
 }
 #: PROFIdrive's normalised values: counts at 100 %
 NORMALISED: Final = {"n2": 0x4000, "n4": 0x4000_0000}
+
+#: `{name}` in a text, or `{name:04X}`
+PLACE: Final = re.compile(r"\{(\w*)(?::(0?\d?[dX]))?\}")
+
+
+def filled(text: str, facts: Mapping[str, object]) -> str:
+    """``text`` with the facts in their places; one that is not there stays as it is."""
+    return PLACE.sub(lambda found: format(facts[found[1]], found[2] or "") if found[1] in facts else found[0], text)
+
 
 #: the words that the state machine and the status of a drive use; a word takes one of these parts by its name or `as`
 PARTS: Final = ("control", "status", "setpoint", "speed", "current", "torque", "fault", "warning")
@@ -66,6 +76,7 @@ class WordSpec(Struct, frozen=True, kw_only=True):
     part: str = ""
     #: bits by name
     bits: Mapping[str, int] = field(default_factory=dict)
+    title: str = ""
 
     @property
     def octets(self) -> int:
@@ -115,6 +126,16 @@ class Derived(Struct, frozen=True, kw_only=True):
     when: int = 0
 
 
+class Message(Struct, frozen=True, kw_only=True):
+    """What the manual has about a fault or a warning."""
+
+    text: str
+    code: str = ""
+    remedy: str = ""
+    #: its number in PNU 947
+    malfunction: int | None = None
+
+
 class Messages(Struct, frozen=True, kw_only=True):
     """Faults or warnings: where the number or the bits stand, and the texts by number or bit."""
 
@@ -124,9 +145,14 @@ class Messages(Struct, frozen=True, kw_only=True):
     kind: str = "number"
     #: the parameter that holds the numbers, where no word has them; None: none does
     parameter: MessageParameter | None = None
+    #: code and text
     texts: Mapping[int, str] = field(default_factory=dict)
     #: text for a number that has none, with ``{}`` for it
     unknown: str = "number {}"
+    facts: Mapping[int, Message] = field(default_factory=dict)
+    #: the code on the commissioning sheet
+    sheet: str = ""
+    source: str = ""
 
 
 class Obstacle(Struct, frozen=True):
@@ -158,9 +184,10 @@ class SettingSpec(Struct, frozen=True, kw_only=True):
 
 
 class Channel(Struct, frozen=True, kw_only=True):
-    """The ways to parameters: the dialect of the PKW area, and slot and object of record 47 (None: it has none)."""
+    """The ways to parameters: the PKW area, and slot and object of record 47 (None: it has none)."""
 
     pkw: PkwDialect = PLAIN_PKW
+    source: str = ""
     record_slot: int | None = None
     record_object: int = 1
 
@@ -170,6 +197,8 @@ class Reference(Struct, frozen=True, kw_only=True):
 
     hz: float | str = 0.0
     rpm: float | str = 0.0
+    meaning: str = ""
+    source: str = ""
 
 
 class Simulation(Struct, frozen=True, kw_only=True):
@@ -183,6 +212,24 @@ class Simulation(Struct, frozen=True, kw_only=True):
     lost: str = "quick_stop"
     scan_ms: float = 4.0
     load: float = 0.2
+    ready: Mapping[str, object] | None = None
+    left_open: Mapping[str, object] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
+    #: numbers of the parameter channel's errors: of all accesses, of reads, of writes
+    errors: tuple[int, ...] = ()
+    read_errors: tuple[int, ...] = ()
+    write_errors: tuple[int, ...] = ()
+
+
+class Step(Struct, frozen=True, kw_only=True):
+    """A step of the commissioning; its texts have places, see :func:`filled`."""
+
+    what: str
+    why: str = ""
+    delivered: str = ""
+    source: str = "the device file"
+    first: bool = False
+    when: Mapping[str, object] = field(default_factory=dict)
 
 
 class Example(Struct, frozen=True, kw_only=True):
@@ -220,6 +267,8 @@ class BusFacts(Struct, frozen=True, kw_only=True):
     max_tsdr: Mapping[int, int] = field(default_factory=dict)
     min_slave_interval_us: int = 0
     fail_safe: bool = False
+    made_up: bool = False
+    made_gsd: str = ""
 
 
 class DeviceFile(Struct, frozen=True, kw_only=True):
@@ -271,8 +320,15 @@ class DeviceFile(Struct, frozen=True, kw_only=True):
     device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
     #: names of the parameters that are written at standstill only
     standstill: frozenset[str] = frozenset()
-    steps: tuple[DescribedStep, ...] = ()
+    steps: tuple[Step, ...] = ()
+    ranges: tuple[DescribedRange, ...] = ()
+    leds: tuple[DescribedLed, ...] = ()
+    missing: Mapping[str, str] = field(default_factory=dict)
     acknowledge: str = ""
+    address_acts: str = "when it is switched off and on"
+    #: name of the parameter that chooses the telegram; "": none does
+    telegram_parameter: str = ""
+    scan_ms: float = 4.0
     examples: tuple[Example, ...] = ()
     #: name of the Python of a package, in the entry point group ``dpstack.devices``
     python: str = ""

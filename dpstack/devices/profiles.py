@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from dpstack.devices.drive_core import FileCore, counts_of
 from dpstack.devices.drive_device import FileDevice
 from dpstack.devices.model import DeviceFile, Telegram, WordSpec
 from dpstack.errors import ConfigError
-from dpstack.profile.drive_profile import CoreFactory, DeviceFactory, DriveProfile, OptionSpec
+from dpstack.profile.drive_profile import CoreFactory, DeviceFactory, DriveProfile, OptionSpec, TelegramSetting
+from dpstack.profile.master.core import DriveCore
+from dpstack.profile.model.drive_type import Options
+from dpstack.profile.simulator.device import DriveDevice
+
+if TYPE_CHECKING:
+    from importlib import metadata
+
+    from dpstack.profile.model.description import DeviceDescription
 
 #: entry points that a device file may name by its key ``python``
 GROUP: Final = "dpstack.devices"
@@ -23,23 +32,22 @@ _REFERENCES: Final = {
 class DevicePython(NamedTuple):
     """Python for a device file, an object at an entry point of the group :data:`GROUP`."""
 
-    #: makes the core of a master: called as a :class:`FileCore` with the file in front
-    core: CoreFactory
-    #: makes the simulated drive; None: that of the base
-    device: DeviceFactory | None = None
-    #: ``module:function`` with the facts of the manual, see :class:`DriveProfile`
-    details: str | None = None
+    #: makes the core of a master, as :class:`FileCore`: a class derived from :class:`DeclaredCore`
+    core: Callable[..., DriveCore]
+    #: makes the simulated drive, as :class:`FileDevice`; None: that of the base
+    device: Callable[..., DriveDevice] | None = None
+    #: facts of the manual beyond those of the file, see :class:`DriveProfile`
+    details: Callable[..., DeviceDescription] | None = None
 
 
 def profile_of(file: DeviceFile) -> DriveProfile:
     """The drive that ``file`` describes. Raises ConfigError if the Python that it names is not installed."""
     core: CoreFactory = partial(FileCore, file)
     device: DeviceFactory = partial(FileDevice, file)
-    details = None
     if file.python:
-        own = python_of(file.python)
-        core, device, details = own.core, own.device or device, own.details
-    bus = file.bus
+        _point(file.python)
+        core, device = partial(_own_core, file), partial(_own_device, file)
+    bus, simulate = file.bus, file.simulate
     options = dict(file.options)
     for name, text in _REFERENCES.items():
         given = getattr(file.reference, name.removeprefix("reference_"))
@@ -47,17 +55,21 @@ def profile_of(file: DeviceFile) -> DriveProfile:
             default = 0.0 if isinstance(given, str) else float(given)
             more = f"; 0: {given} of the drive says it" if isinstance(given, str) else ""
             options[name] = OptionSpec(default=default, low=0, high=1_000_000, text=text + more)
-    ready = {one.parameter: one.equals for one in file.settings if isinstance(one.equals, (int, float))}
+    ready = simulate.ready
+    if ready is None:
+        ready = {one.parameter: one.equals for one in file.settings if isinstance(one.equals, (int, float))}
+    chosen = file.telegram_parameter
+    numbers = {name: one.number for name, one in file.telegrams.items() if one.number is not None}
     hz = file.reference.hz
     return DriveProfile(
         name=file.name,
         title=file.title,
         ident=bus.ident or 0,
-        ident_made_up=bus.ident is None and file.gsd is None,
+        ident_made_up=bus.made_up or (bus.ident is None and file.gsd is None),
         telegrams={name: one.spec for name, one in file.telegrams.items()},
         default_telegram=file.default_telegram,
         user_prm=bus.user_prm,
-        baud_rates=bus.rates,
+        baud_rates=bus.rates or tuple(bus.max_tsdr),
         max_tsdr=bus.max_tsdr,
         min_slave_interval_ns=bus.min_slave_interval_us * 1000,
         fail_safe=bus.fail_safe,
@@ -65,11 +77,15 @@ def profile_of(file: DeviceFile) -> DriveProfile:
         on_loss=file.on_loss,
         core_factory=core,
         device_factory=device,
-        details=details,
+        details=partial(_details, file),
         core_options=options,
         device_options=file.device_options,
         notes=tuple(one for one in (*file.notes, file.tried) if one),
         ready=ready,
+        left_open=simulate.left_open,
+        simulated_options=simulate.options,
+        gsd=(bus.made_gsd and str(file.path.parent / bus.made_gsd)) or None,
+        telegram_setting=TelegramSetting(chosen, numbers) if chosen else None,
         file=str(file.path),
         digest=file.digest,
         gsd_file=None if file.gsd is None else str(file.gsd),
@@ -79,18 +95,45 @@ def profile_of(file: DeviceFile) -> DriveProfile:
     )
 
 
-def python_of(name: str) -> DevicePython:
-    """The Python that packages have registered under ``name``. Raises ConfigError."""
-    from importlib import metadata
+def _own_core(file: DeviceFile, *args: Any) -> DriveCore:
+    return python_of(file.python).core(file, *args)
 
-    points = {point.name: point for point in metadata.entry_points(group=GROUP)}
+
+def _own_device(file: DeviceFile, *args: Any) -> DriveDevice:
+    return (python_of(file.python).device or FileDevice)(file, *args)
+
+
+def _details(file: DeviceFile, core: DriveCore, basic: DeviceDescription, address: int, options: Options) -> Any:
+    from dpstack.devices.description import describe  # here, as only a sheet needs it
+
+    described = describe(file, core, basic, address, options)
+    details = python_of(file.python).details if file.python else None
+    return described if details is None else details(core, described, address, options)
+
+
+@functools.cache
+def _points() -> dict[str, metadata.EntryPoint]:
+    from importlib import metadata  # here, as it takes 10 ms
+
+    return {point.name: point for point in metadata.entry_points(group=GROUP)}
+
+
+def _point(name: str) -> metadata.EntryPoint:
+    points = _points()
     if name not in points:
         known = ", ".join(sorted(points)) or "none"
         raise ConfigError(
             f"python = {name!r}: no installed package has registered it (group {GROUP}; known: {known}); install it"
         )
+    return points[name]
+
+
+@functools.cache
+def python_of(name: str) -> DevicePython:
+    """The Python that packages have registered under ``name``. Raises ConfigError."""
+    point = _point(name)
     try:
-        found = points[name].load()
+        found = point.load()
     except Exception as error:
         raise ConfigError(
             f"python = {name!r} cannot be loaded: {type(error).__name__}: {error}; repair or uninstall its package"

@@ -15,26 +15,30 @@ from dpstack.devices.model import (
     DIALECTS,
     NORMALISED,
     PARTS,
+    PLACE,
     TYPES,
     BusFacts,
     Channel,
     Derived,
     DeviceFile,
     Example,
+    Message,
     Messages,
     Obstacle,
     OwnOrder,
     Reference,
     SettingSpec,
     Simulation,
+    Step,
     Telegram,
     WordSpec,
+    filled,
 )
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.profile.drive_profile import OptionSpec
 from dpstack.profile.master.messages import MessageParameter
-from dpstack.profile.model.description import DescribedStep
+from dpstack.profile.model.description import DescribedLed, DescribedRange, DeviceDescription
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
 from dpstack.profile.model.param_types import ParamType
 from dpstack.profile.model.params import ParamSpec, ParamTable, Use
@@ -181,6 +185,7 @@ class Reader:
         default = str(given.get("telegram", first))
         if telegrams and default not in telegrams:
             self.errors.append(table.error("telegram", f"no telegram {default!r}", f"it has {', '.join(telegrams)}"))
+        self._simulate = self._simulation(table, parameters)
         released, releasing = own["released"], own["releasing"]
         idle = steady.get(Goal.IDLE, 0)
         parts: dict[str, Any] = {
@@ -188,13 +193,19 @@ class Reader:
             "orders": self._orders(table, control),
             "fault": self._messages(table, "fault", words, derived),
             "warning": self._messages(table, "warning", words, derived),
-            "obstacles": self._obstacles(table, status),
+            "obstacles": self._obstacles(table, status, states),
             "channel": self._channel(table),
             "settings": self._settings(table, parameters),
             "reference": self._reference(table, parameters),
             "address_parameter": self._parameter_named(table, "address", given.get("address", ""), parameters),
-            "simulate": self._simulation(table, parameters),
+            "simulate": self._simulate,
             "steps": self._steps(table),
+            "ranges": self._rows_of(table, "range", k.RangeKeys, DescribedRange),
+            "leds": self._rows_of(table, "led", k.LedKeys, DescribedLed),
+            "missing": self._missing(table),
+            "telegram_parameter": self._parameter_named(
+                table, "telegram_parameter", given.get("telegram_parameter", ""), parameters
+            ),
             "examples": self._examples(table),
         }
         if self.errors:
@@ -236,6 +247,8 @@ class Reader:
             device_options=self.device_options,
             standstill=self._standstill,
             acknowledge=given.get("acknowledge", ""),
+            address_acts=given.get("address_acts", "when it is switched off and on"),
+            scan_ms=given.get("scan_ms", self._simulate.scan_ms),
             python=given.get("python", ""),
             **parts,
         )
@@ -268,6 +281,7 @@ class Reader:
                 neutral=given.get("neutral", 0.0),
                 part=part,
                 bits=bits,
+                title=given.get("title", ""),
             )
 
         self._members(table, "words", read)
@@ -400,10 +414,12 @@ class Reader:
         control_bits: dict[str, int] = {}
         status_bits: dict[str, int] = {}
         rows: list[StateRow] = []
+        titles = {"control": "control word", "status": "status word"}
         with self._collected():
             if table.raw("control") is not None:
                 inside = table.table("control")
                 given = inside.read(_keys(k.ControlKeys))
+                titles["control"] = given.get("title", titles["control"])
                 control_bits = self._bits(inside, "bits", 16)
                 own["run"] = self._by_name(inside, "run", _STATES)
                 own["goals"] = self._by_name(inside, "goals", _GOALS)
@@ -417,6 +433,7 @@ class Reader:
             if table.raw("status") is not None:
                 inside = table.table("status")
                 given = inside.read(_keys(k.StatusKeys))
+                titles["status"] = given.get("title", titles["status"])
                 status_bits = self._bits(inside, "bits", 16)
                 own["reversed"] = self._bit_of(inside, "reversed", given, status_bits)
                 rows = self._rows(inside)
@@ -430,7 +447,7 @@ class Reader:
                 ) from None
             if not rows:
                 raise table.error("status", "no states", "add states = { running = [mask, value], ... }")
-        return Word("control word", control_bits), Word("status word", status_bits), states, own
+        return Word(titles["control"], control_bits), Word(titles["status"], status_bits), states, own
 
     def _bit_of(self, table: Table, key: str, given: Mapping[str, Any], bits: Mapping[str, int]) -> int | None:
         name = given.get(key)
@@ -495,15 +512,20 @@ class Reader:
         self._members(table, "orders", read)
         return found
 
-    def _obstacles(self, table: Table, status: Word) -> tuple[Obstacle, ...]:
+    def _obstacles(self, table: Table, status: Word, states: StateTable) -> tuple[Obstacle, ...]:
         if table.raw("obstacles") is None:
             return ()
         found: list[Obstacle] = []
         with self._collected():
             inside = table.table("obstacles")
+            rows = {str(row.state): row for row in states.rows}
             for bit in inside:
+                if bit in rows and bit not in status.bits:
+                    found.append(Obstacle(rows[bit].mask, rows[bit].value, inside.text(bit)))
+                    continue
                 if bit not in status.bits:
-                    inside.fail(bit, f"{brief(bit)} is no bit of the status word", f"it has {', '.join(status.bits)}")
+                    known = ", ".join((*status.bits, *rows))
+                    inside.fail(bit, f"{brief(bit)} is neither bit nor state of the status word", f"it has {known}")
                 value, text = 0, ""
                 if isinstance(inside.raw(bit), Mapping):
                     given = inside.table(bit).read(_keys(k.ObstacleKeys))
@@ -543,34 +565,49 @@ class Reader:
                     at |= {"index": None, "count": 1}
                 place = MessageParameter(**at)
             unknown = given.get("unknown", "number {}" if key == "fault" else "{}")
-            try:
-                unknown.format(1)
-            except (ValueError, IndexError, KeyError, AttributeError):
-                inside.fail("unknown", f"unknown = {brief(unknown)} takes no number", 'write "F{:05d}" or "number {}"')
+            self._places(inside, "unknown", unknown, ("",), 'write "F{:05d}" or "number {}"')
+            for name in ("code", "sheet"):
+                self._places(inside, name, given.get(name, ""), ("number", "code", "mask", "malfunction"))
+            facts = self._texts(inside, given.get("texts"), given.get("code", ""))
             return Messages(
                 word=word,
                 kind=given.get("kind", default),
                 parameter=place,
-                texts=self._texts(inside, given.get("texts")),
+                texts={number: f"{one.code} {one.text}".lstrip() for number, one in facts.items()},
                 unknown=unknown,
+                facts=facts,
+                sheet=given.get("sheet", "{code}" if "code" in given else "{number}"),
+                source=given.get("source", ""),
             )
         return Messages()
 
-    def _texts(self, table: Table, given: object) -> dict[int, str]:
+    def _places(self, table: Table, key: str, text: str, names: Sequence[str], todo: str = "") -> None:
+        """The places of a text, see ``filled``: all of these names."""
+        if any(found[1] not in names for found in PLACE.finditer(text)) or set("{}") & set(PLACE.sub("", text)):
+            known = ", ".join(f"{{{name}}}" for name in names)
+            table.fail(key, f"{key} = {brief(text)} has another place than {known}", todo or "take it out")
+
+    def _texts(self, table: Table, given: object, code: str) -> dict[int, Message]:
         """Texts by number, from a table or from a CSV file."""
         if given is None:
             return {}
-        found: dict[int, str] = {}
+        found: dict[int, Message] = {}
+        rows: list[tuple[str, dict[str, Any]]]
         if isinstance(given, str):
-            rows = self._csv(table, given)
+            rows = [(number, {"text": text}) for number, text in self._csv(table, given)]
         else:
-            inside = table.table("texts")
-            rows = [(name, inside.text(name)) for name in inside]
-        for number, text in rows:
+            inside, rows = table.table("texts"), []
+            for name in inside:
+                more = inside.table(name).read(_keys(k.TextKeys)) if isinstance(inside.raw(name), Mapping) else {}
+                if "text" not in more and more:
+                    inside.fail(name, f"{name} has no text", "add text = ...")
+                rows.append((name, more or {"text": inside.text(name)}))
+        for name, more in rows:
             try:
-                found[int(number, 0)] = text
+                number = int(name, 0)
             except ValueError:
-                table.fail("texts", f"{brief(number)} is no number", "write each text behind its number")
+                table.fail("texts", f"{brief(name)} is no number", "write each text behind its number")
+            found[number] = Message(**({"code": filled(code, {"number": number})} | more))
         return found
 
     def _csv(self, table: Table, name: str) -> list[tuple[str, str]]:
@@ -693,6 +730,14 @@ class Reader:
             dialect = given.get("dialect", "plain")
             if dialect not in DIALECTS:
                 inside.fail("dialect", f"unknown dialect {brief(dialect)}", f"it must be {', '.join(DIALECTS)}")
+            answers: dict[int, tuple[int, ...]] = {}
+            if "answers" in given:
+                orders = inside.table("answers")
+                for order in orders:
+                    numbers = orders.raw(order)
+                    if not order.isdecimal() or not isinstance(numbers, list) or not all(map(is_integer, numbers)):
+                        orders.fail(order, f"{brief(order)} = {brief(numbers)}", "write 1 = [1, 2]")
+                    answers[int(order)] = tuple(numbers)
             errors: dict[int, str] = {}
             if "errors" in given:
                 texts = inside.table("errors")
@@ -701,9 +746,14 @@ class Reader:
                         texts.fail(number, f"{brief(number)} is no number", "write each text behind its number")
                     errors[int(number)] = texts.text(number)
             pkw = DIALECTS[dialect]
-            if errors:
-                pkw = structs.replace(pkw, errors={**pkw.errors, **errors})
-            return Channel(pkw=pkw, record_slot=slot, record_object=object_)
+            pkw = structs.replace(
+                pkw,
+                answers=answers or pkw.answers,
+                errors=errors if answers else {**pkw.errors, **errors},
+                zero_between=given.get("zero_between", pkw.zero_between),
+                busy=frozenset(given.get("busy", pkw.busy)),
+            )
+            return Channel(pkw=pkw, source=given.get("source", ""), record_slot=slot, record_object=object_)
         return Channel()
 
     # -- the rest -----------------------------------------------------------------------------------------------------
@@ -758,7 +808,7 @@ class Reader:
             known = ("stop", "quick_stop", "coast", "go_on")
             if lost not in known and not is_integer(lost):
                 inside.fail("lost", f"lost = {brief(lost)}", f"it must be {', '.join(known)} or the number of a fault")
-            rest = {key: value for key, value in given.items() if key in ("scan_ms", "load")}
+            rest = {key: value for key, value in given.items() if key not in ("ramps", "lost")}
             up, down, quick = (ramps.get(way, "") for way in ("up", "down", "quick"))
             return Simulation(lost=str(lost), up=up, down=down, quick=quick, **rest)
         return Simulation()
@@ -776,17 +826,38 @@ class Reader:
                 inside = Table(self._source, (key, number), one, f"[[{key}]] {number + 1}")
                 read(self._source.line((key, number)), inside)
 
-    def _steps(self, table: Table) -> tuple[DescribedStep, ...]:
-        found: list[DescribedStep] = []
+    def _rows_of(self, table: Table, key: str, keys: type, kind: Callable[..., T]) -> tuple[T, ...]:
+        """The tables of an array, each as a ``kind``."""
+        found: list[T] = []
 
         def read(_line: int, inside: Table) -> None:
-            given = inside.read(_keys(k.StepKeys))
-            if "what" not in given:
-                inside.fail(None, "no what", "say what to do")
-            found.append(DescribedStep(**({"why": ""} | given)))
+            try:
+                found.append(kind(**inside.read(_keys(keys))))
+            except TypeError as error:
+                raise inside.error(None, str(error), "add it") from None
 
-        self._each(table, "step", read)
+        self._each(table, key, read)
         return tuple(found)
+
+    def _steps(self, table: Table) -> tuple[Step, ...]:
+        names = ("address", "tens", "ones", "telegram", "number", "reference_hz", *self.options)
+        steps = self._rows_of(table, "step", k.StepKeys, Step)
+        for step in steps:
+            with self._collected():
+                for text in (step.what, step.why, step.delivered):
+                    self._places(table, "step", text, names)
+                if unknown := set(step.when) - {"address", *self.options}:
+                    table.fail("step", f"when: {brief(unknown.pop())} is no option", f"it has {', '.join(names)}")
+        return steps
+
+    def _missing(self, table: Table) -> dict[str, str]:
+        if table.raw("missing") is None:
+            return {}
+        inside = table.table("missing")
+        for part in inside:
+            if part not in DeviceDescription.__struct_fields__:
+                inside.fail(part, f"{brief(part)} is no part of the sheet", "write warnings, leds, faults or errors")
+        return {part: inside.text(part) for part in inside}
 
     def _examples(self, table: Table) -> tuple[Example, ...]:
         found: list[Example] = []
@@ -858,11 +929,11 @@ def _toml(text: str, path: Path) -> tuple[dict[str, Any], dict[tuple[str | int, 
 
 
 def _joined(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """``above`` over ``below``; false in the place of a table takes it out."""
+    """``above`` over ``below``, key by key; ``false`` takes away what is no flag."""
     found = dict(below)
     for key, value in above.items():
         under = found.get(key)
-        if value is False and isinstance(under, dict):
+        if value is False and under is not None and not isinstance(under, bool):
             del found[key]
         else:
             found[key] = _joined(under, value) if isinstance(under, dict) and isinstance(value, dict) else value

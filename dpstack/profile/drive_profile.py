@@ -80,7 +80,7 @@ class DriveProfile(DriveType):
     ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know. ``simulated_options``:
     options of the core that no manual gives, as the simulated drive has them. ``ready``: parameters of the simulated
     drive that differ from delivery if it is set up for the bus (option :data:`READY`); ``gsd``: a GSD file of ours made
-    from the manual's facts (not the vendor's), as ``package:file name``.
+    from the manual's facts (not the vendor's), as ``package:file name`` or as an absolute path.
     """
 
     #: maker and type for people
@@ -112,9 +112,9 @@ class DriveProfile(DriveType):
     rate_setting: RateSetting | None = None
     #: the setting of the telegram, for a drive that does not follow its master; None: it does
     telegram_setting: TelegramSetting | None = None
-    #: ``module:function``, loaded for a sheet only: gets core, description, station address and options of the core;
-    #: returns the description with the facts of the manual. None: the description is what core and profile have
-    details: str | None = None
+    #: a function, or ``module:function`` that is loaded for a sheet only: gets core, description, station address and
+    #: options of the core; returns the description with the facts of the manual. None: it is what core and profile have
+    details: Callable[..., DeviceDescription] | str | None = None
     #: path of its device file; "" for a plugin
     file: str = ""
     #: SHA-256 of that file, hex
@@ -151,10 +151,12 @@ class DriveProfile(DriveType):
         if self.details is None:
             return basic
         try:
-            described: DeviceDescription = resolve_name(self.details)(core, basic, address, checked)
+            details = resolve_name(self.details) if isinstance(self.details, str) else self.details
+            described: DeviceDescription = details(core, basic, address, checked)
         except Exception as error:
             why = f"{type(error).__name__}: {error}"
-            raise ConfigError(f"drive {self.name} cannot be described: {why}; repair {self.details}") from error
+            remedy = self.details if isinstance(self.details, str) else self.file
+            raise ConfigError(f"drive {self.name} cannot be described: {why}; repair {remedy}") from error
         return described
 
     def rates(self, options: Mapping[str, object]) -> tuple[int, ...]:

@@ -132,7 +132,7 @@ async def test_the_bus_process_gets_the_file_that_was_read(tmp_path: Path) -> No
         (("low = 0, high = 100", "low = 0, high = 100, of = 0"), 13, "a scale of zero"),
         (('jog_on = { set = ["mop_up"] }', 'jog_on = { set = ["mop"] }'), 23, "'mop' is no bit of the control word"),
         (('p0922 = { equals = "{telegram}" }', "p0923 = { equals = 1 }"), 44, "'p0923' is no parameter of this file"),
-        (('unknown = "F{:05d}"', 'unknown = "F{:05s}"'), 28, "takes no number"),
+        (('unknown = "F{:05d}"', 'unknown = "F{:05s}"'), 28, "has another place than {}"),
         (("mop_up = 13", "mop_up = 11"), 20, "reverse and mop_up are both bit 11"),
     ],
 )
