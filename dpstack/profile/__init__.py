@@ -25,10 +25,16 @@ if TYPE_CHECKING:
     from dpstack.profile.channel.base import FindSpec as FindSpec
     from dpstack.profile.channel.base import ParameterChannel as ParameterChannel
     from dpstack.profile.channel.base import ParamKey as ParamKey
+    from dpstack.profile.channel.base import ParamRef as ParamRef
     from dpstack.profile.channel.base import find_parameter as find_parameter
+    from dpstack.profile.channel.indexed import DIALECTS as DIALECTS
+    from dpstack.profile.channel.indexed import MOVILINK as MOVILINK
+    from dpstack.profile.channel.indexed import IndexedChannel as IndexedChannel
+    from dpstack.profile.channel.indexed import IndexedDialect as IndexedDialect
+    from dpstack.profile.channel.indexed import IndexedServer as IndexedServer
+    from dpstack.profile.channel.indexed import RefusedAccess as RefusedAccess
     from dpstack.profile.channel.pkw import PAGED_PKW as PAGED_PKW
     from dpstack.profile.channel.pkw import RETRY_NS as RETRY_NS
-    from dpstack.profile.channel.pkw import ParamRef as ParamRef
     from dpstack.profile.channel.pkw import Pkw as Pkw
     from dpstack.profile.channel.pkw import PkwAccess as PkwAccess
     from dpstack.profile.channel.pkw import PkwChannel as PkwChannel
@@ -127,8 +133,9 @@ dpstack.dp.slave.device Leave
 dpstack.dpv1.slave.device Device
 dpstack.errors ConfigError
 record47
-channel.base Clock CycleTimes FindSpec ParameterChannel ParamKey find_parameter
-channel.pkw PAGED_PKW RETRY_NS ParamRef Pkw PkwAccess PkwChannel PkwDialect PkwServer ReplyId TaskId
+channel.base Clock CycleTimes FindSpec ParameterChannel ParamKey ParamRef find_parameter
+channel.indexed DIALECTS MOVILINK IndexedChannel IndexedDialect IndexedServer RefusedAccess
+channel.pkw PAGED_PKW RETRY_NS Pkw PkwAccess PkwChannel PkwDialect PkwServer ReplyId TaskId
 channel.stored_writes StoredWrites
 core_description speed_range
 drive_profile DriveProfile OptionSpec RateSetting TelegramSetting

@@ -10,6 +10,7 @@ from dpstack.profile.master.core import DriveCore
 from dpstack.profile.master.settings import Setting
 from dpstack.profile.model.description import (
     Check,
+    DescribedMessage,
     DescribedRange,
     DescribedStep,
     DeviceDescription,
@@ -46,8 +47,16 @@ def describe_core(
         ranges=(speed_range(core),),
         faults=messages(core.fault_names, "{}", _PLUGIN),
         warnings=messages(core.warning_names, "{}" if core.warning_numbers else "bit {}", _PLUGIN),
-        errors=messages(core.dialect.errors, "{}", _PLUGIN) if parameters is not None else (),
+        errors=() if parameters is None else _errors(core),
         parameters=() if parameters is None else described_parameters(_listed(core, parameters)),
+    )
+
+
+def _errors(core: DriveCore) -> tuple[DescribedMessage, ...]:
+    dialect = core.dialect
+    return tuple(
+        DescribedMessage(code=dialect.code(number), text=text, source=_PLUGIN)
+        for number, text in dialect.errors.items()
     )
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Final, NamedTuple, Protocol
 
 from msgspec import Struct
 
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.params import ParamSpec, ParamTable
+
+_MOST_INDEX: Final = 0xFF
 
 
 class ParamKey(Struct, frozen=True):
@@ -37,6 +39,27 @@ class ParamKey(Struct, frozen=True):
         if spec is None:
             raise CommandError("usage", f"no parameter is called {self.name!r}{table.hint(self.name)}")
         return spec
+
+
+class ParamRef(NamedTuple):
+    """A parameter in a cyclic channel: number, IND's high octet or subindex, array orders or plain ones, its
+    specification if it is known.
+
+    ``data_set`` for messages, None if the drive has none or the parameter exists once.
+    """
+
+    #: parameter number on the wire
+    pnu: int
+    #: high octet of IND, or the subindex
+    ind: int
+    #: use the orders of arrays
+    array: bool
+    #: its entry in the table; None for an unknown number
+    spec: ParamSpec | None
+    #: the parameter for people
+    label: str
+    #: data set, for messages; None if the drive has none or the parameter exists once
+    data_set: int | None = None
 
 
 class Clock(Protocol):
@@ -154,6 +177,32 @@ def find_parameter(key: ParamKey, table: ParamTable, most: int) -> tuple[ParamSp
     if not 1 <= number <= most:
         raise CommandError("usage", f"{label}: parameter numbers are 1..{most}")
     return spec, number, label
+
+
+class ChannelDialect(Protocol):
+    """A layout of the channel: parameter numbers up to ``most``, indexes (``arrays``), writes to RAM only."""
+
+    @property
+    def most(self) -> int: ...
+    @property
+    def arrays(self) -> bool: ...
+    @property
+    def ram(self) -> bool: ...
+
+
+def plain_ref(key: ParamKey, table: ParamTable, drive: str, dialect: ChannelDialect) -> ParamRef:
+    """A parameter of ``table`` by name or number, elements of arrays by index if the dialect has them; a number that
+    is not in the table goes as it is, without a scale."""
+    spec, number, label = find_parameter(key, table, dialect.most)
+    if key.data_set is not None or (key.index is not None and not dialect.arrays):
+        lacks = "no data sets" if dialect.arrays else "neither data sets nor indexes"
+        raise CommandError("usage", f"{label}: {drive} has {lacks}")
+    if key.ram and not dialect.ram:
+        raise CommandError("usage", f"{label}: {drive} has no writes to RAM only")
+    index = key.index if key.index is not None else 0 if spec is None else spec.index
+    if index > _MOST_INDEX:
+        raise CommandError("usage", f"{label}: indexes are 0..{_MOST_INDEX}")
+    return ParamRef(number, index, key.index is not None or index > 0, spec, label)
 
 
 def check_write(spec: ParamSpec | None, label: str, value: float) -> int | None:

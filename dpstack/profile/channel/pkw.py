@@ -24,22 +24,20 @@ from dpstack.profile.channel.base import (
     FindSpec,
     ParameterChannel,
     ParamKey,
+    ParamRef,
     check_write,
-    find_parameter,
     outcome,
 )
 from dpstack.profile.channel.stored_writes import StoredWrites
 from dpstack.profile.model.jobs import CommandError, Steps
 from dpstack.profile.model.param_errors import OPERATING_STATE, PARAMETER_ERRORS, SIEMENS
 from dpstack.profile.model.param_types import ParamType
-from dpstack.profile.model.params import ParamSpec, ParamTable
 from dpstack.text import NamedInt
 from dpstack.units import NS_PER_MS
 
 PKW_LEN: Final = 8
 ZEROS: Final = bytes(PKW_LEN)
 _LAYOUT: Final = struct.Struct(">HBBI")
-_MOST_INDEX: Final = 0xFF
 #: pause before the order to a busy drive is repeated
 RETRY_NS: Final = 25 * NS_PER_MS
 #: numbers of one page of :class:`PagedPkw`
@@ -160,6 +158,10 @@ class PkwDialect(Struct, frozen=True, kw_only=True):
         """The drive's text for an error number."""
         return self.errors.get(number, "error without a text in the manual")
 
+    def code(self, number: int) -> str:
+        """An error number for people."""
+        return str(number)
+
     @property
     def most(self) -> int:
         """The highest parameter number."""
@@ -169,6 +171,11 @@ class PkwDialect(Struct, frozen=True, kw_only=True):
     def arrays(self) -> bool:
         """Whether the drive knows the orders of arrays, with an index in IND."""
         return TaskId.READ_ARRAY in self.answers
+
+    @property
+    def ram(self) -> bool:
+        """Whether the drive has orders for writes to RAM only."""
+        return False
 
 
 #: a drive without peculiarities: words and double words, no arrays, no data sets. V2 has error texts of its own
@@ -361,26 +368,6 @@ class PkwChannel:
         self.octets = ZEROS
 
 
-class ParamRef(NamedTuple):
-    """A parameter in PKW: PNU, IND's high octet, array orders or plain ones, its specification if it is known.
-
-    ``data_set`` for messages, None if the drive has none or the parameter exists once.
-    """
-
-    #: parameter number on the wire
-    pnu: int
-    #: high octet of IND
-    ind: int
-    #: use the orders of arrays
-    array: bool
-    #: its entry in the table; None for an unknown number
-    spec: ParamSpec | None
-    #: the parameter for people
-    label: str
-    #: data set, for messages; None if the drive has none or the parameter exists once
-    data_set: int | None = None
-
-
 class PkwCore(CycleTimes, Protocol):
     """A drive plugin with parameters by PKW."""
 
@@ -389,21 +376,6 @@ class PkwCore(CycleTimes, Protocol):
 
     def written(self, ref: ParamRef) -> None:
         """The drive has taken a write."""
-
-
-def plain_ref(key: ParamKey, table: ParamTable, drive: str, dialect: PkwDialect = PLAIN_PKW) -> ParamRef:
-    """A parameter of ``table`` by name or number, elements of arrays by index if the dialect has them; a number that
-    is not in the table goes as it is, without a scale."""
-    spec, number, label = find_parameter(key, table, dialect.most)
-    if key.data_set is not None or (key.index is not None and not dialect.arrays):
-        lacks = "no data sets" if dialect.arrays else "neither data sets nor indexes"
-        raise CommandError("usage", f"{label}: {drive} has {lacks}")
-    if key.ram:
-        raise CommandError("usage", f"{label}: {drive} has no writes to RAM only")
-    index = key.index if key.index is not None else 0 if spec is None else spec.index
-    if index > _MOST_INDEX:
-        raise CommandError("usage", f"{label}: indexes are 0..{_MOST_INDEX}")
-    return ParamRef(number, index, key.index is not None or index > 0, spec, label)
 
 
 class PkwAccess(PkwChannel, ParameterChannel):

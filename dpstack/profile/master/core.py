@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
 from dpstack.dpv1.master.plugin_queue import RecordQueue
-from dpstack.profile.channel.base import ParameterChannel, ParamKey
-from dpstack.profile.channel.pkw import PLAIN_PKW, ParamRef, PkwAccess, PkwDialect, plain_ref
+from dpstack.profile.channel.base import ParameterChannel, ParamKey, ParamRef, plain_ref
+from dpstack.profile.channel.indexed import IndexedChannel, IndexedDialect
+from dpstack.profile.channel.pkw import PLAIN_PKW, PkwAccess, PkwDialect
 from dpstack.profile.master.guarded_writes import guarded_write
 from dpstack.profile.master.lookup import Lookup, Lookups
 from dpstack.profile.master.messages import PATIENCE_NS, MessageParameter, read_messages
@@ -105,8 +106,8 @@ class DriveCore:
     warning_parameter: MessageParameter | None = None
     #: what the parameter channel and record 47 reach; None: the drive has no parameters
     parameter_table: ParamTable | None = None
-    #: differences of the drive's parameter channel from plain PKW
-    dialect: PkwDialect = PLAIN_PKW
+    #: layout of the telegram's parameter channel, and its differences from plain PKW
+    dialect: PkwDialect | IndexedDialect = PLAIN_PKW
     #: the slot of record 47 of a drive whose parameters have the same numbers there; None: it has no record 47
     record_slot: int | None = None
     #: the drive object in record 47, 0..255: the axis of a drive with several, DO-ID of SINAMICS
@@ -607,6 +608,8 @@ class DriveCore:
 
     def open_channel(self) -> ParameterChannel:
         """The master's end of the telegram's parameter channel."""
+        if isinstance(self.dialect, IndexedDialect):
+            return IndexedChannel(self.dialect, self, self.resolve)
         return PkwAccess(self.dialect, self)
 
     def over_records(self, queue: RecordQueue) -> AcyclicAccess | None:

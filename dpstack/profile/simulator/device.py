@@ -20,6 +20,7 @@ from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
 from dpstack.dpv1.slave.device import Device
 from dpstack.errors import AlarmError
 from dpstack.profile.channel.base import ChannelServer
+from dpstack.profile.channel.indexed import IndexedDialect, IndexedServer, RefusedAccess
 from dpstack.profile.channel.pkw import ARRAYS, PLAIN_PKW, READS, Pkw, PkwDialect, PkwServer, ReplyId, TaskId
 from dpstack.profile.model.drive_type import CHANNEL_LEN, DriveType, Options, TelegramSpec
 from dpstack.profile.model.param_errors import BAD_SUBINDEX, BAD_TYPE, ILLEGAL_NUMBER, OPERATING_STATE, READ_ONLY
@@ -60,8 +61,8 @@ class DriveDevice(Device):
     contacts: tuple[str, ...] = ()
     #: internal scan time in ns
     scan_ns: int = 4 * NS_PER_MS
-    #: differences of the parameter channel from plain PKW
-    dialect: PkwDialect = PLAIN_PKW
+    #: layout of the parameter channel, and its differences from plain PKW
+    dialect: PkwDialect | IndexedDialect = PLAIN_PKW
     #: name of the parameter that holds the station address; "": it has none
     address_parameter: str = ""
     parameter_errors: Mapping[int, str] = {}
@@ -89,7 +90,11 @@ class DriveDevice(Device):
         #: the simulated motor
         self.motor: Motor = Motor(load=float(options["load"])) if "load" in options else Motor()
         #: its end of the parameter channel
-        self.channel: ChannelServer = PkwServer(self.dialect, self.carry_out, refuse=self.refuse_order)
+        self.channel: ChannelServer = (
+            IndexedServer(self.dialect, self.access_by_index)
+            if isinstance(self.dialect, IndexedDialect)
+            else PkwServer(self.dialect, self.carry_out, refuse=self.refuse_order)
+        )
         #: record 47, for a subclass that has it among its ``records``
         self.record47: ParameterServer | None = None
         #: bits of the warnings that stand, as :meth:`warn` sets them
@@ -399,6 +404,27 @@ class DriveDevice(Device):
             return ReplyId.ERROR, error
         self.store.write(spec, raw)
         return reply, spec.pwe(raw)
+
+    def access_by_index(self, index: int, subindex: int, raw: int | None, octets: int) -> tuple[int, int]:
+        """Value and octets of a parameter of an :class:`IndexedDialect`, which is written if ``raw`` is not None."""
+        assert isinstance(self.dialect, IndexedDialect)
+        refusals = self.dialect.refusals
+        if (ordered := self.refusal(write=raw is not None)) is not None:
+            raise RefusedAccess(ordered)
+        spec = self.store.table.get(index, subindex)
+        if spec is None or spec.text:
+            raise RefusedAccess(refusals[ILLEGAL_NUMBER])
+        if raw is None:
+            actual = self.live(spec)
+            return (self.store.raw(spec) if actual is None else actual) & 0xFFFF_FFFF, 4
+        value = spec.from_wire(raw, 8 * octets)
+        error = spec.write_error(value)
+        if error is None and self.locked(spec):
+            error = OPERATING_STATE
+        if error is not None:
+            raise RefusedAccess(refusals[error])
+        self.store.write(spec, value)
+        return raw, octets
 
     def refresh(self, process: bytes | None, now: int) -> bytes:
         """An internal scan over octets, with words to and from :meth:`scan`; ``process`` None: invalid."""

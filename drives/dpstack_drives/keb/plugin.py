@@ -18,6 +18,7 @@ from dpstack.profile import (
     MappedCore,
     Options,
     ParamKey,
+    ParamRef,
     Scale,
     Setting,
     State,
@@ -34,7 +35,7 @@ from dpstack.profile import (
 )
 from dpstack_drives.keb import pdmap
 from dpstack_drives.keb import table as t
-from dpstack_drives.keb.channel import KebChannel, Target, find
+from dpstack_drives.keb.channel import KebChannel, find, target
 from dpstack_drives.keb.pdmap import Entry, PdMap
 
 #: names of control bits with a meaning here, and of status bits
@@ -249,7 +250,7 @@ class KebCore(MappedCore[PdMap]):
         return _FIRST[number][1], None if second is None else second[1]
 
     def _ask(self, deadline: int) -> Steps[int]:
-        return self._channel.get(Target(t.INVERTER_STATE, 1, "ru.00"), deadline)
+        return self._channel.get(target(t.INVERTER_STATE, 1, "ru.00"), deadline)
 
     # -- the process data maps (docs/reference/drives/keb-f5.md#process-data-map) --------------------------------------
 
@@ -277,7 +278,7 @@ class KebCore(MappedCore[PdMap]):
         return ParamKey(field.index, index=field.sets)
 
     def place_of(self, key: ParamKey) -> tuple[int, int]:
-        return find(key).index, 0
+        return find(key).pnu, 0
 
     def use_of(self, key: ParamKey) -> Use:
         """With record and enable of block 2, whose indexes the options give."""
@@ -411,8 +412,8 @@ class KebCore(MappedCore[PdMap]):
     def _get(self, index: int, subindex: int, deadline: int) -> Steps[int]:
         return self._channel.get(self._target(index, subindex), deadline)
 
-    def _target(self, index: int, subindex: int) -> Target:
-        return Target(index, subindex, f"{index:04X}h:{subindex}")
+    def _target(self, index: int, subindex: int) -> ParamRef:
+        return target(index, subindex, f"{index:04X}h:{subindex}")
 
 
 def _no_block2(name: str) -> str:
