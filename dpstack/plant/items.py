@@ -236,6 +236,7 @@ class DriveValues(Struct, frozen=True, kw_only=True):
     setpoint: Number | None = None
     speed: Number | None = None
     frequency_hz: Number | None = None
+    speed_rpm: Number | None = None
     current: Number | None = None
     torque: Number | None = None
     warnings: list[str] | None = None

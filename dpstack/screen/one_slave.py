@@ -134,8 +134,8 @@ def _drive(view: View, address: str, drive: DriveValues) -> list[Line]:
     quantities = []
     if drive.frequency_hz is not None:
         quantities.append(("frequency", f"{drive.frequency_hz:.2f} Hz"))
-    if known.reference_rpm and drive.speed is not None:
-        quantities.append(("revolutions", f"{drive.speed * known.reference_rpm:.0f} rpm"))
+    if drive.speed_rpm is not None:
+        quantities.append(("revolutions", f"{drive.speed_rpm:.0f} rpm"))
     shares = ("current", drive.current), ("torque", drive.torque)
     quantities += [(name, percent(share)) for name, share in shares if share is not None]
     lines += [[*_row(name, ""), *marked(text, told, style)] for name, text in quantities]

@@ -44,8 +44,8 @@ def judged(**changes: Any) -> dict[str, Any]:
 
 DRIVE = {
     "state": "fault", "running": False, "reached": False, "remote": True, "setpoint": 0.5, "speed": 0.1234,
-    "frequency_hz": 6.2, "current": 0.42, "torque": None, "warnings": [], "faults": ["F2100 overload"],
-    "words": ["0231"], "bits": ["fault"], "settings": "checked", "settings_texts": [],
+    "frequency_hz": 6.2, "speed_rpm": 185.1, "current": 0.42, "torque": None, "warnings": [],
+    "faults": ["F2100 overload"], "words": ["0231"], "bits": ["fault"], "settings": "checked", "settings_texts": [],
 }  # fmt: skip
 
 

@@ -191,6 +191,7 @@ def _drive_values(bus: BusBase, drive: Drive) -> DriveValues:
         setpoint=status.setpoint,
         speed=status.speed,
         frequency_hz=status.frequency_hz,
+        speed_rpm=status.speed_rpm,
         current=status.current,
         torque=status.torque,
         warnings=list(status.warnings),

@@ -34,6 +34,7 @@ WORDS: Final = (
     Spec("acknowledge", "", "acknowledge a fault until it is gone", ""),
     Spec("speed", "V", "the set point as a part of the reference: 0.5 or 50%", "0.5"),
     Spec("frequency", "V", "the set point in Hz", "25"),
+    Spec("rpm", "V", "the set point in rpm, if it is known what 100 % is in rpm", "750"),
     Spec("read", "P", "a parameter by number or name, in its unit", "480"),
     Spec("write", "P V", "writes a parameter in its unit", "480 20.5"),
     Spec(PARAMETERS, "", "the parameters that its plugin declares", ""),

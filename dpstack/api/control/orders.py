@@ -20,8 +20,10 @@ from dpstack.plant.orders import DriveOrder, ModeOrder, PlantOrder, SetOctets, S
 if TYPE_CHECKING:
     from dpstack.api.slave.drive import Drive
 
+#: orders that set the speed: as a part of the reference, in Hz, in rpm
+SET_POINTS: Final = ("speed", "frequency", "rpm")
 #: operations of a drive whose effect lasts only as long as a master sends it
-LASTING: Final = frozenset({"start", "speed", "frequency"})
+LASTING: Final = frozenset({"start", *SET_POINTS})
 
 
 async def carry_out(bus: Bus, order: PlantOrder, *, now: bool = False) -> object:
@@ -112,7 +114,7 @@ def drive_for(bus: Bus, which: str | int, operation: str, *, now: bool = False) 
 async def perform(drive: Drive, operation: str, values: Mapping[str, Any]) -> object:
     """Carry out an operation of ``drive``, which is the name of one of its methods, or of an order of its plugin.
     ``values``: its keyword arguments. Returns the result of the method, and raises its errors."""
-    if operation in ("speed", "frequency"):
+    if operation in SET_POINTS:
         return await drive.order(operation, **values)
     return await getattr(drive, operation)(**values)
 

@@ -33,6 +33,7 @@ class Status(TypedDict):
     setpoint: float
     speed: float | None
     frequency_hz: float | None
+    speed_rpm: NotRequired[float | None]
     current: float | None
     torque: float | None
     warnings: list[str]

@@ -21,7 +21,7 @@ from dpstack.dp.master.events import FaultKind
 from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.plant.orders import HALTS
 from dpstack.profile import DriveCore, DriveStatus, ListedParam
-from dpstack.profile.model.jobs import LARGEST
+from dpstack.profile.model.jobs import LARGEST, CommandError
 from dpstack.text import brief
 
 #: seconds: the plugin checks time-outs once a rotation; after this time its answer is late
@@ -128,6 +128,22 @@ class Drive(Sealed, Readable):
     @frequency.setter
     def frequency(self, hertz: float) -> None:
         self._set("frequency", hertz, self._core.reference_hz)
+
+    @property
+    def rpm(self) -> float:
+        """The speed set point in rpm, by the drive's reference. Raises UsageError if nobody knows that reference."""
+        return self.speed * self._reference_rpm
+
+    @rpm.setter
+    def rpm(self, rpm: float) -> None:
+        self._set("rpm", rpm, self._reference_rpm)
+
+    @property
+    def _reference_rpm(self) -> float:
+        try:
+            return self._core.known_rpm()
+        except CommandError as error:
+            raise UsageError(f"drive {self.name}: {error.text}") from None
 
     def _set(self, op: str, value: float, reference: float) -> None:
         if not is_number(value):

@@ -449,8 +449,9 @@ def _status_text(status: Mapping[str, Any]) -> str:
 
 
 def _speed_text(status: Mapping[str, Any], digits: int) -> str:
-    hz = status["frequency_hz"]
-    return f"{status['speed']:.{digits}%}" + ("" if hz is None else f" ({hz:.{digits}f} Hz)")
+    hz, rpm = status["frequency_hz"], status.get("speed_rpm")
+    units = ([] if hz is None else [f"{hz:.{digits}f} Hz"]) + ([] if rpm is None else [f"{rpm:.0f} rpm"])
+    return f"{status['speed']:.{digits}%}" + (f" ({', '.join(units)})" if units else "")
 
 
 def _plain(one: SavedParam) -> dict[str, object]:

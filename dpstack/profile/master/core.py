@@ -41,7 +41,7 @@ _STILL: Final = 0.005
 _MAY_TURN: Final = MOVING | {State.OFFLINE, State.UNKNOWN}
 _PARAMETERS: Final = ("read_many", "read", "write")
 #: The orders every drive knows, with the ones that move it first.
-OPS: Final = (*_MOTION, "speed", "frequency", "reached", "settled", *_PARAMETERS)
+OPS: Final = (*_MOTION, "speed", "frequency", "rpm", "reached", "settled", *_PARAMETERS)
 #: default time-outs in s; 15 s of that of acknowledge is the time some drives lock a fault
 _TIMEOUTS: Final = {
     "start": 5.0,
@@ -71,8 +71,8 @@ _CLEAR_NS: Final = NS_PER_S
 class DriveCore:
     """Implements :class:`dpstack.dp.process_image.CyclicPlugin` for one drive called ``name``.
 
-    ``profile``: the drive as the registry has it; ``options``: those of the drive, checked. An option ``reference_hz``
-    (the frequency that 100 % speed means) goes before the profile's.
+    ``profile``: the drive as the registry has it; ``options``: those of the drive, checked. The options
+    ``reference_hz`` and ``reference_rpm`` (frequency and speed that 100 % means) go before the profile's.
     """
 
     #: control word, status word, states
@@ -140,6 +140,8 @@ class DriveCore:
         self.telegram = telegram
         #: frequency in Hz that 100 % speed means
         self.reference_hz = float(options.get("reference_hz", profile.reference_hz))
+        #: speed in rpm that 100 % speed means; 0: not known
+        self.reference_rpm = float(options.get("reference_rpm", profile.reference_rpm))
         #: octets of the parameter channel in front of the process data
         self.offset: int = CHANNEL_LEN if telegram.channel else 0
         #: octets of the outputs for every way out
@@ -330,6 +332,7 @@ class DriveCore:
             setpoint=self.setpoint,
             speed=speed,
             frequency_hz=None if speed is None else speed * self.reference_hz,
+            speed_rpm=speed * self.reference_rpm if speed is not None and self.reference_rpm else None,
             current=current,
             torque=torque,
             warnings=self.warnings() if online else (),
@@ -509,6 +512,12 @@ class DriveCore:
         self._setpoint_word = word
         self.dirty = True
         self.update()
+
+    def known_rpm(self) -> float:
+        """The speed in rpm that 100 % means. Raises CommandError if nobody knows it."""
+        if not self.reference_rpm:
+            raise CommandError("usage", "nobody knows how many rpm 100 % is: give the drive its option reference_rpm")
+        return self.reference_rpm
 
     def stand_still(self, deadline: int) -> Steps[None]:
         """Send the idle control word and the set point 0, until the drive has seen them."""
@@ -767,6 +776,8 @@ class DriveCore:
                 return self._speed(args.number("value"))
             case "frequency":
                 return self._speed(args.number("value") / self.reference_hz)
+            case "rpm":
+                return self._speed(args.number("value") / self.known_rpm())
             case "reached":
                 return _reached(self, deadline, args.optional("tolerance"))
             case "settled":
@@ -791,7 +802,8 @@ class DriveCore:
         if fraction and (why := self.refuses_setpoint()) is not None:
             raise CommandError("fault", why)
         self.set_speed(fraction)
-        return {"value": fraction, "frequency_hz": fraction * self.reference_hz}
+        rpm = {"speed_rpm": fraction * self.reference_rpm} if self.reference_rpm else {}
+        return {"value": fraction, "frequency_hz": fraction * self.reference_hz, **rpm}
 
 
 # --- the orders that move a drive ---

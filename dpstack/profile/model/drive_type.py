@@ -83,6 +83,8 @@ class DriveType:
     #: user parameters for Set_Prm
     user_prm: bytes = b""
     fail_safe: bool = False
+    #: speed in rpm that 100 % speed means at the factory; 0: not known
+    reference_rpm: float = 0.0
     family: TelegramFamily | None = None
 
     def telegram(self, name: str | None = None) -> TelegramSpec:

@@ -42,6 +42,8 @@ class DriveStatus:
     speed: float | None
     #: ``speed`` in Hz, by the drive's reference; None as ``speed``
     frequency_hz: float | None
+    #: ``speed`` in rpm, by the drive's reference; None as ``speed``, and if nobody knows that reference
+    speed_rpm: float | None = None
     #: actual current as a part of the rated current; None if the telegram does not carry it
     current: float | None = None
     #: actual torque as a part of the rated torque; None if the telegram does not carry it

@@ -108,6 +108,8 @@ class LsCore(MappedCore[ParaMap]):
             self.scale = Scale("speed", full=1, span=0.01 / self.reference_hz)
         elif self._rpm:
             self.scale = Scale("speed", full=1, span=1 / float(options["reference_rpm"]))
+        else:  # no parameter tells what 100 % is in rpm
+            self.reference_rpm = 0.0
         safe = _SAFE if self._profile == t.PROFIDRIVE else self.table.word(Goal.IDLE, State.OFFLINE)
         self.safe_outputs = bytes(self.offset) + self.encode(safe, 0)
         if telegram.channel:
