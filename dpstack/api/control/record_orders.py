@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from msgspec import structs
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
+from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.arguments import hex_octets, within
 from dpstack.api.control.commands import Arguments, ParsedCommand, Spec, find_word
 from dpstack.api.control.control_server import LongCommand, Send, kept_alive
@@ -18,17 +20,23 @@ from dpstack.api.slave.class2 import Connection
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
 from dpstack.dpv1.pdu.im import Im, Im0
-from dpstack.errors import AcyclicError, BusError, SlaveFault, UsageError
-from dpstack.profile.record47 import Progress
+from dpstack.errors import AcyclicError, BusError, ParameterError, SlaveFault, UsageError
+from dpstack.profile import error_text
+from dpstack.profile.record47 import Address, ErrorValue, Progress, ReadParameter, Values, format_of
+from dpstack.profile.record47.formats import VISIBLE_STRING
+from dpstack.profile.record47.param_lists import item_of
 from dpstack.text import number_or_name
 
 PARAMETERS: Final = "parameters"
+#: one parameter of record 47
+PARAMETER: Final = "parameter"
 WORDS: Final = (
     Spec("read", "SLOT INDEX [LENGTH]", "a record, as hex; LENGTH: the most octets to read", "1 47"),
     Spec("write", "SLOT INDEX HEX", "all octets of a record", "1 47 00FF"),
     Spec(
         PARAMETERS, "[SLOT] [OBJECT]", "the device's own list of parameters (PROFIdrive, 980 to 989), all values", "1"
     ),
+    Spec(PARAMETER, "PNU [SLOT] [OBJECT]", "one parameter: 1120, 947:3 (an element); 1120=2.5 writes it", "1120"),
     Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that it says there are", ""),
 )
 #: orders of `dpstack acyclic` only, by means of PARAMETERS: a run writes no files
@@ -50,6 +58,16 @@ def parse_order(word: str, args: Sequence[str], *, class2: bool = False, who: st
     return find_word(word, (*WORDS, TRANSPORT) if class2 else WORDS, who).order(args, _ARGUMENTS)
 
 
+def check_order(order: ParsedCommand, slave: SlaveConfig) -> None:
+    """Raises UsageError for a write of a parameter past the plugin of a drive."""
+    wanted = order.values.get("wanted")
+    if slave.profile is not None and isinstance(wanted, _Wanted) and wanted.value is not None:
+        raise UsageError(
+            f"{slave.name} has the plugin {slave.profile.name}, which knows limits and what must not change while the "
+            f"motor turns: `dpstack drive CONFIG {slave.name} write {wanted.pnu} {wanted.value}` writes it"
+        )
+
+
 def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> LongCommand:
     """``SLAVE ORDER [ARG]...`` to a slave of a run; with ``class2`` over a new connection, which is closed afterwards.
     A client that closes its socket cancels the order.
@@ -68,6 +86,7 @@ def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> LongCom
             f"run; {PARAMETERS} gives the same list"
         )
     order = parse_order(word, texts, class2=class2, who=who)
+    check_order(order, slave.config)
     progress: list[object] = []
 
     def sign() -> dict[str, object]:
@@ -117,6 +136,11 @@ async def carry_out(
         case "parameters":
             place = {"slot": 1, "object": 1, **values}
             return {**head, **place, **await _all_parameters(slave, place, progress)}
+        case "parameter":
+            wanted: _Wanted = values["wanted"]
+            place = {name: values.get(name, 1) for name in ("slot", "object")}
+            answer = {**head, **place, "index": wanted.element, "written": wanted.value is not None}
+            return {**answer, "parameter": await _one_parameter(slave, wanted, place)}
         case _:
             return {**head, "slot": values.get("slot", 0), "im": await _all_im(slave, values.get("slot", 0))}
 
@@ -130,6 +154,71 @@ async def _all_parameters(
     parameters = slave.parameters(**place)
     found = await parameters.read_out(progress=counter("values"), describing=counter("descriptions"))
     return {"ident": await _ident_of(slave), "parameters": [ListedValues.of(one).as_dict() for one in found]}
+
+
+class _Wanted(NamedTuple):
+    """A parameter as typed: an element of an array; ``value``: text to write, None to read."""
+
+    pnu: int
+    element: int | None
+    value: str | None
+
+
+async def _one_parameter(slave: Slave | Connection, wanted: _Wanted, place: dict[str, int]) -> dict[str, object]:
+    """Read a parameter over record 47, or write it and read it back. Raises ParameterError with the drive's reason."""
+    has_plugin = isinstance(slave, Slave) and slave.config.profile is not None
+    parameters = slave.parameters(**place)
+    try:
+        (description,) = await parameters.describe([wanted.pnu])
+    except (ParameterError, SlaveFault, UsageError) as error:
+        if not has_plugin:
+            raise
+        advice = f"`dpstack drive CONFIG {slave.name} read {wanted.pnu}`"
+        raise UsageError(f"{error}; {advice} asks over the parameter channel of its telegram") from None
+
+    async def read() -> ReadParameter:
+        item = item_of(wanted.pnu, description)
+        if wanted.element is not None:
+            item = item._replace(address=Address(wanted.pnu, wanted.element, 1))
+        (result,) = await parameters.read([item])
+        if isinstance(result, ErrorValue):
+            raise ParameterError(slave.name, result.number, f"{slave.name}: {item.address}: {error_text(*result)}")
+        return ReadParameter(wanted.pnu, description, result)
+
+    found = await read()
+    if wanted.value is not None:
+        address = Address(wanted.pnu, wanted.element or 0, 0 if wanted.element is None else 1)
+        (result,) = await parameters.change([(address, _values_of(found, wanted.value, str(address)))])
+        if isinstance(result, ErrorValue):
+            raise ParameterError(slave.name, result.number, f"{slave.name}: {address}: {error_text(*result)}")
+        found = await read()
+    return ListedValues.of(found).as_dict()
+
+
+def _values_of(found: ReadParameter, text: str, what: str) -> Values:
+    """``text`` in the format of the parameter, as the drive answers it. Raises UsageError."""
+    form, result = found.format, found.result
+    assert form is not None
+    assert isinstance(result, Values)
+    if len(found.values) != 1:
+        raise UsageError(f"{what} has {len(found.values)} values: write an element of it, {found.pnu}:0=VALUE")
+    try:
+        value = text if form.number == VISIBLE_STRING else float(text) if "." in text or "e" in text else int(text, 0)
+        octets = form.pack((form.raw(value),))
+        return Values(result.format, format_of(result.format).unpack(octets))
+    except ValueError as error:
+        raise UsageError(f"{what} = {text}: {error}") from None
+
+
+def _wanted(text: str) -> _Wanted:
+    match = _WANTED.fullmatch(text)
+    if match is None:
+        raise UsageError(f"{text!r}: write a parameter as 1120, 947:3 (an element of an array) or 1120=2.5")
+    pnu, element, value = match.groups()
+    highest = 0xFFFF
+    return _Wanted(
+        _number("PNU", highest, pnu), None if element is None else _number("element", highest, element), value
+    )
 
 
 async def _ident_of(slave: Slave | Connection) -> int:
@@ -162,8 +251,10 @@ def _number(name: str, highest: int, text: str) -> int:
     return within(text, read, 0, highest, f"{name}: write a number 0..{highest}, 0x2F for instance")
 
 
+_WANTED: Final = re.compile(r"(\w+)(?::(\w+))?(?:=(.*))?", re.DOTALL)
 #: the names in the usages of :data:`WORDS`, as keyword arguments of the methods of a slave
 _ARGUMENTS: Final[Arguments] = {
+    "PNU": ("wanted", _wanted),
     "HEX": ("data", functools.partial(hex_octets, advice="write octets as 00FF")),
     **{
         name: (name.lower(), functools.partial(_number, name, highest))

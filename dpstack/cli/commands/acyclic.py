@@ -21,10 +21,11 @@ from dpstack.api.control.record_orders import (
     WORDS,
     OnProgress,
     carry_out,
+    check_order,
     parse_order,
 )
 from dpstack.api.control.remote import through_run
-from dpstack.api.lists.record_list import RecordList, compared, list_of
+from dpstack.api.lists.record_list import ListedValues, RecordList, compared, list_of
 from dpstack.api.slave.class2 import Connection
 from dpstack.api.slave.slave import Slave
 from dpstack.cli import options
@@ -50,6 +51,7 @@ def add_to(parser: Parser) -> None:
     parser.epilog = (
         "example: dpstack acyclic plant.toml 8 read 1 47\n"
         "         dpstack acyclic plant.toml valves write 1 47 00FF\n"
+        "         dpstack acyclic plant.toml 8 parameter 1120\n"
         "         dpstack acyclic plant.toml 8 im\n"
         "         dpstack acyclic plant.toml 8 im --class 2\n"
         "         dpstack acyclic plant.toml 8 dump pump.toml\n\norders:\n"
@@ -88,6 +90,7 @@ def execute(args: argparse.Namespace) -> int:
     if args.all and args.order != COMPARE:
         raise UsageError(f"--all is for {COMPARE}: leave it out")
     request = _Request(config, on_bus.slave_of(config, args.slave), order, args.order, args.master, args.address)
+    check_order(order, request.slave)
     if args.order == DUMP:
         with RecordList.file(path, request.slave.name) as file:
             answer = request.answer()
@@ -200,6 +203,11 @@ def _show(answer: Mapping[str, Any]) -> None:
             listed = [(one.number, one.name, one.format, one.text, "ro" * one.read_only) for one in found.parameters]
             title = f"{who}: {len(listed)} parameters of slot {found.slot}, object {found.object}"
             output.table(title, ("number", "name", "format", "values", ""), listed)
+        case "parameter":
+            found_one = ListedValues.from_dict(answer["parameter"])
+            element = "" if answer["index"] is None else f"[{answer['index']}]"
+            written = ", written and read back" if answer["written"] else ""
+            output.line(f"{who}: {found_one.label}{element} = {found_one.text} ({found_one.format}{written})")
         case "write":
             output.line(
                 f"{who}: slot {answer['slot']}, index {answer['index']}: {octets_text(answer['length'])} written"

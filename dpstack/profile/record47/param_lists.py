@@ -283,7 +283,7 @@ def read_out(
     descriptions: list[Description | None] = [None] * len(pnus)
     if described:
         descriptions = yield from describe(client, pnus, deadline, describing)
-    items = [_item(pnu, one) for pnu, one in zip(pnus, descriptions, strict=True)]
+    items = [item_of(pnu, one) for pnu, one in zip(pnus, descriptions, strict=True)]
     results = yield from client.read(items, deadline, progress)
     found = [ReadParameter(*one) for one in zip(pnus, descriptions, results, strict=True)]
     if described:
@@ -321,7 +321,8 @@ def _array(client: ParameterClient, first: ReadParameter, deadline: int) -> Tran
     return Values(form, raws)
 
 
-def _item(pnu: int, description: Description | None) -> Item:
+def item_of(pnu: int, description: Description | None) -> Item:
+    """What to read of a parameter: an array or a string whole, if its description is known."""
     if description is None:
         return Item(Address(pnu))
     form = FORMATS.get(description.format)

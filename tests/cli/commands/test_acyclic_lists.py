@@ -81,7 +81,13 @@ class Device(ParameterModel):
         return ErrorValue(0x0F)
 
     def change(self, address: Address, values: Values) -> ErrorValue | None:
-        return ErrorValue(1)
+        found = self.values[address.pnu]
+        if address.pnu in self.read_only or found.format != values.format:
+            return ErrorValue(1 if address.pnu in self.read_only else 5)
+        raws = list(found.raws)
+        raws[address.subindex : address.subindex + len(values.raws)] = values.raws
+        self.values[address.pnu] = Values(found.format, tuple(raws))
+        return None
 
 
 pytestmark = pytest.mark.usefixtures("alone")
@@ -163,6 +169,56 @@ def test_the_list_as_a_table_and_as_json(run: Cli) -> None:
         8,
     )
     assert told["parameters"][1] == {"number": 12, "name": "Ramps", "format": "Integer16", "values": [1, -2, 3]}
+
+
+@pytest.mark.parametrize("class2", [(), ("--class", "2")])
+def test_one_parameter_is_read_and_written(run: Cli, device: Device, class2: tuple[str, ...]) -> None:
+    for order, line in (
+        ("11", "parameter 11 (Node address) = 7 (Unsigned16)"),
+        ("0xC", "parameter 12 (Ramps) = 1, -2, 3 (Integer16)"),
+        ("12:1", "parameter 12 (Ramps)[1] = -2 (Integer16)"),
+        ("12:1=5", "parameter 12 (Ramps)[1] = 5 (Integer16, written and read back)"),
+        ("13=2", "parameter 13 = 2.0 (FloatingPoint, written and read back)"),
+        ("17=-0.5", "parameter 17 (Speed) = -0.5 (N2, written and read back)"),  # N2, which it answers as a word
+        ("14=abc", "parameter 14 = 'abc' (VisibleString, written and read back)"),
+    ):
+        assert run.out("8", "parameter", order, *class2).splitlines() == [f"slave 8 (pump): {line}"], order
+    assert device.values[13] == Values(8, (2.0,))
+    assert device.values[17] == Values(0x42, (0xE000,))
+    told = run.json("pump", "parameter", "12:1", "1", "1", *class2)
+    assert (told["slot"], told["object"], told["index"], told["written"]) == (1, 1, 1, False)
+    assert told["parameter"] == {"number": 12, "name": "Ramps", "format": "Integer16", "values": [5]}
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize(
+    ("order", "code", "text"),
+    [
+        ("18", 1, "pump: parameter 18: error 11, no operation priority"),
+        ("12:9", 1, "pump: parameter 12[9]: error 3, invalid subindex"),
+        ("11=8", 1, "pump: parameter 11: error 1, the value cannot be modified"),
+        ("12=8", 2, "parameter 12 has 3 values: write an element of it, 12:0=VALUE"),
+        ("13=x", 2, "parameter 13 = x: "),
+        ("17=0.1", 2, "parameter 17 = 0.1: N2: 0.1 lies between two values"),
+        ("70000", 2, "'70000' is no PNU: write a number 0..65535"),
+        ("12:", 2, "'12:': write a parameter as 1120, 947:3 (an element of an array) or 1120=2.5"),
+    ],
+)
+def test_one_parameter_that_cannot_be_had(run: Cli, order: str, code: int, text: str) -> None:
+    assert text in run.err("8", "parameter", order, code=code)
+
+
+def test_one_parameter_of_a_drive_with_a_plugin(cli: Cli, tmp_path: Path) -> None:
+    drives = [
+        {"name": "fan", "address": 7, "drive": "fuji-frenic"},
+        {"name": "pump", "address": 8, "drive": "ls-s100"},
+    ]
+    run = cli.of("acyclic", str(plant_file(tmp_path, *drives)))
+    assert run.out("pump", "parameter", "930") == "slave 8 (pump): parameter 930 = 1 (Unsigned16)\n"
+    # past the plugin nothing is written, whose rules protect the motor
+    assert "`dpstack drive CONFIG pump write 930 1` writes it" in run.err("pump", "parameter", "930=1", "--class", "2")
+    said = run.err("fan", "parameter", "947")
+    assert "`dpstack drive CONFIG fan read 947` asks over the parameter channel of its telegram" in said
 
 
 @pytest.mark.usefixtures("device")
