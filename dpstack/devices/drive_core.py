@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Final
 
 from dpstack.devices.model import DeviceFile, WordSpec
 from dpstack.errors import ConfigError
+from dpstack.profile.channel.base import ParamKey
 from dpstack.profile.master.core import DriveCore
 from dpstack.profile.master.settings import Setting, equal
 from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
-from dpstack.profile.model.jobs import Args, CommandError, Steps
+from dpstack.profile.model.jobs import LARGEST, Args, CommandError, Steps
 
 #: the order that sets free words of the outputs
 SET: Final = "set"
@@ -52,7 +54,7 @@ class DeclaredCore(DriveCore):
         return next((one.text for one in self.file.obstacles if word & one.mask == one.value), None)
 
     def settings(self) -> Sequence[Setting]:
-        found = []
+        found = [*self._references()]
         for one in self.file.settings:
             wanted = self._wanted(one.equals)
             if wanted is None:
@@ -70,6 +72,37 @@ class DeclaredCore(DriveCore):
                 )
             )
         return found
+
+    def _references(self) -> Iterator[Setting]:
+        """What 100 % is, where a parameter of the drive holds it: compared with the option, or learned."""
+        for unit in ("Hz", "rpm"):
+            option = f"reference_{unit.lower()}"
+            parameter = getattr(self.file.reference, unit.lower())
+            if not isinstance(parameter, str):
+                continue
+            if given := self._wanted(option):
+                remedy = f"set {parameter} = {given:g}, or the option {option} = {{}}"
+                yield equal(parameter, given, remedy, unit=unit, why=f"it is 100 % of the speed ({option})")
+            else:
+                yield Setting(
+                    wanted=f"{parameter} (100 % in {unit})",
+                    keys=(ParamKey(parameter),),
+                    differs=partial(self._learn, option, parameter),
+                    refuse=False,
+                    why=f"it is what 100 % of the speed means in {unit}: it is read from the drive",
+                )
+
+    def _learn(self, option: str, parameter: str, values: Sequence[float]) -> str | None:
+        """The drive has said what 100 % is."""
+        (value,) = values
+        setattr(self, option, value if 0 < value < LARGEST else 0.0)
+        return None if value > 0 else f"{parameter} is {value:g}: nobody knows what 100 % of the speed is"
+
+    def lost(self, now: int) -> None:
+        super().lost(now)
+        for unit in ("hz", "rpm"):  # another drive may come back
+            if isinstance(getattr(self.file.reference, unit), str):
+                setattr(self, f"reference_{unit}", self._wanted(f"reference_{unit}") or 0.0)
 
     def _wanted(self, equals: float | str) -> float | None:
         if not isinstance(equals, str):

@@ -51,7 +51,7 @@ def profile_of(file: DeviceFile) -> DriveProfile:
     options = dict(file.options)
     for name, text in _REFERENCES.items():
         given = getattr(file.reference, name.removeprefix("reference_"))
-        if given and name not in options:
+        if name not in options and (given or not file.python):
             default = 0.0 if isinstance(given, str) else float(given)
             more = f"; 0: {given} of the drive says it" if isinstance(given, str) else ""
             options[name] = OptionSpec(default=default, low=0, high=1_000_000, text=text + more)
@@ -60,7 +60,7 @@ def profile_of(file: DeviceFile) -> DriveProfile:
         ready = {one.parameter: one.equals for one in file.settings if isinstance(one.equals, (int, float))}
     chosen = file.telegram_parameter
     numbers = {name: one.number for name, one in file.telegrams.items() if one.number is not None}
-    hz = file.reference.hz
+    hz, rpm = (one if isinstance(one, (int, float)) else 0.0 for one in (file.reference.hz, file.reference.rpm))
     return DriveProfile(
         name=file.name,
         title=file.title,
@@ -73,7 +73,8 @@ def profile_of(file: DeviceFile) -> DriveProfile:
         max_tsdr=bus.max_tsdr,
         min_slave_interval_ns=bus.min_slave_interval_us * 1000,
         fail_safe=bus.fail_safe,
-        reference_hz=hz if isinstance(hz, (int, float)) else 0.0,
+        reference_hz=hz,
+        reference_rpm=rpm,
         on_loss=file.on_loss,
         core_factory=core,
         device_factory=device,

@@ -179,6 +179,10 @@ class Reader:
         telegrams = self._telegrams(table, words, gsd)
         control, status, states, own = self._control(table)
         run, steady = own["run"], own["goals"]
+        named = table.raw("reference")
+        self._reference_parameters = (
+            {one for one in named.values() if isinstance(one, str)} if isinstance(named, dict) else set()
+        )
         parameters = self._parameters(table)
         self._options(table)
         first = next((one for one in telegrams if one in self._own.get("telegrams", {})), next(iter(telegrams), ""))
@@ -653,7 +657,8 @@ class Reader:
     def _parameter(self, table: Table, name: str, number: int, given: Mapping[str, Any]) -> ParamSpec:
         if "per_unit" in given and not given["per_unit"]:
             table.fail("per_unit", "per_unit = 0: a scale of zero", "give the counts that make 1")
-        use = given.get("use", "setting" if given.get("standstill") else "")
+        reference = self._reference_parameters
+        use = given.get("use", "scale" if name in reference else "setting" if given.get("standstill") else "")
         rest = {key: given[key] for key in _SPEC_KEYS if key in given}
         try:
             return ParamSpec(

@@ -97,11 +97,13 @@ def _address_step(core: DriveCore, address: int) -> Iterable[DescribedStep]:
 
 def speed_range(core: DriveCore, source: str = _PLUGIN, meaning: str = "the reference") -> DescribedRange:
     """Range and scale of set point and actual speed in Hz; ``meaning`` names what 100 % is in the drive."""
-    low, high = (part * core.reference_hz for part in core.scale.limits)
-    full = core.scale.encode(1.0)
+    full, reference, unit = core.scale.encode(1.0), core.reference_hz, "Hz"
+    if not reference:
+        reference, unit = (core.reference_rpm, "rpm") if core.reference_rpm else (100.0, "%")
+    low, high = (part * reference for part in core.scale.limits)
     return DescribedRange(
         name="set point, actual speed",
-        range=f"{low:g}..{high:.6g} Hz",
-        wire=f"{full:04X}h = {core.reference_hz:g} Hz ({meaning}), two's complement",
+        range=f"{low:g}..{high:.6g} {unit}",
+        wire=f"{full:04X}h = {reference:g} {unit} ({meaning}), two's complement",
         source=source,
     )

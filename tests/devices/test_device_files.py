@@ -108,6 +108,62 @@ async def test_free_words_are_set_and_named_values_are_read_by_name() -> None:
         assert fan.outputs.hex(" ", 2) == "047e 2000 4000 0000 0000 1234"  # back at its neutral value, and not running
 
 
+BY_DRIVE = """
+format = 1
+name = "asked"
+base = "profidrive"
+
+[telegrams]
+1 = { out = ["control", "setpoint"], in = ["status", "speed"] }
+
+[reference]
+rpm = "p2000"
+
+[channel]
+dialect = "paged"
+
+[parameters]
+p2000 = { number = 2000, type = "f32", unit = "rpm", low = 6, high = 210000, factory = 3000 }
+"""
+
+
+async def test_the_reference_is_read_from_the_drive_and_again_when_it_changes(tmp_path: Path) -> None:
+    (tmp_path / "asked.toml").write_text(BY_DRIVE)
+    asked = SAMPLE | {"drive": str(tmp_path / "asked.toml"), "telegram": "PPO1", "simulated": {"p2000": 1500}}
+    async with bus_of(asked) as bus:
+        drive = bus.drive("fan")
+        with pytest.raises(dpstack.UsageError, match="nobody knows how many rpm 100 % is"):
+            drive.rpm = 750
+        await bus.ready()
+        await bus.operate()
+        await bus.until(lambda: drive.status.reference_rpm is not None, 5)
+        drive.rpm = 750
+        await drive.start()
+        await drive.reached()
+        assert drive.status.speed_rpm == pytest.approx(750, abs=10)
+        assert drive.slave.outputs[-4:].hex(" ", 2) == "047f 2000"
+        with pytest.raises(dpstack.UsageError, match="nobody knows how many Hz 100 % is"):
+            drive.frequency = 25
+        await drive.stop()
+        assert (await drive.write("p2000", 3000)).value == 3000
+        await bus.until(lambda: drive.status.reference_rpm == 3000, 5)
+        drive.rpm = 750
+        await bus.rotated(bus.stats.rotations + 2, 10)
+        assert drive.slave.outputs[-4:].hex(" ", 2) == "047e 1000"
+
+
+async def test_a_given_reference_is_compared_with_that_of_the_drive(tmp_path: Path) -> None:
+    (tmp_path / "asked.toml").write_text(BY_DRIVE)
+    asked = SAMPLE | {"drive": str(tmp_path / "asked.toml"), "telegram": "PPO1", "reference_rpm": 1500}
+    async with bus_of(asked) as bus:
+        await bus.ready()
+        await bus.operate()
+        with pytest.raises(
+            dpstack.DriveFault, match="p2000 is 3000 rpm, not 1500 rpm: set p2000 = 1500, or the option ref"
+        ):
+            await bus.drive("fan").start()
+
+
 async def test_the_bus_process_gets_the_file_that_was_read(tmp_path: Path) -> None:
     from dpstack.devices.finding import profile_at
 

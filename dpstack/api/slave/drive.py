@@ -122,26 +122,30 @@ class Drive(Sealed, Readable):
 
     @property
     def frequency(self) -> float:
-        """The speed set point in Hz, by the drive's reference."""
-        return self.speed * self._core.reference_hz
+        """The speed set point in Hz, by the drive's reference. Raises UsageError while nobody knows that reference."""
+        return self.speed * self._reference("Hz")
 
     @frequency.setter
     def frequency(self, hertz: float) -> None:
-        self._set("frequency", hertz, self._core.reference_hz)
+        self._set("frequency", hertz, self._reference("Hz"))
 
     @property
     def rpm(self) -> float:
-        """The speed set point in rpm, by the drive's reference. Raises UsageError if nobody knows that reference."""
-        return self.speed * self._reference_rpm
+        """The speed set point in rpm, by the drive's reference. Raises UsageError while nobody knows that reference."""
+        return self.speed * self._reference("rpm")
 
     @rpm.setter
     def rpm(self, rpm: float) -> None:
-        self._set("rpm", rpm, self._reference_rpm)
+        self._set("rpm", rpm, self._reference("rpm"))
 
-    @property
-    def _reference_rpm(self) -> float:
+    def _reference(self, unit: str) -> float:
+        """What 100 % means, as the plugin knows it: the drive itself may have said it."""
+        status = self.status
+        known = status.reference_hz if unit == "Hz" else status.reference_rpm
+        if known:
+            return known
         try:
-            return self._core.known_rpm()
+            return self._core.known_reference(unit)
         except CommandError as error:
             raise UsageError(f"drive {self.name}: {error.text}") from None
 

@@ -138,7 +138,7 @@ class DriveCore:
         self.title = f"drive {name} ({profile.name})"
         #: telegram in use
         self.telegram = telegram
-        #: frequency in Hz that 100 % speed means
+        #: frequency in Hz that 100 % speed means; 0: not known
         self.reference_hz = float(options.get("reference_hz", profile.reference_hz))
         #: speed in rpm that 100 % speed means; 0: not known
         self.reference_rpm = float(options.get("reference_rpm", profile.reference_rpm))
@@ -331,7 +331,7 @@ class DriveCore:
             remote=self.remote(word),
             setpoint=self.setpoint,
             speed=speed,
-            frequency_hz=None if speed is None else speed * self.reference_hz,
+            frequency_hz=speed * self.reference_hz if speed is not None and self.reference_hz else None,
             speed_rpm=speed * self.reference_rpm if speed is not None and self.reference_rpm else None,
             current=current,
             torque=torque,
@@ -339,6 +339,8 @@ class DriveCore:
             faults=self.faults() if online else (),
             words=self.words if online else (),
             bits=bits.names(word),
+            reference_hz=self.reference_hz or None,
+            reference_rpm=self.reference_rpm or None,
             settings=self.settings_check.state,
             settings_texts=self.settings_check.texts,
         )
@@ -513,11 +515,13 @@ class DriveCore:
         self.dirty = True
         self.update()
 
-    def known_rpm(self) -> float:
-        """The speed in rpm that 100 % means. Raises CommandError if nobody knows it."""
-        if not self.reference_rpm:
-            raise CommandError("usage", "nobody knows how many rpm 100 % is: give the drive its option reference_rpm")
-        return self.reference_rpm
+    def known_reference(self, unit: str) -> float:
+        """What 100 % speed means in ``unit``, Hz or rpm. Raises CommandError if nobody knows it."""
+        name = f"reference_{unit.lower()}"
+        known: float = getattr(self, name)
+        if not known:
+            raise CommandError("usage", f"nobody knows how many {unit} 100 % is: give the drive its option {name}")
+        return known
 
     def stand_still(self, deadline: int) -> Steps[None]:
         """Send the idle control word and the set point 0, until the drive has seen them."""
@@ -775,9 +779,9 @@ class DriveCore:
             case "speed":
                 return self._speed(args.number("value"))
             case "frequency":
-                return self._speed(args.number("value") / self.reference_hz)
+                return self._speed(args.number("value") / self.known_reference("Hz"))
             case "rpm":
-                return self._speed(args.number("value") / self.known_rpm())
+                return self._speed(args.number("value") / self.known_reference("rpm"))
             case "reached":
                 return _reached(self, deadline, args.optional("tolerance"))
             case "settled":
@@ -803,7 +807,8 @@ class DriveCore:
             raise CommandError("fault", why)
         self.set_speed(fraction)
         rpm = {"speed_rpm": fraction * self.reference_rpm} if self.reference_rpm else {}
-        return {"value": fraction, "frequency_hz": fraction * self.reference_hz, **rpm}
+        hz = {"frequency_hz": fraction * self.reference_hz} if self.reference_hz else {}
+        return {"value": fraction, **hz, **rpm}
 
 
 # --- the orders that move a drive ---

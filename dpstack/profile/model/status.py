@@ -55,6 +55,9 @@ class DriveStatus:
     #: the process data as received, 16 bits each
     words: tuple[int, ...] = ()
     bits: tuple[str, ...] = ()
+    #: frequency in Hz and speed in rpm that 100 % means; None while nobody knows it
+    reference_hz: float | None = None
+    reference_rpm: float | None = None
     #: result of the comparison of the drive's settings with those that its plugin relies on
     settings: SettingsState = SettingsState.NONE
     #: settings that differ, were not checked, or were written and do not yet act, one line each
@@ -80,13 +83,16 @@ class DriveStatus:
             setpoint=self.setpoint,
             speed=None,
             frequency_hz=None,
+            reference_hz=self.reference_hz,
+            reference_rpm=self.reference_rpm,
             settings=self.settings,
             settings_texts=self.settings_texts,
         )
 
     def as_dict(self) -> dict[str, object]:
-        """Plain JSON data; words as four hex digits."""
-        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        """Plain JSON data; words as four hex digits. The references are left out: they do not change as values do."""
+        names = (field.name for field in dataclasses.fields(self) if not field.name.startswith("reference_"))
+        found = {name: getattr(self, name) for name in names}
         lists = {name: list(value) for name, value in found.items() if isinstance(value, tuple)}
         words = [f"{word:04X}" for word in self.words]
         return found | lists | {"words": words, "state": str(self.state), "settings": str(self.settings)}
