@@ -69,7 +69,18 @@ class SlaveImage:
     ns, 0 before the first exchange.
     """
 
-    __slots__ = ("input_len", "input_time", "inputs", "latched", "next_outputs", "output_len", "plugin", "valid")
+    __slots__ = (
+        "input_len",
+        "input_time",
+        "inputs",
+        "latched",
+        "next_outputs",
+        "output_len",
+        "plugin",
+        "returns",
+        "valid",
+        "withheld",
+    )
 
     def __init__(self, input_len: int, output_len: int, outputs: bytes) -> None:
         self.input_len = input_len
@@ -83,6 +94,10 @@ class SlaveImage:
         self.next_outputs = outputs
         #: the outputs as they were when the round began, copied for all slaves at the same moment
         self.latched = outputs
+        #: the outputs that the application had set before :meth:`withhold`, until it sets outputs anew
+        self.withheld: bytes | None = None
+        #: number of calls of :meth:`withhold`
+        self.returns = 0
 
     @property
     def outputs(self) -> bytes:
@@ -98,6 +113,13 @@ class SlaveImage:
                 f"{octets_text(len(octets))} of outputs given, the slave's configuration has {self.output_len}"
             )
         self.next_outputs = octets
+
+    def withhold(self, safe: bytes) -> None:
+        """Make the outputs ``safe``, until the application sets others. :attr:`withheld` keeps those from before."""
+        if self.next_outputs != safe:
+            self.withheld = self.next_outputs
+            self.next_outputs = self.latched = safe
+        self.returns += 1
 
 
 def image_of(setup: SlaveParams, before: SlaveImage | None = None) -> SlaveImage:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
@@ -93,7 +93,10 @@ class SlaveParams:
     number until Set_Prm, and takes over the one in it. ``config`` are the identifier octets of Chk_Cfg
     (1..244), ``user_prm`` the octets after the seven fixed ones of Set_Prm (0..237). ``watchdog_ms`` 0 is off,
     None lets the master choose from the plan. ``safe`` are the output octets for every way out (default zeros),
-    ``initial`` the first ones (default ``safe``). ``groups`` are group numbers 1..8. ``every``: every n-th round.
+    ``initial`` the first ones (default ``safe``). ``after_return`` "safe": each time that the slave was away its
+    outputs stay at their safe values until they are set anew
+    (docs/reference/decisions/master.md#outputs-after-a-slave-was-away). ``groups`` are group numbers 1..8. ``every``:
+    every n-th round.
     ``wd_base_1ms``: a DP-V1 slave with a watchdog base of 1 ms; its user parameters begin with DPV1_Status_1..3.
     ``dpv1``: DPV1_Enable and what goes with it, for a slave whose user parameters begin so; None: nothing of it.
     ``fail_safe``: it gets empty frames in Clear; ``fail_safe_told``: DPV1_Status_1 says whether, also without ``dpv1``.
@@ -116,6 +119,7 @@ class SlaveParams:
     freeze: bool = False
     safe: bytes = b""
     initial: bytes | None = None
+    after_return: Literal["resume", "safe"] = "resume"
     fail_safe: bool = False
     fail_safe_told: bool = False
     every: int = 1

@@ -41,6 +41,8 @@ class SlaveSnapshot(Struct, frozen=True):
     diagnoses: int = 0
     #: time in ns at which it was read
     diagnosis_ns: int = 0
+    #: outputs that wait to be set anew, see :class:`dpstack.dp.process_image.SlaveImage`
+    withheld: bytes | None = None
 
 
 class ImageSnapshot(NamedTuple):
@@ -48,7 +50,7 @@ class ImageSnapshot(NamedTuple):
 
     ``exchanges``: successful ones since the start. ``announced``: an answer with DH has announced a diagnosis that is
     not read yet. ``diagnoses``: as in :class:`SlaveSnapshot`; it is higher there or here, if one comes later than the
-    other.
+    other. ``returns``: how many times the outputs were made safe until they are set anew.
     """
 
     inputs: bytes
@@ -58,6 +60,7 @@ class ImageSnapshot(NamedTuple):
     input_time: int
     announced: bool = False
     diagnoses: int = 0
+    returns: int = 0
 
 
 class BusSnapshot(Struct, frozen=True):

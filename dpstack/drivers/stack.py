@@ -121,6 +121,7 @@ class Stack:
             reports.observer.standing,
             reports.diagnoses,
             reports.diagnosis_ns,
+            handler.image.withheld,
         )
 
     def bring_ups(self, address: int) -> History:
@@ -135,7 +136,7 @@ class Stack:
         return no_image(setup) if handler is None else image_snapshot(handler)
 
     def set_outputs(self, address: int, octets: bytes) -> None:
-        self.master.handlers[address].image.outputs = octets
+        self.master.handlers[address].set_outputs(octets)
 
     def counted(self) -> Counters:
         """The live counters; the machines go on changing them."""
@@ -183,4 +184,5 @@ def image_snapshot(handler: SlaveHandler) -> ImageSnapshot:
         image.input_time,
         reports.flagged > 0,
         reports.diagnoses,
+        image.returns,
     )

@@ -291,6 +291,7 @@ class SlaveValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     inputs_limit_ms: Number | None = None
     fields: dict[str, Any] | None = None
     held_fields: dict[str, Any] | None = None
+    withheld: bool | None = None
     quality: QualityValues | None = None
     qualities: dict[str, QualityValues] | None = None
     doubts: list[DoubtValues] | None = None

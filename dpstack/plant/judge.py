@@ -18,7 +18,10 @@ from dpstack.trace import Severity
 
 #: keys of a slave that :func:`judged` looks at
 JUDGED: Final = frozenset(
-    {"state", "inputs_valid", "quality", "qualities", "doubts", "fault", "conspicuous", "drive", "injected", "master"}
+    {
+        *("state", "inputs_valid", "quality", "qualities", "doubts", "fault", "conspicuous", "withheld", "drive"),
+        *("injected", "master"),
+    }
 )
 
 
@@ -63,6 +66,7 @@ _ANNOUNCED: Final = Reason.ANNOUNCED.name.lower()
 _MOST_DOUBTS: Final = 3
 #: of a slave in data exchange whose inputs are too old
 _NOT_VALID: Final = "not valid"
+_WITHHELD: Final = "it was away: its outputs stay at their safe values until they are set anew"
 
 
 def exchanging(values: SlaveValues) -> bool:
@@ -109,6 +113,8 @@ def _remark(values: SlaveValues) -> Remark | None:
     about_values = diagnosis_remark(values)
     if about_values is not None:
         return about_values
+    if values.withheld and exchanging(values):
+        return _said(Severity.WARNING, "", [_WITHHELD])
     if drive.warnings:
         return _said(Severity.WARNING, "drive warning: ", drive.warnings)
     if values.injected:

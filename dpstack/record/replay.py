@@ -40,6 +40,7 @@ _NOT_RECORDED_OF_SLAVE: Final = (
         "inputs_age_ms",
         "inputs_limit_ms",
         "held_fields",
+        "withheld",
         "quality",
         "doubts",
         "fault",

@@ -115,7 +115,7 @@ def _values(view: View, address: str, placed: Collection[str]) -> list[Line]:
             for field in fields or [] if field.name not in placed
         ]  # fmt: skip
     if values.held is not None:
-        lines.append(_row("not sent", octets(values.held), "warn"))
+        lines.append(_row("withheld" if values.withheld else "not sent", octets(values.held), "warn"))
         held = values.held_fields or {}
         lines += [[("  ", ""), piece(f"{name} {shown(value)}", "stale")] for name, value in held.items()]
     return lines

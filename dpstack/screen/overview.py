@@ -290,7 +290,7 @@ def values_groups(view: View, address: str) -> list[Line]:
     if values.held is not None:
         held = values.held_fields or {}
         text = ", ".join(f"{k} {shown(v)}" for k, v in held.items()) or octets(values.held)
-        groups.append([("not sent: ", "warn"), piece(text, "stale")])
+        groups.append([("withheld: " if values.withheld else "not sent: ", "warn"), piece(text, "stale")])
     return groups
 
 

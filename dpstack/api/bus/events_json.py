@@ -24,6 +24,7 @@ from dpstack.dp.master.events import (
     CyclesMissed,
     ModeChanged,
     OperateWaits,
+    OutputsWithheld,
     PictureTaken,
     SlaveEvent,
     SlaveRemark,
@@ -139,8 +140,9 @@ def _kind_and_fields(event: Event) -> tuple[str, dict[str, object]] | None:
         case BehindRealTime(bus_ns=bus_ns, real_ns=real_ns, behind_ns=behind_ns):
             speed, behind_ms = round(bus_ns / real_ns, 3), round(behind_ns / NS_PER_MS, 1)
             return "behind", {"speed": speed, "behind_ms": behind_ms, "keeps_up": event.keeps_up}
-        case OutputsDropped(outputs=outputs):
-            return "outputs_dropped", {"outputs": outputs.hex()}
+        case OutputsDropped(outputs=outputs) | OutputsWithheld(outputs=outputs):
+            name = "outputs_dropped" if isinstance(event, OutputsDropped) else "outputs_withheld"
+            return name, {"outputs": outputs.hex()}
         case Notice():
             return "notice", {"severity": event.severity.value, **event.details()}
     return "ring" if isinstance(event, _RING) else "notice", {}

@@ -78,7 +78,10 @@ class SlavePicture:
         if octets != self._octets:
             self._octets = octets
             sent = b"" if view.read_only else sent_outputs(setup, image.outputs, now.mode, exchanging=ready)
-            values = _with_octets(values, slave.config, image.inputs, image.outputs, sent)
+            withheld = snapshot.withheld
+            wanted = image.outputs if withheld is None else withheld
+            values = _with_octets(values, slave.config, image.inputs, wanted, sent)
+            values = structs.replace(values, withheld=None if withheld is None else True)
         doubted = slave.process_quality.standing
         age_ns = max(0, runtime.now() - image.input_time) if image.input_time else None
         limit_ns = inputs_limit_ns(snapshot.watchdog_ns, bus.poll_interval_ns(setup))

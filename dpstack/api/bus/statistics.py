@@ -47,7 +47,7 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
     inputs_age: float | None
     #: outputs that the slave gets
     outputs: bytes
-    #: outputs of the application while they wait for Operate or data exchange; else None
+    #: outputs of the application while they wait for Operate or data exchange, or are withheld; else None
     held: bytes | None
     #: the effective watchdog, 0 when off
     watchdog_ms: int
@@ -59,6 +59,8 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
     fields: Mapping[str, object] = field(default_factory=dict)
     #: named outputs of ``held``
     held_fields: Mapping[str, object] = field(default_factory=dict)
+    #: ``held`` is not sent until outputs are set anew, because the slave was away (``after_return``)
+    withheld: bool = False
     #: units of the named fields that have one
     units: Mapping[str, str] = field(default_factory=dict)
     #: quality of all its values and of its drive; None: good
@@ -90,6 +92,7 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
             "watchdog_ms": self.watchdog_ms,
             **({"fields": dict(self.fields)} if self.fields else {}),
             **({"held_fields": dict(self.held_fields)} if self.held_fields else {}),
+            **({"withheld": True} if self.withheld else {}),
             **({"units": dict(self.units)} if self.units else {}),
             **({} if self.quality is None else {"quality": to_builtins(self.quality)}),
             **({"qualities": to_builtins(self.qualities)} if self.qualities else {}),
@@ -270,12 +273,13 @@ def _slave_stats(bus: BusBase, slave: Slave, link: StationStats) -> SlaveStats:
         inputs_valid=values.inputs_valid is True,
         inputs_age=slave.inputs_age,
         outputs=slave.outputs_sent,
-        held=None if values.held is None else slave.outputs_held,
+        held=None if values.held is None else bytes.fromhex(values.held),
         watchdog_ms=slave.watchdog_ms,
         link=link,
         master=values.master,
         fields=values.fields or {},
         held_fields=values.held_fields or {},
+        withheld=values.withheld is True,
         units=slave.config.input_fields.units | slave.config.output_fields.units,
         quality=values.quality,
         qualities=qualities_of(values),

@@ -134,7 +134,7 @@ def run_feed(bus: Bus) -> TapFeed:
 
 #: keys of a slave's status: those that are always there, and those that are left out without a content
 _ALWAYS: Final = ("state", "inputs_valid", "inputs_age_ms", "inputs", "outputs")
-_IF_THERE: Final = ("held", "fields", "held_fields")
+_IF_THERE: Final = ("held", "fields", "held_fields", "withheld")
 
 
 def run_status(bus: Bus) -> dict[str, object]:

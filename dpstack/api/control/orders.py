@@ -50,7 +50,8 @@ def octets_of(bus: Bus, orders: Sequence[SetOutputs | SetOctets], *, now: bool =
     """The output octets that ``orders`` mean, or the free words of a drive; several orders to one slave add up.
 
     Raises UsageError for outputs that a slave does not have or a drive plugin makes, and for values that do not fit;
-    with ``now`` BusError or SlaveError for the first slave that outputs do not reach now.
+    SlaveError for outputs that would be withheld when the slave is back (``after_return``); with ``now`` BusError or
+    SlaveError for the first slave that outputs do not reach now.
     """
     wanted: Wanted = {}
     for order in orders:
@@ -68,8 +69,13 @@ def octets_of(bus: Bus, orders: Sequence[SetOutputs | SetOctets], *, now: bool =
         for slave in wanted:
             _refuse_held(bus, slave)
     for slave, octets in wanted.items():
-        if isinstance(octets, bytes):
-            slave.check_outputs(octets)
+        if not isinstance(octets, bytes):
+            continue
+        slave.check_outputs(octets)
+        setup = slave.setup
+        if setup.after_return == "safe" and not slave.ready_now and octets != setup.safe_outputs:
+            why = f'{slave.held_because}; after_return = "safe": set its outputs when it is back'
+            raise SlaveError(slave.address, why)
     return wanted
 
 

@@ -241,6 +241,9 @@ class Slave(Sealed, RecordAccess):
     def outputs(self) -> bytes:
         """The outputs of the next Data_Exchange in Operate. Assigning is atomic and goes out in the next rotation.
 
+        With ``after_return = "safe"`` they become the safe values each time that the slave was away, until they are set
+        anew; see :attr:`outputs_withheld`.
+
         Raises UsageError on a bus that is not open; assigning also if the length does not fit, a drive plugin makes
         the outputs, or the bus is read-only.
         """
@@ -257,6 +260,14 @@ class Slave(Sealed, RecordAccess):
     def outputs_held(self) -> bytes:
         """The octets of :attr:`outputs`, also before the bus is open and after its end."""
         return self.image.outputs
+
+    @property
+    def outputs_withheld(self) -> bytes | None:
+        """With ``after_return = "safe"``: the outputs from before the slave was away, which are not sent, while its
+        outputs wait to be set anew; else None. Whatever sets outputs of the slave ends that: values that it does not
+        set stay safe. Outputs that are set while the slave is away are withheld, too.
+        """
+        return self.snapshot.withheld
 
     @property
     def outputs_sent(self) -> bytes:

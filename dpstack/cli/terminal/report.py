@@ -280,7 +280,9 @@ def _process_data(slaves: Iterable[SlaveStats]) -> None:
     octets = []
     for s in slaves:
         inputs = _marked(s.inputs, "" if s.inputs_valid else " (not valid)")
-        outputs = _marked(s.outputs, "") if s.held is None else f"{_marked(s.outputs, ' ')}(not sent: {s.held.hex()})"
+        outputs = _marked(s.outputs, "")
+        if s.held is not None:
+            outputs = f"{_marked(s.outputs, ' ')}({'withheld' if s.withheld else 'not sent'}: {s.held.hex()})"
         octets.append((s.address, s.name, inputs, outputs))
     output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
     named = [

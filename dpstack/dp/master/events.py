@@ -120,6 +120,22 @@ class SlaveRemark(SlaveEvent):
     TEMPLATE = "{e.who}: {e.message}"
 
 
+class OutputsWithheld(SlaveEvent):
+    """The slave gets outputs again after it was away, by ``after_return = "safe"`` its safe values: those that the
+    application had set before are withheld until it sets outputs anew."""
+
+    SEVERITY = Severity.WARNING
+
+    #: octets that are withheld
+    outputs: bytes
+
+    def _text(self) -> str:
+        return (
+            f"{self.who}: it was away, and its outputs stay at their safe values until they are set anew "
+            f'(after_return = "safe"); {self.outputs.hex()} is withheld: look at the plant, then set its outputs'
+        )
+
+
 class ModeChanged(Event):
     """The master reached a mode."""
 

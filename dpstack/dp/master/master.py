@@ -175,11 +175,13 @@ class Master(LinkUser):
         """
         if self.mode is self.context.target is Mode.OPERATE:
             for handler in self.handlers.values():
-                handler.plugin_host.lost(now)
+                handler.interrupted(now)
             self.controls.release_all(f"the master goes to {target.name.capitalize()}", now)
         self.context.head_for(target)
         if target is Mode.OPERATE:
             self._watch.begin(now)
+            if self.context.operates:  # it was on its way down
+                self._report_withheld(now)
         else:
             self._watch.end()
         if target >= self.mode:
@@ -236,6 +238,7 @@ class Master(LinkUser):
         self.context.emit(ModeChanged(t_ns=now, mode=mode))
         if mode is Mode.OPERATE:
             self._auto_clear.began(now)
+            self._report_withheld(now)
         if mode <= Mode.STOP:
             self._round.cut(now)
             self._round_at = 0
@@ -246,6 +249,10 @@ class Master(LinkUser):
         if mode is Mode.OFFLINE:
             self._token.lost()
             self.context.emit(MasterStopped(t_ns=now, cleared=cleared))
+
+    def _report_withheld(self, now: int) -> None:
+        for handler in self.handlers.values():
+            handler.report_withheld(now)
 
     def _watch_data(self, now: int) -> None:
         """Auto-clear: down if a slave had no exchange for too long; up if Operate waits and all slaves are there."""

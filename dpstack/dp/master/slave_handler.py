@@ -12,7 +12,7 @@ from typing import Final
 
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.bring_ups import DATA_EXCHANGE, BringUps
-from dpstack.dp.master.events import Fault, SlaveState, SlaveStateChanged
+from dpstack.dp.master.events import Fault, OutputsWithheld, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fault_texts import CfgFault
 from dpstack.dp.master.plugin_host import PluginHost
 from dpstack.dp.master.retry_timing import Pacing
@@ -105,6 +105,10 @@ class SlaveHandler:
         self._prm_sent = b""
         self._shown = 0  # the ident number in the diagnosis before it
         self._refused_data = False  # the slave left data exchange by itself, and there was no diagnosis since
+        # left data exchange, was in fault or out of service, or got other parameters
+        self._was_away = before is not None
+        # withheld outputs that were reported
+        self._reported: bytes | None = None if before is None else before._reported
         #: the last request of Data_Exchange
         self._data = Request(setup.address, _SRD_HIGH, patient=True, tag=self, cyclic=True, still=still)
         if before is not None:
@@ -445,11 +449,15 @@ class SlaveHandler:
             self._pacing.answered()
         self.since = now
         self._busy = 0
+        self._was_away |= state in AWAY
         self._refused_data = was is _DATA_EXCHANGE and state is SlaveState.DIAGNOSIS
         if state not in _BRINGING_UP:
             self.prm_req_at = NEVER
         self._odd.clear()
         self._ready.entered(state)
+        if state is SlaveState.DATA_EXCHANGE and (self._was_away or self.reports.fault is not None):
+            self._was_away = False
+            self._withhold()
         if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
             self.reports.clear()
         if state is SlaveState.DATA_EXCHANGE:
@@ -465,6 +473,7 @@ class SlaveHandler:
             self._silent = 0
             self._pacing.absent(now)
         self.reports.event(SlaveStateChanged, now, state=state)
+        self.report_withheld(now)
         self._changed(self, now)
 
     def _leave_exchange(self, now: int, *, silent: bool) -> None:
@@ -475,8 +484,44 @@ class SlaveHandler:
         self.diag_due = False
         self.restart = True
         self._pacing.left(now, now - self.since, silent=silent)
-        self.plugin_host.lost(now)
+        self._was_away = True
+        self.interrupted(now)
         self.reports.observer.closed(now)
+
+    # --- outputs of the application (docs/reference/decisions/master.md#outputs-after-a-slave-was-away) ----------
+
+    def set_outputs(self, octets: bytes) -> None:
+        """The application sets the outputs of the next round in Operate. Raises ValueError for a wrong length."""
+        self.image.outputs = octets
+        if self.image.withheld is not None:
+            self.image.withheld = self._reported = None
+            self.reports.mark_changed()
+
+    def outputs_too_old(self, octets: bytes, now: int) -> None:
+        """The application set ``octets`` before it could know that the slave was away: they are withheld."""
+        self.image.withheld = octets
+        self.reports.mark_changed()
+        self.report_withheld(now)
+
+    def interrupted(self, now: int) -> None:
+        """Data exchange ended, or outputs went to their safe values: neither drive nor outputs go on by themselves."""
+        self.plugin_host.lost(now)
+        self._withhold()
+
+    def _withhold(self) -> None:
+        if self.setup.after_return == "safe" and self.image.plugin is None:
+            self.image.withhold(self.setup.safe_outputs)
+            self.reports.mark_changed()
+
+    def report_withheld(self, now: int) -> None:
+        """Report outputs that are withheld once, when the slave gets outputs."""
+        withheld = self.image.withheld
+        new = withheld is not None and withheld != self._reported
+        if new and self.state is _DATA_EXCHANGE and self._context.operates:
+            self._reported = withheld
+            self.reports.event(OutputsWithheld, now, outputs=withheld)
+
+    # --- orders and news of other parts --------------------------------------------------------------------------
 
     def deactivate(self, now: int) -> None:
         """Take it out of service; nothing is asked of it until :meth:`activate`."""

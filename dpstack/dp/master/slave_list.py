@@ -122,7 +122,7 @@ class Roster(Struct, eq=False):
         del self._handlers[handler.setup.address]
         handler.reports.mark_changed()
         self._turns.forget(handler)
-        handler.plugin_host.lost(now)
+        handler.interrupted(now)
         handler.reports.observer.closed(now)
         handler.image.valid = False
         handler.state = SlaveState.OFFLINE  # nothing more for it in this round

@@ -180,7 +180,7 @@ class Host:
             answer.value = self._carry_out(order)
         except Exception as error:
             answer.error = error_pair(error)
-        if isinstance(order, TakeOutputs):  # it changes no state, and may come in each cycle
+        if isinstance(order, TakeOutputs) and not self._master.context.changed:  # it may come in each cycle
             self._outbox.send(News(answer=answer))
         else:
             self._send_news([], answer=answer)
@@ -297,7 +297,7 @@ class Host:
         now = monotonic_ns()
         before, self._until = self._until, {}
         dropped = {}
-        for address, (until, octets) in found.items():
+        for address, (until, octets, returns) in found.items():
             handler = self._master.handlers.get(address)
             if handler is None or handler.image.plugin is not None or len(octets) != handler.image.output_len:
                 continue
@@ -306,8 +306,10 @@ class Host:
                 continue
             if until < now:
                 dropped[address] = until
+            elif returns != handler.image.returns:
+                handler.outputs_too_old(octets, now)
             else:
-                handler.image.outputs = octets
+                handler.set_outputs(octets)
         if dropped:
             self._publish()
             self._outbox.send(News(dropped=dropped))

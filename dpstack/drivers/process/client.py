@@ -279,22 +279,27 @@ class ProcessRuntime:
         return typed(await self.order(ReadHistory(address)), History)
 
     def image(self, setup: SlaveParams) -> ImageSnapshot:
-        """Inputs and outputs of the newest round; outputs that the application has set take precedence."""
+        """Inputs and outputs of the newest round; outputs that the application has set take precedence, unless the
+        slave was away since then (``after_return``)."""
         own = self._outputs.get(setup.address)
         found = self._newest_picture().slaves.get(setup.address)
         if found is None or (len(found.inputs), len(found.outputs)) != (setup.input_len, setup.output_len):
             found = no_image(setup)
-        if own is not None and len(own.octets) == setup.output_len:
+        if own is not None and len(own.octets) == setup.output_len and own.returns == found.returns:
             found = found._replace(outputs=own.octets)
         return found
 
     def set_outputs(self, address: int, octets: bytes) -> None:
         """The outputs of the next Data_Exchange in Operate; they leave together with those of other slaves."""
         octets = bytes(octets)
-        length = self.setups[address].output_len
+        setup = self.setups[address]
+        length = setup.output_len
         if len(octets) != length:
             raise ValueError(f"{len(octets)} output octets given, the slave's configuration has {length}")
-        self._put_outputs(address, octets)
+        self._put_outputs(address, octets, self.image(setup).returns)
+        known = self.slave(address)
+        if known.withheld is not None:
+            self._slaves[address] = structs.replace(known, withheld=None)
 
     def counters(self) -> Counters:
         """The counters as the bus process published them last; it is never asked."""
@@ -337,14 +342,14 @@ class ProcessRuntime:
 
     # --- the application's outputs ----------------------------------------------------------------------------------
 
-    def _put_outputs(self, address: int, octets: bytes | None) -> None:
+    def _put_outputs(self, address: int, octets: bytes | None, returns: int = 0) -> None:
         """Publish the application's outputs of one slave (None: it has none of its own any more), with those of all
-        others."""
+        others. ``returns``: see :class:`Outputs`."""
         self._awaited.pop(address, None)
         if octets is None:
             self._outputs.pop(address, None)
         else:
-            self._outputs[address] = Outputs(0, octets)
+            self._outputs[address] = Outputs(0, octets, returns)
             self._changed.add(address)
         if self._publishing is None and self._loop is not None and not self._loop.is_closed():
             self._publishing = self._loop.call_soon(self._publish_soon)
@@ -368,7 +373,7 @@ class ProcessRuntime:
         for address in changed:
             limit_ns = channel.LIMIT_NS if self._watch is not None else 2 * channel.START_LIMIT_NS
             until = monotonic_ns() + limit_ns
-            self._outputs[address] = Outputs(until, self._outputs[address].octets)
+            self._outputs[address] = self._outputs[address]._replace(until_ns=until)
         self._image.outputs.write(self._outputs)
         self._awaited |= dict.fromkeys(changed, self._image.outputs.newest)
 

@@ -58,10 +58,12 @@ class Picture(NamedTuple):
 
 class Outputs(NamedTuple):
     """The application's outputs of one slave. The bus process drops them if it does not take them before
-    ``until_ns`` (CLOCK_MONOTONIC), another time for each assignment."""
+    ``until_ns`` (CLOCK_MONOTONIC), another time for each assignment. ``returns``: that of the newest
+    :class:`~dpstack.drivers.snapshots.ImageSnapshot` as they were set; with another number they are too old."""
 
     until_ns: int
     octets: bytes
+    returns: int = 0
 
 
 class Word(IntEnum):

@@ -251,7 +251,7 @@ export class SlavePage {
     setText(this.rawIn, octets(slave.inputs));
     setAttr(this.rawIn, "class", alive ? "octets" : "octets old");
     setText(this.rawOut, octets(slave.outputs));
-    setText(this.rawHeld, slave.held ? `Held by the application, not sent: ${octets(slave.held, 32)}` : "");
+    setText(this.rawHeld, slave.held ? `${slave.withheld ? "Withheld until outputs are set anew" : "Held by the application, not sent"}: ${octets(slave.held, 32)}` : "");
     setAttr(this.rawHeld, "class", slave.held ? "warn" : "gone");
     const age = slave.inputs_age_ms;
     setText(this.valid, dead ? "These inputs are old." : alive ? "Inputs are valid." : typeof age === "number" ? `Inputs are not valid; the last ones are ${millis(age)} old.` : "No inputs yet.");
