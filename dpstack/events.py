@@ -33,6 +33,7 @@ from dpstack.dp.master.events import ForcedClear as ForcedClear
 from dpstack.dp.master.events import MasterStopped as MasterStopped
 from dpstack.dp.master.events import ModeChanged as ModeChanged
 from dpstack.dp.master.events import OperateWaits as OperateWaits
+from dpstack.dp.master.events import OutputsWithheld as OutputsWithheld
 from dpstack.dp.master.events import SlaveDiagnosis as SlaveDiagnosis
 from dpstack.dp.master.events import SlaveEvent as SlaveEvent
 from dpstack.dp.master.events import SlaveFaulted as SlaveFaulted

@@ -22,6 +22,7 @@ from typing import (
     Literal,
     NoReturn,
     TypeAlias,
+    Union,
     get_args,
     get_origin,
     get_type_hints,
@@ -67,13 +68,17 @@ class Key(Struct, frozen=True):
     kind: Any = None
 
 
+#: ``int | None``, and ``Literal[...] | None`` before Python 3.14
+_UNIONS: Final = (UnionType, Union)
+
+
 @functools.cache
 def keys_of(table: type) -> dict[str, Key]:
     """The keys by the annotations of ``table``, in their order; a plain type is a key without limits."""
     found = {}
     for name, hint in get_type_hints(table, include_extras=True).items():
         kind, key = get_args(hint) if get_origin(hint) is Annotated else (hint, Key())
-        found[name] = structs.replace(key, kind=get_args(kind)[0] if isinstance(kind, UnionType) else kind)
+        found[name] = structs.replace(key, kind=get_args(kind)[0] if get_origin(kind) in _UNIONS else kind)
     return found
 
 

@@ -83,6 +83,8 @@ class Sheet(Struct, frozen=True, kw_only=True):
     safe: str
     #: what the device does when the master stops
     on_loss: str
+    #: what its outputs do after it was away; empty without outputs
+    on_return: str
     #: user parameters of Set_Prm, hex
     user_prm: str
     groups: tuple[int, ...] = ()
@@ -151,6 +153,7 @@ def _sheet(slave: SlaveConfig, baud: int | None, loss: tuple[int, str] | None) -
         watchdog_ms=watchdog,
         safe=params.safe.hex(" ").upper() or bytes(params.output_len).hex(" "),
         on_loss=on_loss,
+        on_return=slave.on_return,
         user_prm=params.user_prm.hex(" ").upper(),
         groups=params.groups,
         modules=modules,
@@ -296,6 +299,8 @@ def blocks_of(sheet: Sheet) -> Iterator[Block]:
         ((one.what, one.why, one.delivered, str(one.check), one.source) for one in device.steps),
     )
     yield Block(title="When the master stops", lines=(sheet.on_loss, *_safe_lines(sheet)))
+    if sheet.on_return:
+        yield Block(title="After it was away", lines=(sheet.on_return,))
     if sheet.modules:
         yield Block(
             title="Modules",

@@ -65,7 +65,14 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
                 max_tsdr=profile.max_tsdr,
             )
     telegrams = _telegrams(profile, telegram)
-    return dataclasses.replace(known, safe=core.safe_outputs, on_loss=profile.on_loss, telegrams=telegrams), rest
+    known = dataclasses.replace(
+        known,
+        safe=core.safe_outputs,
+        on_loss=profile.on_loss,
+        telegrams=telegrams,
+        after_return="safe",  # also if the application makes its outputs octet by octet
+    )
+    return known, rest
 
 
 def _telegrams(profile: DriveProfile, configured: TelegramSpec) -> DriveTelegrams:

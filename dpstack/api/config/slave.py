@@ -258,7 +258,8 @@ class Changes(TypedDict, total=False):
     safe: output octets for every way out, in hex. Left out: the drive's, else zeros
     after_return: the outputs after the slave was away: `"resume"`: those that were set before go out again at once;
         `"safe"`: they stay at their safe values until they are set anew, [see below](#outputs-after-a-slave-was-away).
-        Not beside `drive`: a drive never starts by itself. Left out: `"resume"`
+        Not beside `drive`: a drive never starts by itself. Left out: `"resume"`; a drive by octets (`--outputs`) has
+        `"safe"`
     min_slave_interval: the shortest time between two exchanges with the slave. A time shorter than in the GSD file gets
         a remark. Left out: the drive's, or that of its GSD file
     dpv1: DP-V1 on or off, or a table of the other settings in DPV1_Status ([dp-v1.md](dp-v1.md)); `user_prm` begin with
@@ -290,6 +291,16 @@ class Changes(TypedDict, total=False):
     fail_safe: Annotated[
         bool | None, Key(gsd=Gsd("Fail_Safe_required", attrgetter("dpv1.fail_safe_required"), required=True))
     ]
+
+
+_DRIVE_RETURNS: Final = "the drive does not start by itself: start() starts it again"
+_RETURNS: Final = {
+    "resume": (
+        'its outputs are at once those from before (after_return = "resume"), and a drive that starts by level turns; '
+        'after_return = "safe" keeps them safe until they are set anew'
+    ),
+    "safe": 'its outputs stay at their safe values until they are set anew (after_return = "safe")',
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,6 +345,13 @@ class SlaveConfig:
     def fields(self) -> tuple[tuple[Direction, FieldMap], ...]:
         """The named inputs, then the named outputs."""
         return (Direction.INPUT, self.input_fields), (Direction.OUTPUT, self.output_fields)
+
+    @property
+    def on_return(self) -> str:
+        """What its outputs do after it was away, for people; empty without outputs."""
+        if not self.params.output_len:
+            return ""
+        return _RETURNS[self.params.after_return] if self.profile is None or self.raw else _DRIVE_RETURNS
 
     @property
     def gsd_dpv1(self) -> DpV1:

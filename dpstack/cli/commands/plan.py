@@ -71,7 +71,7 @@ def execute(args: argparse.Namespace) -> int:
             data["simulated"] = None if found is None else found.as_dict()
         output.json_line(data)
     else:
-        _show(plan, needs, [*_notes_on_loss(config), *_sheet_note(args.config)])
+        _show(plan, needs, [*_notes_on_return(config), *_notes_on_loss(config), *_sheet_note(args.config)])
         if args.octets:
             _show_octets(plan)
         if args.simulate is not None:
@@ -155,6 +155,15 @@ def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
     if isinstance(cycle, dict):
         cycle["slowest_baud"] = {verdict.value: baud for verdict, baud in needs.items()}
     return data
+
+
+def _notes_on_return(config: Config) -> list[str]:
+    """The slaves with outputs of the application that do not go out again by themselves."""
+    return [
+        f"{slave.params.who}: after it was away {slave.on_return}"
+        for slave in config.slaves
+        if slave.params.after_return == "safe" and slave.profile is None and slave.on_return
+    ]
 
 
 def _notes_on_loss(config: Config) -> list[str]:

@@ -202,6 +202,7 @@ def _slave_dict(slave: SlavePlan) -> dict[str, object]:
         "offset": slave.offset,
         "watchdog_ms": slave.watchdog_ms,
         "on_loss": slave.on_loss,
+        "after_return": slave.setup.after_return,
         "set_prm": slave.set_prm,
         "chk_cfg": slave.chk_cfg,
         "slots": [slot.as_dict() for slot in slave.setup.slots.slots],

@@ -175,6 +175,25 @@ def test_plan_points_to_the_sheet(plant: str, cli: Cli) -> None:
     assert line in cli.out("plan", plant).splitlines()
 
 
+def test_sheet_and_plan_name_the_choice_for_outputs_after_the_slave_was_away(tmp_path: Path, cli: Cli) -> None:
+    safe = RAW | {"name": "turns", "address": 10, "after_return": "safe"}
+    plant = str(plant_file(tmp_path, HOIST, RAW, safe, RAW | {"name": "eye", "address": 11, "config": "10"}))
+    blocks = cli.out("sheet", plant).split("After it was away")
+    said = [" ".join(block.split("\n\n")[0].split()) for block in blocks[1:]]
+    stays = 'its outputs stay at their safe values until they are set anew (after_return = "safe")'
+    assert [text.removeprefix("- ") for text in said] == [
+        "the drive does not start by itself: start() starts it again",
+        'its outputs are at once those from before (after_return = "resume"), and a drive that starts by level turns; '
+        'after_return = "safe" keeps them safe until they are set anew',
+        stays,
+    ]
+    assert cli.json("sheet", plant, "eye")["sheets"][0]["on_return"] == ""
+    notes = [line for line in cli.out("plan", plant).splitlines() if "away" in line]
+    assert notes == [f"note: slave 10 (turns): after it was away {stays}"]
+    found = {one["name"]: one["after_return"] for one in cli.json("plan", plant)["slaves"]}
+    assert found == {"hoist": "safe", "raw": "resume", "turns": "safe", "eye": "resume"}
+
+
 def test_the_same_facts_in_text_and_json(plant: str, cli: Cli) -> None:
     """One maker: each step, fault and LED of the JSON is in the text."""
     out = cli.out("sheet", plant)

@@ -25,21 +25,23 @@ from dpstack.dp.master.commands import (
     ReparameteriseSlave,
     SetMode,
 )
-from dpstack.dp.master.events import SlaveEvent, SlaveState
+from dpstack.dp.master.events import OutputsWithheld, SlaveEvent, SlaveState
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.process import messages
 from dpstack.drivers.process.bus_process import Host
 from dpstack.drivers.process.client import ProcessRuntime
+from dpstack.drivers.process.shared_image import Outputs
 from dpstack.drivers.snapshots import SlaveSnapshot
 from dpstack.drivers.stack import Stack
 from dpstack.fdl.commands import GoOnline
 from dpstack.machine import LineDown, LineUp, Order
 from dpstack.trace import Event
+from dpstack.units import NEVER
 from tests.fuzz.octet_line import DH, RS, Asked, CorrectSlave
 from tests.fuzz.targets import process_server
-from tests.fuzz.targets.process_server import MS, FakeRuntime, Run, patched
+from tests.fuzz.targets.process_server import GIVEN, MS, SAFE, FakeRuntime, Run, patched
 
 _ADDRESSES: Final = (3, 4, 5)
 _CONFIG: Final = b"\x10\x21"
@@ -68,7 +70,7 @@ _MOODS: Final = (
 _MODES: Final = (Mode.OPERATE, Mode.CLEAR, Mode.STOP)
 
 
-def params(address: int, *, dpv1: bool = True, watchdog_ms: int = 500) -> SlaveParams:
+def params(address: int, *, dpv1: bool = True, watchdog_ms: int = 500, **more: Any) -> SlaveParams:
     return SlaveParams(
         address=address,
         name=f"s{address}",
@@ -77,6 +79,7 @@ def params(address: int, *, dpv1: bool = True, watchdog_ms: int = 500) -> SlaveP
         user_prm=bytes(3) if dpv1 else b"",
         dpv1=Dpv1(alarms=_ALARMS, alarm_mode=0) if dpv1 else None,
         watchdog_ms=watchdog_ms,
+        **more,
     )
 
 
@@ -206,8 +209,8 @@ class View:
 
 
 @contextlib.contextmanager
-def viewed() -> Iterator[View]:
-    spec = structs.replace(process_server.SETUP.stack, slaves=tuple(map(params, _ADDRESSES)))
+def viewed(*slaves: SlaveParams) -> Iterator[View]:
+    spec = structs.replace(process_server.SETUP.stack, slaves=slaves or tuple(map(params, _ADDRESSES)))
     setup = structs.replace(process_server.SETUP, stack=spec)
     with mock.patch.object(process_server, "SETUP", setup):
         view = View()
@@ -310,3 +313,78 @@ def test_an_event_of_one_slave_makes_a_snapshot_of_that_slave_only() -> None:
         assert view.app.slave(4).state is SlaveState.DATA_EXCHANGE
         assert set(made) == {4}
         assert len(made) <= 3 * 6  # three losses: a state for each step down and up
+
+
+# --- after_return = "safe": the application and the bus process agree on what is withheld ---------------------------
+
+
+def set_outputs(view: View, octets: bytes) -> None:
+    view.app.set_outputs(4, octets)
+    view.app._publish()
+    view.wait(20)
+
+
+def restart(view: View) -> None:
+    """Slave 4 is switched off and on, while the application reads nothing."""
+    with mock.patch.object(View, "read"):
+        view.slave(4).restart()
+        view.wait(1_500)
+    assert view.slave(4).ready
+
+
+@contextlib.contextmanager
+def waiting() -> Iterator[tuple[View, list[Event]]]:
+    """Slave 4 was away, and its outputs GIVEN are withheld; the application has not read that yet."""
+    told: list[Event] = []
+    with (
+        mock.patch.object(View, "compare", lambda view, _events: view.read()),
+        viewed(params(4, safe=SAFE, after_return="safe")) as view,
+    ):
+        view.app._on_events = told.extend
+        set_outputs(view, GIVEN)
+        assert view.slave(4).outputs == GIVEN
+        restart(view)
+        assert view.slave(4).outputs == SAFE
+        yield view, told
+
+
+def test_the_application_sees_outputs_that_became_safe_before_it_reads_the_news() -> None:
+    """So it puts a single value into the safe outputs, and none of the old ones goes out with it."""
+    with waiting() as (view, told):
+        setup = view.host._stack.setups[4]
+        assert view.app.image(setup).outputs == SAFE
+        view.read()
+        assert view.app.slave(4).withheld == GIVEN
+        assert [event.outputs for event in told if isinstance(event, OutputsWithheld)] == [GIVEN]
+        set_outputs(view, GIVEN)
+        assert view.app.slave(4).withheld is None
+        assert view.app.image(setup).outputs == view.slave(4).outputs == GIVEN
+        view.wait(200)
+        assert view.app.slave(4) == view.host._stack.slave(4)
+        assert view.app.slave(4).withheld is None
+
+
+def test_outputs_from_before_the_application_could_know_do_not_go_out() -> None:
+    with waiting() as (view, told):
+        returns = view.app.image(view.host._stack.setups[4]).returns
+        view.run.image.outputs.write({4: Outputs(NEVER, bytes(2), returns - 1)})
+        view.wait(200)
+        assert view.slave(4).outputs == SAFE
+        assert view.app.slave(4).withheld == bytes(2)
+        assert [event.outputs for event in told if isinstance(event, OutputsWithheld)] == [GIVEN, bytes(2)]
+        set_outputs(view, GIVEN)
+        assert view.slave(4).outputs == GIVEN
+
+
+def test_outputs_that_are_set_while_it_is_away_are_withheld_by_the_bus_process() -> None:
+    with waiting() as (view, _):
+        set_outputs(view, GIVEN)
+        view.slave(4).change("silent")
+        view.wait(100)
+        assert view.app.slave(4).state is SlaveState.OFFLINE
+        set_outputs(view, bytes(2))
+        view.slave(4).change("good")
+        view.slave(4).restart()
+        view.wait(1_500)
+        assert view.slave(4).outputs == SAFE
+        assert view.app.slave(4).withheld == bytes(2)
