@@ -335,7 +335,7 @@ U64 = st.integers(0, 2**64 - 1)
 OCTETS = st.binary(max_size=244)
 SLAVES = st.dictionaries(
     st.integers(0, 126),
-    st.builds(ImageSnapshot, OCTETS, OCTETS, st.booleans(), U64, U64, st.booleans(), U64),
+    st.builds(ImageSnapshot, OCTETS, OCTETS, st.booleans(), U64, U64, st.booleans(), U64, U64),
     max_size=5,
 )
 
@@ -374,7 +374,7 @@ def picture(octets: bytes) -> Picture:
     return Picture(1, 2, {4: ImageSnapshot(octets, b"", True, 3, 4)})
 
 
-@given(U64, U64, SLAVES, st.dictionaries(st.integers(0, 126), st.builds(Outputs, U64, OCTETS), max_size=5))
+@given(U64, U64, SLAVES, st.dictionaries(st.integers(0, 126), st.builds(Outputs, U64, OCTETS, U64), max_size=5))
 def test_pictures_and_outputs_come_back_as_they_were(
     cycle: int, rotations: int, slaves: dict[int, ImageSnapshot], outputs: dict[int, Outputs]
 ) -> None:
@@ -391,21 +391,21 @@ def test_pictures_and_outputs_come_back_as_they_were(
 
 def test_the_octets_of_a_picture_and_of_outputs(memory: int, both: tuple[SharedImage, SharedImage]) -> None:
     image, there = both
-    image.inputs.write(Picture(3, 2, {4: ImageSnapshot(b"\x11\x22", b"\x33", True, 5, 6, True, 7)}))
-    octets = bytes.fromhex("93 03 02 81 04 97 C4 02 11 22 C4 01 33 C3 05 06 C3 07")
+    image.inputs.write(Picture(3, 2, {4: ImageSnapshot(b"\x11\x22", b"\x33", True, 5, 6, True, 7, 8)}))
+    octets = bytes.fromhex("93 03 02 81 04 98 C4 02 11 22 C4 01 33 C3 05 06 C3 07 08")
     assert os.pread(memory, len(octets) + 1, 4096 + 80 * 1024) == octets + b"\0"
-    there.outputs.write({4: Outputs(0x0102, b"\x11\x22"), 5: Outputs(3, b"")})
-    octets = bytes.fromhex("82 04 92 CD 01 02 C4 02 11 22 05 92 03 C4 00")
+    there.outputs.write({4: Outputs(0x0102, b"\x11\x22", 8), 5: Outputs(3, b"")})
+    octets = bytes.fromhex("82 04 93 CD 01 02 C4 02 11 22 08 05 93 03 C4 00 00")
     assert os.pread(memory, len(octets) + 1, 4096 + 4 * 80 * 1024 + 40 * 1024) == octets + b"\0"
 
 
 def test_126_slaves_with_all_the_octets_there_can_be(memory: int, both: tuple[SharedImage, SharedImage]) -> None:
     image, there = both
     most = 2**64 - 1
-    full = {n: ImageSnapshot(b"\x11" * 244, b"\x22" * 244, True, most, most, True, most) for n in range(127)}
+    full = {n: ImageSnapshot(b"\x11" * 244, b"\x22" * 244, True, most, most, True, most, most) for n in range(127)}
     image.inputs.write(Picture(most, most, full))
     assert there.inputs.read_new() == Picture(most, most, full)
-    outputs = {address: Outputs(most, bytes(244)) for address in range(127)}
+    outputs = {address: Outputs(most, bytes(244), most) for address in range(127)}
     there.outputs.write(outputs)
     assert image.outputs.read_new() == outputs
     assert os.fstat(memory).st_size == SIZE
