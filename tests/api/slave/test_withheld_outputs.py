@@ -6,13 +6,13 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import FAN, bench_of, bus_of, off_and_on, stack_of
+from api_kit import FAN, bench_of, bus_of, off_and_on
 
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.picture import picture_of
-from dpstack.api.config.config import parse_config
+from dpstack.api.config.config import make_config, parse_config
 from dpstack.api.control.handlers import run_status
 from dpstack.api.control.orders import carry_out
 from dpstack.dp.master.commands import Mode
@@ -226,4 +226,16 @@ async def test_a_drive_cannot_get_it_while_it_runs() -> None:
     async with bus_of(FAN) as bus:
         with pytest.raises((ConfigError, UsageError), match="after_return beside drive; leave it out"):
             await bus.slave(4).reparameterise(after_return="safe")
-        assert stack_of(bus).setups[4].after_return == "resume"
+
+
+async def test_a_drive_by_octets_does_not_start_by_itself_either() -> None:
+    """``run --outputs``: the octets of a running drive come without its plugin, and go out once."""
+    config = make_config("virtual", 500_000, slaves=[FAN]).with_outputs({4: bytes.fromhex("047F 1000")})
+    async with dpstack.open_bus(config) as bus:
+        fan = bus.slave(4)
+        await bus.operate()
+        await fan.ready()
+        assert fan.outputs_sent == bytes.fromhex("047F 1000")
+        await off_and_on(bus, 4)
+        assert fan.outputs_sent == fan.setup.safe_outputs
+        assert fan.outputs_withheld == bytes.fromhex("047F 1000")
