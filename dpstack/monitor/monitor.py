@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.capture.timing import LineTiming
-from dpstack.dp.pdu.alarm_blocks import Alarm, message_dict, parse_block
+from dpstack.dp.pdu.alarm_blocks import Alarm, full_text, message_dict, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
-from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
+from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text, first_slot_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import PduError
 from dpstack.monitor.counters import Change, Counters, State
-from dpstack.monitor.devices import Devices
+from dpstack.monitor.devices import Devices, KnownDevice
 from dpstack.monitor.evidence import finding
 from dpstack.monitor.history import History
 from dpstack.monitor.summary import summary
@@ -229,13 +229,13 @@ class Monitor:
         fields = {"flags": list(diagnosis.flags), "texts": list(texts)}
         routine = not text or found == before
         self._tell_of(t_ns, "diagnosis", address, text or "reads as in a bring-up", fields, routine=routine)
-        self._messages(t_ns, address, diagnosis, dpv1)
+        self._messages(t_ns, address, diagnosis, device)
 
-    def _messages(self, t_ns: int, address: int, diagnosis: Diagnosis, dpv1: bool) -> None:
+    def _messages(self, t_ns: int, address: int, diagnosis: Diagnosis, device: KnownDevice) -> None:
         """Alarms and status messages that the diagnosis before did not have."""
         blocks = frozenset(block.octets for block in diagnosis.blocks if isinstance(block, DeviceBlock))
         new, self._blocks[address] = blocks - self._blocks.get(address, frozenset()), blocks
-        for octets in sorted(new) if dpv1 else ():
+        for octets in sorted(new) if device.dpv1 is not False else ():
             try:
                 message = parse_block(octets)
             except PduError:
@@ -244,7 +244,7 @@ class Monitor:
             if isinstance(message, Alarm):
                 fields |= {"sequence": message.sequence, "user_ack": message.add_ack}
             kind = "alarm" if isinstance(message, Alarm) else "status_message"
-            self._tell_of(t_ns, kind, address, message.full_text, fields)
+            self._tell_of(t_ns, kind, address, full_text(message, first_slot_of(device.texts)), fields)
 
     def _tell_of(
         self,

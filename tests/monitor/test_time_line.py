@@ -93,6 +93,15 @@ def test_a_diagnosis_in_the_words_of_a_gsd_file_and_its_end() -> None:
     assert line.told[1] == ("diagnosis", "station 3: its diagnosis is clear")
 
 
+def test_a_module_status_counts_the_slots_as_the_gsd_file_does() -> None:
+    gsd = "#Profibus_DP\nGSD_Revision = 3\nIdent_Number = 0x1234\nModular_Station = 1\nModul_Offset = 0\n"
+    device = load_gsd(gsd.encode(), "a.gsd").device
+    line = Line(Devices(by_ident={0x1234: KnownDevice(texts=DiagTexts(device))}))
+    line.diagnosis(EXT + bytes.fromhex("05 82 00 00 09"))
+    said = "station 3: module status: slot 0 data invalid, slot 1 wrong module"
+    assert ("status_message", said) in line.told
+
+
 def test_masters_join_drop_out_and_change_their_mode() -> None:
     line = Line()
     for _ in range(3):

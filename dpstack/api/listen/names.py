@@ -16,7 +16,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
 from dpstack.decode.fields import Fields
 from dpstack.decode.names import DriveWords, ModuleName, Names, SlaveNames
-from dpstack.dp.pdu.diag_blocks import FIRST_SLOT
+from dpstack.dp.pdu.diag_texts import first_slot_of
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import modules_of_config
 from dpstack.gsd.diag_texts import DiagTexts
@@ -51,7 +51,7 @@ def _configured(slave: SlaveConfig) -> SlaveNames:
         inputs=slave.input_fields,
         outputs=slave.output_fields,
         modules=_module_names(modules) or _nameless(params.config),
-        first_slot=FIRST_SLOT if texts is None else texts.first_slot,
+        first_slot=first_slot_of(texts),
         prm=None if slave.device is None else _user_prm(slave.device, modules),
         texts=texts,
         drive=partial(_configured_drive, slave),

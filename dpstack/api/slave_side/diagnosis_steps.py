@@ -8,7 +8,8 @@ from typing import Any, Final, Literal
 
 from dpstack.api.slave_side.virtual_bench import SimulatedSlave
 from dpstack.dp.pdu.alarm_blocks import ModuleState
-from dpstack.dp.pdu.diag_blocks import CHANNEL_ERRORS, FIRST_SLOT, SIZES, UserDiag, channel_block
+from dpstack.dp.pdu.diag_blocks import CHANNEL_ERRORS, SIZES, UserDiag, channel_block
+from dpstack.dp.pdu.diag_texts import first_slot_of
 from dpstack.dp.slot_map import Slot, slot_map
 from dpstack.errors import ConfigError
 from dpstack.gsd.diag_texts import DiagTexts
@@ -69,7 +70,7 @@ def read_diagnosis(table: Table, given: Mapping[str, Any], unit: SimulatedSlave)
         return ReportedOctets(UserDiag(keys["octets"], keys.get("fault", True)))
     if way == "what":
         way, keys = _said(table, keys)
-    first = FIRST_SLOT if texts is None else texts.first_slot
+    first = first_slot_of(texts)
     plan = slot_map(unit.config.params.config, texts)
     slot = keys.get("slot", first)
     place = plan.slot(slot)

@@ -218,13 +218,20 @@ class Status(Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """One line; for a module status every module that is not ok, for PrmCmdAck and Red_State their contents."""
+        """One line; for a module status every module that is not ok, for PrmCmdAck and Red_State their contents.
+
+        The first module of a module status is slot 1 here; :func:`full_text` counts from another one.
+        """
         if self.type == StatusType.MODULES:
-            bad = [f"slot {n} {state.text}" for n, state in enumerate(self.modules, 1) if state]
-            return f"{self.title}: {', '.join(bad) or 'all modules ok'}"
+            return self.modules_text(1)
         redundancy = self.redundancy
         how = Specifier(self.specifier).text if redundancy is None else redundancy.text
         return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
+
+    def modules_text(self, first_slot: int) -> str:
+        """A module status in one line: every module that is not ok, its slots counted from ``first_slot``."""
+        bad = [f"slot {n} {state.text}" for n, state in enumerate(self.modules, first_slot) if state]
+        return f"{self.title}: {', '.join(bad) or 'all modules ok'}"
 
     @property
     def full_text(self) -> str:
@@ -303,6 +310,13 @@ def _build(block: Alarm | Status, sequence: int, add_ack: bool) -> bytes:
         raise PduError(f"{length} octets of data, {MAX_DATA} are possible in one block")
     is_status = isinstance(block, Status)
     return _LAYOUT.build(block, header=HEAD + length, is_status=is_status, sequence=sequence, add_ack=add_ack)
+
+
+def full_text(message: Alarm | Status, first_slot: int) -> str:
+    """The ``full_text`` of ``message`` of a device whose first module is in ``first_slot`` (Modul_Offset)."""
+    if isinstance(message, Status) and message.modules:
+        return message.modules_text(first_slot)
+    return message.full_text
 
 
 def message_dict(message: Alarm | Status) -> dict[str, object]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from dpstack.dp.pdu.alarm_blocks import Status, parse_block
+from dpstack.dp.pdu.alarm_blocks import Status, full_text, parse_block
 from dpstack.dp.pdu.diag_blocks import FIRST_SLOT, Block, ChannelBlock, DeviceBlock, IdentifierBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import PduError
@@ -47,7 +47,7 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messa
         except PduError:  # the alarm handler reports it
             pass
         else:
-            said = message.full_text
+            said = full_text(message, first_slot_of(texts))
             if isinstance(message, Status) and message.modules and texts is not None and not texts.has_type(block.data):
                 known = ()  # the standard says what its bits mean
     if said and messages:
@@ -59,7 +59,7 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messa
 
 
 def _lines(block: Block, texts: DiagTexts | None, dpv1: bool, messages: bool) -> Iterator[str]:
-    first = FIRST_SLOT if texts is None else texts.first_slot
+    first = first_slot_of(texts)
     match block:
         case DeviceBlock():
             yield from _device_lines(block, texts, dpv1, messages)
@@ -71,6 +71,11 @@ def _lines(block: Block, texts: DiagTexts | None, dpv1: bool, messages: bool) ->
             own = None if texts is None else texts.channel_text(error, module)
             text = block.cause if own is None else _explained(own.text or block.cause, own.help)
             yield f"{block.place(_name(texts, module), first)}: {text}"
+
+
+def first_slot_of(texts: DiagTexts | None) -> int:
+    """The slot of the first module: as Modul_Offset of the GSD file says, else 1."""
+    return FIRST_SLOT if texts is None else texts.first_slot
 
 
 def _explained(text: str, more: str) -> str:

@@ -24,6 +24,7 @@ from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.master.slave_reports import NO_ALARMS, AlarmCounts, DiagObserver
 from dpstack.dp.pdu.alarm_blocks import HEAD, Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
+from dpstack.dp.pdu.diag_texts import first_slot_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARM_MODE, ALARMS
 from dpstack.dpv1.master.ms1 import Ms1, Ms1Job
@@ -269,7 +270,8 @@ class AlarmHandler(DiagObserver):
         if self._statuses.get((status.type, status.slot)) != octets:
             self._statuses[status.type, status.slot] = octets
             self._count("statuses")
-            self._reports.event(StatusTold, now, status=status)
+            first = first_slot_of(self._setup.texts)
+            self._reports.event(StatusTold, now, status=status, first_slot=first)
 
     def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
         kind = kind_of(alarm.type)

@@ -10,7 +10,8 @@ from typing import Final
 
 from dpstack.dp.acyclic.job import Outcome, ServiceEnd
 from dpstack.dp.master.events import SlaveEvent
-from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
+from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status, full_text
+from dpstack.dp.pdu.diag_blocks import FIRST_SLOT
 from dpstack.dp.pdu.diag_texts import texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.layouts import MAX_RECORD
@@ -249,8 +250,11 @@ class StatusTold(SlaveEvent):
 
     #: the new status
     status: Status
+    #: slot of the first module of a module status
+    first_slot: int = FIRST_SLOT
 
-    TEMPLATE = "{e.who}: {e.status.full_text}"
+    def _text(self) -> str:
+        return f"{self.who}: {full_text(self.status, self.first_slot)}"
 
 
 def texts_beside(diagnosis: Diagnosis, alarm: Alarm, texts: DiagTexts | None) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveFaul
 from dpstack.dp.master.fault_texts import in_words
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.orders import AlarmRaised, texts_beside
+from dpstack.dpv1.master.orders import AlarmRaised, StatusTold, texts_beside
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import at_slaves, signal_name
 from dpstack.drivers.process import channel, early_start
@@ -552,7 +552,7 @@ class ProcessRuntime:
 
     def _with_gsd_texts(self, event: Event) -> Event:
         """``event`` with the texts of its slave's GSD file, which the bus process does not have."""
-        if isinstance(event, SlaveDiagnosis | SlaveFaulted | AlarmRaised):
+        if isinstance(event, SlaveDiagnosis | SlaveFaulted | AlarmRaised | StatusTold):
             setup = self.setups.get(event.address)
             return event if setup is None else worded(event, setup)
         return event
@@ -589,7 +589,7 @@ class ProcessRuntime:
         self._on_failure(error)
 
 
-def worded(event: SlaveDiagnosis | SlaveFaulted | AlarmRaised, setup: SlaveParams) -> Event:
+def worded(event: SlaveDiagnosis | SlaveFaulted | AlarmRaised | StatusTold, setup: SlaveParams) -> Event:
     """``event`` of the slave with ``setup``, with the texts of its GSD file and its plugin."""
     if isinstance(event, SlaveFaulted):
         return structs.replace(event, fault=in_words(event.fault, setup))
@@ -597,6 +597,8 @@ def worded(event: SlaveDiagnosis | SlaveFaulted | AlarmRaised, setup: SlaveParam
         return event
     if isinstance(event, AlarmRaised):
         return structs.replace(event, texts=texts_beside(event.diagnosis, event.alarm, setup.texts))
+    if isinstance(event, StatusTold):
+        return structs.replace(event, first_slot=setup.texts.first_slot)
     return structs.replace(event, texts=setup.block_texts(event.diagnosis))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from api_kit import RAW, begun, cancelled, mirror, serving
-from gsd_kit import device
+from gsd_kit import device, made
 from msgspec import structs
 from support import WorldFactory, present
 
@@ -418,3 +418,23 @@ def test_enabled_alarms_in_dpv1_status(tmp_path: Path, dpv1: str, sent: str) -> 
     assert setup.user_octets(None).hex(" ") == sent
     assert setup.dpv1 is not None
     assert setup.dpv1.extra_alarm_sap
+
+
+def test_a_module_status_counts_the_slots_as_the_gsd_file_does_in_either_process() -> None:
+    """Modul_Offset = 0: the head station is slot 0. Octets: INVALID, WRONG, OK, MISSING."""
+    gsd = "#Profibus_DP\nGSD_Revision = 3\nModular_Station = 1\nMax_Module = 4\nModul_Offset = 0\n"
+    texts = DiagTexts(made(gsd).device, [None])
+    setup = SlaveParams(
+        address=9, name="rig", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=Dpv1(alarms=ALL), texts=texts
+    )
+    diagnosis = Diagnosis(8, 0x0C, 0, 2, 1, bytes.fromhex("05 82 00 00 c9"))
+    said = "module status: slot 0 data invalid, slot 1 wrong module, slot 3 no module"
+    assert setup.block_texts(diagnosis) == (said,)
+    events: list[dpstack.Event] = []
+    for of in (setup, dataclasses.replace(setup, texts=None)):
+        handler: Any = SimpleNamespace(setup=of, reports=SlaveReports(of, events.append, 2, set()), want_diagnosis=None)
+        AlarmHandler(handler, AlarmBook()).read(diagnosis, True, 1, 7)
+    own, foreign = events
+    assert own.text == f"slave 9 (rig): {said}"
+    assert isinstance(foreign, StatusTold)
+    assert worded(foreign, setup) == own
