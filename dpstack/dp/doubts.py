@@ -244,16 +244,22 @@ class _Reader:
         masks = {
             one: slot.area(one).channel_mask(block.channel, max(width, slot.area(one).width)) for one in directions
         }
-        if any(masks.values()):
+        is_known = any(masks.values())
+        # the reserved type 0 with channel 0 is the whole module to those who use it: SIMOCODE, ET 200SP
+        may_be_all = block.size == 0 and block.channel == 0
+        if is_known:
             ins, outs = masks.get(Direction.INPUT, 0), masks.get(Direction.OUTPUT, 0)
             text = f"{words}: {place}"
             self._channels.append(Doubt(kind, text, slot.number, block.channel, ins, outs, width, remedy))
-            return
-        text = f"{words}: {place}, whose octets are not known"
+            if not may_be_all:
+                return
+        why = "by which the whole module may be meant" if may_be_all else "whose octets are not known"
+        text = f"{words}: {place}, {why}"
         ins = slot.inputs.mask if not directions or Direction.INPUT in directions else 0
         outs = slot.outputs.mask if not directions or Direction.OUTPUT in directions else 0
         # a name by this channel is bad, the other values of the slot are uncertain
-        self._channels.append(Doubt(kind, text, slot.number, block.channel, ins, outs, width, remedy, exact=False))
+        if not is_known:
+            self._channels.append(Doubt(kind, text, slot.number, block.channel, ins, outs, width, remedy, exact=False))
         self._of_slots.append(Doubt(DoubtKind.SLOT_FAULT, text, slot.number, None, ins, outs, remedy=remedy))
 
     def _cause(self, block: ChannelBlock) -> tuple[str, DoubtKind, str]:
