@@ -17,6 +17,7 @@ from dpstack.api.bus.compose import plan_bus
 from dpstack.api.bus.plan_checks import refuse_misfit
 from dpstack.api.commissioning.candidates import candidates, module_choice
 from dpstack.api.commissioning.sheet import Sheet, make_sheets
+from dpstack.api.config.channel_names import name_lines, slot_remarks
 from dpstack.api.config.config import Config, check_config, load_config, slave_config
 from dpstack.api.config.gsd_choice import base_name, octet_remarks
 from dpstack.api.files import read_file
@@ -160,7 +161,9 @@ class Commissioning:
         except ConfigError as error:
             return {"text": _joined(lines), "errors": [_error(error)], **nothing, "notes": []}
         params = found.params
-        lines += octet_remarks(params.config, params.user_prm)
+        lines += [*octet_remarks(params.config, params.user_prm), *slot_remarks(params.slots)]
+        if found.profile is None and not (found.input_fields or found.output_fields):
+            lines += name_lines(params.slots)
         return {
             "text": _joined(lines),
             "errors": [],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -221,6 +222,8 @@ def test_a_table_has_its_octets_as_comments(commissioning: Commissioning) -> Non
         'inputs = { "limit" = "bool@0.3" }',
         "# identifier octets 20 10: 1 octets of inputs, 1 of outputs",
         "# user parameters none",
+        '# slot 1 "8 DO": outputs 0, 8 channels',
+        '# slot 2 "8 DI slow": inputs 0, 8 channels',
     ]
     assert (table["inputs"], table["outputs"], table["errors"]) == (1, 1, [])
     wrong = plain(commissioning.table({**keys, "modules": ["8 DX"]}))
@@ -280,6 +283,24 @@ def test_the_whole_text_loads_from_its_file(commissioning: Commissioning, folder
     assert [(one.address, one.name, one.params.ident, one.params.config.hex()) for one in loaded.slaves] == [
         (8, "b-valve-island-b-8", 0x0FFE, "2010"),
         (9, "slave9", 0x1234, "2010"),
+    ]
+
+
+def test_the_text_proposes_names_as_the_scan_on_the_command_line_does(
+    commissioning: Commissioning, folder: Path
+) -> None:
+    """Without the # of the proposals they are the names; a slave with names, and a drive, gets none."""
+    keys = {"gsd": "gsd/island.gsd", "modules": ["8 DO", 3], "name": "valves", "address": 8}
+    fan = {"address": 4, "drive": "fuji-frenic", "ident": "ask"}
+    made = plain(commissioning.toml(plant_of(fan, keys, {"address": 9, "ident": 1, "config": "51"})))
+    taken = re.sub(r"^# (?=\[slave\.|slot\d)", "", made["toml"], flags=re.MULTILINE)
+    assert made["toml"].count("# [slave.") == 3
+    (folder / "plant.toml").write_text(taken, encoding="utf-8")
+    named = [(one.name, [*one.input_fields], [*one.output_fields]) for one in load_config(folder / "plant.toml").slaves]
+    assert named == [
+        ("slave4", [], []),
+        ("valves", [f"slot2_{n}" for n in range(8)], [f"slot1_{n}" for n in range(8)]),
+        ("slave9", ["slot1_ai0", "slot1_ai1"], []),
     ]
 
 
