@@ -17,6 +17,7 @@ from typing import Final
 from bench.calibration import Beside
 from bench.options import count, slaves
 from bench.report import Report
+from dpstack.devices.finding import find as find_drive
 from dpstack.dp.master.commands import DriveCommand, Mode, SendControl, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -31,7 +32,6 @@ from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.profile.master.core import DriveCore
 from dpstack.profile.model.states import State
-from dpstack.profile.registry import find as find_drive
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS, NS_PER_S
 

@@ -278,7 +278,7 @@ class Layout:
         self.free: Mapping[str, WordSpec] = {
             one.name: one
             for one in self._outputs
-            if not isinstance(one, int) and one.part not in ("control", "setpoint")
+            if not isinstance(one, int) and one.part not in ("control", "setpoint") and not one.mapped
         }
         self.neutral: Mapping[str, int] = {name: counts_of(one, one.neutral) for name, one in self.free.items()}
         self.setpoint = next(

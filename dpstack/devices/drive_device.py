@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from dpstack.devices.drive_core import counts_of
-from dpstack.devices.machines import machine_of
+from dpstack.devices.machines import Machine, machine_of
 from dpstack.devices.model import DeviceFile, WordSpec
 from dpstack.dp.slave.device import Leave
 from dpstack.profile.drive_profile import READY
@@ -40,7 +40,7 @@ class FileDevice(DriveDevice):
         self.parameter_table = _with_messages(file)
         self.dialect = file.channel.pkw
         self.address_parameter = file.address_parameter
-        self.trips = file.fault.texts or _ANY_FAULT
+        self.trips = self.trips or file.fault.texts or _ANY_FAULT
         simulate = file.simulate
         self.read_errors, self.write_errors = frozenset(simulate.read_errors), frozenset(simulate.write_errors)
         ordered = sorted({*simulate.errors, *self.read_errors, *self.write_errors})
@@ -52,8 +52,9 @@ class FileDevice(DriveDevice):
             presets = {**wanted, **presets}
         super().__init__(profile, telegram, options, presets)
         self.motor.load = file.simulate.load
-        self._machine = machine_of(file)
-        self._fault = 0
+        self.machine: Machine = machine_of(file)
+        #: number of the fault that stands; 0: none
+        self.fault = 0
         self._changes = 0  # of the faults that stand
         self._control = 0
         self._lost_by: str | None = None  # what its lost master ordered
@@ -67,11 +68,11 @@ class FileDevice(DriveDevice):
 
     @property
     def faulted(self) -> bool:
-        return self._machine.state is State.FAULT
+        return self.machine.state is State.FAULT
 
     def reset_fault(self) -> None:
-        self._machine.reset()
-        self._fault = 0
+        self.machine.reset()
+        self.fault = 0
 
     def fault_code(self, code: str) -> int:
         """By number, text or the text's beginning, such as ``F07011``."""
@@ -83,7 +84,7 @@ class FileDevice(DriveDevice):
 
     def live(self, spec: ParamSpec) -> int | None:
         """Faults and warnings that stand, in the parameters that have them."""
-        for messages, number in ((self.file.fault, self._fault), (self.file.warning, self.warning_mask)):
+        for messages, number in ((self.file.fault, self.fault), (self.file.warning, self.warning_mask)):
             place = messages.parameter
             if place is not None and spec.number == place.number:
                 return number if spec.index == (place.index or 0) else 0
@@ -92,7 +93,7 @@ class FileDevice(DriveDevice):
         return None
 
     def locked(self, spec: ParamSpec) -> bool:
-        return self._machine.powered and spec.name in self.file.standstill
+        return self.machine.powered and spec.name in self.file.standstill
 
     def master_lost(self, reason: Leave, now: int) -> None:
         self._lost_by = self.file.simulate.lost
@@ -106,7 +107,7 @@ class FileDevice(DriveDevice):
         super().enter(config, now)
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
-        machine, motor, file = self._machine, self.motor, self.file
+        machine, motor, file = self.machine, self.motor, self.file
         if (trip := self.take_trip()) is not None:
             self._trip(trip)
         still = not motor.frequency or not motor.on
@@ -119,14 +120,14 @@ class FileDevice(DriveDevice):
             before = machine.state
             machine.obey(control, still=still)
             if before is State.FAULT and machine.state is not State.FAULT:
-                self._fault = 0
+                self.fault = 0
         elif words is None or not follows:
             machine.hold()
             if machine.state is State.STOPPING and still:
                 machine.reset()
         motor.switch(machine.powered)
-        motor.accel = self._rate(file.simulate.up)
-        motor.decel = self._rate(file.simulate.quick if machine.state is State.QUICK_STOP else file.simulate.down)
+        motor.accel = self.rate(file.simulate.up)
+        motor.decel = self.rate(file.simulate.quick if machine.state is State.QUICK_STOP else file.simulate.down)
         if machine.state is State.RUNNING:
             if setpoint is not None:
                 motor.setpoint = min(max(setpoint, -2.0), 2.0)
@@ -180,7 +181,7 @@ class FileDevice(DriveDevice):
         return control, setpoint
 
     def _without_master(self, still: bool) -> None:
-        machine, lost = self._machine, self._lost_by
+        machine, lost = self.machine, self._lost_by
         if lost == "go_on" or machine.state is State.FAULT:
             return
         if lost == "coast":
@@ -194,12 +195,13 @@ class FileDevice(DriveDevice):
             self._trip(int(str(lost)))
 
     def _trip(self, number: int) -> None:
-        if self._machine.state is not State.FAULT:
-            self._machine.fail()
-            self._fault = number
+        if self.machine.state is not State.FAULT:
+            self.machine.fail()
+            self.fault = number
             self._changes += 1
 
-    def _rate(self, name: str) -> float:
+    def rate(self, name: str) -> float:
+        """The ramp whose time is in the parameter ``name``, see :class:`Motor`."""
         seconds = float(self.store.value(name)) if name else _DEFAULT_RAMP_S
         return ramp(seconds) if seconds else AT_ONCE
 
@@ -227,15 +229,15 @@ class FileDevice(DriveDevice):
             case "torque":
                 return word.scale.nearest(motor.torque)
             case "fault":
-                return self._fault if word.name == self.file.fault.word else 0
+                return self.fault if word.name == self.file.fault.word else 0
             case "warning":
                 return self.warning_mask
         if word.name == self.file.fault.word:
-            return self._fault
+            return self.fault
         return counts_of(word, 0.0) if (word.low or 0) <= 0 else 0
 
     def _status(self, follows: bool) -> int:
-        file, machine, motor = self.file, self._machine, self.motor
+        file, machine, motor = self.file, self.machine, self.motor
         bits, ordered = file.table.status.bits, file.table.control.bits
         status = machine.shown
         said = {
@@ -254,7 +256,7 @@ class FileDevice(DriveDevice):
             for name, derived in file.derived.items():
                 if name == file.fault.word and file.words[derived.of].part == "status":
                     status = status & ~(derived.mask << derived.shift) | derived.when
-                    status |= (self._fault & derived.mask) << derived.shift
+                    status |= (self.fault & derived.mask) << derived.shift
         for obstacle in file.obstacles:
             ahead = follows and not status & obstacle.mask and obstacle.value == 0
             if ahead and not mask & obstacle.mask:

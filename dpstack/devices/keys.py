@@ -52,6 +52,7 @@ class DeviceKeys(TypedDict, total=False):
     address_acts: when a new station address takes effect. Left out: when it is switched off and on
     telegram_parameter: name of the parameter that chooses the telegram by its `number`, from power-on. Left out: the
         drive takes that of its master
+    only: names of the telegrams that it has. Left out: all of this file and of its base
     scan_ms: time that it may take to react. Left out: that of the simulation
     missing: why the commissioning sheet has no `warnings`, `leds` ...: `{ leds = "it has none" }`
     """
@@ -74,6 +75,7 @@ class DeviceKeys(TypedDict, total=False):
     acknowledge: str
     address_acts: str
     telegram_parameter: str
+    only: Annotated[Sequence[str], _TEXTS]
     scan_ms: Annotated[float, Key(0.1, 10_000)]
     missing: Mapping[str, object]
     bus: Mapping[str, object]
@@ -154,6 +156,7 @@ class WordKeys(TypedDict, total=False):
     as: the part of the word: `setpoint`, `speed`, `current`, `torque`, `fault` or `warning`. Left out: by its name
     bits: names of its bits by their numbers, `{ line = 1 }`
     title: what it is, for the commissioning sheet. Left out: its name
+    mapped: the drive's map of process data says what it carries, so it has no value by this name. Left out: false
     """
 
     type: Literal["n2", "n4", "i16", "u16", "i32", "u32", "f32"]
@@ -166,6 +169,7 @@ class WordKeys(TypedDict, total=False):
     as_: Literal["control", "status", "setpoint", "speed", "current", "torque", "fault", "warning"]
     bits: Mapping[str, object]
     title: str
+    mapped: bool
 
 
 class DerivedKeys(TypedDict, total=False):
@@ -233,13 +237,15 @@ class OrderKeys(TypedDict, total=False):
 
 
 class ObstacleKeys(TypedDict, total=False):
-    """`[obstacles]`, `BIT = { ... }`, or `BIT = "text"` for a bit that is 0, or `STATE = "text"`: why it cannot run.
+    """`[obstacles]`, `BIT = { ... }`, or `BIT = "text"` for a bit that is 0: why the drive cannot run.
 
     when: value of the bit, 0 or 1
+    state: the name is that of a state. Left out: false
     text: the reason, and what to do
     """
 
     when: Annotated[int, Key(0, 1)]
+    state: bool
     text: str
 
 
@@ -363,7 +369,8 @@ class ParameterKeys(TypedDict, total=False):
     by_name: people know it by its name
     volatile: the drive never stores it
     made_up: limits or factory value are in no manual
-    use: what the plugin relies on it for: `scale`, `source`, `setting` or `map`
+    use: what the plugin relies on it for: `scale`, `source`, `setting` or `map`. Left out: `setting` beside
+        `standstill`, else `none`
     acts: when a write counts: `power-on`, or the name of the parameter whose write makes it count. Left out: at once
     standstill: it can only be written at standstill
     """
@@ -383,7 +390,7 @@ class ParameterKeys(TypedDict, total=False):
     by_name: bool
     volatile: bool
     made_up: bool
-    use: Literal["scale", "source", "setting", "map"]
+    use: Literal["none", "scale", "source", "setting", "map"]
     acts: str
     standstill: bool
 

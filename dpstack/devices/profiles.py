@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from msgspec import structs
+
 from dpstack.devices.drive_core import FileCore, counts_of
 from dpstack.devices.drive_device import FileDevice
 from dpstack.devices.model import DeviceFile, Telegram, WordSpec
@@ -66,7 +68,10 @@ def profile_of(file: DeviceFile) -> DriveProfile:
         title=file.title,
         ident=bus.ident or 0,
         ident_made_up=bus.made_up or (bus.ident is None and file.gsd is None),
-        telegrams={name: one.spec for name, one in file.telegrams.items()},
+        telegrams={
+            name: structs.replace(one.spec, made_up=True) if bus.made_up else one.spec
+            for name, one in file.telegrams.items()
+        },
         default_telegram=file.default_telegram,
         user_prm=bus.user_prm,
         baud_rates=bus.rates or tuple(bus.max_tsdr),
@@ -162,7 +167,12 @@ def _fields(file: DeviceFile, telegram: Telegram, *, outputs: bool) -> dict[str,
     at = 8 if telegram.spec.channel else 0
     for name in telegram.outputs if outputs else telegram.inputs:
         word = None if isinstance(name, int) else file.words[name]
-        if word is not None and word.part not in ("control", "status") and not (outputs and word.part == "setpoint"):
+        if (
+            word is not None
+            and not word.mapped
+            and word.part not in ("control", "status")
+            and not (outputs and word.part == "setpoint")
+        ):
             found[word.name] = _field(word, at)
             for bit, number in () if outputs else word.bits.items():
                 found[f"{word.name}_{bit}"] = f"bool@{at + (word.octets * 8 - 1 - number) // 8}.{number % 8}"

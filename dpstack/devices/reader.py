@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -176,7 +176,7 @@ class Reader:
         words = self._words(table)
         derived = self._derived(table, words)
         gsd = self.path.parent / given["gsd"] if "gsd" in given else None
-        telegrams = self._telegrams(table, words, gsd)
+        telegrams = self._telegrams(table, words, gsd, given.get("only", ()))
         control, status, states, own = self._control(table)
         run, steady = own["run"], own["goals"]
         named = table.raw("reference")
@@ -286,6 +286,7 @@ class Reader:
                 part=part,
                 bits=bits,
                 title=given.get("title", ""),
+                mapped=given.get("mapped", False),
             )
 
         self._members(table, "words", read)
@@ -318,10 +319,14 @@ class Reader:
         self._members(table, "derived", read)
         return found
 
-    def _telegrams(self, table: Table, words: Mapping[str, WordSpec], gsd: Path | None) -> dict[str, Telegram]:
+    def _telegrams(
+        self, table: Table, words: Mapping[str, WordSpec], gsd: Path | None, only: Sequence[str]
+    ) -> dict[str, Telegram]:
         found: dict[str, Telegram] = {}
 
         def read(name: str, inside: Table) -> None:
+            if only and name not in only:
+                return
             given = inside.read(_keys(k.TelegramKeys))
             ways: list[tuple[str | int, ...]] = []
             for key, first in (("out", "control"), ("in", "status")):
@@ -524,22 +529,22 @@ class Reader:
             inside = table.table("obstacles")
             rows = {str(row.state): row for row in states.rows}
             for bit in inside:
-                if bit in rows and bit not in status.bits:
-                    found.append(Obstacle(rows[bit].mask, rows[bit].value, inside.text(bit)))
-                    continue
-                if bit not in status.bits:
-                    known = ", ".join((*status.bits, *rows))
-                    inside.fail(bit, f"{brief(bit)} is neither bit nor state of the status word", f"it has {known}")
-                value, text = 0, ""
+                given = {}
                 if isinstance(inside.raw(bit), Mapping):
                     given = inside.table(bit).read(_keys(k.ObstacleKeys))
-                    value, text = given.get("when", 0), given.get("text", "")
-                else:
-                    text = inside.text(bit)
+                known: Iterable[str] = rows if given.get("state") else status.bits
+                if bit not in known:
+                    kind = "state" if given.get("state") else "bit"
+                    inside.fail(bit, f"{brief(bit)} is no {kind} of the status word", f"it has {', '.join(known)}")
+                text = given.get("text", "") if given else inside.text(bit)
                 if not text:
                     inside.fail(bit, f"{bit} has no text", "say why the drive cannot run, and what to do")
-                mask = status.mask(bit)
-                found.append(Obstacle(mask, mask if value else 0, text))
+                if given.get("state"):
+                    mask, value = rows[bit].mask, rows[bit].value
+                else:
+                    mask = status.mask(bit)
+                    value = mask if given.get("when") else 0
+                found.append(Obstacle(mask, value, text))
         return tuple(found)
 
     def _messages(
@@ -658,7 +663,7 @@ class Reader:
         if "per_unit" in given and not given["per_unit"]:
             table.fail("per_unit", "per_unit = 0: a scale of zero", "give the counts that make 1")
         reference = self._reference_parameters
-        use = given.get("use", "scale" if name in reference else "setting" if given.get("standstill") else "")
+        use = given.get("use", "scale" if name in reference else "setting" if given.get("standstill") else "none").replace("none", "")
         rest = {key: given[key] for key in _SPEC_KEYS if key in given}
         try:
             return ParamSpec(
@@ -715,6 +720,8 @@ class Reader:
             inside = table.table("reference")
             given = inside.read(_keys(k.ReferenceKeys))
             for key, value in given.items():
+                if key in ("meaning", "source"):
+                    continue
                 if isinstance(value, str):
                     self._parameter_named(inside, key, value, parameters)
                 elif isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1e6:

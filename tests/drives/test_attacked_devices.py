@@ -13,6 +13,7 @@ from property_kit import examples
 from slave_kit import MS, Bench
 
 from dpstack import Im0, IoStation
+from dpstack.devices.finding import find
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import DeviceFailed, RequestRefused
 from dpstack.dpv1.slave.device import Device
@@ -20,7 +21,6 @@ from dpstack.dpv1.slave.resource_manager import ConnectionClosed, ConnectionOpen
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.profile.registry import find
 from dpstack.slave import DpSlave, SlaveDescription
 
 INITIATE: Final = "57 00 00 00 00 64 01 00 00 00 00 00 00 02 00 02 00 00 00 00"

@@ -9,7 +9,8 @@ import pytest
 
 from dpstack.api.commissioning.sheet import Sheet, blocks_of, make_sheets
 from dpstack.api.config.config import make_config
-from dpstack.profile import DescribedPlace, DeviceDescription, DriveCore, find
+from dpstack.devices.finding import find
+from dpstack.profile import DescribedPlace, DeviceDescription, DriveCore
 from dpstack_drives.demag import table as demag
 from dpstack_drives.fuji import table as fuji
 from dpstack_drives.imo import table as imo

@@ -9,7 +9,7 @@ import pytest
 from api_kit import begun, bus_of, cancelled, device_of, running
 from drive_bench import PluginBench
 
-from dpstack.profile import find
+from dpstack.devices.finding import find
 
 pytestmark = pytest.mark.virtual_time
 

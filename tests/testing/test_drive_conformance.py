@@ -12,8 +12,9 @@ from typing import ClassVar
 import pytest
 from msgspec import structs
 
+from dpstack.devices.finding import find
 from dpstack.errors import DpError, DriveError, UsageError
-from dpstack.profile import DriveCore, DriveProfile, Options, TelegramSpec, find
+from dpstack.profile import DriveCore, DriveProfile, Options, TelegramSpec
 from dpstack.testing import BusFactory, DriveConformance
 
 FUJI = find("fuji-frenic")

@@ -6,8 +6,8 @@ import re
 
 import pytest
 
+from dpstack.devices.finding import find
 from dpstack.errors import UsageError
-from dpstack.profile import find
 from dpstack.testing import Wire
 from dpstack.testing.wire import Watched
 from dpstack.trace import WireEntry

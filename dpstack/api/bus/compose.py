@@ -168,7 +168,7 @@ def compose(
             tune=tune,
             stack=spec,
             plugins=tuple(order for _, order in orders),
-            preload=_drives_group() if adds_drives else "",
+            preload=_plugin_groups() if adds_drives else "",
             cpus=config.bus.cpus,
         )
         view = runtime = remote = ProcessRuntime(setup, on_events, on_failure, on_refused)
@@ -223,10 +223,11 @@ def compose(
     )
 
 
-def _drives_group() -> str:
-    from dpstack.profile import registry  # here, as a bus without drives needs nothing of them
+def _plugin_groups() -> str:
+    from dpstack.devices import profiles  # here, as a bus without drives needs nothing of them
+    from dpstack.profile import registry
 
-    return registry.GROUP
+    return f"{registry.GROUP} {profiles.GROUP}"
 
 
 async def _attach_async(attach: Callable[[SlaveConfig], DrivePlugin | None], slave: SlaveConfig) -> DrivePlugin | None:

@@ -63,12 +63,12 @@ def core_at(place: str, argument: str = "") -> Callable[..., CyclicPlugin]:
     return make
 
 
-def load_all(group: str) -> None:
-    """Import all that a running bus may need, and then has no time for: construct, for the PDUs of DP-V1, and the drive
-    plugins of the entry point group ``group`` ("": none). Those that cannot be imported are left out: the order that
-    attaches one says why."""
+def load_all(groups: str) -> None:
+    """Import all that a running bus may need, and then has no time for: construct, for the PDUs of DP-V1, and the
+    drives of the entry point ``groups``, with blanks between ("": none). Those that cannot be imported are left out:
+    the order that attaches one says why."""
     layouts.load()
-    if group:
+    for group in groups.split():
         from importlib import metadata  # here, as it is not needed if no drive can be added
 
         for place in sorted(point.value for point in metadata.entry_points(group=group)):

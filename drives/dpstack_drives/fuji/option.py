@@ -108,7 +108,7 @@ class OptionCard:
         raw = spec.from_pwe(pwe)
         if not spec.low <= spec.to_value(raw) <= spec.high:
             return ReplyId.ERROR, 2
-        if spec.name in t.STANDSTILL_ONLY and self._device.motor.on:
+        if spec.name in t.FILE.standstill and self._device.motor.on:
             return ReplyId.ERROR, 11
         if spec.number == t.PNU_INITIALISE or spec.name == "H03":
             if (self._flag and not raw) if spec.number == t.PNU_INITIALISE else raw:

@@ -6,10 +6,11 @@ import contextlib
 from collections.abc import Sequence
 from typing import Final
 
+from dpstack.devices.drive_core import DeclaredCore
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
     FAULTED,
     MAP_OPS,
-    NS_PER_MS,
     Args,
     CommandError,
     DriveProfile,
@@ -20,10 +21,8 @@ from dpstack.profile import (
     ParamKey,
     ParamRef,
     Setting,
-    State,
     Steps,
     TelegramSpec,
-    equal,
     listing,
     process_data_map,
     settled,
@@ -36,13 +35,9 @@ _REMOTE: Final = t.STATUS.mask("remote")
 _REVERSE: Final = t.CONTROL.mask("reverse")
 #: of y98: run and frequency command
 _FROM_BUS: Final = 3
-#: OFF1 (ramp down) with bit 10 set: zeros would be ignored and leave the drive running
-_SAFE: Final = 0x047E
-#: how long the drive may take to react is not in the manual; waits reckon with this
-_SCAN_NS: Final = 20 * NS_PER_MS
 
 
-class FujiCore(MappedCore[PcdMap]):
+class FujiCore(MappedCore[PcdMap], DeclaredCore):
     """MRV and MAV in parts of F03.
 
     Options: ``reference_hz`` (F03); ``reverse``: a negative speed goes out as a negative MRV (``sign``) or by bit 11
@@ -52,21 +47,16 @@ class FujiCore(MappedCore[PcdMap]):
     Jobs of its own: those of a :class:`MappedCore`, in PPO2 and PPO4.
     """
 
-    table = t.TABLE
-    scan_ns = _SCAN_NS
-    safe_control = _SAFE
-    parameter_table = t.PARAMETERS
-    dialect = t.PKW
-    address_parameter = "o31"
-    address_acts = "when it is switched off and on with its address switches at 00"
     channel_hint = ": take PPO2"
     inputs_at = outputs_at = 2  # PCD1 stands behind STW and MAV
     map_codes = pcd.CODES
     inputs_map: PcdMap
     outputs_map: PcdMap
 
-    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
-        super().__init__(profile, name, telegram, options)
+    def __init__(
+        self, file: DeviceFile, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options
+    ) -> None:
+        super().__init__(file, profile, name, telegram, options)
         self._by_bit = options["reverse"] == "bit"
         self._alarm = Lookup(lambda: self.raw_state in FAULTED, self._ask)
         self.holds_outputs = bool(self.rest) and self.access is not None
@@ -106,26 +96,13 @@ class FujiCore(MappedCore[PcdMap]):
 
     def obstacle(self) -> str | None:
         """STW bit 9, then the state that a CTW which is not obeyed leaves behind."""
-        if (why := self.refused_in_clear()) is not None:
-            return why
-        if self.raw_state is State.SWITCH_ON_INHIBITED:
-            return (
-                "the drive stays in S1 and does not obey CTW: set y98 to 3 "
-                "(with 1 only the frequency comes from the bus), and see to terminals LE and LOC and to y99, "
-                "which go before the bus"
-            )
-        return None
+        return self.refused_in_clear() or super().obstacle()
 
     def refused_in_clear(self) -> str | None:
         """STW bit 9; S1 says nothing while CTW is 0."""
         if not self.status_word:
             return "STW is 0000: only the option is on the bus (its own 24 V), the inverter has no power"
-        if not self.status_word & _REMOTE:
-            return (
-                "STW bit 9 is 0: neither run nor frequency command comes from the bus; set y98 to 3, and see to "
-                "terminals LE and LOC and to y99, which go before it"
-            )
-        return None
+        return None if self._remote() else super().obstacle()
 
     def prepare(self, deadline: int) -> Steps[None]:
         """Without STW bit 9 CTW does nothing."""
@@ -144,31 +121,20 @@ class FujiCore(MappedCore[PcdMap]):
 
     def settings(self) -> Sequence[Setting]:
         """F03 (scale), y98 (source), and what PCD1 to PCD4 are assigned to."""
-        hz = self.reference_hz
-        found = [
-            equal(
-                "F03",
-                hz,
-                f"set F03 = {hz:g} or the option reference_hz = {{}}",
-                unit="Hz",
-                why="100 % (4000h) of MRV and MAV is F03, the maximum frequency",
-                source="8.2 (3)",
-            ),
-            equal(
-                "y98",
-                _FROM_BUS,
-                "set y98 = 3 (run and frequency command from PROFIBUS)",
-                why="with 0 (as delivered) CTW and MRV do nothing; 1 takes only the frequency from the bus, 2 only the "
-                "run command",
-                source="5, table 5.1",
-            ),
-        ]
+        found = list(super().settings())
         if self.rest and self.pending is None:
             found += [
                 _assigned("map_outputs", self.outputs_map, t.PNU_PCD_WRITE, "o40 to o43"),
                 _assigned("map_inputs", self.inputs_map, t.PNU_PCD_READ, "o48 to o51"),
             ]
         return found
+
+    def place_name(self, word: str, title: str, *, outputs: bool) -> str:
+        """PCD words with their function codes."""
+        if not word.startswith("pcd_"):
+            return title
+        field = (self.outputs_map if outputs else self.inputs_map).fields[int(word[-1]) - 1]
+        return f"{title} ({'not used' if field is None else field.name})"
 
     # -- PCD1 to PCD4 ---------------------------------------------------------------------------------------------
 

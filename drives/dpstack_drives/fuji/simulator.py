@@ -6,9 +6,11 @@ import struct
 from collections.abc import Mapping
 from typing import Final
 
+from dpstack.devices.drive_device import FileDevice
+from dpstack.devices.machines import Profidrive
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
     AT_ONCE,
-    NS_PER_MS,
     NS_PER_S,
     SPEED,
     ConfigError,
@@ -19,8 +21,6 @@ from dpstack.profile import (
     Pkw,
     State,
     TelegramSpec,
-    profidrive_states,
-    ramp,
 )
 from dpstack_drives.fuji import table as t
 from dpstack_drives.fuji.option import OptionCard
@@ -34,7 +34,7 @@ _OFF1: Final = 0x047E
 _COMMAND: Final = struct.Struct(">HH")
 
 
-class FujiDevice(DriveDevice):
+class FujiDevice(FileDevice):
     """Options: ``load``, ``switches``, ``supply``; function codes by name.
 
     ``o30`` follows the telegram. ``release off`` takes the inverter's power
@@ -46,33 +46,32 @@ class FujiDevice(DriveDevice):
     stops by F08; with o31 beyond 125 it trips Er5 and stays at the address it has. F01 has no effect.
     """
 
-    parameter_table = t.PARAMETERS
     contacts = (t.LE, t.LOC)
-    dialect = t.PKW
     trips: Mapping[int, str] = {alarm.code: alarm.keypad for alarm in t.ALARMS}
     unknown_trip = f"no alarm; known: {', '.join(trips.values())}"
-    scan_ns = t.SCAN_MS * NS_PER_MS  # a reading: the manual gives none
-    parameter_errors: Mapping[int, str] = {number: t.PKW.errors[number] for number in t.STATE_ERRORS}
-    read_errors = t.READ_ERRORS
-    write_errors = t.WRITE_ERRORS
+    machine: Profidrive
 
     def __init__(
-        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
+        self,
+        file: DeviceFile,
+        profile: DriveProfile,
+        telegram: TelegramSpec,
+        options: Options,
+        presets: Mapping[str, object],
     ) -> None:
-        super().__init__(profile, telegram, options, {"o30": t.O30[telegram.name], **presets})
+        super().__init__(file, profile, telegram, options, {"o30": file.telegrams[telegram.name].number, **presets})
         self._use_own_telegram()
         self._own_supply = options["supply"] == OWN_SUPPLY
         self.contacts_on = self.contacts_wired = frozenset({t.LE})
         if float(options["switches"]) != int(float(options["switches"])):
             raise ConfigError(f"{self.title}: switches must be a whole number, -1 or 00..99")
         self.option = OptionCard(self, int(float(options["switches"])), self._live)
-        self.machine = profidrive_states.ProfidriveMachine()
         #: alarm codes (M16 to M19), latest first
         self.alarms: list[int] = []
-        self._control = 0
+        self._ctw = 0
         self._sent = 0  # CTW as it came, also without bit 10
         self._mrv = 0
-        self._status = 0
+        self._stw = 0
         self._received = False
         self._loss: tuple[int, bool, bool] | None = None  # when, forgotten when data return, by ramp
         self._forced = False  # decelerates to a stop, then trips
@@ -89,10 +88,6 @@ class FujiDevice(DriveDevice):
             return None
         o30 = int(self.store.value("o30"))
         return f"configuration {config.hex(' ')} is not {self.own.name} ({self.own.config.hex(' ')}), o30 is {o30}"
-
-    @property
-    def faulted(self) -> bool:
-        return self.machine.state is State.FAULT
 
     def mains(self, on: bool) -> None:
         """The mains of the inverter, as :meth:`release`: the option stays on the bus."""
@@ -135,7 +130,7 @@ class FujiDevice(DriveDevice):
             control, mrv = _COMMAND.unpack_from(outputs, 8 if self.telegram.channel else 0)
             self._sent = control
             if control & 0x0400:
-                self._control, self._mrv = control, mrv
+                self._ctw, self._mrv = control, mrv
         return inputs
 
     def master_lost(self, reason: Leave, now: int) -> None:
@@ -162,20 +157,20 @@ class FujiDevice(DriveDevice):
                 self._forced = False
                 self._fail(t.ER5)
         elif source & _RUN:
-            machine.step(self._control, still=still)
+            machine.step(self._ctw, still=still)
         elif machine.powered:
             machine.step(_OFF1, still=still)
         elif machine.state is not State.FAULT:
             machine.state = State.SWITCH_ON_INHIBITED
         reference = SPEED.decode(self._mrv) if source & _FREQUENCY else 0.0
-        if self._control & 0x0800:
+        if self._ctw & 0x0800:
             reference = -reference
         self._drive(reference)
-        self._status = self._word(source, reference)
+        self._stw = self._word(source, reference)
         if words is not None:
             self.option.write_words(words[2:])
         extra = self.option.read_words()[: self.telegram.inputs // 2 - 2]
-        return (self._status, SPEED.nearest(motor.frequency), *extra)
+        return (self._stw, SPEED.nearest(motor.frequency), *extra)
 
     def _source(self) -> int:
         """The commands that the bus has, as the bits of y98: y99 and the terminals go first."""
@@ -186,8 +181,8 @@ class FujiDevice(DriveDevice):
     def _unpowered(self) -> tuple[int, ...]:
         """Only the option is on the bus."""
         self.motor.switch(False)
-        self.machine = profidrive_states.ProfidriveMachine()
-        self._control = self._mrv = self._status = 0
+        self.machine = Profidrive()
+        self._ctw = self._mrv = self._stw = 0
         self._loss, self._forced = None, False
         return (0,) * (self.telegram.inputs // 2)
 
@@ -206,10 +201,10 @@ class FujiDevice(DriveDevice):
                 self._fail(t.ER5)
 
     def _drive(self, reference: float) -> None:
-        motor, state, control = self.motor, self.machine.state, self._control
+        motor, state, control = self.motor, self.machine.state, self._ctw
         motor.switch(self.machine.powered)
-        motor.accel = self._rate("F07")
-        motor.decel = self._rate("H56" if state is State.QUICK_STOP else "F08")
+        motor.accel = self.rate("F07")
+        motor.decel = self.rate("H56" if state is State.QUICK_STOP else "F08")
         if state is not State.RUNNING or self._forced:
             motor.setpoint = 0.0
         elif not control & 0x10:
@@ -220,13 +215,10 @@ class FujiDevice(DriveDevice):
         else:
             motor.setpoint = min(max(reference, -1.0), 1.0)
 
-    def _rate(self, code: str) -> float:
-        return ramp(self.store.value(code))
-
     def _word(self, source: int, reference: float) -> int:
         motor, state = self.motor, self.machine.state
-        copied = self._control if source & _RUN else 0
-        status = self.machine.SHOWN[state]
+        copied = self._ctw if source & _RUN else 0
+        status = self.machine.shown
         status |= 0x0010 if copied & 0x02 else 0
         status |= 0x0020 if copied & 0x04 else 0
         status |= 0x0200 if source else 0
@@ -241,11 +233,8 @@ class FujiDevice(DriveDevice):
     def _fail(self, code: int) -> None:
         if self.machine.state is not State.FAULT:
             self.alarms = [code, *self.alarms][: len(t.ALARM_INDEXES)]
-            self.machine.state = State.FAULT
+            self.machine.fail()
             self._forced = False
-
-    def reset_fault(self) -> None:
-        self.machine.state = State.SWITCH_ON_INHIBITED
 
     def carry_out(self, order: Pkw) -> tuple[int, int]:
         return self.option.order(order)
@@ -259,7 +248,7 @@ class FujiDevice(DriveDevice):
             case t.PNU_CTW:
                 return self._sent
             case t.PNU_STW:
-                return self._status
+                return self._stw
             case 0x103 if 16 <= where & 0xFF <= 19:
                 return self._alarm((where & 0xFF) - 16)
             case _:

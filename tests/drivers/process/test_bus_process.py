@@ -368,12 +368,15 @@ def test_all_drives_that_are_installed_are_loaded() -> None:
 import sys
 from dpstack.drivers.process.plugins import load_all
 before = set(sys.modules)
-load_all("dpstack.drives")
+load_all("dpstack.drives dpstack.devices")
+from importlib import metadata
+from dpstack.devices import profiles
 from dpstack.profile import registry
-print(registry.GROUP, {place.partition(":")[0] for place in registry.places().values()} <= set(sys.modules) - before)
+places = {point.value for group in (registry.GROUP, profiles.GROUP) for point in metadata.entry_points(group=group)}
+print(len(places), {place.partition(":")[0] for place in places} <= set(sys.modules) - before)
 """
     done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["dpstack.drives", "True"]
+    assert done.stdout.split() == ["5", "True"]
 
 
 @pytest.mark.parametrize("orders", [(Shutdown(), m.CloseBus()), (GoOffline(), m.CloseBus())], ids=["port", "ring"])

@@ -32,6 +32,7 @@ from process_kit import (
 from support_responder import Responder
 
 import dpstack
+from dpstack.devices.finding import find
 from dpstack.dp.master.events import MasterStopped
 from dpstack.drivers.process.channel import Channel
 from dpstack.drivers.process.messages import Answer, CloseBus
@@ -39,6 +40,8 @@ from dpstack.errors import BusError, ConfigError, PortError, UsageError
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
 
+#: a drive that is an object of this program
+OWN = dataclasses.replace(find("fuji-frenic"), name="own", file="")
 #: safe values reach the outputs, then Clear's zeros
 AFTER = (b"\xa5\x5a", bytes(2))
 APPLICATION = """
@@ -211,9 +214,9 @@ async def test_it_finds_modules_where_the_application_does(monkeypatch: pytest.M
     )
     from dpstack.profile import registry
 
-    monkeypatch.setattr(registry, "places", lambda: {"fuji-frenic": "made_here:D"})
-    with pytest.raises(BusError, match="ValueError: found"):
-        await bus_on("/dev/null", "process", {"name": "fan", "address": 4, "drive": "fuji-frenic"}).open()
+    monkeypatch.setattr(registry, "places", lambda: {"own": "made_here:D"})
+    with registry.also(OWN), pytest.raises(BusError, match="ValueError: found"):
+        await bus_on("/dev/null", "process", {"name": "fan", "address": 4, "drive": "own"}).open()
 
 
 @pytest.mark.parametrize("then", ["await asyncio.sleep(60)", "import time; time.sleep(60)"])
@@ -276,16 +279,14 @@ async def test_an_application_that_does_not_read_for_a_while() -> None:
 async def test_a_plugin_that_cannot_be_imported_there(monkeypatch: pytest.MonkeyPatch) -> None:
     from dpstack.profile import registry
 
-    fan = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
-    monkeypatch.setattr(registry, "places", lambda: {"fuji-frenic": "elsewhere.module:DRIVE"})
-    with pytest.raises(ConfigError, match=r"plugin elsewhere.module:DRIVE cannot be imported in the bus process"):
-        await bus_on("/dev/null", "process", fan).open()
-    own = dataclasses.replace(registry.find("fuji-frenic"), name="own", file="")
-    with (
-        registry.also(own),
-        pytest.raises(ConfigError, match=r"slave 4 \(fan\): its drive plugin 'own' is an object of this program"),
-    ):
-        bus_on("/dev/null", "process", fan | {"drive": "own"})
+    fan = {"name": "fan", "address": 4, "drive": "own"}
+    with registry.also(OWN):
+        monkeypatch.setattr(registry, "places", lambda: {"own": "elsewhere.module:DRIVE"})
+        with pytest.raises(ConfigError, match=r"plugin elsewhere.module:DRIVE cannot be imported in the bus process"):
+            await bus_on("/dev/null", "process", fan).open()
+        monkeypatch.setattr(registry, "places", dict)
+        with pytest.raises(ConfigError, match=r"slave 4 \(fan\): its drive plugin 'own' is an object of this program"):
+            bus_on("/dev/null", "process", fan)
 
 
 def test_it_runs_in_a_thread_of_the_application() -> None:

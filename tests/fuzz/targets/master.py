@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+from dpstack.devices.finding import find
 from dpstack.dp.acyclic.class2 import ReadService, Service
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
@@ -34,7 +35,6 @@ from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT
-from dpstack.profile.registry import find
 from dpstack.trace import Event
 from tests.fuzz.frame import Cutter, Target, assert_plain, one_in
 from tests.fuzz.octet_line import DH, DL, SC, Asked, CorrectSlave, Line, sd1, sd2

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
+from dpstack.devices.finding import find
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.diag_blocks import UserDiag
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
@@ -27,7 +28,6 @@ from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import BusParams
-from dpstack.profile.registry import find
 from dpstack.sim.io_station.station import IoStation
 from tests.fuzz.frame import Cutter, Target, assert_plain, one_in
 from tests.fuzz.octet_line import Asked, Line, sd1, sd2

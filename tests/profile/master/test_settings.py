@@ -12,6 +12,7 @@ from support import present
 from dpstack.profile import CommandError, DriveProfile, ParameterChannel, ParamKey, SettingsState, Steps
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
+from dpstack_drives.fuji import table as fuji
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 from dpstack_drives.ls import DRIVE as LS
@@ -473,7 +474,8 @@ def test_a_command_error_of_a_plugin_ends_the_comparison_only() -> None:
             yield
             raise CommandError("timeout", "no answer of this drive")
 
-    core = Broken(FUJI, "it", FUJI.telegram("PPO1"), {name: one.default for name, one in FUJI.core_options.items()})
+    options = {name: one.default for name, one in FUJI.core_options.items()}
+    core = Broken(fuji.FILE, FUJI, "it", FUJI.telegram("PPO1"), options)
     bench = PluginBench(core, ZERO + "02 31 00 00")
     bench.run(5)
     assert core.status().settings is SettingsState.NOT_CHECKED

@@ -6,6 +6,8 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import functools
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import drive_bench
@@ -13,26 +15,27 @@ import pytest
 from api_kit import bench_of, in_virtual_time
 from demag_kit import ZERO
 from drive_bench import ALONE, BUS, MS, NONE, PZD, Named, PairBench, PluginBench, S
+from msgspec import structs
 from support import present
 
 import dpstack
+from dpstack.devices.model import DeviceFile
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile import (
     POWER_ON,
     DriveCore,
     DriveDevice,
     DriveProfile,
-    Options,
     ParamSpec,
     ParamTable,
     Setting,
     SettingsState,
-    TelegramSpec,
     Use,
     equal,
 )
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
+from dpstack_drives.fuji import table as fuji
 from dpstack_drives.fuji.plugin import FujiCore
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
@@ -222,21 +225,16 @@ def test_fuji_o30_acts_at_power_on_and_the_status_says_so() -> None:
     bench.ok("start")
 
 
-class LaterCore(FujiCore):
-    """A drive whose scale acts from power-on: one column of its table is another one."""
-
-    parameter_table = ParamTable(
-        dataclasses.replace(spec, acts=POWER_ON) if spec.name == "F03" else spec for spec in FujiCore.parameter_table
-    )
-
-
-def later(profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> LaterCore:
-    return LaterCore(profile, name, telegram, options)
+def fuji_with(change: Callable[[ParamSpec], ParamSpec]) -> DeviceFile:
+    """Fuji's device file with another column in its table."""
+    return structs.replace(fuji.FILE, parameters=ParamTable(map(change, fuji.PARAMETERS)))
 
 
 @pytest.mark.parametrize("channel", ["first", "known"])
 def test_a_scale_that_acts_at_power_on_keeps_its_old_value_until_then(channel: str) -> None:
-    drive = dataclasses.replace(FUJI, core_factory=later)
+    """A drive whose scale acts from power-on: one column of its table is another one."""
+    file = fuji_with(lambda spec: dataclasses.replace(spec, acts=POWER_ON) if spec.name == "F03" else spec)
+    drive = dataclasses.replace(FUJI, core_factory=partial(FujiCore, file))
     device = drive.simulated("PPO1", {}, {})
     bench = PairBench(drive.core("it", "PPO1"), device)
     if channel == "known":
@@ -257,12 +255,11 @@ def test_any_setting_of_any_plugin_is_relied_on_without_a_column() -> None:
     """A plugin with settings and no column ``use`` at all, as those of other people are."""
 
     class Plain(FujiCore):
-        parameter_table = ParamTable(dataclasses.replace(spec, use=Use.NONE) for spec in FujiCore.parameter_table)
-
         def settings(self) -> tuple[Setting, ...]:
             return (equal("F26", 2, "set F26 = 2"), equal("F07", 1, "set F07 = 1", refuse=False))
 
-    drive = dataclasses.replace(FUJI, core_factory=Plain)
+    file = fuji_with(lambda spec: dataclasses.replace(spec, use=Use.NONE))
+    drive = dataclasses.replace(FUJI, core_factory=partial(Plain, file))
     bench = PairBench(drive.core("it", "PPO1"), drive.simulated("PPO1", {}, {}))
     bench.ok("start")
     assert "F26 (Motor sound) is not written" in bench.misuse("write", number="F26", value=3)
