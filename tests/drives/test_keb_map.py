@@ -95,7 +95,7 @@ def test_records_and_text_say_the_same_for_every_right_map(one: PdMap) -> None:
     assert PdMap.parse(str(one)) == one
     if check(one, one) is None:
         assert PdMap.from_records(dict(one.records(0)), dict(one.records(1))) == one
-        values = {entry.index: number + 1 for number, entry in enumerate(one.fields)}
+        values = {entry.key: number + 1 for number, entry in enumerate(one.fields)}
         if len(values) == len(one.fields):
             words = struct.unpack(">8H", one.put(values, 16))
             assert process_data_map.raws(one.fields, words) == values
@@ -357,7 +357,7 @@ def test_k11_each_bit_of_the_enable_stands_for_an_octet(line: Requests) -> None:
     after = Requests(line)
     after.device.trip("E.OL")
     assert after.bench.send(ZERO + " 00 01 03 E8", 60)[24:29] == "00 02"
-    assert [entry.index for _, entry in after.device.operator.into.active[0]] == [0x2033]
+    assert [entry.key for _, entry in after.device.operator.into.active[0]] == [0x2033]
 
 
 def test_k11_fb23_0_restores_the_default_map_at_power_on(line: Requests) -> None:

@@ -118,14 +118,18 @@ def test_l7_addresses() -> None:
 
 
 def test_l7_maps() -> None:
-    assert paramap.parse("000A 000E dr-03 0x0F") == (0x000A, 0x000E, 0x1103, 0x000F)
-    assert str(paramap.ParaMap((0x000A, 0x1103))) == "000A 1103"
-    with pytest.raises(ValueError, match="no address"):
-        paramap.parse("000A speed")
-    assert "room for 2" in str(paramap.check((1, 2, 3), 2, written=False))
-    assert "read only" in str(paramap.check((0x000A,), 4, written=True))
-    assert "twice" in str(paramap.check((0x0005, 0x0005), 4, written=True))
-    assert paramap.check((0x0005, 0, 0, 0x1103), 4, written=True) is None
+    status, control = paramap.MAPS
+    assert status.parse("000A 000E dr-03 0x0F").codes == (0x000A, 0x000E, 0x1103, 0x000F)
+    assert str(status.of((0x000A, 0x1103))) == "000A 1103"
+    for table, text, room, says in (
+        (status, "000A speed", 8, "'speed' is no address; write 000A"),
+        (status, "0001 0002 0003", 2, "3 addresses, the telegram has room for 2"),
+        (control, "000A", 4, r"000A \(Output frequency\) is read only"),
+        (control, "0005 0x5", 4, "0005 twice: the last word would win"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            table.parse(text, room)
+    assert control.parse("0005 0000 0000 dr-03", 4).codes == (0x0005, 0, 0, 0x1103)
 
 
 def test_l9_trips_and_rates() -> None:

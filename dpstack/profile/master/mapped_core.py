@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
-from typing import Final, Generic, Literal, NamedTuple, TypeVar
+from typing import Final, Generic, Literal, NamedTuple, TypeVar, cast
 
 from msgspec import Struct
 
@@ -18,7 +17,7 @@ from dpstack.profile.model import process_data_map
 from dpstack.profile.model.drive_type import Options
 from dpstack.profile.model.jobs import Args, CommandError, Steps
 from dpstack.profile.model.params import POWER_ON, Use
-from dpstack.profile.model.process_data_map import DataMap, MappedField
+from dpstack.profile.model.process_data_map import DataMap, FieldMap, FieldTable, MappedField
 from dpstack.profile.model.states import Goal
 
 M = TypeVar("M", bound=DataMap)
@@ -74,6 +73,8 @@ class MappedCore(DriveCore, Generic[M]):
     #: the parameters with the maps of inputs and outputs; None: the drive holds them in another way (see
     #: :meth:`read_map` and :meth:`store_maps`), or they are not written over the bus
     map_codes: tuple[MapCodes, MapCodes] | None = None
+    #: the fields that maps of inputs and of outputs may have; None: the plugin reads maps by itself
+    map_fields: tuple[FieldTable, FieldTable] | None = None
     #: the process data are held, and set points refused, while the maps of the drive are not those of the plugin: the
     #: control word or the set point stands in the output map, or another map may act since the drive's power-on
     holds_outputs: bool = False
@@ -240,9 +241,10 @@ class MappedCore(DriveCore, Generic[M]):
 
     # -- hooks for a plugin ---------------------------------------------------------------------------------------
 
-    @abstractmethod
     def parse_map(self, text: str, *, outputs: bool) -> M:
-        """Read a map from a text of the user's. Raises ValueError."""
+        """Read a map from a text of the user's: fields of :attr:`map_fields`. Raises ValueError."""
+        assert self.map_fields is not None
+        return cast("M", self.map_fields[outputs].parse(text, self.room(outputs=outputs)))
 
     def option_map(self, text: str, *, outputs: bool) -> M:
         """Read a map from an option; the text may be empty. Raises ValueError."""
@@ -250,11 +252,13 @@ class MappedCore(DriveCore, Generic[M]):
 
     def map_of(self, codes: tuple[int, ...], *, outputs: bool) -> M:
         """The map with these codes, as the drive has it."""
-        raise NotImplementedError
+        assert self.map_fields is not None
+        return cast("M", self.map_fields[outputs].of(codes))
 
     def codes_of(self, one: M) -> tuple[int, ...]:
         """A map as the parameters of the drive hold it, 0 for an empty word."""
-        raise NotImplementedError
+        assert isinstance(one, FieldMap)
+        return one.codes
 
     def room(self, *, outputs: bool) -> int | None:
         """Words of the telegram that a map fills; None: as many as there are codes."""

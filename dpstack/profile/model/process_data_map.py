@@ -1,14 +1,23 @@
 """Process data maps: the fields in a drive's inputs and outputs beside control word and set point, in their order.
 
-Notation, fields and storage of a map belong to the drive. The checks of maps and values are the same for all drives:
+The fields of a drive and how users write them are a :class:`FieldTable`, of a device file or of a drive's Python; where
+the drive keeps its maps belongs to the drive. The checks of maps and values are the same for all drives:
 :class:`~dpstack.profile.master.mapped_core.MappedCore`.
 """
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Final, Protocol
+
+from msgspec import Struct
+
+from dpstack.profile.model.params import ParamSpec
+
+#: the highest value of a word
+_WORD: Final = 0xFFFF
 
 
 class MappedField(Protocol):
@@ -45,6 +54,160 @@ class DataMap(Protocol):
     @property
     def fields(self) -> Sequence[MappedField | None]:
         """None for a word that carries nothing."""
+
+
+class MapField(Struct, frozen=True, kw_only=True):
+    """A value of one or two words: a parameter of the drive (``spec``), or a number of its own.
+
+    On the wire stands value x ``per_unit``, with a sign if ``signed``. ``low`` and ``high`` are in ``unit``.
+    """
+
+    #: number of the field in the drive
+    key: int
+    name: str
+    octets: int = 2
+    #: 0 moves and changes nothing; False for a parameter that the drive keeps, and for a limit
+    neutral: bool = True
+    per_unit: float = 1
+    low: float = 0
+    high: float = _WORD
+    unit: str = ""
+    signed: bool = False
+    #: the parameter whose type, scale and limits it has; None: those of this field
+    spec: ParamSpec | None = None
+    #: in the text of a map; "": by its name
+    text: str = ""
+    #: what people read behind the range, see ``limit`` in device files
+    limit: str = ""
+    #: the values that it takes, for people, where they are whole numbers
+    wants: str = "takes whole numbers"
+    #: why it cannot be written; "": it can
+    read_only: str = ""
+    #: the data sets in which it is written, bit n for set n
+    sets: int = 1
+
+    def encode(self, value: float) -> int:
+        """The integer on the wire. Raises ValueError with the range."""
+        if self.spec is not None:
+            return self.spec.to_raw(value) & self._mask
+        unit = f" {self.unit}" if self.unit else ""
+        if not (math.isfinite(value) and self.low <= value <= self.high):
+            high = f"{self.high:.0f}" if self.high == int(self.high) else f"{self.high:.5g}"
+            limit = f" ({self.limit})" if self.limit else ""
+            raise ValueError(f"{self.name} {value:g}{unit} is outside {self.low:g}..{high}{unit}{limit}")
+        if self.per_unit == 1 and value != int(value):
+            raise ValueError(f"{self.name} {self.wants}, not {value:g}")
+        return round(value * self.per_unit) & self._mask
+
+    def decode(self, raw: int) -> int | float:
+        """The value of an unsigned integer on the wire, in its unit."""
+        if self.spec is not None:
+            return self.spec.to_value(raw)
+        half = self._mask + 1 >> 1
+        raw = (raw ^ half) - half if self.signed else raw
+        return raw if self.per_unit == 1 else raw / self.per_unit
+
+    @property
+    def _mask(self) -> int:
+        return (1 << 8 * self.octets) - 1
+
+
+class FieldMap(Struct, frozen=True):
+    """Fields in their order, None for a word that carries nothing; as text the way users write them."""
+
+    fields: tuple[MapField | None, ...] = ()
+    #: in the text for a word that carries nothing
+    empty: str = "-"
+
+    def __str__(self) -> str:
+        words = [self.empty if field is None else field.text or field.name for field in self.fields]
+        return " ".join(words[: len(used(self.codes))])
+
+    @property
+    def codes(self) -> tuple[int, ...]:
+        """The fields by their numbers in the drive, 0 for an empty word."""
+        return tuple(0 if field is None else field.key for field in self.fields)
+
+    def place(self, key: int) -> int | None:
+        """The word at which a field begins; None if the map does not have it."""
+        return next((at for at, field in places(self.fields) if field.key == key), None)
+
+
+class FieldTable(Struct, frozen=True, kw_only=True):
+    """The fields that a map may have one way, and how a user writes a map: their names or numbers in order."""
+
+    #: those that the manual lists, by their number in the drive
+    fields: Mapping[int, MapField] = {}
+    #: words that a map has at most
+    most: int = _WORD
+    #: their names, for people, such as ``PZD2 to PZD12``
+    places: str = ""
+    #: a map always has ``most`` words
+    padded: bool = False
+    #: in the text for a word that carries nothing; "": each carries something
+    empty: str = "-"
+    #: what a field is called, for people, and many of them
+    noun: str = "process data of the drive"
+    nouns: str = "process data"
+    #: how it is written, for people; "": by the nearest names
+    hint: str = ""
+    #: the outputs, which the drive is written
+    outputs: bool = False
+    #: what the drive does with an output that a map has twice
+    twice: str = ""
+    #: finds a field that is not in ``fields``, by a word of a map
+    find: Callable[[str], MapField | None] | None = None
+    #: and by its number in the drive
+    by_code: Callable[[int], MapField] | None = None
+
+    def of(self, codes: Iterable[int]) -> FieldMap:
+        """The map with these numbers, as the drive has it."""
+        return FieldMap(tuple(self._field(code) if code else None for code in codes), self.empty)
+
+    def parse(self, text: str, room: int | None = None) -> FieldMap:
+        """``room``: words of the telegram, where that has fewer. Raises ValueError with what to write."""
+        words = text.replace(",", " ").split()
+        if room is not None and len(words) > room:
+            raise ValueError(f"{len(words)} {self.nouns}, the telegram has room for {room}")
+        if len(words) > self.most:
+            places = f" ({self.places})" if self.places else ""
+            raise ValueError(f"{len(words)} {self.nouns}, there are {self.most}{places}")
+        found: list[MapField | None] = []
+        for word in words:
+            field = self._named(word)
+            if field is not None and self.outputs:
+                if field.read_only:
+                    raise ValueError(f"{field.name} {field.read_only}")
+                if self.twice and field in found:
+                    raise ValueError(f"{field.name} twice: {self.twice}")
+            found.append(field)
+        return FieldMap((*found, *(None,) * (self.most - len(found) if self.padded else 0)), self.empty)
+
+    def _field(self, code: int) -> MapField:
+        found = self.fields.get(code)
+        if found is None:
+            found = MapField(key=code, name=str(code)) if self.by_code is None else self.by_code(code)
+        return found
+
+    def _named(self, word: str) -> MapField | None:
+        if word == self.empty:
+            return None
+        if self.find is not None:
+            found = self.find(word)
+        else:
+            number = int(word) if word.isascii() and word.isdecimal() else None
+            if number == 0:
+                return None
+            named = (one for one in self.fields.values() if one.key == number or one.name == word.lower())
+            found = next(named, None)
+        if found is None:
+            hint = self.hint
+            if not hint:
+                names = [one.name for one in self.fields.values()]
+                near = difflib.get_close_matches(word.lower(), names, n=1)
+                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
+            raise ValueError(f"{word!r} is no {self.noun}; {hint}")
+        return found
 
 
 def used(codes: Sequence[int], room: int | None = None) -> tuple[int, ...]:

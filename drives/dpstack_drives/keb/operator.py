@@ -12,7 +12,7 @@ from dpstack.profile import NS_PER_MS, NS_PER_US
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import RefusedError
 from dpstack_drives.keb.parameters import Parameters
-from dpstack_drives.keb.pdmap import BLOCK, DEFAULT_INPUTS, DEFAULT_OUTPUTS, SUBINDEXES, Entry, PdMap, check
+from dpstack_drives.keb.pdmap import BLOCK, DEFAULT_INPUTS, DEFAULT_OUTPUTS, SUBINDEXES, MapField, PdMap, check
 
 #: one telegram to the inverter; how long it takes is made up
 LINK_NS: Final = NS_PER_MS
@@ -73,8 +73,8 @@ class Direction:
     def power_on(self) -> None:
         """Records that were not enabled are lost; the maps go to the inverter."""
         self.records, self.enable = deepcopy(self._kept)
-        self.active: list[list[tuple[int, Entry]]] = [[], []]
-        self.moving: list[list[tuple[int, Entry]]] = [[], []]
+        self.active: list[list[tuple[int, MapField]]] = [[], []]
+        self.moving: list[list[tuple[int, MapField]]] = [[], []]
         for block in (0, 1):
             self._to_inverter(block)
 
@@ -84,7 +84,7 @@ class Direction:
         self.active[block] = self.moving[block] = _covered(self.enable[block], places)
 
 
-def _covered(enable: int, places: list[tuple[int, Entry]]) -> list[tuple[int, Entry]]:
+def _covered(enable: int, places: list[tuple[int, MapField]]) -> list[tuple[int, MapField]]:
     """The values that are switched on: bit n of the enable stands for octet n + 1 of the block."""
     return [(at, entry) for at, entry in places if not ~enable >> at % BLOCK & (1 << entry.octets) - 1]
 
@@ -191,7 +191,7 @@ class Operator:
                     entries = [entry for _, entry in direction.active[block]]
                     if value >= len(entries):
                         return sets if of_sets else -1
-                    return entries[value].sets if of_sets else entries[value].index - t.INVERTER.start
+                    return entries[value].sets if of_sets else entries[value].key - t.INVERTER.start
         return None
 
     # -- process data ---------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from msgspec import Struct
 from dpstack.profile import ParamSpec, ParamStore
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import RefusedError
-from dpstack_drives.keb.pdmap import Entry
+from dpstack_drives.keb.pdmap import MapField
 
 #: parameters that process data write: never stored
 _PASSWORD, _PASSWORD_INDEX = 440, 0x2801
@@ -34,21 +34,21 @@ class Parameters(Struct, eq=False):
         spec = t.PARAMETERS.get(index)
         return 0 if spec is None else self.store.raw(spec)
 
-    def provides(self, entry: Entry) -> bool:
-        spec = t.PARAMETERS.get(entry.index)
-        return spec is not None and spec.type.wide == entry.long
+    def provides(self, entry: MapField) -> bool:
+        spec = t.PARAMETERS.get(entry.key)
+        return spec is not None and spec.type.wide == (entry.octets == 4)
 
-    def fetch(self, entry: Entry) -> int:
+    def fetch(self, entry: MapField) -> int:
         """The value for the operator; of sets with different values the first one (a reading)."""
-        spec = t.PARAMETERS.get(entry.index)
+        spec = t.PARAMETERS.get(entry.key)
         if spec is None:
             return 0
-        live = self._live(entry.index)
+        live = self._live(entry.key)
         first = (entry.sets & -entry.sets).bit_length()
         return self.store.raw(spec, first) if live is None else live
 
-    def store_output(self, entry: Entry, raw: int) -> None:
-        spec = t.PARAMETERS.get(entry.index)
+    def store_output(self, entry: MapField, raw: int) -> None:
+        spec = t.PARAMETERS.get(entry.key)
         if spec is not None and spec.write_error(value := spec.from_pwe(raw)) is None:
             self._write(spec, value, entry.sets, ram_only=True)
 

@@ -9,11 +9,10 @@ from collections.abc import Iterable, Mapping
 from itertools import zip_longest
 from typing import Final
 
-from msgspec import Struct
-
 from dpstack.profile import process_data_map
 from dpstack_drives.keb import table as t
 
+MapField = process_data_map.MapField
 #: octets of one of the two blocks
 BLOCK: Final = 8
 #: subindex 1, then an index and a set for each of 8 octets
@@ -24,56 +23,35 @@ _LONGEST: Final = 2 * BLOCK
 FORBIDDEN: Final = range(0x231B, 0x2324)
 
 
-class Entry(Struct, frozen=True):
-    """A value: a parameter of the inverter by its index, word or long, and the sets (bit n for set n)."""
+def Entry(index: int, long: bool = False, sets: int = 1) -> MapField:  # noqa: N802 - a kind of field
+    """A parameter of the inverter by its index, word or long, and its sets; signed, as no manual of ours has types.
 
-    index: int
-    long: bool = False
-    sets: int = 1
-
-    @property
-    def octets(self) -> int:
-        return 4 if self.long else 2
-
-    @property
-    def key(self) -> int:
-        return self.index
-
-    @property
-    def neutral(self) -> bool:
-        """Control word and set speed: 0 is none of either; all others are parameters."""
-        return self.index in (t.CONTROL_WORD, t.SET_SPEED)
-
-    @property
-    def name(self) -> str:
-        """``sy.50 (2032h)`` if the group is known."""
-        return t.name_of(self.index)
-
-    def encode(self, value: float) -> int:
-        """An integer as it stands on the wire. Raises ValueError."""
-        bits = 8 * self.octets
-        if value != int(value) or not -(1 << bits - 1) <= value < 1 << bits:
-            raise ValueError(f"{self.name} takes {bits}-bit integers, not {value:g}")
-        return int(value)
-
-    def decode(self, raw: int) -> int:
-        """Signed, as no manual of ours has the types."""
-        half = 1 << 8 * self.octets - 1
-        return (raw ^ half) - half
-
-    def __str__(self) -> str:
-        return f"{self.index:04X}{':long' if self.long else ''}{f'@{self.sets}' if self.sets != 1 else ''}"
+    Control word and set speed are neutral: 0 is none of either; all others are parameters.
+    """
+    bits = 32 if long else 16
+    return MapField(
+        key=index,
+        name=t.name_of(index),
+        octets=bits // 8,
+        neutral=index in (t.CONTROL_WORD, t.SET_SPEED),
+        low=-(1 << bits - 1),
+        high=(1 << bits) - 1,
+        signed=True,
+        text=f"{index:04X}{':long' if long else ''}{f'@{sets}' if sets != 1 else ''}",
+        wants=f"takes {bits}-bit integers",
+        sets=sets,
+    )
 
 
-class PdMap(Struct, frozen=True):
+class PdMap(process_data_map.FieldMap, frozen=True):
     """The values of one direction in their order; the first 8 octets are block 1, what follows is block 2."""
 
-    fields: tuple[Entry, ...]
+    fields: tuple[MapField, ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> PdMap:
         """``2032 2034``, ``202C:long 2033@1 sy.53``: indexes in hex or names. Raises ValueError."""
-        return cls(tuple(_entry(word) for word in text.split()))
+        return cls(tuple(field for field in _TABLE.parse(text).fields if field is not None))
 
     @classmethod
     def from_records(cls, values: Mapping[int, int], second: Mapping[int, int] | None = None) -> PdMap:
@@ -81,7 +59,7 @@ class PdMap(Struct, frozen=True):
         length = values.get(_LENGTH, 0)
         if not 0 <= length <= _LONGEST:
             raise ValueError(f"a process data length of {length} octets; 0..{_LONGEST} are possible")
-        entries: list[Entry] = []
+        entries: list[MapField] = []
         for start, record in ((0, values), (BLOCK, second or {})):
             end = min(length - start, BLOCK)
             begins = [b for b in range(end) if record.get(2 + 2 * b)]
@@ -93,26 +71,23 @@ class PdMap(Struct, frozen=True):
                 raise ValueError(f"no value begins at octet {start}")
         return cls(tuple(entries))
 
-    def __str__(self) -> str:
-        return " ".join(map(str, self.fields))
-
     @property
     def octets(self) -> int:
         """Length of the process data."""
         return sum(entry.octets for entry in self.fields)
 
-    def places(self) -> Iterable[tuple[int, Entry]]:
+    def places(self) -> Iterable[tuple[int, MapField]]:
         """Every value with the octet at which it begins."""
         at = 0
         for entry in self.fields:
             yield at, entry
             at += entry.octets
 
-    def place(self, index: int) -> int | None:
+    def octet(self, index: int) -> int | None:
         """The octet at which a parameter begins, None if it is not mapped."""
-        return next((at for at, entry in self.places() if entry.index == index), None)
+        return next((at for at, entry in self.places() if entry.key == index), None)
 
-    def block(self, number: int) -> tuple[Entry, ...]:
+    def block(self, number: int) -> tuple[MapField, ...]:
         """The values of block 0 or 1."""
         return tuple(entry for at, entry in self.places() if at // BLOCK == number)
 
@@ -123,7 +98,7 @@ class PdMap(Struct, frozen=True):
             values[_LENGTH] = self.octets
         for at, entry in self.places():
             if at // BLOCK == block:
-                values[2 + 2 * (at % BLOCK)] = entry.index
+                values[2 + 2 * (at % BLOCK)] = entry.key
                 values[3 + 2 * (at % BLOCK)] = entry.sets
         return sorted(values.items())
 
@@ -144,18 +119,18 @@ def check(inputs: PdMap, outputs: PdMap) -> str | None:
         if one.octets > _LONGEST:
             return f"{name}: {one.octets} octets, the operator has at most {_LONGEST}"
         for at, entry in one.places():
-            if not t.INVERTER.start <= entry.index < t.INVERTER.stop:
-                return f"{name}: {entry.index:04X} is no parameter of the inverter (2000..5EFF)"
+            if not t.INVERTER.start <= entry.key < t.INVERTER.stop:
+                return f"{name}: {entry.key:04X} is no parameter of the inverter (2000..5EFF)"
             if not 1 <= entry.sets <= 0xFF:
-                return f"{name}: {entry.index:04X} has no set: give 1 (set 0) .. 255, a bit for each set"
-            if entry.long and entry.index in t.WORDS:
-                return f"{name}: {t.name_of(entry.index)} is a word, not a long"
+                return f"{name}: {entry.key:04X} has no set: give 1 (set 0) .. 255, a bit for each set"
+            if entry.octets == 4 and entry.key in t.WORDS:
+                return f"{name}: {t.name_of(entry.key)} is a word, not a long"
             if at // BLOCK != (at + entry.octets - 1) // BLOCK:
-                return f"{name}: {entry.index:04X} crosses from block 1 into block 2 (8 octets each)"
-            if one is outputs and entry.index in FORBIDDEN:
-                return f"outputs: {t.name_of(entry.index)} cannot be process output data (oP.27 to oP.35 never)"
+                return f"{name}: {entry.key:04X} crosses from block 1 into block 2 (8 octets each)"
+            if one is outputs and entry.key in FORBIDDEN:
+                return f"outputs: {t.name_of(entry.key)} cannot be process output data (oP.27 to oP.35 never)"
     for number in (0, 1):
-        into, out = (tuple(e.long for e in one.block(number)) for one in (inputs, outputs))
+        into, out = (tuple(e.octets == 4 for e in one.block(number)) for one in (inputs, outputs))
         for name, shape in (("inputs", into), ("outputs", out)):
             if list(shape) != sorted(shape, reverse=True):
                 return f"{name}, block {number + 1}: the long value must be the first"
@@ -164,7 +139,7 @@ def check(inputs: PdMap, outputs: PdMap) -> str | None:
     return None
 
 
-def _entry(word: str) -> Entry:
+def _entry(word: str) -> MapField:
     name, _, sets = word.partition("@")
     name, _, kind = name.partition(":")
     if kind not in ("", "long") or (sets and not sets.isdecimal()):
@@ -178,6 +153,7 @@ def _entry(word: str) -> Entry:
     return Entry(index, kind == "long", int(sets) if sets else 1)
 
 
+_TABLE: Final = process_data_map.FieldTable(find=_entry, empty="")
 #: docs/reference/drives/keb-f5.md#default-map, example 1
 DEFAULT_INPUTS: Final = PdMap((Entry(t.STATUS_WORD), Entry(t.ACTUAL_SPEED)))
 DEFAULT_OUTPUTS: Final = PdMap((Entry(t.CONTROL_WORD), Entry(t.SET_SPEED)))

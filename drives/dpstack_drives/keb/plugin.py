@@ -115,7 +115,7 @@ class KebCore(MappedCore[PdMap]):
 
     def status_of(self, process: bytes) -> int:
         """sy.51 if the map has it."""
-        at = self.inputs_map.place(t.STATUS_WORD)
+        at = self.inputs_map.octet(t.STATUS_WORD)
         return 0 if at is None else int.from_bytes(process[at : at + 2], "big")
 
     def encode(self, control: int, setpoint: int) -> bytes:
@@ -140,7 +140,7 @@ class KebCore(MappedCore[PdMap]):
         found = {
             index: int.from_bytes(process[at : at + 2], "big")
             for index in (t.CONTROL_WORD, t.SET_SPEED)
-            if (at := self.outputs_map.place(index)) is not None and at + 2 <= len(process)
+            if (at := self.outputs_map.octet(index)) is not None and at + 2 <= len(process)
         }
         control = found.get(t.CONTROL_WORD) if self._bits else None
         raw = found.get(t.SET_SPEED) if self._rpm_per_count else None
@@ -151,7 +151,7 @@ class KebCore(MappedCore[PdMap]):
 
     def setpoint_word(self, fraction: float) -> int:
         """sy.52."""
-        if self.outputs_map.place(t.SET_SPEED) is None:
+        if self.outputs_map.octet(t.SET_SPEED) is None:
             raise ValueError("sy.52 (2034h, set speed) is not in the output map")
         if not self._rpm_per_count:
             raise ValueError("the unit of sy.52 is not in the manual: give the option rpm_per_count")
@@ -169,7 +169,7 @@ class KebCore(MappedCore[PdMap]):
 
     def measured(self) -> tuple[float | None, float | None, float | None]:
         """sy.53 if the map has it and its unit is known."""
-        at = self.inputs_map.place(t.ACTUAL_SPEED)
+        at = self.inputs_map.octet(t.ACTUAL_SPEED)
         if at is None or not self._rpm_per_count:
             return None, None, None
         return self.scale.decode(self.words[at // 2]), None, None
@@ -194,9 +194,9 @@ class KebCore(MappedCore[PdMap]):
 
     def cannot(self, op: str) -> str | None:
         """Orders that the options and the map have no bits for."""
-        if self.outputs_map.place(t.CONTROL_WORD) is None:
+        if self.outputs_map.octet(t.CONTROL_WORD) is None:
             return f"{op}: sy.50 (2032h, control word) is not in the output map"
-        if self.inputs_map.place(t.STATUS_WORD) is None:
+        if self.inputs_map.octet(t.STATUS_WORD) is None:
             return f"{op}: sy.51 (2033h, status word) is not in the input map"
         control, status = _NEEDS[op]
         for names, known, option in (
@@ -274,8 +274,8 @@ class KebCore(MappedCore[PdMap]):
 
     def read_by(self, field: process_data_map.MappedField) -> ParamKey:
         """The parameter in its sets."""
-        assert isinstance(field, Entry)
-        return ParamKey(field.index, index=field.sets)
+        assert isinstance(field, process_data_map.MapField)
+        return ParamKey(field.key, index=field.sets)
 
     def place_of(self, key: ParamKey) -> tuple[int, int]:
         return find(key).pnu, 0
@@ -447,7 +447,7 @@ def _active(option: str, own: PdMap, firsts: Sequence[int]) -> list[Setting]:
         keys += [ParamKey(first + 2 * n + 1) for n in range(len(entries))]
         last = t.name_of(first + 2 * t.BLOCK_VALUES - 1).partition(" ")[0]
         names = f"{t.name_of(first).partition(' ')[0]} to {last}"
-        wanted = " ".join(str(Entry(entry.index, sets=entry.sets)) for entry in entries) or "empty"
+        wanted = " ".join(Entry(entry.key, sets=entry.sets).text for entry in entries) or "empty"
 
         def differs(
             values: Sequence[float], count: int = definitions, wanted: str = wanted, names: str = names
@@ -455,7 +455,7 @@ def _active(option: str, own: PdMap, firsts: Sequence[int]) -> list[Setting]:
             indexes = [int(value) & t.OFF for value in values[:count]]
             sets = [int(value) for value in values[count:]]
             places = [
-                str(Entry(t.INVERTER.start + index, sets=sets[n] if n < len(sets) else 1))
+                Entry(t.INVERTER.start + index, sets=sets[n] if n < len(sets) else 1).text
                 for n, index in enumerate(indexes)
                 if index != t.OFF
             ]

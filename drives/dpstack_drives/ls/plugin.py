@@ -33,7 +33,6 @@ from dpstack.profile import (
 )
 from dpstack_drives.ls import paramap, records, references, telegrams
 from dpstack_drives.ls import table as t
-from dpstack_drives.ls.paramap import ParaMap
 
 #: OFF1 (ramp down) with bit 10 set: zeros would be ignored and leave the drive running
 _SAFE: Final = 0x047E
@@ -41,6 +40,7 @@ _SAFE: Final = 0x047E
 _STILL: Final = 0.005
 #: for one element of a lookup: record 47 takes four rotations, 1.4 s at 9.6 kbit/s beside four drives
 _ANSWER_NS: Final = 5 * NS_PER_S
+FieldMap = process_data_map.FieldMap
 _SOURCE: Final = "set dr-06 (command source) to 4, field bus, and see that the keypad is not in local mode"
 
 
@@ -55,7 +55,7 @@ def profile_of(telegram: TelegramSpec, wanted: str) -> int:
     return t.LS_DRIVE if wanted == "ls" else t.PROFIDRIVE
 
 
-class LsCore(MappedCore[ParaMap]):
+class LsCore(MappedCore[FieldMap]):
     """PROFIdrive or LS Drive profile in PPO1 to PPO6, PROFIdrive in ST1, the drive's own words in VENDOR n/m.
 
     Options: ``profile`` (COM-11: ``profidrive`` or ``ls``); ``speed_unit`` (COM-14: ``percent`` of dr-20 or ``rpm``);
@@ -76,9 +76,10 @@ class LsCore(MappedCore[ParaMap]):
     address_parameter = "COM-07"
     address_acts = "with COM-94 = 1, or when it is switched off and on"
     address_trigger = "COM-94"
-    inputs_map: ParaMap
-    outputs_map: ParaMap
+    inputs_map: FieldMap
+    outputs_map: FieldMap
     map_codes = paramap.CODES
+    map_fields = paramap.MAPS
     map_options = ("para_status", "para_control")
     outputs_name = "para_control"
     start_hint = f"; {_SOURCE}"
@@ -121,18 +122,14 @@ class LsCore(MappedCore[ParaMap]):
         octets = self.telegram.outputs if outputs else self.telegram.inputs
         return min(max(octets // 2 - self.inputs_at, 0), telegrams.MOST)
 
-    def option_map(self, text: str, *, outputs: bool) -> ParaMap:
+    def option_map(self, text: str, *, outputs: bool) -> FieldMap:
         """As much of the drive's default map as the telegram takes if the option is empty."""
-        room = self.room(outputs=outputs)
-        if not text.strip():
-            return ParaMap((paramap.DEFAULT_CONTROL if outputs else paramap.DEFAULT_STATUS)[:room])
-        given = self.parse_map(text, outputs=outputs)
-        if (wrong := paramap.check(given.entries, room, written=outputs)) is not None:
-            raise ValueError(wrong)
-        return given
+        if text.strip():
+            return self.parse_map(text, outputs=outputs)
+        return self.map_of(paramap.DEFAULTS[outputs][: self.room(outputs=outputs)], outputs=outputs)
 
     def _advise_maps(self) -> None:
-        for where in sorted({*self.inputs_map.entries, *self.outputs_map.entries} & t.ADVISED_AGAINST):
+        for where in sorted({*self.inputs_map.codes, *self.outputs_map.codes} & t.ADVISED_AGAINST):
             self._advise(where)
 
     def _advise(self, where: int) -> None:
@@ -202,7 +199,7 @@ class LsCore(MappedCore[ParaMap]):
         """C000..4000 of dr-20, rpm, or 0.01 Hz without a sign."""
         if not abs(fraction) <= 1:
             raise ValueError(f"speed {fraction:g} is outside -1..1: 100 % is dr-20 (maximum frequency), 0.5 is 50 %")
-        if self._io and t.FREQUENCY not in self.outputs_map.entries:
+        if self._io and t.FREQUENCY not in self.outputs_map.codes:
             raise ValueError("0005 (frequency command) is not in para_control (COM-51..)")
         if self._profile == t.PROFIDRIVE:
             return self.scale.encode(fraction)
@@ -222,9 +219,9 @@ class LsCore(MappedCore[ParaMap]):
         """Orders that the profile or the map has no bits for."""
         if op == "quick_stop" and self._profile != t.PROFIDRIVE:
             return "the LS control word has no quick stop: stop() ramps down, coast() takes the power off"
-        if self._io and t.OPERATION not in self.outputs_map.entries:
+        if self._io and t.OPERATION not in self.outputs_map.codes:
             return f"{op}: 0006 (operation command) is not in para_control (COM-51..)"
-        if self._io and t.RUN_STATUS not in self.inputs_map.entries:
+        if self._io and t.RUN_STATUS not in self.inputs_map.codes:
             return f"{op}: 000E (operating status) is not in para_status (COM-31..)"
         return None
 
@@ -400,22 +397,6 @@ class LsCore(MappedCore[ParaMap]):
 
     # -- Para Status and Para Control -----------------------------------------------------------------------------
 
-    def parse_map(self, text: str, *, outputs: bool) -> ParaMap:
-        return ParaMap(paramap.parse(text))
-
-    def check_maps(self, inputs: ParaMap, outputs: ParaMap) -> str | None:
-        """Room, doubled and read-only words."""
-        for what, entries, written in (("inputs", inputs.entries, False), ("outputs", outputs.entries, True)):
-            if (wrong := paramap.check(entries, self.room(outputs=written), written=written)) is not None:
-                return f"{what}: {wrong}"
-        return None
-
-    def map_of(self, codes: tuple[int, ...], *, outputs: bool) -> ParaMap:
-        return ParaMap(codes)
-
-    def codes_of(self, one: ParaMap) -> tuple[int, ...]:
-        return one.entries
-
     def maps_changed(self) -> None:
         self._advise_maps()
 
@@ -432,7 +413,7 @@ class LsCore(MappedCore[ParaMap]):
         return "start, stop and speed" if self._io and key in (t.FREQUENCY, t.OPERATION) else None
 
 
-def _mapped(option: str, own: ParaMap, room: int, count: int, *, refuse: bool) -> Setting:
+def _mapped(option: str, own: FieldMap, room: int, count: int, *, refuse: bool) -> Setting:
     """COM-31.. or COM-51.. are those of the option, as far as the telegram has words for them.
 
     ``count``: the address of their number; theirs follow it.
@@ -441,8 +422,8 @@ def _mapped(option: str, own: ParaMap, room: int, count: int, *, refuse: bool) -
 
     def differs(values: Sequence[float]) -> str | None:
         number, *entries = (int(value) for value in values)
-        found = ParaMap(tuple(entries[:number]))
-        if process_data_map.used(found.entries) == process_data_map.used(own.entries):
+        found = paramap.STATUS.of(entries[:number])
+        if process_data_map.used(found.codes) == process_data_map.used(own.codes):
             return None
         first = t.code_of(count + 1)
         return (

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dpstack.profile import ConfigError, Options, ParamSpec, ParamStore, TelegramSpec, process_data_map
-from dpstack_drives.ls import paramap, telegrams
+from dpstack_drives.ls import paramap
 from dpstack_drives.ls import table as t
 
 
@@ -50,17 +50,14 @@ def presets(options: Options, given: Mapping[str, object], where: str) -> dict[s
         "COM-68": int(bool(options["swap"])),
         "dr-20": float(options["reference_hz"]),
     }
-    for option, count, first in (("para_status", 30, 31), ("para_control", 50, 51)):
+    for option, count, fields in (("para_status", 30, paramap.STATUS), ("para_control", 50, paramap.CONTROL)):
         try:
-            entries = paramap.parse(process_data_map.split(str(options[option]))[0])
+            entries = fields.parse(process_data_map.split(str(options[option]))[0]).codes
         except ValueError as error:
-            raise ConfigError(f"{where}: {error}") from None
-        wrong = paramap.check(entries, telegrams.MOST, written=first == 51)
-        if wrong is not None:
-            raise ConfigError(f"{where}: {option}: {wrong}")
+            raise ConfigError(f"{where}: {option}: {error}") from None
         if entries:
             found[f"COM-{count}"] = len(entries)
-            found |= {f"COM-{first + place}": entry for place, entry in enumerate(entries)}
+            found |= {f"COM-{count + 1 + place}": entry for place, entry in enumerate(entries)}
     for name, value in given.items():
         at = t.address(name)
         found[name if at is None else t.code_of(at)] = value
