@@ -93,6 +93,7 @@ class DeviceKeys(TypedDict, total=False):
     parameters: Mapping[str, object]
     settings: Mapping[str, object]
     options: Mapping[str, object]
+    map: Mapping[str, object]
     simulate: Mapping[str, object]
     step: Annotated[Sequence[object], _GIVEN]
     range: Annotated[Sequence[object], _GIVEN]
@@ -373,6 +374,11 @@ class ParameterKeys(TypedDict, total=False):
         `standstill`, else `none`
     acts: when a write counts: `power-on`, or the name of the parameter whose write makes it count. Left out: at once
     standstill: it can only be written at standstill
+    times: so many of them in a row: the number, or the index if one is given, goes up, as do the digits at the end of the
+        name and `{}` in the title. Left out: 1
+    stride: from one to the next. Left out: 1
+    first: the first number for `{}`. Left out: 1
+    factories: values at delivery of those in a row, 0 behind the last one
     """
 
     number: Annotated[int, _WORD]
@@ -393,6 +399,79 @@ class ParameterKeys(TypedDict, total=False):
     use: Literal["none", "scale", "source", "setting", "map"]
     acts: str
     standstill: bool
+    times: Annotated[int, Key(1, 1000)]
+    stride: Annotated[int, Key(1, 1000)]
+    first: Annotated[int, Key(0, 1000)]
+    factories: Sequence[int]
+
+
+class MapKeys(TypedDict, total=False):
+    """`[map]`: what the words behind control word and set point carry, for a drive where that is chosen.
+
+    most: words of a map. Left out: as many as it has codes
+    places: their names, such as `PZD2 to PZD12`
+    empty: a word that carries nothing, in the text of a map. Left out: `-`
+    noun: what a field is called. Left out: `process data of the drive`
+    nouns: and many of them. Left out: `process data`
+    hint: how a field is written. Left out: by the nearest names
+    twice: what the drive does with an output that a map has twice. Left out: nothing, it may
+    inputs: `[map.inputs]`
+    outputs: `[map.outputs]`
+    """
+
+    most: Annotated[int, Key(1, 122)]
+    places: str
+    empty: str
+    noun: str
+    nouns: str
+    hint: str
+    twice: str
+    inputs: Mapping[str, object]
+    outputs: Mapping[str, object]
+
+
+class MapWayKeys(TypedDict, total=False):
+    """`[map.inputs]` and `[map.outputs]`.
+
+    codes: names of the parameters that hold the map, in the order of its words. Left out: the drive holds it elsewhere
+    count: name of the parameter with the number of its words. Left out: all are in use, 0 is an empty one
+    default: codes of the fields at delivery. Left out: none
+    place: the name of a word with `{}` for its number, for the commissioning sheet. Left out: `word {}`
+    first: number of the first word. Left out: 1
+    fields: `NAME = { code = 1 }`
+    source: section of the manual
+    """
+
+    codes: Annotated[Sequence[str], _TEXTS]
+    count: str
+    default: Sequence[int]
+    place: str
+    first: Annotated[int, Key(0, 1000)]
+    fields: Mapping[str, object]
+    source: str
+
+
+class FieldKeys(TypedDict, total=False):
+    """`[map.inputs.fields]` and `[map.outputs.fields]`, `NAME = { ... }`.
+
+    code: number of the field in the drive
+    type: `u16`, `i16`, `u32` or `i32`. Left out: `u16`
+    per_unit: counts that make 1 in `unit`. Left out: 1
+    unit: unit of the value
+    low: lowest value. Left out: that of the type
+    high: highest value. Left out: that of the type
+    limit: what the highest value is, for people
+    neutral: 0 in it moves and changes nothing; false for a limit or a ramp time. Left out: true
+    """
+
+    code: Annotated[int, Key(1, 0xFFFF_FFFF)]
+    type: Literal["u16", "i16", "u32", "i32"]
+    per_unit: Annotated[float, Key(-_MOST, _MOST)]
+    unit: str
+    low: Annotated[float, Key(-_MOST, _MOST)]
+    high: Annotated[float, Key(-_MOST, _MOST)]
+    limit: str
+    neutral: bool
 
 
 class SettingKeys(TypedDict, total=False):

@@ -12,6 +12,7 @@ from typing import Final
 
 from msgspec import Struct, field
 
+from dpstack.devices.maps import MapWay
 from dpstack.profile.channel.pkw import ARRAY_PKW, PAGED_PKW, PLAIN_PKW, PkwDialect
 from dpstack.profile.drive_profile import OptionSpec
 from dpstack.profile.master.messages import MessageParameter
@@ -312,6 +313,8 @@ class DeviceFile(Struct, frozen=True, kw_only=True):
     channel: Channel = Channel()
     parameters: ParamTable
     settings: tuple[SettingSpec, ...] = ()
+    #: the maps of inputs and outputs; None: it has none
+    maps: tuple[MapWay, MapWay] | None = None
     reference: Reference = Reference()
     address_parameter: str = ""
     lock_hint: str = ""

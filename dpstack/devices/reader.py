@@ -11,6 +11,7 @@ from typing import Any, Final, TypeVar
 from msgspec import structs
 
 from dpstack.devices import keys as k
+from dpstack.devices.maps import MapWay, read_maps
 from dpstack.devices.model import (
     DIALECTS,
     NORMALISED,
@@ -200,6 +201,7 @@ class Reader:
             "obstacles": self._obstacles(table, status, states),
             "channel": self._channel(table),
             "settings": self._settings(table, parameters),
+            "maps": self._maps(table, parameters),
             "reference": self._reference(table, parameters),
             "address_parameter": self._parameter_named(table, "address", given.get("address", ""), parameters),
             "simulate": self._simulate,
@@ -639,8 +641,11 @@ class Reader:
         names: dict[str, str] = {}
         self._standstill: frozenset[str] = frozenset()
 
-        def read(name: str, inside: Table) -> None:
-            given = inside.read(_keys(k.ParameterKeys))
+        def read_row(first: str, inside: Table) -> None:
+            for name, given in _in_a_row(first, inside.read(_keys(k.ParameterKeys))):
+                read(name, inside, given)
+
+        def read(name: str, inside: Table, given: Mapping[str, Any]) -> None:
             number = given.get("number", int(name) if name.isascii() and name.isdecimal() else None)
             if number is None:
                 inside.fail(None, f"parameter {name} has no number", "add number = ...")
@@ -656,7 +661,7 @@ class Reader:
             if given.get("standstill"):
                 self._standstill |= {name}
 
-        self._members(table, "parameters", read)
+        self._members(table, "parameters", read_row)
         return ParamTable(specs.values())
 
     def _parameter(self, table: Table, name: str, number: int, given: Mapping[str, Any]) -> ParamSpec:
@@ -712,6 +717,11 @@ class Reader:
 
         self._members(table, "settings", read)
         return tuple(found)
+
+    def _maps(self, table: Table, parameters: ParamTable) -> tuple[MapWay, MapWay] | None:
+        with self._collected():
+            return read_maps(table, parameters)
+        return None
 
     def _reference(self, table: Table, parameters: ParamTable) -> Reference:
         if table.raw("reference") is None:
@@ -894,6 +904,24 @@ class Reader:
 
         self._each(table, "example", read)
         return tuple(found)
+
+
+def _in_a_row(name: str, given: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Parameters that are declared once for several, each with its name."""
+    stem = name.rstrip("0123456789")
+    digits = name[len(stem) :]
+    counted = "index" if "index" in given else "number"
+    factories = given.get("factories", ())
+    for place in range(given.get("times", 1)):
+        at = place * given.get("stride", 1)
+        one = dict(given)
+        if "title" in given:
+            one["title"] = given["title"].replace("{}", str(given.get("first", 1) + place))
+        if counted in given:
+            one[counted] = given[counted] + at
+        if factories:
+            one["factory"] = factories[place] if place < len(factories) else 0
+        yield stem + str(int(digits) + at).zfill(len(digits)) if digits and at else name, one
 
 
 #: keys of a parameter that are fields of its specification

@@ -1,6 +1,8 @@
-"""Para Status (COM-31..) and Para Control (COM-51..): which address stands where
-(docs/reference/drives/ls-s100.md#parameters-and-maps). Any parameter may, as four hex digits, ``0x0A`` or a keypad code;
-0000 leaves a word empty."""
+"""Para Status (COM-31..) and Para Control (COM-51..): which address stands where.
+
+docs/reference/drives/ls-s100.md#parameters-and-maps. Any parameter may, as four hex digits, ``0x0A`` or a keypad code;
+0000 leaves a word empty.
+"""
 
 from __future__ import annotations
 
