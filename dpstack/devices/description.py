@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from msgspec import structs
 
 from dpstack.devices.drive_core import DeclaredCore
+from dpstack.devices.maps import MapWay
 from dpstack.devices.model import DeviceFile, Messages, Step, Telegram, filled
 from dpstack.profile.core_description import speed_range
 from dpstack.profile.master.core import DriveCore
+from dpstack.profile.master.mapped_core import MappedCore
 from dpstack.profile.model.description import (
     DescribedMessage,
     DescribedPlace,
@@ -19,6 +21,10 @@ from dpstack.profile.model.description import (
     places,
 )
 from dpstack.profile.model.drive_type import Options
+from dpstack.profile.model.process_data_map import DataMap
+
+#: the maps of inputs and outputs, with those of a core
+Maps = tuple[tuple[MapWay, DataMap], ...]
 
 
 def describe(
@@ -33,17 +39,29 @@ def describe(
         "telegram": core.telegram.name,
         "number": None if telegram is None else telegram.number,
     }
+    if file.bus.rate_setting is not None:
+        facts["rate"] = file.bus.rate_setting.rates[int(options[file.bus.rate_setting.option])]
+    facts = {name: int(one) if isinstance(one, float) and one.is_integer() else one for name, one in facts.items()}
     counted = [one for one in file.steps if _counts(one, facts)]
     before, behind = ([_step(one, facts) for one in counted if one.first is first] for first in (True, False))
     settings = basic.steps[1:] if core.address_parameter and any(map(_has_address, counted)) else basic.steps
+    speeds = telegram is None or any(
+        isinstance(word, str) and file.words[word].part == "setpoint" for word in telegram.outputs
+    )
+    maps = tuple(zip(file.maps or (), core.present_maps() if isinstance(core, MappedCore) else (), strict=False))
     source, reference = file.source or f"the device file {file.path.name}", file.reference
     described = structs.replace(
         basic,
         manual=source,
         steps=(*before, *settings, *behind),
+        words=tuple(
+            structs.replace(word, codes=file.codes.get(name) or word.codes)
+            for word, name in zip(basic.words, ("control", "status"), strict=True)
+        ),
         ranges=(
-            speed_range(core, reference.source or source, reference.meaning or "the reference"),
+            *((speed_range(core, reference.source or source, reference.meaning or "the reference"),) if speeds else ()),
             *file.ranges,
+            *(one for way, own in reversed(maps) for one in way.ranges(own.fields)),
         ),
         faults=_messages(file.fault, source),
         warnings=_messages(file.warning, source),
@@ -56,19 +74,25 @@ def describe(
         return described
     return structs.replace(
         described,
-        outputs=_places(file, core, telegram, outputs=True),
-        inputs=_places(file, core, telegram, outputs=False),
+        outputs=_places(file, core, telegram, maps, outputs=True),
+        inputs=_places(file, core, telegram, maps, outputs=False),
     )
 
 
-def _places(file: DeviceFile, core: DeclaredCore, telegram: Telegram, *, outputs: bool) -> tuple[DescribedPlace, ...]:
+def _places(
+    file: DeviceFile, core: DeclaredCore, telegram: Telegram, maps: Maps, *, outputs: bool
+) -> tuple[DescribedPlace, ...]:
+    """With maps the words without a name are theirs."""
     names = []
     for one in telegram.outputs if outputs else telegram.inputs:
-        if isinstance(one, int):
-            names.append((f"{one:04X}h", 2))
-        else:
+        if not isinstance(one, int):
             word = file.words[one]
             names.append((core.place_name(one, word.title or one, outputs=outputs), word.octets))
+        elif not maps:
+            names.append((f"{one:04X}h", 2))
+    if maps:
+        way, own = maps[outputs]
+        names += way.places(own.fields)
     return places(core.telegram, outputs=outputs, names=names)
 
 

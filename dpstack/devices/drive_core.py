@@ -5,16 +5,19 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Final
+from typing import Final, TypeVar
 
 from dpstack.devices.model import DeviceFile, WordSpec
 from dpstack.errors import ConfigError
 from dpstack.profile.channel.base import ParamKey
 from dpstack.profile.master.core import DriveCore
+from dpstack.profile.master.mapped_core import MappedCore
 from dpstack.profile.master.settings import Setting, equal
 from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import LARGEST, Args, CommandError, Steps
+from dpstack.profile.model.process_data_map import DataMap, FieldTable
 
+M = TypeVar("M", bound=DataMap)
 #: the order that sets free words of the outputs
 SET: Final = "set"
 _MESSAGES: Final = ("fault", "warning")
@@ -23,7 +26,7 @@ _MESSAGES: Final = ("fault", "warning")
 class DeclaredCore(DriveCore):
     """A core whose words, states, parameters, texts, obstacles and settings are those of ``file``.
 
-    The Python of a device file derives from it; with maps: ``class AcmeCore(MappedCore[AcmeMap], DeclaredCore)``.
+    The Python of a device file derives from it; with maps from :class:`DeclaredMapCore`.
     """
 
     def __init__(
@@ -112,6 +115,22 @@ class DeclaredCore(DriveCore):
             return None if number is None else float(number)
         value = self._options.get(equals)
         return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) and value else None
+
+
+class DeclaredMapCore(MappedCore[M], DeclaredCore):
+    """A core with the maps of ``file``, for the Python of a device file."""
+
+    map_fields: tuple[FieldTable, FieldTable]
+
+    def __init__(
+        self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
+    ) -> None:
+        assert file.maps is not None
+        inputs, outputs = file.maps
+        self.map_fields = (inputs.fields, outputs.fields)
+        if outputs.codes.places:
+            self.map_codes = (inputs.codes, outputs.codes)
+        super().__init__(file, profile, name, telegram, options)
 
 
 class FileCore(DeclaredCore):

@@ -25,8 +25,9 @@ _ECHOED: Final = ("no_coast", "no_quick_stop")
 _DEFAULT_RAMP_S: Final = 1.0
 
 
-class FileDevice(DriveDevice):
-    """The simulated drive of ``file``. It follows the bus while its settings are those that the file wants."""
+class DeclaredDevice(DriveDevice):
+    """A simulated drive whose parameters, faults and errors are those of ``file``: the Python of a device file derives
+    from it."""
 
     def __init__(
         self,
@@ -51,6 +52,20 @@ class FileDevice(DriveDevice):
             wanted = {one.parameter: number for one in file.settings if one.equals == "telegram"}
             presets = {**wanted, **presets}
         super().__init__(profile, telegram, options, presets)
+
+
+class FileDevice(DeclaredDevice):
+    """The simulated drive of ``file``. It follows the bus while its settings are those that the file wants."""
+
+    def __init__(
+        self,
+        file: DeviceFile,
+        profile: DriveType,
+        telegram: TelegramSpec,
+        options: Options,
+        presets: Mapping[str, object],
+    ) -> None:
+        super().__init__(file, profile, telegram, options, presets)
         self.motor.load = file.simulate.load
         self.machine: Machine = machine_of(file)
         #: number of the fault that stands; 0: none

@@ -112,6 +112,8 @@ class BusKeys(TypedDict, total=False):
     fail_safe: it understands an empty output frame in Clear
     made_up: ident number and identifiers are in no manual
     made_gsd: a GSD file made from the manual, not the maker's, relative to this file
+    rate_option: name of the option with the number of the rate, for a device that does not detect it
+    rate_numbers: those numbers, `{ 0 = 9600 }`
     """
 
     ident: Annotated[int, _WORD]
@@ -122,6 +124,8 @@ class BusKeys(TypedDict, total=False):
     fail_safe: bool
     made_up: bool
     made_gsd: str
+    rate_option: str
+    rate_numbers: Mapping[str, object]
 
 
 class TelegramKeys(TypedDict, total=False):
@@ -131,6 +135,7 @@ class TelegramKeys(TypedDict, total=False):
     in: words from the device, the status word first
     pkw: a parameter channel of eight octets leads. Left out: false
     config: identifier octets in hex. Left out: those of `modules` in the GSD file
+    made_up: those identifiers are in no manual. Left out: false
     modules: names of the modules in the GSD file
     number: value of the drive's parameter that chooses it, for `{telegram}` in `[settings]`. Left out: its name, if
         that is a number
@@ -140,6 +145,7 @@ class TelegramKeys(TypedDict, total=False):
     in_: Annotated[Sequence[object], _GIVEN]
     pkw: bool
     config: Octets
+    made_up: bool
     modules: Annotated[Sequence[str], _TEXTS]
     number: Annotated[int, _WORD]
 
@@ -199,6 +205,7 @@ class ControlKeys(TypedDict, total=False):
     safe: the control word of the safe outputs. Left out: that of `idle`
     reverse: the bit for the other direction. Left out: the sign of the set point is the direction
     title: its name in the manual. Left out: `control word`
+    codes: meaning of its values, for the commissioning sheet. Left out: none
     """
 
     bits: Mapping[str, object]
@@ -209,6 +216,7 @@ class ControlKeys(TypedDict, total=False):
     safe: Annotated[int, _WORD]
     reverse: str
     title: str
+    codes: Mapping[str, object]
 
 
 class StatusKeys(TypedDict, total=False):
@@ -218,12 +226,14 @@ class StatusKeys(TypedDict, total=False):
     states: mask and value of each state, `fault = [0x0008, 0x0008]`, or several such pairs
     reversed: the bit of the other direction. Left out: the sign of the actual value is the direction
     title: its name in the manual. Left out: `status word`
+    codes: meaning of its values, for the commissioning sheet. Left out: the states
     """
 
     bits: Mapping[str, object]
     states: Mapping[str, object]
     reversed: str
     title: str
+    codes: Mapping[str, object]
 
 
 class OrderKeys(TypedDict, total=False):
@@ -374,8 +384,8 @@ class ParameterKeys(TypedDict, total=False):
         `standstill`, else `none`
     acts: when a write counts: `power-on`, or the name of the parameter whose write makes it count. Left out: at once
     standstill: it can only be written at standstill
-    times: so many of them in a row: the number, or the index if one is given, goes up, as do the digits at the end of the
-        name and `{}` in the title. Left out: 1
+    times: so many of them in a row: the number goes up, or the index if one is given, and so do the digits at the end of
+        the name and `{}` in the title. Left out: 1
     stride: from one to the next. Left out: 1
     first: the first number for `{}`. Left out: 1
     factories: values at delivery of those in a row, 0 behind the last one
@@ -436,7 +446,7 @@ class MapWayKeys(TypedDict, total=False):
     codes: names of the parameters that hold the map, in the order of its words. Left out: the drive holds it elsewhere
     count: name of the parameter with the number of its words. Left out: all are in use, 0 is an empty one
     default: codes of the fields at delivery. Left out: none
-    place: the name of a word with `{}` for its number, for the commissioning sheet. Left out: `word {}`
+    place: the name of a word with `{}` for its number, for the commissioning sheet. Left out: it has none
     first: number of the first word. Left out: 1
     fields: `NAME = { code = 1 }`
     source: section of the manual
@@ -499,7 +509,8 @@ class OptionKeys(TypedDict, total=False):
     low: lowest value
     high: highest value
     choices: the texts that are allowed
-    simulated: it is one of the simulated drive: `simulated = { NAME = ... }`. Left out: false
+    simulated: `true` for one of the simulated drive alone, `simulated = { NAME = ... }` in the plant file; a table for
+        one of both, with what differs there. Left out: false
     """
 
     default: Annotated[object, _GIVEN]
@@ -507,7 +518,7 @@ class OptionKeys(TypedDict, total=False):
     low: Annotated[float, Key(-_MOST, _MOST)]
     high: Annotated[float, Key(-_MOST, _MOST)]
     choices: Annotated[Sequence[str], _TEXTS]
-    simulated: bool
+    simulated: Annotated[object, _GIVEN]
 
 
 class SimulateKeys(TypedDict, total=False):

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 from msgspec import Struct
 
 from dpstack.devices import keys as k
 from dpstack.profile.channel.base import ParamKey
 from dpstack.profile.master.mapped_core import MapCodes
+from dpstack.profile.model.description import DescribedRange
 from dpstack.profile.model.params import ParamTable
-from dpstack.profile.model.process_data_map import FieldTable, MapField
+from dpstack.profile.model.process_data_map import FieldTable, MapField, MappedField
 from dpstack.text import brief
 from dpstack.toml.table import Table, keys_of
 
@@ -25,27 +26,40 @@ class MapWay(Struct, frozen=True, kw_only=True):
     """The map of the inputs or of the outputs."""
 
     fields: FieldTable
-    #: the parameters that hold it; None: the drive holds it in another way
-    codes: MapCodes | None = None
+    #: the parameters that hold it; none: the drive holds it in another way
+    codes: MapCodes = MapCodes(())
     #: the numbers of the fields at delivery
     default: tuple[int, ...] = ()
-    #: the name of a word, with its number
-    place: str = "word {}"
+    #: the name of a word, with its number; "": it has none
+    place: str = ""
     #: number of the first word
     first: int = 1
     #: section of the manual
     source: str = ""
 
-    def names(self, fields: tuple[MapField | None, ...]) -> tuple[tuple[str, int], ...]:
+    def places(self, fields: Sequence[MappedField | None]) -> Iterator[tuple[str, int]]:
         """The words of a map for people, with their octets."""
-        found = []
         at = self.first
         for field in fields:
             octets = 2 if field is None else field.octets
             what = "not used" if field is None else field.name
-            found.append((f"{self.place.replace("{}", str(at))} ({what})", octets))
+            if isinstance(field, MapField) and field.spec is not None:
+                what += f", {field.spec.title}"
+            yield f"{self.place.replace('{}', str(at))} ({what})" if self.place else what, octets
             at += octets // 2
-        return tuple(found)
+
+    def ranges(self, fields: Sequence[MappedField | None]) -> Iterator[DescribedRange]:
+        """Ranges and scales of the fields that the manual lists."""
+        for one in fields:
+            if not isinstance(one, MapField) or one.key not in self.fields.fields:
+                continue
+            unit = f" {one.unit}" if one.unit else ""
+            yield DescribedRange(
+                name=f"{one.name} ({'out' if self.fields.outputs else 'in'})",
+                range=f"{one.low:g}..{one.high:g}{unit}",
+                wire=f"{1 / one.per_unit:g}{unit} a count{', signed' if one.signed else ''}",
+                source=self.source,
+            )
 
 
 def read_maps(table: Table, parameters: ParamTable) -> tuple[MapWay, MapWay] | None:
@@ -54,13 +68,14 @@ def read_maps(table: Table, parameters: ParamTable) -> tuple[MapWay, MapWay] | N
         return None
     inside = table.table("map")
     given = inside.read(keys_of(k.MapKeys))
-    common = {key: given[key] for key in ("most", "places", "empty", "noun", "nouns", "hint") if key in given}
-    return _way(inside, "inputs", common, "", parameters), _way(
-        inside, "outputs", common, given.get("twice", ""), parameters
-    )
+    common: dict[str, Any] = {
+        key: given[key] for key in ("most", "places", "empty", "noun", "nouns", "hint") if key in given
+    }
+    written = common | {"outputs": True, "twice": given.get("twice", "")}
+    return _way(inside, "inputs", common, parameters), _way(inside, "outputs", written, parameters)
 
 
-def _way(table: Table, name: str, common: Mapping[str, object], twice: str, parameters: ParamTable) -> MapWay:
+def _way(table: Table, name: str, common: Mapping[str, Any], parameters: ParamTable) -> MapWay:
     if table.raw(name) is None:
         return MapWay(fields=FieldTable(**common))
     inside = table.table(name)
@@ -68,7 +83,7 @@ def _way(table: Table, name: str, common: Mapping[str, object], twice: str, para
     for parameter in (*given.get("codes", ()), *([given["count"]] if "count" in given else [])):
         if parameters.named(parameter) is None:
             inside.fail("codes", f"{brief(parameter)} is no parameter of this file", "declare it in [parameters]")
-    codes = None
+    codes = MapCodes(())
     if "codes" in given:
         places = tuple(map(ParamKey, given["codes"]))
         codes = MapCodes(places, ParamKey(given["count"]) if "count" in given else None)
@@ -82,9 +97,7 @@ def _way(table: Table, name: str, common: Mapping[str, object], twice: str, para
                 listed.fail(one, f"{one} and {fields[field.key].name} have one code", "give each field its own")
             fields[field.key] = field
     rest = {key: given[key] for key in ("default", "place", "first", "source") if key in given}
-    return MapWay(
-        fields=FieldTable(fields=fields, outputs=name == "outputs", twice=twice, **common), codes=codes, **rest
-    )
+    return MapWay(fields=FieldTable(fields=fields, **common), codes=codes, **rest)
 
 
 def _field(table: Table, name: str) -> MapField:

@@ -14,9 +14,9 @@ from msgspec import Struct, field
 
 from dpstack.devices.maps import MapWay
 from dpstack.profile.channel.pkw import ARRAY_PKW, PAGED_PKW, PLAIN_PKW, PkwDialect
-from dpstack.profile.drive_profile import OptionSpec
+from dpstack.profile.drive_profile import OptionSpec, RateSetting
 from dpstack.profile.master.messages import MessageParameter
-from dpstack.profile.model.description import DescribedLed, DescribedRange
+from dpstack.profile.model.description import DescribedCode, DescribedLed, DescribedRange
 from dpstack.profile.model.drive_type import TelegramSpec
 from dpstack.profile.model.params import ParamTable
 from dpstack.profile.model.states import ControlTable, Goal, State
@@ -272,6 +272,8 @@ class BusFacts(Struct, frozen=True, kw_only=True):
     fail_safe: bool = False
     made_up: bool = False
     made_gsd: str = ""
+    #: the option with the number of the rate, and the rates by their numbers; None: it detects the rate
+    rate_setting: RateSetting | None = None
 
 
 class DeviceFile(Struct, frozen=True, kw_only=True):
@@ -306,6 +308,8 @@ class DeviceFile(Struct, frozen=True, kw_only=True):
     reverse: int | None = None
     #: and that of the status word
     reversed: int | None = None
+    #: meaning of values of "control" and "status", for the sheet
+    codes: Mapping[str, tuple[DescribedCode, ...]] = field(default_factory=dict)
     orders: Mapping[str, OwnOrder] = field(default_factory=dict)
     fault: Messages = Messages()
     warning: Messages = Messages(kind="bits")

@@ -15,7 +15,7 @@ from dpstack.devices.model import DeviceFile, Telegram, WordSpec
 from dpstack.errors import ConfigError
 from dpstack.profile.drive_profile import CoreFactory, DeviceFactory, DriveProfile, OptionSpec, TelegramSetting
 from dpstack.profile.master.core import DriveCore
-from dpstack.profile.model.drive_type import Options
+from dpstack.profile.model.drive_type import Options, TelegramFamily, TelegramSpec
 from dpstack.profile.simulator.device import DriveDevice
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ class DevicePython(NamedTuple):
     device: Callable[..., DriveDevice] | None = None
     #: facts of the manual beyond those of the file, see :class:`DriveProfile`
     details: Callable[..., DeviceDescription] | None = None
+    #: telegrams too many for the file
+    family: TelegramFamily | None = None
 
 
 def profile_of(file: DeviceFile) -> DriveProfile:
@@ -91,6 +93,8 @@ def profile_of(file: DeviceFile) -> DriveProfile:
         left_open=simulate.left_open,
         simulated_options=simulate.options,
         gsd=(bus.made_gsd and str(file.path.parent / bus.made_gsd)) or None,
+        rate_setting=bus.rate_setting,
+        family=TelegramFamily(partial(_named, file), partial(_of_config, file)) if file.python else None,
         telegram_setting=TelegramSetting(chosen, numbers) if chosen else None,
         file=str(file.path),
         digest=file.digest,
@@ -107,6 +111,18 @@ def _own_core(file: DeviceFile, *args: Any) -> DriveCore:
 
 def _own_device(file: DeviceFile, *args: Any) -> DriveDevice:
     return (python_of(file.python).device or FileDevice)(file, *args)
+
+
+def _named(file: DeviceFile, name: str) -> TelegramSpec:
+    family = python_of(file.python).family
+    if family is None:
+        raise ConfigError(f"{file.name} has no telegram {name!r}; it has {', '.join(file.telegrams)}")
+    return family.named(name)
+
+
+def _of_config(file: DeviceFile, config: bytes) -> TelegramSpec | None:
+    family = python_of(file.python).family
+    return None if family is None else family.of_config(config)
 
 
 def _details(file: DeviceFile, core: DriveCore, basic: DeviceDescription, address: int, options: Options) -> Any:

@@ -37,9 +37,9 @@ from dpstack.devices.model import (
 )
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.profile.drive_profile import OptionSpec
+from dpstack.profile.drive_profile import OptionSpec, RateSetting
 from dpstack.profile.master.messages import MessageParameter
-from dpstack.profile.model.description import DescribedLed, DescribedRange, DeviceDescription
+from dpstack.profile.model.description import DescribedCode, DescribedLed, DescribedRange, DeviceDescription
 from dpstack.profile.model.drive_type import CHANNEL_LEN, TelegramSpec
 from dpstack.profile.model.param_types import ParamType
 from dpstack.profile.model.params import ParamSpec, ParamTable, Use
@@ -246,6 +246,7 @@ class Reader:
             safe_control=own["safe"] if own["safe"] is not None else idle,
             reverse=own["reverse"],
             reversed=own["reversed"],
+            codes=own["codes"],
             parameters=parameters,
             lock_hint=given.get("lock_hint", ""),
             start_hint=given.get("start_hint", ""),
@@ -338,7 +339,7 @@ class Reader:
             sizes = [sum(2 if is_integer(one) else words[str(one)].octets for one in way) for way in ways]
             modules = tuple(given.get("modules", ()))
             config = given.get("config")
-            made_up = False
+            made_up = bool(given.get("made_up", False))
             if config is None and modules and gsd is not None:
                 config = self._config_of(inside, gsd, modules)
             if config is None:
@@ -421,6 +422,7 @@ class Reader:
             "safe": None,
             "reverse": None,
             "reversed": None,
+            "codes": {},
         }
         control_bits: dict[str, int] = {}
         status_bits: dict[str, int] = {}
@@ -431,6 +433,7 @@ class Reader:
                 inside = table.table("control")
                 given = inside.read(_keys(k.ControlKeys))
                 titles["control"] = given.get("title", titles["control"])
+                own["codes"]["control"] = self._codes(inside)
                 control_bits = self._bits(inside, "bits", 16)
                 own["run"] = self._by_name(inside, "run", _STATES)
                 own["goals"] = self._by_name(inside, "goals", _GOALS)
@@ -445,6 +448,7 @@ class Reader:
                 inside = table.table("status")
                 given = inside.read(_keys(k.StatusKeys))
                 titles["status"] = given.get("title", titles["status"])
+                own["codes"]["status"] = self._codes(inside)
                 status_bits = self._bits(inside, "bits", 16)
                 own["reversed"] = self._bit_of(inside, "reversed", given, status_bits)
                 rows = self._rows(inside)
@@ -459,6 +463,12 @@ class Reader:
             if not rows:
                 raise table.error("status", "no states", "add states = { running = [mask, value], ... }")
         return Word(titles["control"], control_bits), Word(titles["status"], status_bits), states, own
+
+    def _codes(self, table: Table) -> tuple[DescribedCode, ...]:
+        if table.raw("codes") is None:
+            return ()
+        inside = table.table("codes")
+        return tuple(DescribedCode(code, inside.text(code)) for code in inside)
 
     def _bit_of(self, table: Table, key: str, given: Mapping[str, Any], bits: Mapping[str, int]) -> int | None:
         name = given.get(key)
@@ -786,30 +796,47 @@ class Reader:
         with self._collected():
             inside = table.table("bus")
             given = inside.read(_keys(k.BusKeys))
-            times: dict[int, int] = {}
-            if "max_tsdr" in given:
-                tsdr = inside.table("max_tsdr")
-                for rate in tsdr:
-                    if not rate.isdecimal():
-                        tsdr.fail(rate, f"{brief(rate)} is no baud rate", "write for instance 9600 = 60")
-                    times[int(rate)] = tsdr.integer(rate, 0, 0xFFFF)
-            return BusFacts(**(given | {"max_tsdr": times}))
+            times, rates = (self._by_number(inside, key, 0xFFFF_FFFF) for key in ("max_tsdr", "rate_numbers"))
+            given.pop("rate_numbers", None)
+            option = given.pop("rate_option", "")
+            if option and (option not in self.options or not rates):
+                inside.fail("rate_option", f"rate_option = {brief(option)}", "name an option, and give rate_numbers")
+            setting = RateSetting(option, rates) if option else None
+            given["rates"] = given.get("rates") or tuple(rates.values())
+            return BusFacts(**(given | {"max_tsdr": times, "rate_setting": setting}))
         return BusFacts()
+
+    def _by_number(self, table: Table, key: str, most: int) -> dict[int, int]:
+        """Numbers by numbers."""
+        if table.raw(key) is None:
+            return {}
+        inside = table.table(key)
+        wrong = next((name for name in inside if not name.isdecimal()), None)
+        if wrong is not None:
+            inside.fail(wrong, f"{key}: {brief(wrong)} is no number", "write for instance 9600 = 60")
+        return {int(name): inside.integer(name, 0, most) for name in inside}
+
+    def _option(self, table: Table, given: Mapping[str, Any]) -> OptionSpec:
+        default = given.get("default")
+        if not isinstance(default, (bool, int, float, str)):
+            table.fail("default", f"the option {table.title} has no default", "give true or false, a number or a text")
+        if isinstance(default, int) and not isinstance(default, bool):
+            default = float(default)
+        limits = {"text": given.get("text", ""), "low": given.get("low"), "high": given.get("high")}
+        return OptionSpec(default=default, choices=tuple(given.get("choices", ())), **limits)
 
     def _options(self, table: Table) -> None:
         def read(name: str, inside: Table) -> None:
             given = inside.read(_keys(k.OptionKeys))
-            default = given.get("default")
-            if not isinstance(default, (bool, int, float, str)):
-                inside.fail("default", f"option {name} has no default", "give true or false, a number or a text")
-            own = self.device_options if given.get("simulated") else self.options
-            own[name] = OptionSpec(
-                default=float(default) if isinstance(default, int) and not isinstance(default, bool) else default,
-                text=given.get("text", ""),
-                low=given.get("low"),
-                high=given.get("high"),
-                choices=tuple(given.get("choices", ())),
-            )
+            simulated = given.pop("simulated", False)
+            if simulated is not True:
+                self.options[name] = self._option(inside, given)
+            if isinstance(simulated, Mapping):
+                given |= inside.table("simulated").read(_keys(k.OptionKeys))
+            elif not isinstance(simulated, bool):
+                inside.fail("simulated", f"simulated = {brief(simulated)}", "write true or a table")
+            if simulated is not False:
+                self.device_options[name] = self._option(inside, given)
 
         self._members(table, "options", read)
 
@@ -862,7 +889,7 @@ class Reader:
         return tuple(found)
 
     def _steps(self, table: Table) -> tuple[Step, ...]:
-        names = ("address", "tens", "ones", "telegram", "number", "reference_hz", *self.options)
+        names = ("address", "tens", "ones", "telegram", "number", "rate", "reference_hz", *self.options)
         steps = self._rows_of(table, "step", k.StepKeys, Step)
         for step in steps:
             with self._collected():

@@ -13,7 +13,6 @@ from dpstack.devices.finding import find
 from dpstack.profile import DescribedPlace, DeviceDescription, DriveCore
 from dpstack_drives.demag import table as demag
 from dpstack_drives.fuji import table as fuji
-from dpstack_drives.imo import table as imo
 from dpstack_drives.keb import table as keb
 from dpstack_drives.ls import table as ls
 
@@ -72,7 +71,10 @@ TABLES: Final[Mapping[str, Callable[[], Iterable[tuple[str, str]]]]] = {
         *((str(code), text) for code, text in demag.PKW.errors.items()),
     ],
     "keb-f5": lambda: [("E.buS", "watchdog error"), *((str(code), text) for code, text in keb.ERRORS.items())],
-    "imo-hd2": lambda: [("SW bit 12", "overload pre-alarm"), *((str(code), text) for code, text in imo.ERRORS.items())],
+    "imo-hd2": lambda: [
+        ("SW bit 12", "overload pre-alarm"),
+        *((str(code), text) for code, text in core_of({"drive": "imo-hd2"}).dialect.errors.items()),
+    ],
     "ls-s100": lambda: [
         *((str(code), text) for code, text in ls.TRIPS.items()),
         *((f"{code:02X}h", text) for code, text in ls.PKW.errors.items()),

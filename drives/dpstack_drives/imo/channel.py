@@ -13,12 +13,15 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Final
 
+from msgspec import structs
+
 from dpstack.profile import (
     CommandError,
     CycleTimes,
     ParameterChannel,
     ParamKey,
     ParamSpec,
+    ParamTable,
     Pkw,
     PkwChannel,
     PkwDialect,
@@ -67,15 +70,6 @@ class ImoPkw(Pkw):
         return cls(number, address, 0, value)
 
 
-PKW: Final = PkwDialect(
-    answers={
-        Request.READ: (Response.WORD, Response.LONG, Response.ERROR),
-        Request.WORD: (Response.WORD, Response.ERROR, Response.NO_RIGHTS),
-    },
-    errors=t.ERRORS,
-    zero_between=False,
-    layout=ImoPkw,
-)
 _NO_RAM: Final = (
     "the card does not support writes to RAM only (request 2): leave ram out, it then writes RAM and EEPROM (request 4)"
 )
@@ -85,10 +79,12 @@ _EEPROM: Final = (
 
 
 class ImoAccess(PkwChannel, ParameterChannel):
-    """The master's end. ``notice`` shows a line to the user."""
+    """The master's end. ``plain``: answers and errors; ``table``: the parameters; those that are made up are the
+    simulated drive's. ``notice`` shows a line to the user."""
 
-    def __init__(self, times: CycleTimes, notice: Callable[[str], None]) -> None:
-        super().__init__(PKW, times)
+    def __init__(self, plain: PkwDialect, table: ParamTable, times: CycleTimes, notice: Callable[[str], None]) -> None:
+        super().__init__(structs.replace(plain, layout=ImoPkw), times)
+        self._table = table
         self._notice = notice
         self._warned = False
         self._stored_writes = StoredWrites()
@@ -112,16 +108,16 @@ class ImoAccess(PkwChannel, ParameterChannel):
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         number = address_of(key)
         reply = yield from self._exchange(ImoPkw(Request.READ, number), deadline)
-        return _outcome(number, reply)
+        return self._outcome(number, reply)
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter of one word to RAM and EEPROM."""
         number = address_of(key)
         if key.ram:
             raise CommandError("usage", _NO_RAM)
-        raw = _raw(number, t.known(number), value)
+        raw = self._raw(number, value)
         reply = yield from self.put(number, raw, deadline)
-        return _outcome(number, reply, value)
+        return self._outcome(number, reply, value)
 
     def get(self, number: int, deadline: int) -> Steps[int]:
         """The value at an address."""
@@ -130,7 +126,7 @@ class ImoAccess(PkwChannel, ParameterChannel):
 
     def put(self, number: int, raw: int, deadline: int) -> Steps[Pkw]:
         """Write a word at an address."""
-        self._stored_writes.admit(number, f"parameter {_label(number)}", self.times.now, t.known(number))
+        self._stored_writes.admit(number, f"parameter {self._label(number)}", self.times.now, self._known(number))
         if not self._warned:
             self._warned = True
             self._notice(_EEPROM)
@@ -138,16 +134,58 @@ class ImoAccess(PkwChannel, ParameterChannel):
         return reply
 
     def _exchange(self, request: ImoPkw, deadline: int) -> Steps[Pkw]:
-        label = _label(request.pnu)
+        label = self._label(request.pnu)
         reply = yield from self.replied(request, label, deadline)
         if reply.id == Response.ERROR:
             number = self.error_number(reply)
-            raise CommandError("parameter", f"{label}: error {number}, {PKW.error_text(number)}", number)
+            raise CommandError("parameter", f"{label}: error {number}, {self._dialect.error_text(number)}", number)
         if reply.id == Response.NO_RIGHTS:
             raise CommandError("parameter", f"{label}: the bus has no right to change parameters (response 4)")
-        if reply.id not in PKW.answers[request.id]:
+        if reply.id not in self._dialect.answers[request.id]:
             raise CommandError("parameter", f"{label}: response {reply.id} does not answer request {request.id}")
         return reply
+
+    def _known(self, number: int) -> ParamSpec | None:
+        """The parameter at an address, if the manual of the card has it."""
+        spec = self._table.get(number)
+        return None if spec is None or spec.made_up else spec
+
+    def _label(self, number: int) -> str:
+        spec = self._known(number)
+        return t.name_of(number) if spec is None else spec.label
+
+    def _raw(self, number: int, value: float) -> int:
+        """The word to write. Raises CommandError."""
+        spec = self._known(number)
+        if spec is None:
+            if value != int(value) or not -0x8000 <= value <= 0xFFFF:
+                raise CommandError(
+                    "usage",
+                    f"{self._label(number)}: its scale is in the inverter's manual: give the 16-bit integer on the "
+                    "wire (the card does not write parameters of two words, request 5)",
+                )
+            return int(value) & 0xFFFF
+        if spec.read_only:
+            raise CommandError("usage", f"{spec.label} is read only")
+        try:
+            return spec.to_raw(value) & 0xFFFF
+        except ValueError as error:
+            raise CommandError("usage", str(error)) from None
+
+    def _outcome(self, number: int, reply: Pkw, written: float = 0) -> dict[str, object]:
+        """``written``: the value of a write; a negative one says that a parameter of unknown type has a sign."""
+        spec = self._known(number)
+        raw = reply.pwe if reply.id == Response.LONG else reply.pwe & 0xFFFF
+        if written < 0:
+            raw = signed16(raw)
+        return {
+            "value": raw if spec is None else spec.to_value(raw),
+            "raw": raw,
+            "number": number,
+            "name": t.name_of(number),
+            "unit": spec.unit if spec else "",
+            "data_set": None,
+        }
 
 
 def address_of(key: ParamKey) -> int:
@@ -161,44 +199,5 @@ def address_of(key: ParamKey) -> int:
     if number > 0xFFFF:
         raise CommandError("usage", f"parameter {number}: addresses are 0..65535 (group x 256 + number)")
     if key.data_set is not None or key.index is not None:
-        raise CommandError("usage", f"{_label(number)}: imo-hd2 has neither data sets nor indexes")
+        raise CommandError("usage", f"{t.name_of(number)}: imo-hd2 has neither data sets nor indexes")
     return number
-
-
-def _label(number: int) -> str:
-    spec = t.known(number)
-    return t.name_of(number) if spec is None else spec.label
-
-
-def _raw(number: int, spec: ParamSpec | None, value: float) -> int:
-    """The word to write. Raises CommandError."""
-    if spec is None:
-        if value != int(value) or not -0x8000 <= value <= 0xFFFF:
-            raise CommandError(
-                "usage",
-                f"{_label(number)}: its scale is in the inverter's manual: give the 16-bit integer on the wire "
-                "(the card does not write parameters of two words, request 5)",
-            )
-        return int(value) & 0xFFFF
-    if spec.read_only:
-        raise CommandError("usage", f"{spec.label} is read only")
-    try:
-        return spec.to_raw(value) & 0xFFFF
-    except ValueError as error:
-        raise CommandError("usage", str(error)) from None
-
-
-def _outcome(number: int, reply: Pkw, written: float = 0) -> dict[str, object]:
-    """``written``: the value of a write; a negative one says that a parameter of unknown type has a sign."""
-    spec = t.known(number)
-    raw = reply.pwe if reply.id == Response.LONG else reply.pwe & 0xFFFF
-    if written < 0:
-        raw = signed16(raw)
-    return {
-        "value": raw if spec is None else spec.to_value(raw),
-        "raw": raw,
-        "number": number,
-        "name": t.name_of(number),
-        "unit": spec.unit if spec else "",
-        "data_set": None,
-    }

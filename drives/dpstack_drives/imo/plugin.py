@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from msgspec import structs
+
+from dpstack.devices.drive_core import DeclaredMapCore
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
     FAULTED,
     MAP_OPS,
-    NS_PER_MS,
     NS_PER_S,
     OTHER_MANUAL,
     Args,
     CommandError,
     ConfigError,
-    DriveProfile,
     Goal,
     ListedParam,
-    MappedCore,
     Options,
     ParamKey,
     Setting,
@@ -29,13 +30,11 @@ from dpstack.profile import (
     same,
     settled,
 )
-from dpstack_drives.imo import pzd
+from dpstack.profile.model.drive_type import DriveType
 from dpstack_drives.imo import table as t
 from dpstack_drives.imo.channel import ImoAccess, address_of
-from dpstack_drives.imo.pzd import PzdMap
 
-#: how long the drive may take to react is not in the manual; waits reckon with this
-_SCAN_NS: Final = 20 * NS_PER_MS
+FieldMap = process_data_map.FieldMap
 #: two rotations for each of 22 parameters, at 9.6 kbit/s with other slaves
 _LEARN_NS: Final = 60 * NS_PER_S
 _TIMEOUT_S: Final = 10.0
@@ -47,7 +46,7 @@ _SOURCES: Final = {
 }
 
 
-class ImoCore(MappedCore[PzdMap]):
+class ImoCore(DeclaredMapCore[FieldMap]):
     """Speed by the frequency in whichever PZD carries it; the drive is asked for its maps when data exchange begins.
 
     Options: ``reference_hz`` (what 100 % is), ``max_hz`` (the inverter's maximum frequency; 0: ``reference_hz``),
@@ -61,21 +60,22 @@ class ImoCore(MappedCore[PzdMap]):
     ``pre_excite``, ``control`` (``number`` a name of CW bits 11 to 14, ``value`` 0 or 1).
     """
 
-    table = t.TABLE
-    scan_ns = _SCAN_NS
-    safe_control = t.Command.STOP  # zeros are no command and would leave the drive running
-    parameter_table = t.PARAMETERS
     inputs_at = outputs_at = 1  # behind SW and CW
-    address_parameter = t.name_of(t.ADDRESS)
-    map_codes = t.MAP_CODES
     own_ops = (*MAP_OPS, "inch", "pre_excite", "control")
-    start_hint = "; does the inverter take run command and frequency from the communication card?"
 
-    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
-        super().__init__(profile, name, telegram, options)
+    def __init__(
+        self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
+    ) -> None:
+        super().__init__(file, profile, name, telegram, options)
+        self.table = self._words = t.control_table(file.table)
         self._max_given = bool(options["max_hz"])
         self._max_hz = float(options["max_hz"] or options["reference_hz"])
-        self._functions = pzd.to_drive(self._max_hz)
+        inputs, outputs = self.map_fields
+        limited = {
+            code: structs.replace(one, high=self._max_hz) if one.limit else one for code, one in outputs.fields.items()
+        }
+        self.map_fields = (inputs, structs.replace(outputs, fields=limited))
+        self._set_frequency = limited[t.SET_FREQUENCY]
         try:
             t.check_rate(float(options["baud_index"]))
             self._fault_names = t.faults(str(options["fault_names"]))
@@ -88,20 +88,20 @@ class ImoCore(MappedCore[PzdMap]):
         self._rated_current = float(options["rated_current"])
         self._set_map = bool(options["set_map"])
         self._heartbeat = bool(options["heartbeat"])
-        self._fixed = t.CONTROL.mask(
+        self._fixed = self.table.control.mask(
             *(["heartbeat"] if self._heartbeat else []), *(["motor_2"] if options["motor"] == "2" else [])
         )
         self._chosen = 0
         self._learning = False
         self._online_at = 0
         self._source_seen: t.Source | None = None
-        self._maps_now: tuple[PzdMap, PzdMap] | None = None
+        self._maps_now: tuple[FieldMap, FieldMap] | None = None
         #: as the drive has them; None until they were read
-        self.inputs_map: PzdMap | None = None
-        self.outputs_map: PzdMap | None = None
+        self.inputs_map: FieldMap | None = None
+        self.outputs_map: FieldMap | None = None
 
     def open_channel(self) -> ImoAccess:
-        self._channel = ImoAccess(self, self.notice)
+        self._channel = ImoAccess(self.dialect, self.file.parameters, self, self.notice)
         return self._channel
 
     # -- process data ---------------------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ class ImoCore(MappedCore[PzdMap]):
         A command to inch ends if it cannot be obeyed: it must not come true later by surprise.
         """
         if self.raw_state in FAULTED or self.obstacle() is not None:
-            self.table = t.TABLE
+            self.table = self._words
         if self._source_seen not in (None, source := self._source()):
             self.settings_check.changed()
         self._source_seen = source
@@ -133,7 +133,7 @@ class ImoCore(MappedCore[PzdMap]):
 
     def set_goal(self, goal: Goal) -> None:
         """Any order that moves the drive ends inching and pre-excitation."""
-        self.table = t.TABLE
+        self.table = self._words
         super().set_goal(goal)
 
     def encode(self, control: int, setpoint: int) -> bytes:
@@ -141,29 +141,29 @@ class ImoCore(MappedCore[PzdMap]):
         if control & t.CODE == t.Command.FORWARD and self.setpoint < 0:
             control += t.Command.REVERSE - t.Command.FORWARD
         if self._channel.writing:
-            control |= t.ENABLE_WRITING
+            control |= self.table.control.mask("enable_writing")
         outputs = self.outputs_map
         words = (
             (*self.rest, 0)
             if outputs is None
-            else process_data_map.pack(outputs.fields, {**self.values, pzd.SET_FREQUENCY: setpoint}, t.PZDS)
+            else process_data_map.pack(outputs.fields, {**self.values, t.SET_FREQUENCY: setpoint}, len(self.rest) + 1)
         )
         return self.pack(control, *words)
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
         """CW, and the set frequency if the map of the options has it; the direction is in CW."""
         control, _ = super().decode(process)
-        at = None if self.outputs_map is None else self.outputs_map.place(pzd.SET_FREQUENCY)
+        at = None if self.outputs_map is None else self.outputs_map.place(t.SET_FREQUENCY)
         if control is None or at is None or len(process) < 2 * at + 4:
             return control, None
         raw = int.from_bytes(process[2 * at + 2 : 2 * at + 4], "big")
-        setpoint = self._functions[pzd.SET_FREQUENCY].decode(raw) / self.reference_hz
+        setpoint = self._set_frequency.decode(raw) / self.reference_hz
         return control, -setpoint if control & t.CODE == t.Command.REVERSE else setpoint
 
     def setpoint_word(self, fraction: float) -> int:
         """The set frequency in 0.01 Hz; the direction is in CW."""
         try:
-            return self._functions[pzd.SET_FREQUENCY].encode(abs(fraction) * self.reference_hz)
+            return self._set_frequency.encode(abs(fraction) * self.reference_hz)
         except ValueError as error:
             raise ValueError(f"speed {fraction:g}: {error}") from None
 
@@ -191,7 +191,7 @@ class ImoCore(MappedCore[PzdMap]):
 
     def fault_texts(self) -> tuple[str, ...] | None:
         """By the fault code if it is in the map; its names are in the inverter's manual."""
-        at = None if self.inputs_map is None else self.inputs_map.place(pzd.FAULT_CODE)
+        at = None if self.inputs_map is None else self.inputs_map.place(t.FAULT_CODE)
         if at is not None:
             code = self.words[1 + at]
             name = self._fault_names.get(code)
@@ -202,9 +202,9 @@ class ImoCore(MappedCore[PzdMap]):
 
     def warnings(self) -> tuple[str, ...]:
         """SW bit 12, and a heartbeat that is not echoed (an echo is a reading)."""
-        found = ["overload pre-alarm"] if t.STATUS.is_set(self.status_word, "overload") else []
+        found = ["overload pre-alarm"] if self.table.status.is_set(self.status_word, "overload") else []
         late = self.now >= self._online_at + self.settle_ns
-        if self._heartbeat and late and not t.STATUS.is_set(self.status_word, "heartbeat"):
+        if self._heartbeat and late and not self.table.status.is_set(self.status_word, "heartbeat"):
             found.append("heartbeat not echoed (SW bit 15)")
         return tuple(found)
 
@@ -215,7 +215,7 @@ class ImoCore(MappedCore[PzdMap]):
 
     def may_turn(self) -> str | None:
         """Inching and pre-excitation are no run."""
-        if self.table is not t.TABLE or self.status_word & t.CODE == t.Running.PRE_EXCITED:
+        if self.table is not self._words or self.status_word & t.CODE == t.Running.PRE_EXCITED:
             return "it inches, or is pre-excited"
         return super().may_turn()
 
@@ -227,7 +227,7 @@ class ImoCore(MappedCore[PzdMap]):
 
     def parameters(self) -> tuple[ListedParam, ...]:
         """The parameters in the manual of the card."""
-        return listing(t.PARAMETERS, known=lambda spec: not spec.made_up)
+        return listing(self.file.parameters, known=lambda spec: not spec.made_up)
 
     def obstacle(self) -> str | None:
         """SW bits 13-14, then the voltage."""
@@ -235,7 +235,7 @@ class ImoCore(MappedCore[PzdMap]):
             return why
         if self.status_word & t.CODE == t.Running.POFF:
             return "the drive reports POFF: its mains are off"
-        if not t.STATUS.is_set(self.status_word, "bus_voltage"):
+        if not self.table.status.is_set(self.status_word, "bus_voltage"):
             return "SW bit 8 is 0: the bus voltage is not established, not ready to run; see to the mains"
         return None
 
@@ -284,7 +284,7 @@ class ImoCore(MappedCore[PzdMap]):
         yield from super().prepare(deadline)
 
     def _frequency_at(self) -> int | None:
-        return None if self.outputs_map is None else self.outputs_map.place(pzd.SET_FREQUENCY)
+        return None if self.outputs_map is None else self.outputs_map.place(t.SET_FREQUENCY)
 
     # -- the settings that the plugin relies on -----------------------------------------------------------------------
 
@@ -385,12 +385,6 @@ class ImoCore(MappedCore[PzdMap]):
         self.dirty = True
         self.update()
 
-    def map_of(self, codes: tuple[int, ...], *, outputs: bool) -> PzdMap:
-        return PzdMap(codes, self._functions if outputs else pzd.FROM_DRIVE)
-
-    def codes_of(self, one: PzdMap) -> tuple[int, ...]:
-        return one.numbers
-
     def maps_unknown(self) -> None:
         """They are asked for before the next start."""
         self.inputs_map = None
@@ -404,16 +398,12 @@ class ImoCore(MappedCore[PzdMap]):
             self.settings_check.changed()
         return {"value": {"inputs": str(self.inputs_map), "outputs": str(self.outputs_map)}}
 
-    def parse_map(self, text: str, *, outputs: bool) -> PzdMap:
-        """Names of functions."""
-        return PzdMap.parse(text, self._functions if outputs else pzd.FROM_DRIVE, outputs=outputs)
-
-    def present_maps(self) -> tuple[PzdMap, PzdMap]:
+    def present_maps(self) -> tuple[FieldMap, FieldMap]:
         """Those of the options."""
         return self._wanted_maps
 
     def written_by(self, key: int) -> str | None:
-        return "speed and frequency" if key == pzd.SET_FREQUENCY else None
+        return "speed and frequency" if key == t.SET_FREQUENCY else None
 
     # -- orders of its own ----------------------------------------------------------------------------------------
 
@@ -444,7 +434,7 @@ class ImoCore(MappedCore[PzdMap]):
         if self.goal is Goal.RUN:
             raise CommandError("usage", f"{command.name.lower()}: the drive is running; stop() it first")
         self.set_goal(Goal.IDLE)
-        self.table = t.control_table(command)
+        self.table = t.control_table(self.file.table, command)
         self.update()
         return {"value": command.name.lower()}
 
@@ -452,7 +442,7 @@ class ImoCore(MappedCore[PzdMap]):
         yield from ()
         if name not in t.SETTABLE or value not in (0, 1):
             raise CommandError("usage", f"control: number must be {', '.join(t.SETTABLE)} and value 0 or 1")
-        mask = t.CONTROL.mask(name)
+        mask = self.table.control.mask(name)
         self._chosen = self._chosen | mask if value else self._chosen & ~mask
         self.update()
         return {"value": int(value)}

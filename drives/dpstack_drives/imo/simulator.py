@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from msgspec import structs
+
+from dpstack.devices.drive_device import DeclaredDevice
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
     AT_ONCE,
-    NS_PER_MS,
     ConfigError,
     DriveDevice,
-    DriveProfile,
     Leave,
     Options,
     Pkw,
@@ -19,9 +21,9 @@ from dpstack.profile import (
     ramp,
     signed16,
 )
-from dpstack_drives.imo import pzd
+from dpstack.profile.model.drive_type import DriveType
 from dpstack_drives.imo import table as t
-from dpstack_drives.imo.channel import PKW, Request, Response
+from dpstack_drives.imo.channel import ImoPkw, Request, Response
 
 #: data of the motor (made up)
 _RATED_HZ: Final = 50.0
@@ -29,8 +31,6 @@ _RPM_PER_HZ: Final = 30.0
 _RATED_VOLTS, _BUS_VOLTS = 400.0, 540.0
 _RATED_TORQUE: Final = 65.0
 _INCH_HZ: Final = 5.0
-#: the internal scan is not in the manual
-_SCAN_NS: Final = 4 * NS_PER_MS
 #: torque limit of the inverter itself, of the rated one
 _MOST_TORQUE: Final = 1.5
 
@@ -46,7 +46,7 @@ _INCHES: Final = frozenset({t.Command.INCH_FORWARD, t.Command.INCH_REVERSE})
 GO_ON, STOP, COAST, TRIP = "go_on", "stop", "coast", "fault"
 
 
-class ImoDevice(DriveDevice):
+class ImoDevice(DeclaredDevice):
     """Options: ``load``, ``rated_current``, ``on_loss`` (go_on, stop, coast or fault), ``protected`` (a password),
     ``baud_index``; parameters by name.
 
@@ -56,26 +56,34 @@ class ImoDevice(DriveDevice):
     its mains: POFF.
     """
 
-    parameter_table = t.PARAMETERS
     trips = t.faults(t.FAULTS_MADE_UP)
     unknown_trip = (
         "no fault of the simulated HD2; known (made up): "
         f"{', '.join(f'{name} ({number})' for number, name in trips.items())}"
     )
-    scan_ns = _SCAN_NS
-    address_parameter = "P15.01"
-    parameter_errors: Mapping[int, str] = t.ERRORS
-    write_errors = t.WRITE_ERRORS
 
     def __init__(
-        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
+        self,
+        file: DeviceFile,
+        profile: DriveType,
+        telegram: TelegramSpec,
+        options: Options,
+        presets: Mapping[str, object],
     ) -> None:
-        super().__init__(profile, telegram, options, presets)
+        super().__init__(file, profile, telegram, options, presets)
+        assert file.maps is not None
+        self._into, self._out = file.maps
+        self._control_bits, self._status_bits = file.table.control, file.table.status
         try:
             t.check_rate(float(options["baud_index"]))
         except ValueError as error:
             raise ConfigError(f"{self.title}: {error}") from None
-        self.channel = PkwServer(PKW, self._request, reads=frozenset({int(Request.READ)}), refuse=self._refuse_request)
+        self.channel = PkwServer(
+            structs.replace(self.dialect, layout=ImoPkw),
+            self._request,
+            reads=frozenset({int(Request.READ)}),
+            refuse=self._refuse_request,
+        )
         self._rated_current = float(options["rated_current"])
         self._on_loss = str(options["on_loss"])
         self._protected = bool(options["protected"])
@@ -178,14 +186,14 @@ class ImoDevice(DriveDevice):
 
     def _is_set(self, name: str) -> bool:
         """A bit of the control word."""
-        return t.CONTROL.is_set(self._control, name)
+        return self._control_bits.is_set(self._control, name)
 
     def _pre_excites(self) -> bool:
         return self._obeys and (self._command is t.Command.PRE_EXCITE or self._is_set("pre_excitation"))
 
     def _set_hertz(self, direction: int) -> float:
         from_bus = self.store.value(t.FREQUENCY_CHANNEL) == t.FROM_PROFIBUS
-        wanted = self.values.get(1, 0) / 100 if from_bus else self.store.value(t.name_of(t.KEYPAD_FREQUENCY))
+        wanted = self.values.get(1, 0) / 100 if from_bus else self.store.value(t.KEYPAD_FREQUENCY)
         hertz = min(wanted, self.store.value(t.MAXIMUM_HZ))
         limit = self.values.get(5 if direction > 0 else 6)
         return hertz if limit is None else min(hertz, limit / 100)
@@ -207,13 +215,13 @@ class ImoDevice(DriveDevice):
     def _count_energy(self) -> None:
         if self._is_set("clear_energy"):
             self.energy = 0.0
-        self.energy += abs(self.motor.torque * self.motor.speed) * _SCAN_NS / 1e9
+        self.energy += abs(self.motor.torque * self.motor.speed) * self.scan_ns / 1e9
 
     def _status(self) -> int:
-        kept = self._control & t.CONTROL.mask("motor_2", "heartbeat")
+        kept = self._control & self._control_bits.mask("motor_2", "heartbeat")
         status = int(self._state()) | kept | int(self.store.value(t.SOURCE)) << t.SOURCE_SHIFT
-        status |= t.STATUS.mask("bus_voltage") if self.released else 0
-        return status | (t.STATUS.mask("overload") if self.warning_mask else 0)
+        status |= self._status_bits.mask("bus_voltage") if self.released else 0
+        return status | (self._status_bits.mask("overload") if self.warning_mask else 0)
 
     def _state(self) -> t.Running:
         motor = self.motor
@@ -244,10 +252,10 @@ class ImoDevice(DriveDevice):
         return round(min(1.0, part) * _RATED_VOLTS) if self.motor.on else 0.0
 
     def _word(self, number: int, status: int) -> int:
-        function = pzd.FROM_DRIVE.get(number)
+        function = self._into.fields.fields.get(number)
         if function is None:
             return 0
-        value: float = status if number == pzd.STATE_WORD else 0.0
+        value: float = status if number == t.STATE_WORD else 0.0
         if number in _ACTUAL:
             value = _ACTUAL[number](self)
         return round(min(max(value, function.low), function.high) * function.per_unit) & 0xFFFF
@@ -255,8 +263,9 @@ class ImoDevice(DriveDevice):
     # -- parameters -----------------------------------------------------------------------------------------------
 
     def _load_maps(self) -> None:
-        self._received = tuple(int(self.store.value(t.name_of(number))) for number in t.RECEIVED)
-        self._transmitted = tuple(int(self.store.value(t.name_of(number))) for number in t.TRANSMITTED)
+        self._transmitted, self._received = (
+            tuple(int(self.store.value(str(key.name))) for key in way.codes.places) for way in (self._into, self._out)
+        )
 
     def _refuse_request(self, request: Pkw) -> tuple[int, int] | None:
         number = self.refusal(write=request.id != Request.READ)
@@ -264,13 +273,13 @@ class ImoDevice(DriveDevice):
 
     def _request(self, request: Pkw) -> tuple[int, int]:
         """Tables 2-10 and 2-11; what is wrong first: the request, the right, the address, then the parameter."""
-        spec = t.PARAMETERS.get(request.pnu)
+        spec = self.parameter_table.get(request.pnu)
         if request.id == Request.READ:
             return (Response.WORD, self.store.raw(spec)) if spec is not None else _error(2)
         if request.id != Request.WORD:
             return _error(1)
         control = self.last_outputs[8:10] if self.last_outputs else b"\0\0"
-        if not int.from_bytes(control, "big") & t.ENABLE_WRITING:
+        if not int.from_bytes(control, "big") & self._control_bits.mask("enable_writing"):
             return Response.NO_RIGHTS, 0
         if spec is None:
             return _error(2)
@@ -279,7 +288,7 @@ class ImoDevice(DriveDevice):
             return _error(9)
         if spec.read_only:
             return _error(7)
-        if spec.number in t.STANDSTILL_ONLY and self.motor.on:
+        if spec.name in t.STANDSTILL_ONLY and self.motor.on:
             return _error(8)
         if not spec.low <= spec.to_value(raw) <= spec.high:
             return _error(3)

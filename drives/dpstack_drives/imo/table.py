@@ -1,8 +1,6 @@
-"""Facts of the HD2 that plugin and simulated drive share. Passages: docs/reference/drives/imo-hd2.md.
+"""Codes of the HD2 that plugin and simulated drive share; all else is in imo-hd2.toml.
 
-Source: IMO, HD2 PROFIBUS Communication Card, instruction manual; numbers in the comments are its tables. It has no GSD
-file: ident number and identifier octets are made up until the user's GSD overrides them. The inverter's own parameters,
-its fault codes and what it does without a master are in the inverter's manual, which we do not have.
+Passages: docs/reference/drives/imo-hd2.md; numbers in the comments are the manual's tables.
 """
 
 from __future__ import annotations
@@ -10,40 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from enum import IntEnum
-from functools import partial
 from typing import Final
 
-from dpstack.profile import (
-    ControlTable,
-    Goal,
-    MapCodes,
-    ParamKey,
-    ParamSpec,
-    ParamTable,
-    RateSetting,
-    State,
-    StateRow,
-    StateTable,
-    TelegramSpec,
-    Use,
-    Word,
-)
-from dpstack_drives import ppo
+from dpstack.profile import ControlTable, Goal, State
 
-IDENT: Final = 0xDD02
-
-#: 2.6, figure 2-4: PKW1 to PKW4, CW or SW, PZD2 to PZD12. "16-bit packets" is read as 16 words each way.
-TELEGRAM: Final = TelegramSpec(
-    name="PKW+12", config=bytes.fromhex("F3 7B"), outputs=24, inputs=24, channel=True, made_up=True
-)
-#: PZD2 to PZD12
-PZDS: Final = 11
-FIRST_PZD: Final = 2
-
-#: table 2-4, parameter 2: the rate by its number; 9 is no rate
-_RATES: Final = dict(zip((*range(9), 10), ppo.TEN_RATES, strict=True))
-RATE_SETTING: Final = RateSetting("baud_index", _RATES)
-RATE_FACTORY: Final = 6
+#: table 2-4: a rate that PROFIBUS does not have
 _NINE_MBIT: Final = 9
 
 
@@ -53,7 +22,7 @@ def check_rate(index: float) -> None:
         raise ValueError(
             "baud_index 9 is 9 Mbit/s in the card's table, a rate that PROFIBUS does not have; take 8 or 10"
         )
-    if index not in _RATES:
+    if index != int(index):
         raise ValueError(f"baud_index must be a whole number (6 is 1.5 Mbit/s), not {index:g}")
 
 
@@ -94,28 +63,10 @@ class Source(IntEnum):
 
 CODE: Final = 0x00FF
 SOURCE_SHIFT: Final = 13
-#: table 2-5. Bits 9-10 are a number (motor 1 or 2)
-CONTROL: Final = Word(
-    "CW",
-    {
-        "enable_writing": 8,
-        "motor_2": 9,
-        "torque_control": 11,
-        "clear_energy": 12,
-        "pre_excitation": 13,
-        "dc_brake": 14,
-        "heartbeat": 15,
-    },
-)
-#: bits that a program may set beside the commands
+#: bits of CW that a program may set beside the commands
 SETTABLE: Final = ("torque_control", "clear_energy", "pre_excitation", "dc_brake")
-#: table 2-7. Bits 13-14 are a number, :class:`Source`; bit 14 is set if the bus commands
-STATUS: Final = Word(
-    "SW",
-    {"bus_voltage": 8, "motor_2": 9, "synchronous": 11, "overload": 12, "terminals": 13, "remote": 14, "heartbeat": 15},
-)
-_BUS_VOLTAGE: Final = STATUS.mask("bus_voltage")
-ENABLE_WRITING: Final = CONTROL.mask("enable_writing")
+#: fields of the maps
+SET_FREQUENCY, FAULT_CODE, STATE_WORD = 1, 11, 25
 
 
 class CodeTable(ControlTable, frozen=True, kw_only=True):
@@ -129,58 +80,19 @@ class CodeTable(ControlTable, frozen=True, kw_only=True):
         return State.STOPPING if state is State.RUNNING and own & CODE not in self.runs else state
 
 
-def control_table(idle: Command = Command.STOP) -> CodeTable:
-    """``idle``: what is commanded while no order runs the drive; the factory's is to stop, 0 would let it go on.
-
-    Readings: stopped without bus voltage (bit 8) and POFF are not ready; pre-excited is ready.
-    """
-    runs = {Command.FORWARD, Command.INCH_FORWARD, Command.INCH_REVERSE}
+def control_table(words: ControlTable, idle: Command = Command.STOP) -> CodeTable:
+    """``idle``: what is commanded while no order runs the drive; the factory's is to stop, 0 would let it go on."""
     return CodeTable(
-        control=CONTROL,
-        status=STATUS,
-        states=StateTable(
-            (
-                StateRow(State.RUNNING, CODE, Running.FORWARD),
-                StateRow(State.RUNNING, CODE, Running.REVERSE),
-                StateRow(State.READY, CODE | _BUS_VOLTAGE, Running.STOPPED | _BUS_VOLTAGE),
-                StateRow(State.NOT_READY, CODE | _BUS_VOLTAGE, Running.STOPPED),
-                StateRow(State.FAULT, CODE, Running.FAULT),
-                StateRow(State.NOT_READY, CODE, Running.POFF),
-                StateRow(State.READY, CODE, Running.PRE_EXCITED),
-            )
-        ),
+        control=words.control,
+        status=words.status,
+        states=words.states,
         run=dict.fromkeys(State, int(Command.FORWARD)),
-        steady={
-            Goal.IDLE: idle,
-            Goal.STOP: Command.STOP,
-            Goal.QUICK_STOP: Command.COAST,
-            Goal.COAST: Command.COAST,
-            Goal.ACK_HIGH: Command.RESET,
-            Goal.ACK_LOW: Command.STOP,
-        },
+        steady={**words.steady, Goal.IDLE: idle},
         released_mask=0,
         releasing=frozenset(),
-        runs=frozenset(runs),
+        runs=frozenset({Command.FORWARD, Command.INCH_FORWARD, Command.INCH_REVERSE}),
     )
 
-
-TABLE: Final = control_table()
-
-#: 2-11: response 3
-ERRORS: Final = {
-    1: "invalid command",
-    2: "invalid data address",
-    3: "invalid data value",
-    4: "operation failure",
-    5: "password error",
-    6: "data frame error",
-    7: "the parameter is read only",
-    8: "the parameter cannot be changed while the drive runs",
-    9: "protected by password",
-}
-
-#: of a write only
-WRITE_ERRORS: Final = frozenset({3, 5, 7, 8, 9})
 
 _NAME: Final = re.compile(r"[Pp](\d{1,2})\.(\d{1,3})")
 
@@ -222,56 +134,16 @@ def name_of(number: int) -> str:
     return f"P{number >> 8:02}.{number & 0xFF:02}"
 
 
-KEYPAD_FREQUENCY: Final = 10
-#: 0..125 (printed 0-99 in table 2-4, 0-127 in 2.3); table 2-4 numbers it and the PZDs in another way: P15 holds
-ADDRESS: Final = 0x0F01
-#: tables 2-6 and 2-8: what each received and each transmitted PZD stands for (P15.22 is missing in print)
-RECEIVED: Final = tuple(range(0x0F02, 0x0F02 + PZDS))
-TRANSMITTED: Final = tuple(range(0x0F0D, 0x0F0D + PZDS))
-MOST_RECEIVED, MOST_TRANSMITTED = 18, 26
-#: of inputs and outputs
-MAP_CODES: Final = (MapCodes(tuple(map(ParamKey, TRANSMITTED))), MapCodes(tuple(map(ParamKey, RECEIVED))))
 #: made up: parameters of the inverter in the simulated drive
 SOURCE, MAXIMUM_HZ, ACCELERATION, DECELERATION = "P00.01", "P00.03", "P00.11", "P00.12"
 #: Of the inverter, which has a manual of its own: a reading, from the numbering of the inverters of this family
 #: (address 10, the keypad's frequency, is P00.10 there, too). The plugin takes other ones by its options
 FREQUENCY_CHANNEL, FROM_PROFIBUS = "P00.06", 9
 FREQUENCY_SOURCE: Final = f"{FREQUENCY_CHANNEL}={FROM_PROFIBUS}"
+KEYPAD_FREQUENCY: Final = "P00.10"
 PER_HZ: Final = 100
 #: made up: refused while running
-STANDSTILL_ONLY: Final = frozenset({ADDRESS, 0x0003})
-
-
-_row = partial(ParamSpec, by_name=True)
-#: the simulated drive's; the plugin knows those that are not made up
-PARAMETERS: Final = ParamTable(
-    (
-        _row(0x0001, SOURCE, "Run command channel", 0, 2, Source.KEYPAD, use=Use.SOURCE, made_up=True),
-        _row(0x0003, MAXIMUM_HZ, "Maximum frequency", 0, 400, 50, decimals=2, unit="Hz", made_up=True),
-        _row(0x0006, FREQUENCY_CHANNEL, "Source of the set frequency", 0, 15, made_up=True),
-        _row(KEYPAD_FREQUENCY, "P00.10", "Frequency set by keypad", 0, 400, 50, decimals=2, unit="Hz"),
-        _row(0x000B, ACCELERATION, "Acceleration time", 0, 3600, 1, decimals=1, unit="s", made_up=True),
-        _row(0x000C, DECELERATION, "Deceleration time", 0, 3600, 1, decimals=1, unit="s", made_up=True),
-        _row(0x0F00, "P15.00", "Module type", read_only=True),
-        _row(ADDRESS, "P15.01", "Node address", 0, 125, 2),
-        *(
-            _row(number, name_of(number), f"{way} PZD{at}", 0, most, use=Use.MAP)
-            for way, numbers, most in (
-                ("Received", RECEIVED, MOST_RECEIVED),
-                ("Transmitted", TRANSMITTED, MOST_TRANSMITTED),
-            )
-            for at, number in enumerate(numbers, FIRST_PZD)
-        ),
-    )
-)
-
-
-def known(number: int) -> ParamSpec | None:
-    """The parameter at an address, if the manual of the card has it."""
-    spec = PARAMETERS.get(number)
-    return None if spec is None or spec.made_up else spec
-
-
+STANDSTILL_ONLY: Final = frozenset({"P15.01", MAXIMUM_HZ})
 #: made up: fault codes of the simulated drive
 FAULTS_MADE_UP: Final = "4=OC1 7=OV1 10=UV 11=OL1 15=OH1 17=EF 29=E-DP"
 LOST_MASTER: Final = 29
