@@ -66,11 +66,11 @@ def describe(
         faults=_messages(file.fault, source),
         warnings=_messages(file.warning, source),
         acknowledge=file.acknowledge,
-        errors=messages(core.dialect.errors, "{}", file.channel.source or source) if basic.errors else (),
+        errors=messages(core.dialect.errors, file.channel.sheet, file.channel.source or source) if basic.errors else (),
         leds=file.leds,
         missing=file.missing,
     )
-    if telegram is None or not isinstance(core, DeclaredCore):
+    if not isinstance(core, DeclaredCore) or (telegram is None and not maps):
         return described
     return structs.replace(
         described,
@@ -80,11 +80,11 @@ def describe(
 
 
 def _places(
-    file: DeviceFile, core: DeclaredCore, telegram: Telegram, maps: Maps, *, outputs: bool
+    file: DeviceFile, core: DeclaredCore, telegram: Telegram | None, maps: Maps, *, outputs: bool
 ) -> tuple[DescribedPlace, ...]:
     """With maps the words without a name are theirs."""
     names = []
-    for one in telegram.outputs if outputs else telegram.inputs:
+    for one in () if telegram is None else telegram.outputs if outputs else telegram.inputs:
         if not isinstance(one, int):
             word = file.words[one]
             names.append((core.place_name(one, word.title or one, outputs=outputs), word.octets))

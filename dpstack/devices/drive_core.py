@@ -16,6 +16,7 @@ from dpstack.profile.master.settings import Setting, equal
 from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import LARGEST, Args, CommandError, Steps
 from dpstack.profile.model.process_data_map import DataMap, FieldTable
+from dpstack.profile.model.states import ControlTable
 
 M = TypeVar("M", bound=DataMap)
 #: the order that sets free words of the outputs
@@ -33,7 +34,7 @@ class DeclaredCore(DriveCore):
         self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
     ) -> None:
         self.file = file
-        self.table = file.table
+        self.table = self.words_and_states()
         self.safe_control = file.safe_control
         self.scan_ns = round(file.scan_ms * 1_000_000)
         has_channel = file.channel.record_slot is not None or telegram.channel
@@ -47,6 +48,10 @@ class DeclaredCore(DriveCore):
         self.warning_numbers = file.warning.kind == "number"
         self._options = options
         super().__init__(profile, name, telegram, options)
+
+    def words_and_states(self) -> ControlTable:
+        """Those of :attr:`file`; called first, so nothing but that is there yet."""
+        return self.file.table
 
     def place_name(self, word: str, title: str, *, outputs: bool) -> str:
         """A word of the telegram for people, by its ``title`` in the file."""

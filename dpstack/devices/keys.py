@@ -339,6 +339,7 @@ class ChannelKeys(TypedDict, total=False):
     zero_between: it takes a new order only after it has answered 0 with 0. Left out: true
     busy: errors after which the order is repeated
     source: section of the manual with the errors
+    sheet: their code on the commissioning sheet, such as `"{:02X}h"`. Left out: `{}`
     record47: `{ slot = 0, object = 1 }`, for a drive that has record 47. Left out: it has none
     """
 
@@ -348,6 +349,7 @@ class ChannelKeys(TypedDict, total=False):
     zero_between: bool
     busy: Sequence[int]
     source: str
+    sheet: str
     record47: Mapping[str, object]
 
 
@@ -384,8 +386,8 @@ class ParameterKeys(TypedDict, total=False):
         `standstill`, else `none`
     acts: when a write counts: `power-on`, or the name of the parameter whose write makes it count. Left out: at once
     standstill: it can only be written at standstill
-    times: so many of them in a row: the number goes up, or the index if one is given, and so do the digits at the end of
-        the name and `{}` in the title. Left out: 1
+    times: so many of them in a row: the number goes up, or the index if one is given, and so do the digits at the end
+        of the name and `{}` in the title. Left out: 1
     stride: from one to the next. Left out: 1
     first: the first number for `{}`. Left out: 1
     factories: values at delivery of those in a row, 0 behind the last one

@@ -25,7 +25,7 @@ _LIMITS: Final = {"u16": (0, 0xFFFF), "i16": (-0x8000, 0x7FFF), "i32": (-(1 << 3
 class MapWay(Struct, frozen=True, kw_only=True):
     """The map of the inputs or of the outputs."""
 
-    fields: FieldTable
+    fields: FieldTable = FieldTable()
     #: the parameters that hold it; none: the drive holds it in another way
     codes: MapCodes = MapCodes(())
     #: the numbers of the fields at delivery

@@ -191,6 +191,7 @@ class Channel(Struct, frozen=True, kw_only=True):
 
     pkw: PkwDialect = PLAIN_PKW
     source: str = ""
+    sheet: str = "{}"
     record_slot: int | None = None
     record_object: int = 1
 

@@ -785,7 +785,14 @@ class Reader:
                 zero_between=given.get("zero_between", pkw.zero_between),
                 busy=frozenset(given.get("busy", pkw.busy)),
             )
-            return Channel(pkw=pkw, source=given.get("source", ""), record_slot=slot, record_object=object_)
+            self._places(inside, "sheet", given.get("sheet", ""), ("",), 'write "{}" or "{:02X}h"')
+            return Channel(
+                pkw=pkw,
+                source=given.get("source", ""),
+                sheet=given.get("sheet", "{}"),
+                record_slot=slot,
+                record_object=object_,
+            )
         return Channel()
 
     # -- the rest -----------------------------------------------------------------------------------------------------

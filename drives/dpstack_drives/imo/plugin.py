@@ -17,6 +17,7 @@ from dpstack.profile import (
     Args,
     CommandError,
     ConfigError,
+    ControlTable,
     Goal,
     ListedParam,
     Options,
@@ -67,7 +68,7 @@ class ImoCore(DeclaredMapCore[FieldMap]):
         self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
     ) -> None:
         super().__init__(file, profile, name, telegram, options)
-        self.table = self._words = t.control_table(file.table)
+        self._words = self.table
         self._max_given = bool(options["max_hz"])
         self._max_hz = float(options["max_hz"] or options["reference_hz"])
         inputs, outputs = self.map_fields
@@ -99,6 +100,9 @@ class ImoCore(DeclaredMapCore[FieldMap]):
         #: as the drive has them; None until they were read
         self.inputs_map: FieldMap | None = None
         self.outputs_map: FieldMap | None = None
+
+    def words_and_states(self) -> ControlTable:
+        return t.control_table(self.file.table)
 
     def open_channel(self) -> ImoAccess:
         self._channel = ImoAccess(self.dialect, self.file.parameters, self, self.notice)

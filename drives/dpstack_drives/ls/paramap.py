@@ -10,9 +10,9 @@ from typing import Final
 
 from msgspec import structs
 
-from dpstack.profile import MapCodes, ParamKey, process_data_map
+from dpstack.devices.maps import MapWay
+from dpstack.profile import process_data_map
 from dpstack_drives.ls import table as t
-from dpstack_drives.ls import telegrams
 
 
 def word(where: int) -> process_data_map.MapField:
@@ -34,24 +34,12 @@ def _find(text: str) -> process_data_map.MapField | None:
     return None if where is None else word(where)
 
 
-STATUS: Final = process_data_map.FieldTable(
-    most=telegrams.MOST,
-    empty="0000",
-    noun="address",
-    nouns="addresses",
-    hint="write 000A (four hex digits), dr-03 or In-90",
-    find=_find,
-    by_code=word,
-)
-CONTROL: Final = structs.replace(STATUS, outputs=True, twice="the last word would win")
+def _any(way: MapWay) -> process_data_map.FieldTable:
+    return structs.replace(way.fields, find=_find, by_code=word)
+
+
+#: of inputs and outputs
+WAYS: Final = t.FILE.maps or (MapWay(), MapWay())
+STATUS: Final = _any(WAYS[0])
+CONTROL: Final = _any(WAYS[1])
 MAPS: Final = (STATUS, CONTROL)
-#: as delivered
-DEFAULTS: Final = ((0x000A, 0x000E, 0x000F), (0x0005, 0x0006))
-
-
-def _codes(count: int, first: int) -> MapCodes:
-    return MapCodes(tuple(ParamKey(first + place) for place in range(telegrams.MOST)), ParamKey(count))
-
-
-#: of inputs and outputs: addresses and their number (4.2.8)
-CODES: Final = (_codes(t.STATUS_COUNT, t.PARA_STATUS), _codes(t.CONTROL_COUNT, t.PARA_CONTROL))

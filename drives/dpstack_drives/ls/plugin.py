@@ -6,18 +6,18 @@ import struct
 from collections.abc import Sequence
 from typing import Final
 
+from dpstack.devices.drive_core import DeclaredMapCore
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
     FAULTED,
-    NS_PER_MS,
     NS_PER_S,
     OTHER_MANUAL,
     CommandError,
     ConfigError,
-    DriveProfile,
+    ControlTable,
     Goal,
     ListedParam,
     Lookup,
-    MappedCore,
     Options,
     ParamKey,
     ParamRef,
@@ -31,6 +31,7 @@ from dpstack.profile import (
     record47,
     settled,
 )
+from dpstack.profile.model.drive_type import DriveType
 from dpstack_drives.ls import paramap, records, references, telegrams
 from dpstack_drives.ls import table as t
 
@@ -55,7 +56,7 @@ def profile_of(telegram: TelegramSpec, wanted: str) -> int:
     return t.LS_DRIVE if wanted == "ls" else t.PROFIDRIVE
 
 
-class LsCore(MappedCore[FieldMap]):
+class LsCore(DeclaredMapCore[FieldMap]):
     """PROFIdrive or LS Drive profile in PPO1 to PPO6, PROFIdrive in ST1, the drive's own words in VENDOR n/m.
 
     Options: ``profile`` (COM-11: ``profidrive`` or ``ls``); ``speed_unit`` (COM-14: ``percent`` of dr-20 or ``rpm``);
@@ -69,30 +70,22 @@ class LsCore(MappedCore[FieldMap]):
     frequencies of the LS Drive profile have no sign, the direction is in control and status word.
     """
 
-    table = t.PROFIDRIVE_TABLE
-    scan_ns = t.SCAN_MS * NS_PER_MS
-    parameter_table = t.PARAMETERS
-    dialect = t.PKW
-    address_parameter = "COM-07"
-    address_acts = "with COM-94 = 1, or when it is switched off and on"
     address_trigger = "COM-94"
     inputs_map: FieldMap
     outputs_map: FieldMap
-    map_codes = paramap.CODES
-    map_fields = paramap.MAPS
     map_options = ("para_status", "para_control")
     outputs_name = "para_control"
-    start_hint = f"; {_SOURCE}"
 
-    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
+    def __init__(
+        self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
+    ) -> None:
         try:
             self._profile = profile_of(telegram, str(options["profile"]))
         except ConfigError as error:
             raise ConfigError(f"drive {name} ({profile.name}): {error}") from None
         self._io = self._profile == t.IO
-        if self._profile != t.PROFIDRIVE:
-            self.table = t.ls_table(0 if self._io else t.AUTHORITY)
-        super().__init__(profile, name, telegram, options)
+        super().__init__(file, profile, name, telegram, options)
+        self.map_fields = paramap.MAPS
         self._trip_number = options["trip_word"] == "number"
         self._rpm = options["speed_unit"] == "rpm"
         self.inputs_at = self.outputs_at = 0 if self._io else t.PARA_AT
@@ -117,6 +110,10 @@ class LsCore(MappedCore[FieldMap]):
             self.lookups = (self._trips, self._warning)
         self._advise_maps()
 
+    def words_and_states(self) -> ControlTable:
+        """By the profile."""
+        return t.PROFIDRIVE_TABLE if self._profile == t.PROFIDRIVE else t.ls_table(0 if self._io else t.AUTHORITY)
+
     def room(self, *, outputs: bool) -> int:
         """Words of the telegram that a map fills."""
         octets = self.telegram.outputs if outputs else self.telegram.inputs
@@ -126,7 +123,7 @@ class LsCore(MappedCore[FieldMap]):
         """As much of the drive's default map as the telegram takes if the option is empty."""
         if text.strip():
             return self.parse_map(text, outputs=outputs)
-        return self.map_of(paramap.DEFAULTS[outputs][: self.room(outputs=outputs)], outputs=outputs)
+        return self.map_of(paramap.WAYS[outputs].default[: self.room(outputs=outputs)], outputs=outputs)
 
     def _advise_maps(self) -> None:
         for where in sorted({*self.inputs_map.codes, *self.outputs_map.codes} & t.ADVISED_AGAINST):

@@ -22,7 +22,7 @@ RULES: Final = record47.Rules(
     slots=frozenset({SLOT}),
     attributes=frozenset({record47.Attribute.VALUE}),
     limits=LIMITS,
-    busy_ns=2 * t.SCAN_MS * NS_PER_MS,
+    busy_ns=round(2 * t.FILE.scan_ms * NS_PER_MS),
 )
 
 

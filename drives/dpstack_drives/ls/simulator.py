@@ -6,11 +6,11 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from dpstack.devices.drive_device import DeclaredDevice
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
-    NS_PER_MS,
     SPEED,
     DriveDevice,
-    DriveProfile,
     Leave,
     Options,
     Pkw,
@@ -21,6 +21,7 @@ from dpstack.profile import (
     record47,
     signed16,
 )
+from dpstack.profile.model.drive_type import DriveType
 from dpstack_drives.ls import records, settings, telegrams
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls.lostcommand import LostCommand
@@ -37,7 +38,7 @@ _STOPS: Final = t.LS_CONTROL.mask("stop", "emergency")
 _RATED_VOLTS, _RATED_WATTS = 380, 7500
 
 
-class LsDevice(DriveDevice):
+class LsDevice(DeclaredDevice):
     """Options: the plugin's, ``load``, ``version`` (2.01 knows only VENDOR), ``quick_stop_s``; parameters by code.
 
     Readings: a frame of PROFIdrive with bit 10 stands until the next one with it; OFF1 ramps by dr-04; what Para
@@ -47,23 +48,21 @@ class LsDevice(DriveDevice):
     LED that flashes as on; COM-94 = 1 takes a new COM-07 over (4.2.2): the module restarts at that address.
     """
 
-    parameter_table = t.PARAMETERS
-    dialect = t.PKW
-    trips = t.TRIPS
-    unknown_trip = f"no trip; known: {', '.join(map(t.trip_text, trips))}"
-    scan_ns = t.SCAN_MS * NS_PER_MS  # a reading: the manual gives none
-    address_parameter = "COM-07"
-    parameter_errors: Mapping[int, str] = t.PKW.errors
-    write_errors = t.WRITE_ERRORS
+    unknown_trip = f"no trip; known: {', '.join(map(t.trip_text, t.TRIPS))}"
     max_diag_len = t.MAX_DIAG
 
     def __init__(
-        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
+        self,
+        file: DeviceFile,
+        profile: DriveType,
+        telegram: TelegramSpec,
+        options: Options,
+        presets: Mapping[str, object],
     ) -> None:
         self.legacy = options["version"] == "2.01"
         profile_of(telegram, str(options["profile"]))
         own = settings.presets(options, presets, f"simulated {profile.name}")
-        super().__init__(profile, telegram, options, own)
+        super().__init__(file, profile, telegram, options, own)
         if self.legacy:  # its own configuration, which Get_Cfg shows, is one that it accepts
             if telegrams.number_of(telegram) != telegrams.VENDOR:
                 self.telegram = telegrams.vendor(*(int(self.store.value(count)) for count in ("COM-50", "COM-30")))

@@ -1,9 +1,8 @@
-"""Telegrams of the CPDP-S100 (docs/reference/drives/ls-s100.md#telegrams): standard telegram 1, PPO1 to PPO6, and the
-vendor's own.
+"""The vendor's own telegrams of the CPDP-S100 (docs/reference/drives/ls-s100.md#telegrams); all others are in its file.
 
 ``VENDOR OUTPUTS/INPUTS`` has 1..8 words each way, which Para Control (COM-51..) and Para Status (COM-31..) fill. ST1,
 PPO3 and VENDOR 2/2 are alike by length: their identifier octets distinguish them. All identifier octets are made up,
-as the manual prints no GSD file. The manual's "8 words at most" and PPO5's 14 contradict: what is configured counts.
+as the manual prints no GSD file.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import re
 from typing import Final
 
 from dpstack.profile import ConfigError, TelegramFamily, TelegramSpec
-from dpstack_drives import ppo
+from dpstack_drives.ls import table as t
 
 _OUT, _IN = 0x60, 0x50
 #: COM-30 and COM-50; the manual has 0..8 and 1..8: 1..8 is taken
@@ -22,15 +21,13 @@ _HOW: Final = "VENDOR OUTPUTS/INPUTS, 1..8 words each, e.g. VENDOR 2/3"
 _NAME: Final = re.compile(r"VENDOR\s+(\d+)\s*/\s*(\d+)", re.IGNORECASE)
 
 
-TELEGRAMS: Final = ppo.ppos(6, made_up=True) | {"ST1": ppo.telegram("ST1", "F1", 2, made_up=True)}
-DEFAULT: Final = "PPO1"
-#: PNU 922
-_NUMBERS: Final = {"ST1": 1, "PPO1": 101, "PPO2": 102, "PPO3": 103, "PPO4": 104, "PPO5": 105, "PPO6": 106}
+TELEGRAMS: Final = t.FILE.telegrams
 
 
 def number_of(spec: TelegramSpec) -> int:
     """The number of a telegram in PNU 922 and COM-10."""
-    return _NUMBERS.get(spec.name, VENDOR)
+    found = TELEGRAMS.get(spec.name)
+    return VENDOR if found is None or found.number is None else found.number
 
 
 def vendor(outputs: int, inputs: int) -> TelegramSpec:
