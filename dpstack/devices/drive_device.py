@@ -47,7 +47,7 @@ class DeclaredDevice(DriveDevice):
         ordered = sorted({*simulate.errors, *self.read_errors, *self.write_errors})
         self.parameter_errors = {number: self.dialect.error_text(number) for number in ordered}
         self.scan_ns = round(file.simulate.scan_ms * 1_000_000)
-        number = file.telegrams[telegram.name].number
+        number = file.telegrams[telegram.name].number if telegram.name in file.telegrams else None
         if options.get(READY) and number is not None:  # set up for this telegram
             wanted = {one.parameter: number for one in file.settings if one.equals == "telegram"}
             presets = {**wanted, **presets}

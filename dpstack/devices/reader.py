@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import csv
 import hashlib
+<<<<<<< HEAD
 from collections.abc import Callable, Iterable, Mapping, Sequence
+=======
+from collections.abc import Callable, Iterator, Mapping, Sequence
+>>>>>>> a6cae674 (A vendor telegram is no telegram of the file)
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
