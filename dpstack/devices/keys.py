@@ -135,7 +135,7 @@ class TelegramKeys(TypedDict, total=False):
     in: words from the device, the status word first
     pkw: a parameter channel of eight octets leads. Left out: false
     config: identifier octets in hex. Left out: those of `modules` in the GSD file
-    made_up: those identifiers are in no manual. Left out: false
+    made_up: those identifiers are in no manual. Left out: as in `[bus]`
     modules: names of the modules in the GSD file
     number: value of the drive's parameter that chooses it, for `{telegram}` in `[settings]`. Left out: its name, if
         that is a number

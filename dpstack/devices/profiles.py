@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from msgspec import structs
-
 from dpstack.devices.drive_core import FileCore, counts_of
 from dpstack.devices.drive_device import FileDevice
 from dpstack.devices.model import DeviceFile, Telegram, WordSpec
@@ -70,10 +68,7 @@ def profile_of(file: DeviceFile) -> DriveProfile:
         title=file.title,
         ident=bus.ident or 0,
         ident_made_up=bus.made_up or (bus.ident is None and file.gsd is None),
-        telegrams={
-            name: structs.replace(one.spec, made_up=True) if bus.made_up else one.spec
-            for name, one in file.telegrams.items()
-        },
+        telegrams={name: one.spec for name, one in file.telegrams.items()},
         default_telegram=file.default_telegram,
         user_prm=bus.user_prm,
         baud_rates=bus.rates or tuple(bus.max_tsdr),
@@ -171,10 +166,11 @@ def _check_word(file: DeviceFile, name: str, value: object) -> None:
 
 
 def fields_of(file: DeviceFile, telegram: str) -> tuple[dict[str, object], dict[str, object]]:
-    """The named values of inputs and outputs in ``telegram``, as a plant file writes them."""
+    """The named values of inputs and outputs in ``telegram``, as a plant file writes them; none if only the Python of
+    the file knows it."""
     found = file.telegrams.get(telegram)
     if found is None:
-        raise ConfigError(f"{file.name} has no telegram {telegram!r}")
+        return {}, {}
     return _fields(file, found, outputs=False), _fields(file, found, outputs=True)
 
 

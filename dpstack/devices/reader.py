@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
-<<<<<<< HEAD
-from collections.abc import Callable, Iterable, Mapping, Sequence
-=======
-from collections.abc import Callable, Iterator, Mapping, Sequence
->>>>>>> a6cae674 (A vendor telegram is no telegram of the file)
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -178,6 +174,7 @@ class Reader:
                     "name", f"name = {brief(name)}, but the file is {self.path.name}", "give both the same name"
                 )
             )
+        self._python = "python" in given
         words = self._words(table)
         derived = self._derived(table, words)
         gsd = self.path.parent / given["gsd"] if "gsd" in given else None
@@ -330,6 +327,7 @@ class Reader:
         self, table: Table, words: Mapping[str, WordSpec], gsd: Path | None, only: Sequence[str]
     ) -> dict[str, Telegram]:
         found: dict[str, Telegram] = {}
+        bus = table.raw("bus")
 
         def read(name: str, inside: Table) -> None:
             if only and name not in only:
@@ -343,7 +341,7 @@ class Reader:
             sizes = [sum(2 if is_integer(one) else words[str(one)].octets for one in way) for way in ways]
             modules = tuple(given.get("modules", ()))
             config = given.get("config")
-            made_up = bool(given.get("made_up", False))
+            made_up = given.get("made_up", bool(isinstance(bus, Mapping) and bus.get("made_up")))
             if config is None and modules and gsd is not None:
                 config = self._config_of(inside, gsd, modules)
             if config is None:
@@ -396,7 +394,7 @@ class Reader:
                 table.fail(key, f"{key}: {brief(one)} is no word of this file", hint)
             else:
                 table.fail(key, f"{key} holds {brief(one)}", "a word is a name or a constant of 0..65535")
-        if found[0] != first:
+        if found[0] != first and not self._python:
             table.fail(key, f"{key} begins with {brief(found[0])}", f"the first word must be {first!r}")
         return tuple(found)
 

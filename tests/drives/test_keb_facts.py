@@ -159,7 +159,7 @@ def test_our_gsd_file_of_the_ls_s100_tells_what_is_made_up() -> None:
     assert (file.diagnostics, check(file)) == ((), ())
     device = file.device
     assert device.ident == LS.ident == 0x0A6C
-    assert LS.gsd is not None and LS.gsd.endswith("ls/ls-s100.gsd")
+    assert str(LS.gsd).endswith("ls/ls-s100.gsd")
     assert tuple(speed.baud for speed in device.speeds) == LS.baud_rates
     assert (device.max_module, device.max_input_len, device.max_output_len, device.max_data_len) == (2, 28, 28, 56)
     fixed = [module.config for module in device.modules[:7]]

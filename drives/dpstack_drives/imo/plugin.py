@@ -18,6 +18,7 @@ from dpstack.profile import (
     CommandError,
     ConfigError,
     ControlTable,
+    DriveProfile,
     Goal,
     ListedParam,
     Options,
@@ -31,7 +32,6 @@ from dpstack.profile import (
     same,
     settled,
 )
-from dpstack.profile.model.drive_type import DriveType
 from dpstack_drives.imo import table as t
 from dpstack_drives.imo.channel import ImoAccess, address_of
 
@@ -65,7 +65,7 @@ class ImoCore(DeclaredMapCore[FieldMap]):
     own_ops = (*MAP_OPS, "inch", "pre_excite", "control")
 
     def __init__(
-        self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
+        self, file: DeviceFile, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options
     ) -> None:
         super().__init__(file, profile, name, telegram, options)
         self._words = self.table

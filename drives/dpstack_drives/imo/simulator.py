@@ -13,6 +13,7 @@ from dpstack.profile import (
     AT_ONCE,
     ConfigError,
     DriveDevice,
+    DriveProfile,
     Leave,
     Options,
     Pkw,
@@ -21,7 +22,6 @@ from dpstack.profile import (
     ramp,
     signed16,
 )
-from dpstack.profile.model.drive_type import DriveType
 from dpstack_drives.imo import table as t
 from dpstack_drives.imo.channel import ImoPkw, Request, Response
 
@@ -65,7 +65,7 @@ class ImoDevice(DeclaredDevice):
     def __init__(
         self,
         file: DeviceFile,
-        profile: DriveType,
+        profile: DriveProfile,
         telegram: TelegramSpec,
         options: Options,
         presets: Mapping[str, object],

@@ -15,6 +15,7 @@ from dpstack.profile import (
     CommandError,
     ConfigError,
     ControlTable,
+    DriveProfile,
     Goal,
     ListedParam,
     Lookup,
@@ -31,7 +32,6 @@ from dpstack.profile import (
     record47,
     settled,
 )
-from dpstack.profile.model.drive_type import DriveType
 from dpstack_drives.ls import paramap, records, references, telegrams
 from dpstack_drives.ls import table as t
 
@@ -77,7 +77,7 @@ class LsCore(DeclaredMapCore[FieldMap]):
     outputs_name = "para_control"
 
     def __init__(
-        self, file: DeviceFile, profile: DriveType, name: str, telegram: TelegramSpec, options: Options
+        self, file: DeviceFile, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options
     ) -> None:
         try:
             self._profile = profile_of(telegram, str(options["profile"]))

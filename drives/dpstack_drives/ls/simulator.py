@@ -11,6 +11,7 @@ from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
     SPEED,
     DriveDevice,
+    DriveProfile,
     Leave,
     Options,
     Pkw,
@@ -21,7 +22,6 @@ from dpstack.profile import (
     record47,
     signed16,
 )
-from dpstack.profile.model.drive_type import DriveType
 from dpstack_drives.ls import records, settings, telegrams
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls.lostcommand import LostCommand
@@ -54,7 +54,7 @@ class LsDevice(DeclaredDevice):
     def __init__(
         self,
         file: DeviceFile,
-        profile: DriveType,
+        profile: DriveProfile,
         telegram: TelegramSpec,
         options: Options,
         presets: Mapping[str, object],
