@@ -66,7 +66,8 @@ class FileDevice(DeclaredDevice):
         presets: Mapping[str, object],
     ) -> None:
         super().__init__(file, profile, telegram, options, presets)
-        self.motor.load = file.simulate.load
+        if "load" not in options:
+            self.motor.load = file.simulate.load
         self.machine: Machine = machine_of(file)
         #: number of the fault that stands; 0: none
         self.fault = 0

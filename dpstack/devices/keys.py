@@ -49,7 +49,8 @@ class DeviceKeys(TypedDict, total=False):
     start_hint: what to check when it does not start for no known reason
     lock_hint: why it may ignore an acknowledgement
     acknowledge: how a fault is acknowledged, for the commissioning sheet
-    address_acts: when a new station address takes effect. Left out: when it is switched off and on
+    address_acts: when a new station address takes effect, or `at once`. Left out: when it is switched off and on
+    by_number: people know its parameters by their numbers. Left out: false
     telegram_parameter: name of the parameter that chooses the telegram by its `number`, from power-on. Left out: the
         drive takes that of its master
     only: names of the telegrams that it has. Left out: all of this file and of its base
@@ -74,6 +75,7 @@ class DeviceKeys(TypedDict, total=False):
     lock_hint: str
     acknowledge: str
     address_acts: str
+    by_number: bool
     telegram_parameter: str
     only: Annotated[Sequence[str], _TEXTS]
     scan_ms: Annotated[float, Key(0.1, 10_000)]
@@ -379,7 +381,7 @@ class ParameterKeys(TypedDict, total=False):
     factory: value at delivery. Left out: 0
     read_only: it cannot be written
     per_set: it exists in each data set
-    by_name: people know it by its name
+    by_name: people know it by its name. Left out: true without `by_number`
     volatile: the drive never stores it
     made_up: limits or factory value are in no manual
     use: what the plugin relies on it for: `scale`, `source`, `setting` or `map`. Left out: `setting` beside

@@ -95,8 +95,8 @@ def profile_of(file: DeviceFile) -> DriveProfile:
         digest=file.digest,
         gsd_file=None if file.gsd is None else str(file.gsd),
         modules={name: one.modules for name, one in file.telegrams.items() if one.modules},
-        fields=partial(fields_of, file),
-        check_word=partial(_check_word, file),
+        fields=None if file.python else partial(fields_of, file),
+        check_word=None if file.python else partial(_check_word, file),
     )
 
 
@@ -166,11 +166,9 @@ def _check_word(file: DeviceFile, name: str, value: object) -> None:
 
 
 def fields_of(file: DeviceFile, telegram: str) -> tuple[dict[str, object], dict[str, object]]:
-    """The named values of inputs and outputs in ``telegram``, as a plant file writes them; none if only the Python of
-    the file knows it."""
-    found = file.telegrams.get(telegram)
-    if found is None:
-        return {}, {}
+    """The named values of inputs and outputs in ``telegram``, as a plant file writes them. A file with Python has none:
+    its words are those that the Python names."""
+    found = file.telegrams[telegram]
     return _fields(file, found, outputs=False), _fields(file, found, outputs=True)
 
 

@@ -185,6 +185,7 @@ class Reader:
         self._reference_parameters = (
             {one for one in named.values() if isinstance(one, str)} if isinstance(named, dict) else set()
         )
+        self._numbered = given.get("by_number", False)
         parameters = self._parameters(table)
         self._options(table)
         first = next((one for one in telegrams if one in self._own.get("telegrams", {})), next(iter(telegrams), ""))
@@ -255,7 +256,7 @@ class Reader:
             device_options=self.device_options,
             standstill=self._standstill,
             acknowledge=given.get("acknowledge", ""),
-            address_acts=given.get("address_acts", "when it is switched off and on"),
+            address_acts=given.get("address_acts", "when it is switched off and on").removeprefix("at once"),
             scan_ms=given.get("scan_ms", self._simulate.scan_ms),
             python=given.get("python", ""),
             **parts,
@@ -688,7 +689,7 @@ class Reader:
                 name,
                 given.get("title", name),
                 type=ParamType(given.get("type", "u16")),
-                by_name=given.get("by_name", not name.isdecimal()),
+                by_name=given.get("by_name", not (self._numbered or name.isdecimal())),
                 use=Use(use),
                 **rest,
             )

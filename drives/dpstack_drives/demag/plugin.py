@@ -9,6 +9,8 @@ from typing import Final
 
 from msgspec import structs
 
+from dpstack.devices.drive_core import DeclaredCore
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
     FAULTED,
     NS_PER_MS,
@@ -30,7 +32,6 @@ from dpstack.profile import (
     State,
     Steps,
     TelegramSpec,
-    drivecom_states,
     find_parameter,
     listing,
     same,
@@ -42,9 +43,9 @@ from dpstack_drives.demag.outpzd import OutMap
 from dpstack_drives.demag.trace import Trace
 
 _SELECTOR: Final = 12
-_REMOTE: Final = drivecom_states.STATUS.mask("remote")
-_WARNING: Final = drivecom_states.STATUS.mask("warning")
-_TOGGLE: Final = drivecom_states.STATUS.mask("toggle")
+_REMOTE: Final = t.STATUS.mask("remote")
+_WARNING: Final = t.STATUS.mask("warning")
+_TOGGLE: Final = t.STATUS.mask("toggle")
 #: a standing warning is read again after this time
 _WARNING_AGE: Final = NS_PER_S
 #: numbers of EEPROM writes of one parameter at which the user gets a notice
@@ -59,9 +60,7 @@ _NO_RELEASE: Final = {
 }
 #: The words while 412 is not known to be that of the option. In mode 2 bits 0 to 7 are contacts: zeros open all of
 #: them, S1 (release) too. Bit 7 alone (S8IND) releases nothing, so a fault that hides the mode can be acknowledged.
-_SILENT: Final = structs.replace(
-    drivecom_states.TABLE, run={}, steady={**dict.fromkeys(Goal, 0x0000), Goal.ACK_HIGH: 0x0080}
-)
+_SILENT: Final = structs.replace(t.TABLE, run={}, steady={**dict.fromkeys(Goal, 0x0000), Goal.ACK_HIGH: 0x0080})
 _TO_START: Final = (State.READY, State.RUNNING)
 
 
@@ -72,7 +71,7 @@ def _contacts(start: str) -> ControlTable:
     """
     run = t.CONTACTS.mask("s1", start)
     return structs.replace(
-        drivecom_states.TABLE,
+        t.TABLE,
         control=t.CONTACTS,
         run=dict.fromkeys(_TO_START, run),
         steady={**dict.fromkeys(Goal, 0x0000), Goal.STOP: t.CONTACTS.mask("s1")},
@@ -82,7 +81,7 @@ def _contacts(start: str) -> ControlTable:
 
 _CLOCKWISE, _ANTICLOCKWISE = _contacts("s2"), _contacts("s3")
 #: as _SILENT; S1 is what both directions have set
-_OPEN: Final = structs.replace(_SILENT, released_mask=t.CONTACTS.mask("s1"))
+_OPEN: Final = structs.replace(_SILENT, control=t.CONTACTS, released_mask=t.CONTACTS.mask("s1"))
 #: states that only control by the state machine has; the other modes show 0x23, 0x27 and 0x08 (11.2.1.1 to 11.2.1.3)
 _OF_STATE_MACHINE: Final = frozenset(
     {State.SWITCH_ON_INHIBITED, State.READY_TO_SWITCH_ON, State.QUICK_STOP, State.FAULT_REACTION}
@@ -96,7 +95,7 @@ _SLOWER: Final = 0.01
 _SLOWER_NS: Final = 3 * NS_PER_S
 
 
-class DemagCore(MappedCore[OutMap]):
+class DemagCore(MappedCore[OutMap], DeclaredCore):
     """PZD2 reports the frequency; in PPO1 and PPO3 bits 12-14 fetch warning and fault words through it when needed.
 
     The words of the option ``control`` are sent only while 412 is known to be that of the option in the active data
@@ -113,19 +112,16 @@ class DemagCore(MappedCore[OutMap]):
     drive shows them in 281 and 284, the words of this cycle.
     """
 
-    table = _SILENT
-    parameter_table = t.PARAMETERS
     outputs_at = 2  # behind PZD1 and PZD2
     outputs_map: OutMap
-    address_parameter = "node_id"
-    address_acts = ""
     own_ops = ("output", "trace")
-    lock_hint = f" before it is {t.FAULT_LOCK_S} s old, nor while its cause lasts"
 
-    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
-        self.scan_ns = t.scan_ms(telegram) * NS_PER_MS
+    def __init__(
+        self, file: DeviceFile, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options
+    ) -> None:
         self._trace = Trace(channel=telegram.channel)
-        super().__init__(profile, name, telegram, options)
+        super().__init__(file, profile, name, telegram, options)
+        self.scan_ns = t.scan_ms(telegram) * NS_PER_MS
         self._selector = 0
         self._actual = 0
         self._current: int | None = None
@@ -146,6 +142,7 @@ class DemagCore(MappedCore[OutMap]):
         self._asking = self._watching = False
         self._set_412 = bool(options["set_412"])
         self._wanted_mode = MODES[str(options["control"])]
+        self.table = self._table()
         if telegram.channel:
             self.lookups = (self._toggle_time,)
 
@@ -196,16 +193,17 @@ class DemagCore(MappedCore[OutMap]):
 
     def fault_texts(self) -> tuple[str, ...] | None:
         """The fault by number and text, as soon as its word has come."""
-        return (t.fault_name(self._fault_word),) if self._fault_word else None
+        code = self._fault_word
+        return (self.fault_names.get(code, f"F{code:04X}"),) if code else None
 
     def warnings(self) -> tuple[str, ...]:
         if not self.status_word & _WARNING:
             return ()
-        return t.warning_names(self._warning_word or 0)
+        return tuple(name for bit, name in self.warning_names.items() if (self._warning_word or 0) >> bit & 1)
 
     def parameters(self) -> tuple[ListedParam, ...]:
         """Each parameter of a data set four times, for the data sets 1 to 4."""
-        return listing(t.PARAMETERS, data_sets=range(1, t.SETS + 1))
+        return listing(self.file.parameters, data_sets=range(1, t.SETS + 1))
 
     def obstacle(self) -> str | None:
         """Bit 9 says whether the bus controls the drive at all, and 412 how."""
@@ -247,7 +245,7 @@ class DemagCore(MappedCore[OutMap]):
         """The words of the mode, in which the direction of contacts is that of the set point."""
         known = self._mode == self._wanted_mode
         if self._wanted_mode == _STATE_MACHINE:
-            return drivecom_states.TABLE if known else _SILENT
+            return t.TABLE if known else _SILENT
         if not known:
             return _OPEN
         return _ANTICLOCKWISE if self.setpoint < 0 else _CLOCKWISE
@@ -571,6 +569,13 @@ class DemagCore(MappedCore[OutMap]):
             raise CommandError("lost", "the drive is not in data exchange")
         return {"value": self._trace.lines(self.last_outputs, self.last_inputs)}
 
+    def place_name(self, word: str, title: str, *, outputs: bool) -> str:
+        """PZD3 to PZD6 of the outputs with what the option says that they mean."""
+        if not word.startswith("pzd_"):
+            return title
+        field = self.outputs_map.fields[int(word[-1]) - outpzd.FIRST]
+        return f"{title} ({'not used' if field is None else field.kind})"
+
     def parse_map(self, text: str, *, outputs: bool) -> OutMap:
         """The meaning of PZD3 to PZD6 is set in the drive; the option gives it to the plugin."""
         if text.strip() and not self._wide:
@@ -589,7 +594,7 @@ class DemagCore(MappedCore[OutMap]):
 
     def resolve(self, key: ParamKey) -> ParamRef:
         data_set, ram = key.place, key.ram
-        spec, number, label = find_parameter(key, t.PARAMETERS, 999)
+        spec, number, label = find_parameter(key, self.file.parameters, 999)
         if spec is not None and spec.text:
             raise CommandError("usage", f"{label} is a text, which the parameter channel cannot carry")
         if data_set is not None and data_set > t.SETS:

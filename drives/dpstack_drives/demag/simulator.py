@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
+from dpstack.devices.drive_device import FileDevice
+from dpstack.devices.machines import Drivecom
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
     NS_PER_MS,
     NS_PER_S,
@@ -19,7 +22,6 @@ from dpstack.profile import (
     State,
     TaskId,
     TelegramSpec,
-    drivecom_states,
 )
 from dpstack_drives.demag import outpzd, toggle
 from dpstack_drives.demag import table as t
@@ -60,7 +62,7 @@ class _Settings(NamedTuple):
     deviation_hz: float  # 549
 
 
-class DemagDevice(DriveDevice):
+class DemagDevice(FileDevice):
     """Options: ``f_max``, ``f_min``, ``acceleration``, ``deceleration`` (Hz, Hz/s), ``load``, ``supply``; parameters by
     number. With ``supply`` = ``24v`` (4.1) ``mains off`` takes the inverter's power and leaves the module on the bus;
     ``power-off`` takes the module's only, which is F2061.
@@ -78,33 +80,29 @@ class DemagDevice(DriveDevice):
     and the parameter channel is silent.
     """
 
-    parameter_table = t.PARAMETERS
     data_sets = t.SETS
-    dialect = t.PKW
     contacts = tuple(f"S{number}" for number in range(1, 7))
-    parameter_errors: Mapping[int, str] = {number: t.PKW.errors[number] for number in t.STATE_ERRORS}
-    read_errors = t.READ_ERRORS
-    write_errors = t.WRITE_ERRORS
-
-    address_parameter = "node_id"
     set_slave_add = True
+    machine: Drivecom
 
     def __init__(
-        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
+        self,
+        file: DeviceFile,
+        profile: DriveProfile,
+        telegram: TelegramSpec,
+        options: Options,
+        presets: Mapping[str, object],
     ) -> None:
         self._vf = options["application"] == "vf"
         factory = {"392": 0} if options["application"] == "torque" else {}
-        super().__init__(profile, telegram, options, {**factory, **presets})
+        super().__init__(file, profile, telegram, options, {**factory, **presets})
         self._use_scan_time(telegram)
         if not self._vf and self.store.value("state_transition_5") == _DC_BRAKE:
             raise ConfigError(f"{self.title}: 392 = 1 (DC brake) needs application = 'vf'")
-        self.machine = drivecom_states.DrivecomMachine()
         self.f_max = float(options["f_max"])
         self.f_min = float(options["f_min"])
         self.acceleration = float(options["acceleration"])
         self.deceleration = float(options["deceleration"])
-        #: the fault word; 0 without a fault
-        self.fault = 0
         self._locked_until = 0
         self._own_supply = options["supply"] == OWN_SUPPLY
         if options["ready"]:
@@ -175,7 +173,7 @@ class DemagDevice(DriveDevice):
 
     def set_point(self, hertz: float) -> None:
         """228, that of the reference frequency channel. Raises ValueError beyond its limits."""
-        spec = t.PARAMETERS.get(228)
+        spec = self.parameter_table.get(228)
         assert spec is not None
         spec.to_raw(hertz)
         self.store.install(spec.name, hertz)
@@ -287,7 +285,7 @@ class DemagDevice(DriveDevice):
         self._bus_hz = SPEED.decode(line) * reference
         additional_hz = SPEED.decode(words[2]) * reference if words and len(words) == 6 else 0.0
         self._drive(additional_hz, settings, now)
-        return self._report(control, remote, settings)
+        return self._inputs_now(control, remote, settings)
 
     def _contacts_on(self, control: int) -> int:
         """S1 to S8 of the control word in mode 2: S1 only with the hardware's."""
@@ -323,7 +321,7 @@ class DemagDevice(DriveDevice):
             self._fail(t.FAULT_TOGGLE, now)
         if self.toggle.answered:
             return control
-        acknowledge = control & drivecom_states.CONTROL.mask("reset_fault")
+        acknowledge = control & t.CONTROL.mask("reset_fault")
         stops = reaction == toggle.QUICK_STOP and settings.mode == _STATE_MACHINE
         return acknowledge | (_QUICK_STOP if stops else 0)
 
@@ -423,9 +421,9 @@ class DemagDevice(DriveDevice):
 
     # -- inputs ---------------------------------------------------------------------------------------------------
 
-    def _report(self, control: int, remote: bool, settings: _Settings) -> tuple[int, ...]:
+    def _inputs_now(self, control: int, remote: bool, settings: _Settings) -> tuple[int, ...]:
         motor, rated = self.motor, settings.rated_hz
-        status = drivecom_states.SHOWN[self.machine.state]
+        status = self.machine.shown
         off = abs(motor.frequency * rated - self._wanted_hz)
         if motor.on and not motor.limited and off <= settings.deviation_hz:
             status |= 0x0400
@@ -457,7 +455,7 @@ class DemagDevice(DriveDevice):
         the data set in IND."""
         if order.id not in t.PKW.answers:
             return ReplyId.ERROR, 108
-        spec = t.PARAMETERS.get(order.pnu)
+        spec = self.parameter_table.get(order.pnu)
         if spec is None:
             return ReplyId.ERROR, 0
         array = order.id in _ARRAYS
@@ -476,7 +474,7 @@ class DemagDevice(DriveDevice):
                 return ReplyId.ERROR, 2
             if spec.number == 392 and raw == _DC_BRAKE and not self._vf:
                 return ReplyId.ERROR, 2  # a reading: the value is not offered there
-            if spec.number in t.STANDSTILL_ONLY and self.machine.state in _POWERED:
+            if spec.name in self.file.standstill and self.machine.state in _POWERED:
                 return ReplyId.ERROR, 106
             self.store.write(spec, raw, data_set, ram_only=order.ind >= t.RAM_ONLY)
             if spec.name == self.address_parameter:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.profile import NS_PER_MS, drivecom_states
+from dpstack.profile import NS_PER_MS
+from dpstack_drives.demag import table as t
 
-BIT: Final = drivecom_states.STATUS.mask("toggle")
+BIT: Final = t.STATUS.mask("toggle")
 #: reactions of 880 to a missing answer
 OFF, FAULT, SWITCH_OFF, QUICK_STOP = range(4)
 
