@@ -43,8 +43,12 @@ def describe(
         facts["rate"] = file.bus.rate_setting.rates[int(options[file.bus.rate_setting.option])]
     facts = {name: int(one) if isinstance(one, float) and one.is_integer() else one for name, one in facts.items()}
     counted = [one for one in file.steps if _counts(one, facts)]
-    before, behind = ([_step(one, facts) for one in counted if one.first is first] for first in (True, False))
     settings = basic.steps[1:] if core.address_parameter and any(map(_has_address, counted)) else basic.steps
+    compared = {one.what for one in settings}
+    before, behind = (
+        [step for one in counted if one.first is first and (step := _step(one, facts)).what not in compared]
+        for first in (True, False)
+    )
     speeds = telegram is None or any(
         isinstance(word, str) and file.words[word].part == "setpoint" for word in telegram.outputs
     )

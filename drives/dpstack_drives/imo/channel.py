@@ -84,6 +84,7 @@ class ImoAccess(PkwChannel, ParameterChannel):
 
     def __init__(self, plain: PkwDialect, table: ParamTable, times: CycleTimes, notice: Callable[[str], None]) -> None:
         super().__init__(structs.replace(plain, layout=ImoPkw), times)
+        self._plain = plain
         self._table = table
         self._notice = notice
         self._warned = False
@@ -138,10 +139,10 @@ class ImoAccess(PkwChannel, ParameterChannel):
         reply = yield from self.replied(request, label, deadline)
         if reply.id == Response.ERROR:
             number = self.error_number(reply)
-            raise CommandError("parameter", f"{label}: error {number}, {self._dialect.error_text(number)}", number)
+            raise CommandError("parameter", f"{label}: error {number}, {self._plain.error_text(number)}", number)
         if reply.id == Response.NO_RIGHTS:
             raise CommandError("parameter", f"{label}: the bus has no right to change parameters (response 4)")
-        if reply.id not in self._dialect.answers[request.id]:
+        if reply.id not in self._plain.answers[request.id]:
             raise CommandError("parameter", f"{label}: response {reply.id} does not answer request {request.id}")
         return reply
 

@@ -155,5 +155,4 @@ def _entry(word: str) -> MapField:
 
 _TABLE: Final = process_data_map.FieldTable(find=_entry, empty="")
 #: docs/reference/drives/keb-f5.md#default-map, example 1
-DEFAULT_INPUTS: Final = PdMap((Entry(t.STATUS_WORD), Entry(t.ACTUAL_SPEED)))
-DEFAULT_OUTPUTS: Final = PdMap((Entry(t.CONTROL_WORD), Entry(t.SET_SPEED)))
+DEFAULT_INPUTS, DEFAULT_OUTPUTS = (PdMap(tuple(map(Entry, way.default))) for way in t.FILE.maps or ())

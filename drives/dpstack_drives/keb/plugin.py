@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from dpstack.devices.drive_core import DeclaredMapCore
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import (
     FAULTED,
     NS_PER_MS,
@@ -15,7 +17,6 @@ from dpstack.profile import (
     Goal,
     ListedParam,
     Lookup,
-    MappedCore,
     Options,
     ParamKey,
     ParamRef,
@@ -57,7 +58,7 @@ _NO_ACCESS: Final = frozenset(
 )
 
 
-class KebCore(MappedCore[PdMap]):
+class KebCore(DeclaredMapCore[PdMap]):
     """Bits of sy.50 and sy.51 and the unit of sy.52 are in no manual of ours: what an order needs is given by options.
 
     Options: ``control_bits`` (``enable``, ``run``, ``reset``, ``reverse``, ``quick_stop`` mean something here, other
@@ -75,24 +76,23 @@ class KebCore(MappedCore[PdMap]):
     ``control_bits`` an ``output`` is also the control word, without ``rpm_per_count`` the set speed.
     """
 
-    parameter_table = t.PARAMETERS
     inputs_map: PdMap
     outputs_map: PdMap
     channel_hint = ": take PCH+..."
-    address_parameter = t.name_of(t.ADDRESS)
     held_hint = "its outputs are 0 until then"
-    start_hint = f"; does it obey the control word? {t.RECIPE}"
 
-    def __init__(self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options) -> None:
+    def __init__(
+        self, file: DeviceFile, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options
+    ) -> None:
         try:
             self._bits = t.bits(str(options["control_bits"]), t.CONTROL_BITS, "control_bits")
             status = t.bits(str(options["status_bits"]), t.STATUS_BITS, "status_bits")
             self._second = [t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs")]
-            self.table = _table(self._bits, status)
+            self._words = _table(self._bits, status)
         except ValueError as error:
             raise ConfigError(f"drive {name} ({profile.name}): {error}") from None
+        super().__init__(file, profile, name, telegram, options)
         self.scan_ns = round(float(options["pd_in_cycle_ms"]) * NS_PER_MS)
-        super().__init__(profile, name, telegram, options)
         self._by_sign = options["direction"] == "sign"
         self._rpm_per_count = float(options["rpm_per_count"])
         if self._rpm_per_count:
@@ -107,6 +107,10 @@ class KebCore(MappedCore[PdMap]):
         if isinstance(self.access, KebChannel):
             self._channel = self.access
             self.lookups = (self._state_number,)
+
+    def words_and_states(self) -> ControlTable:
+        """By the bits that have names."""
+        return self._words
 
     def open_channel(self) -> KebChannel:
         return KebChannel(self)

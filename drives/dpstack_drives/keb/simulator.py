@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from dpstack.devices.drive_device import DeclaredDevice
+from dpstack.devices.model import DeviceFile
 from dpstack.profile import NS_PER_S, ConfigError, DriveDevice, DriveProfile, Leave, Options, TelegramSpec, ramp
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb import telegrams
 from dpstack_drives.keb.channel import KebServer
-from dpstack_drives.keb.operator import LINK_NS, Operator
+from dpstack_drives.keb.operator import Operator
 from dpstack_drives.keb.parameters import Parameters
 from dpstack_drives.keb.watchdog import Life, Watchdog
 
@@ -20,7 +22,7 @@ _RATED_HZ: Final = 50.0
 _TRIPS_AT_ONCE, _STOPS_FIRST = 0, 1
 
 
-class KebDevice(DriveDevice):
+class KebDevice(DeclaredDevice):
     """Inverter and operator.
 
     Options: what the bits mean (``control_bits``, ``status_bits``), ``rpm_per_count`` and ``reference_rpm``,
@@ -33,21 +35,23 @@ class KebDevice(DriveDevice):
     writes zeros; after the end of data exchange the last outputs stand until the watchdog acts.
     """
 
-    parameter_table = t.PARAMETERS
     data_sets = t.SETS
     trips: Mapping[int, str] = {number: name for name, number in t.TRIPS.items()}
     unknown_trip = (
         "no trip of the simulated F5; known (made up): "
         f"{', '.join(f'{name} ({number})' for name, number in t.TRIPS.items())}"
     )
-    scan_ns = LINK_NS  # one telegram between operator and inverter
-    address_parameter = "sy.06"
-    parameter_errors: Mapping[int, str] = {code.number: f"{code} {text}" for code, text in t.ERRORS.items()}
 
     def __init__(
-        self, profile: DriveProfile, telegram: TelegramSpec, options: Options, presets: Mapping[str, object]
+        self,
+        file: DeviceFile,
+        profile: DriveProfile,
+        telegram: TelegramSpec,
+        options: Options,
+        presets: Mapping[str, object],
     ) -> None:
-        super().__init__(profile, telegram, options, presets)
+        super().__init__(file, profile, telegram, options, presets)
+        self.parameter_errors = {code.number: f"{code} {text}" for code, text in t.ERRORS.items()}
         self.parameters = Parameters(self.store, self._live, self.refusal)
         try:
             self._control = t.bits(str(options["control_bits"]), t.CONTROL_BITS, f"{self.title}: control_bits")

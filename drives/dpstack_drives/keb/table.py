@@ -1,35 +1,19 @@
-"""Facts of the F5 that plugin and simulated drive share: parameters, error texts, names of bits
-(docs/reference/drives/keb-f5.md).
+"""Facts of the F5 that its Python looks at by name; all others are in keb-f5.toml, whose comments have the sources.
 
-Source: KEB, COMBICOM F5-Profibus (slides of a training course); the names in the comments are its headings. The bits
-of sy.50 and sy.51, the unit of sy.52 and most addresses are in the inverter's application manual, which we do not
-have. What is made up here for the simulated drive is marked so and never used towards a real drive by itself.
+Passages: docs/reference/drives/keb-f5.md; the names in the comments are headings of the manual.
 """
 
 from __future__ import annotations
 
 import re
-from functools import partial
+from pathlib import Path
 from typing import Final, NamedTuple
 
-from dpstack.profile import ParamSpec, ParamTable, ParamType, Use
-from dpstack_drives.codes import placed
+from dpstack.devices.finding import file_at
+from dpstack.profile import ParamSpec
 
-#: a guess from the name of the GSD file, keb305EB.gsd
-IDENT: Final = 0x05EB
-
-#: GSD-File
-MAX_TSDR: Final = {
-    9_600: 60,
-    19_200: 60,
-    93_750: 60,
-    187_500: 60,
-    500_000: 100,
-    1_500_000: 150,
-    3_000_000: 250,
-    6_000_000: 450,
-    12_000_000: 800,
-}
+FILE: Final = file_at(Path(__file__).with_name("keb-f5.toml"))
+PARAMETERS: Final = FILE.parameters
 
 #: Application Parameters: 2000h + the address of the application manual
 INVERTER: Final = range(0x2000, 0x5F00)
@@ -53,32 +37,21 @@ OFF: Final = 0xFFFF
 MAP_INPUTS, MAP_OUTPUTS = 0x6000, 0x6001
 ENABLE_INPUTS, ENABLE_OUTPUTS = 0x5FF8, 0x6002
 ENABLED: Final = 0xFF
-RECORDS: Final = {
-    MAP_INPUTS: "process data map of the inputs",
-    MAP_OUTPUTS: "process data map of the outputs",
-    ENABLE_INPUTS: "enable of the inputs",
-    ENABLE_OUTPUTS: "enable of the outputs",
-}
+RECORDS: Final = frozenset({MAP_INPUTS, MAP_OUTPUTS, ENABLE_INPUTS, ENABLE_OUTPUTS})
 #: the manual's two readings: when a new map acts
 AT_POWER_ON, WITH_ENABLE = "power-on", "enable"
 
 #: groups whose address the manual shows
 GROUPS: Final = {"sy": 0x20, "ru": 0x22, "oP": 0x23, "LE": 0x2D, "cS": 0x2F}
-#: made up (by their place in the order of groups): the simulated drive has them there
-GROUPS_MADE_UP: Final = {"Pn": 0x24, "ud": 0x28, "Fr": 0x29, "di": 0x2B, "Fb": 0x5F}
 _NAME: Final = re.compile(r"([A-Za-z]{2})[. ]?(\d{1,3})")
 
 
 def index_of(name: str) -> int | None:
     """The index of a parameter such as ``oP.3`` (or ``op03``) of a group whose address the manual shows, else None."""
-    return _index(name, GROUPS)
-
-
-def _index(name: str, groups: dict[str, int]) -> int | None:
     match = _NAME.fullmatch(name.strip())
     if match is None or int(match[2]) > 0xFF:
         return None
-    group = next((high for text, high in groups.items() if text.lower() == match[1].lower()), None)
+    group = next((high for text, high in GROUPS.items() if text.lower() == match[1].lower()), None)
     return None if group is None else group << 8 | int(match[2])
 
 
@@ -150,27 +123,8 @@ ERRORS: Final = {
 
 #: the section that says what makes the inverter obey sy.50 and sy.52
 BASIC: Final = "Basic Adjustments"
-#: its parameters in their order: value, and what the value is
-RECIPE_STEPS: Final = {
-    "ud.01": (440, "password"),
-    "Fr.01": (-4, "copy parameter set: default values, customer and system, in all sets; so before all that follows"),
-    "Fr.02": (5, "parameter set source: the control word sy.50"),
-    "oP.00": (5, "reference source: the set speed sy.52"),
-    "oP.01": (9, "rotation source: the control word sy.50, with an absolute set speed"),
-    "di.01": (1, "select signal source: ST"),
-    "di.02": (1, "digital input setting: ST"),
-}
-#: the same for the simulated drive
-READY: Final = {name: value for name, (value, _) in RECIPE_STEPS.items()}
-#: and for people
-RECIPE: Final = (
-    f"{', '.join(f'{name} = {value}' for name, value in READY.items())} (F5-C also ud.05 = 2; F5-B, -C and -G need the "
-    "rated motor speed)"
-)
-
-#: made up: what the bits mean in the simulated drive
-CONTROL_BITS: Final = "enable=0 reset=1 run=2 reverse=3 quick_stop=8"
-STATUS_BITS: Final = "ready=0 fault=1 run=2 reverse=3 reached=4"
+#: made up: the bits of the simulated drive
+CONTROL_BITS, STATUS_BITS = (str(FILE.device_options[f"{way}_bits"].default) for way in ("control", "status"))
 #: made up: trips of the simulated drive, as ru.00 shows them; E.buS is the manual's
 TRIPS: Final = {"E.OP": 1, "E.UP": 2, "E.OC": 4, "E.OH": 8, "E.OL": 16, "E.buS": 18, "E.EF": 31}
 E_BUS: Final = 18
@@ -197,87 +151,8 @@ def bits(text: str, made_up: str, what: str) -> dict[str, int]:
     return found
 
 
-def _place(name: str) -> tuple[int, int] | None:
-    index = _index(name, {**GROUPS, **GROUPS_MADE_UP})
-    return None if index is None else (index, 0)
-
-
-#: 80 per Hz of oP.3 by arithmetic (docs/reference/drives/keb-f5.md#example-of-the-parameter-channel). Limits and
-#: factory values are not in the manual
-_row = partial(ParamSpec, 0, per_unit=1, made_up=True, by_name=True)
-_ANY: Final = 0x7FFF_FFFF
-#: sy.06, the station address
-ADDRESS: Final = 0x2006
-#: of the simulated drive; the plugin takes only the titles from it
-PARAMETERS: Final = ParamTable(
-    placed(
-        _place,
-        _row("sy.06", "PROFIBUS address", high=126, factory=126),
-        _row("sy.09", "HSP5 watchdog time", high=10, per_unit=100, unit="s"),
-        *(
-            _row(
-                f"sy.{first + 2 * n + more:02}",
-                f"process {way} data {at + n} {what}",
-                low,
-                high,
-                factory=low,
-                type=kind,
-                read_only=True,
-                made_up=False,
-                use=Use.MAP,
-            )
-            for first, way, at in ((16, "read", 1), (24, "write", 1), (58, "read", 5), (66, "write", 5))
-            for n in range(BLOCK_VALUES)
-            for more, what, low, high, kind in (
-                (0, "definition", -1, 0x7FFF, ParamType.I16),
-                (1, "set", 1, 0xFF, ParamType.U16),
-            )
-        ),
-        _row("sy.43", "control word (long)", -_ANY, _ANY, type=ParamType.I32, volatile=True),
-        _row("sy.44", "status word (long)", -_ANY, _ANY, type=ParamType.I32, read_only=True),
-        _row("sy.50", "control word (low)", volatile=True),
-        _row("sy.51", "status word (low)", read_only=True),
-        _row("sy.52", "set speed value", type=ParamType.I16, volatile=True),
-        _row("sy.53", "actual speed value", type=ParamType.I16, read_only=True),
-        _row("ru.00", "inverter state", read_only=True),
-        _row("ru.12", "actual torque display", -_ANY, _ANY, type=ParamType.I32, read_only=True),
-        _row("ru.39", "OL counter display", read_only=True),
-        _row("oP.00", "reference source", high=10, use=Use.SOURCE),
-        _row("oP.01", "rotation source", high=10, factory=2, use=Use.SOURCE),
-        _row("oP.03", "digital setpoint setting", -400, 400, type=ParamType.I16, per_unit=80, unit="Hz", per_set=True),
-        _row("oP.10", "max reference forward", 0, 400, 70, per_unit=80, unit="Hz", per_set=True),
-        _row("oP.28", "acceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
-        _row("oP.30", "deceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
-        _row("oP.59", "motorpoti ramp time", 0, 50_000, 66, type=ParamType.U32, per_set=True),
-        _row("LE.00", "switching level", -30_000, 30_000, type=ParamType.I32, per_set=True),
-        _row("cS.19", "abs. torque reference", -32_000, 32_000, type=ParamType.I32, per_set=True),
-        # at indexes that are made up
-        _row("Pn.05", "E.buS stopping mode", high=6, factory=6),
-        _row("Pn.06", "watchdog time", high=40, per_unit=100, unit="s"),
-        _row("ud.01", "password", -32_767, 32_767, type=ParamType.I16),
-        _row("ud.05", "auto store", high=2, factory=2),
-        _row("Fr.01", "copy parameter set", -9, 7, type=ParamType.I16),
-        _row("Fr.02", "parameter set source", high=5),
-        _row("di.01", "select signal source", high=4095),
-        _row("di.02", "digital input setting", high=4095),
-        _row("Fb.09", "PD_In_Cycle", high=10_000, factory=25, unit="ms", made_up=False),
-        _row("Fb.23", "Take Stored PD-Map", high=ENABLED, factory=ENABLED, made_up=False),
-        _row("Fb.37", "Master_PDIN_Len", read_only=True),
-        _row("Fb.38", "Master_PDOUT_Len", read_only=True),
-        _row("Fb.39", "watchdog activation", high=3, made_up=False),
-        _row("Fb.40", "watchdog inhibit", high=7, factory=7, made_up=False),
-        *(
-            ParamSpec(index, f"{index:04X}h", title, use=Use.MAP, by_name=True, made_up=True)
-            for index, title in RECORDS.items()
-        ),
-    )
-)
 #: counts per unit that the manual shows (oP.3: 0640h is 20 Hz); everything else goes as the integer on the wire
 SCALES: Final = {0x2303: (80, "Hz")}
-
-
-#: made up: record and enable of block 2 in the simulated drive (docs/reference/drives/keb-f5.md#second-block)
-BLOCK2_INPUTS, BLOCK2_OUTPUTS = "5FE0 5FE1", "5FE2 5FE3"
 
 
 def record_and_enable(text: str) -> tuple[int, int] | None:
@@ -288,7 +163,5 @@ def record_and_enable(text: str) -> tuple[int, int] | None:
     try:
         record, enable = (int(word, 16) for word in words)
     except ValueError:
-        raise ValueError(
-            f"block 2: {text!r} is not two indexes in hex (record, enable), e.g. {BLOCK2_INPUTS!r}"
-        ) from None
+        raise ValueError(f"block 2: {text!r} is not two indexes in hex (record, enable), e.g. '5FE0 5FE1'") from None
     return record, enable

@@ -115,6 +115,3 @@ def of_config(config: bytes) -> TelegramSpec | None:
 
 
 FAMILY: Final = TelegramFamily(named, of_config)
-DEFAULT: Final = "PCH+4/4"
-#: those of the project's list
-TELEGRAMS: Final = {spec.name: spec for spec in map(named, (DEFAULT, "PCH+8/8", "4/4"))}
