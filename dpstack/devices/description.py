@@ -21,10 +21,10 @@ from dpstack.profile.model.description import (
     places,
 )
 from dpstack.profile.model.drive_type import Options
-from dpstack.profile.model.process_data_map import DataMap
+from dpstack.profile.model.process_data_map import FieldMap
 
 #: the maps of inputs and outputs, with those of a core
-Maps = tuple[tuple[MapWay, DataMap], ...]
+Maps = tuple[tuple[MapWay, FieldMap], ...]
 
 
 def describe(

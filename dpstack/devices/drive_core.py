@@ -15,10 +15,10 @@ from dpstack.profile.master.mapped_core import MappedCore
 from dpstack.profile.master.settings import Setting, equal
 from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import LARGEST, Args, CommandError, Steps
-from dpstack.profile.model.process_data_map import DataMap, FieldTable
+from dpstack.profile.model.process_data_map import FieldMap, FieldTable
 from dpstack.profile.model.states import ControlTable
 
-M = TypeVar("M", bound=DataMap)
+M = TypeVar("M", bound=FieldMap)
 #: the order that sets free words of the outputs
 SET: Final = "set"
 _MESSAGES: Final = ("fault", "warning")

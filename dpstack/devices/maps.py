@@ -12,7 +12,7 @@ from dpstack.profile.channel.base import ParamKey
 from dpstack.profile.master.mapped_core import MapCodes
 from dpstack.profile.model.description import DescribedRange
 from dpstack.profile.model.params import ParamTable
-from dpstack.profile.model.process_data_map import FieldTable, MapField, MappedField
+from dpstack.profile.model.process_data_map import FieldTable, MapField
 from dpstack.text import brief
 from dpstack.toml.table import Table, keys_of
 
@@ -37,21 +37,21 @@ class MapWay(Struct, frozen=True, kw_only=True):
     #: section of the manual
     source: str = ""
 
-    def places(self, fields: Sequence[MappedField | None]) -> Iterator[tuple[str, int]]:
+    def places(self, fields: Sequence[MapField | None]) -> Iterator[tuple[str, int]]:
         """The words of a map for people, with their octets."""
         at = self.first
         for field in fields:
             octets = 2 if field is None else field.octets
             what = "not used" if field is None else field.name
-            if isinstance(field, MapField) and field.spec is not None:
+            if field is not None and field.spec is not None:
                 what += f", {field.spec.title}"
             yield f"{self.place.replace('{}', str(at))} ({what})" if self.place else what, octets
             at += octets // 2
 
-    def ranges(self, fields: Sequence[MappedField | None]) -> Iterator[DescribedRange]:
+    def ranges(self, fields: Sequence[MapField | None]) -> Iterator[DescribedRange]:
         """Ranges and scales of the fields that the manual lists."""
         for one in fields:
-            if not isinstance(one, MapField) or one.key not in self.fields.fields:
+            if one is None or one.key not in self.fields.fields:
                 continue
             unit = f" {one.unit}" if one.unit else ""
             yield DescribedRange(

@@ -10,12 +10,15 @@ from pathlib import Path
 import pytest
 
 from dpstack import profile
+from dpstack.devices.finding import find
+from dpstack.devices.profiles import DevicePython
 from dpstack.errors import ConfigError
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 
+FIVE = ("demag-dedrive", "fuji-frenic", "imo-hd2", "keb-f5", "ls-s100")
 GOOD = [
     metadata.EntryPoint("demag-dedrive", "dpstack_drives.demag:DRIVE", "dpstack.drives"),
     metadata.EntryPoint("fuji-frenic", "dpstack_drives.fuji:DRIVE", "dpstack.drives"),
@@ -62,11 +65,22 @@ def test_names_that_are_not_there() -> None:
 
 def test_the_entry_points_of_this_project_load() -> None:
     text = (Path(__file__).resolve().parents[2] / "pyproject.toml").read_text()
-    group = tomllib.loads(text)["project"]["entry-points"]["dpstack.drives"]
-    for name, value in group.items():
-        drive = metadata.EntryPoint(name, value, "dpstack.drives").load()
-        assert isinstance(drive, profile.DriveProfile)
-        assert drive.name == name
+    groups = tomllib.loads(text)["project"]["entry-points"]
+    assert "dpstack.drives" not in groups, "the drives of this project are device files"
+    assert set(groups["dpstack.device_files"]) == set(groups["dpstack.devices"]) == set(FIVE)
+    for name, value in groups["dpstack.devices"].items():
+        python = metadata.EntryPoint(name, value, "dpstack.devices").load()
+        assert isinstance(python, DevicePython)
+        assert value == f"{groups['dpstack.device_files'][name]}:PYTHON"
+
+
+@pytest.mark.parametrize("name", FIVE)
+def test_a_drive_of_this_project_is_a_device_file(name: str) -> None:
+    drive = find(name)
+    assert drive.name == name
+    assert Path(drive.file).name == f"{name}.toml"
+    assert type(drive.core("it")).__module__.startswith("dpstack_drives.")
+    assert type(drive.device()).__module__.startswith("dpstack_drives.")
 
 
 def test_every_name_that_the_package_exports_exists() -> None:

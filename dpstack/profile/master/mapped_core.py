@@ -17,10 +17,10 @@ from dpstack.profile.model import process_data_map
 from dpstack.profile.model.drive_type import Options
 from dpstack.profile.model.jobs import Args, CommandError, Steps
 from dpstack.profile.model.params import POWER_ON, Use
-from dpstack.profile.model.process_data_map import DataMap, FieldMap, FieldTable, MappedField
+from dpstack.profile.model.process_data_map import FieldMap, FieldTable, MapField
 from dpstack.profile.model.states import Goal
 
-M = TypeVar("M", bound=DataMap)
+M = TypeVar("M", bound=FieldMap)
 #: maps read from and written to the drive, all values of the inputs, one value of the outputs
 MAP_OPS: Final = ("read_map", "write_map", "inputs", "output")
 _TIMEOUT_S: Final = 10.0
@@ -257,7 +257,6 @@ class MappedCore(DriveCore, Generic[M]):
 
     def codes_of(self, one: M) -> tuple[int, ...]:
         """A map as the parameters of the drive hold it, 0 for an empty word."""
-        assert isinstance(one, FieldMap)
         return one.codes
 
     def room(self, *, outputs: bool) -> int | None:
@@ -303,7 +302,7 @@ class MappedCore(DriveCore, Generic[M]):
     def maps_unknown(self) -> None:
         """A change of maps failed half way."""
 
-    def read_by(self, field: MappedField) -> ParamKey | None:
+    def read_by(self, field: MapField) -> ParamKey | None:
         """The parameter behind an output; None: it cannot be read."""
         return None
 
@@ -439,7 +438,7 @@ class MappedCore(DriveCore, Generic[M]):
             raise CommandError("usage", f"write_map: {error}") from None
         return self._change(new_inputs, new_outputs, values, deadline)
 
-    def _without_value(self, outputs: M | None, values: Container[int]) -> list[MappedField]:
+    def _without_value(self, outputs: M | None, values: Container[int]) -> list[MapField]:
         """The parameters of a map that have no value in ``values``."""
         fields = () if outputs is None else outputs.fields
         return [field for field in fields if field is not None and not field.neutral and field.key not in values]

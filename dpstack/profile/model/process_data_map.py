@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Final, Protocol
+from typing import Final
 
 from msgspec import Struct
 
@@ -18,42 +18,6 @@ from dpstack.profile.model.params import ParamSpec
 
 #: the highest value of a word
 _WORD: Final = 0xFFFF
-
-
-class MappedField(Protocol):
-    """A value of one or two words in the process data."""
-
-    @property
-    def key(self) -> int:
-        """Number of the field in the drive."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def octets(self) -> int:
-        """2 or 4."""
-
-    @property
-    def neutral(self) -> bool:
-        """Whether an output may be sent as 0 while there is no other value: 0 moves and changes nothing.
-
-        A parameter that the drive keeps (a ramp time, a limit) is not neutral: 0 would be written to it.
-        """
-
-    def encode(self, value: float) -> int:
-        """The integer on the wire. Raises ValueError with the range."""
-
-    def decode(self, raw: int) -> int | float:
-        """The value of an unsigned integer on the wire, in its unit."""
-
-
-class DataMap(Protocol):
-    """Fields in their order; as text the way users write them, empty without any."""
-
-    @property
-    def fields(self) -> Sequence[MappedField | None]:
-        """None for a word that carries nothing."""
 
 
 class MapField(Struct, frozen=True, kw_only=True):
@@ -77,10 +41,12 @@ class MapField(Struct, frozen=True, kw_only=True):
     spec: ParamSpec | None = None
     #: in the text of a map; "": by its name
     text: str = ""
+    #: in messages; "": by its name
+    label: str = ""
     #: what people read behind the range, see ``limit`` in device files
     limit: str = ""
-    #: the values that it takes, for people, where they are whole numbers
-    wants: str = "takes whole numbers"
+    #: the whole numbers that it takes, for people; "": its range says it
+    wants: str = ""
     #: why it cannot be written; "": it can
     read_only: str = ""
     #: the data sets in which it is written, bit n for set n
@@ -88,15 +54,19 @@ class MapField(Struct, frozen=True, kw_only=True):
 
     def encode(self, value: float) -> int:
         """The integer on the wire. Raises ValueError with the range."""
+        what = self.label or self.name
+        if self.read_only:
+            raise ValueError(f"{what} {self.read_only}")
         if self.spec is not None:
             return self.spec.to_raw(value) & self._mask
-        unit = f" {self.unit}" if self.unit else ""
-        if not (math.isfinite(value) and self.low <= value <= self.high):
+        fits = math.isfinite(value) and self.low <= value <= self.high
+        if not fits and not self.wants:
+            unit = f" {self.unit}" if self.unit else ""
             high = f"{self.high:.0f}" if self.high == int(self.high) else f"{self.high:.5g}"
             limit = f" ({self.limit})" if self.limit else ""
-            raise ValueError(f"{self.name} {value:g}{unit} is outside {self.low:g}..{high}{unit}{limit}")
-        if self.per_unit == 1 and value != int(value):
-            raise ValueError(f"{self.name} {self.wants}, not {value:g}")
+            raise ValueError(f"{what} {value:g}{unit} is outside {self.low:g}..{high}{unit}{limit}")
+        if not fits or (abs(self.per_unit) == 1 and value != int(value)):
+            raise ValueError(f"{what} {self.wants or 'takes whole numbers'}, not {value:g}")
         return round(value * self.per_unit) & self._mask
 
     def decode(self, raw: int) -> int | float:
@@ -218,7 +188,7 @@ def used(codes: Sequence[int], room: int | None = None) -> tuple[int, ...]:
     return found
 
 
-def places(fields: Sequence[MappedField | None]) -> Iterator[tuple[int, MappedField]]:
+def places(fields: Sequence[MapField | None]) -> Iterator[tuple[int, MapField]]:
     """Every field with the word at which it begins."""
     at = 0
     for field in fields:
@@ -235,7 +205,7 @@ def split(text: str) -> tuple[str, tuple[str | None, ...]]:
     return " ".join(name for name, _, _ in words), tuple(value if given else None for _, given, value in words)
 
 
-def given(values: Sequence[str | None], fields: Sequence[MappedField | None]) -> dict[int, int]:
+def given(values: Sequence[str | None], fields: Sequence[MapField | None]) -> dict[int, int]:
     """The integers by key of what :func:`split` found behind the words of these fields. Raises ValueError."""
     found: dict[int, int] = {}
     for field, text in zip(fields, values, strict=False):
@@ -253,7 +223,7 @@ def given(values: Sequence[str | None], fields: Sequence[MappedField | None]) ->
     return found
 
 
-def find(fields: Sequence[MappedField | None], name: str | int) -> MappedField | None:
+def find(fields: Sequence[MapField | None], name: str | int) -> MapField | None:
     """A field by its name (any case) or its key."""
     for field in fields:
         if field is not None and (field.key == name or field.name.lower() == str(name).strip().lower()):
@@ -261,7 +231,7 @@ def find(fields: Sequence[MappedField | None], name: str | int) -> MappedField |
     return None
 
 
-def pack(fields: Sequence[MappedField | None], values: Mapping[int, int], words: int) -> list[int]:
+def pack(fields: Sequence[MapField | None], values: Mapping[int, int], words: int) -> list[int]:
     """So many words of the integers by key; 0 without one, and what does not fit is left out."""
     found = [0] * words
     for at, field in places(fields):
@@ -272,7 +242,7 @@ def pack(fields: Sequence[MappedField | None], values: Mapping[int, int], words:
     return found
 
 
-def raws(fields: Sequence[MappedField | None], words: Sequence[int]) -> dict[int, int]:
+def raws(fields: Sequence[MapField | None], words: Sequence[int]) -> dict[int, int]:
     """The unsigned integers by key, as far as there are words."""
     found: dict[int, int] = {}
     for at, field in places(fields):
@@ -282,7 +252,7 @@ def raws(fields: Sequence[MappedField | None], words: Sequence[int]) -> dict[int
     return found
 
 
-def decoded(fields: Sequence[MappedField | None], words: Sequence[int]) -> dict[str, int | float]:
+def decoded(fields: Sequence[MapField | None], words: Sequence[int]) -> dict[str, int | float]:
     """The values by name, in their units."""
     known = raws(fields, words)
     return {field.name: field.decode(known[field.key]) for _, field in places(fields) if field.key in known}

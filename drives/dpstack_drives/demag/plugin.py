@@ -34,12 +34,12 @@ from dpstack.profile import (
     TelegramSpec,
     find_parameter,
     listing,
+    process_data_map,
     same,
     settled,
 )
 from dpstack_drives.demag import outpzd
 from dpstack_drives.demag import table as t
-from dpstack_drives.demag.outpzd import OutMap
 from dpstack_drives.demag.trace import Trace
 
 _SELECTOR: Final = 12
@@ -95,7 +95,10 @@ _SLOWER: Final = 0.01
 _SLOWER_NS: Final = 3 * NS_PER_S
 
 
-class DemagCore(MappedCore[OutMap], DeclaredCore):
+FieldMap = process_data_map.FieldMap
+
+
+class DemagCore(MappedCore[FieldMap], DeclaredCore):
     """PZD2 reports the frequency; in PPO1 and PPO3 bits 12-14 fetch warning and fault words through it when needed.
 
     The words of the option ``control`` are sent only while 412 is known to be that of the option in the active data
@@ -113,7 +116,7 @@ class DemagCore(MappedCore[OutMap], DeclaredCore):
     """
 
     outputs_at = 2  # behind PZD1 and PZD2
-    outputs_map: OutMap
+    outputs_map: FieldMap
     own_ops = ("output", "trace")
 
     def __init__(
@@ -522,7 +525,7 @@ class DemagCore(MappedCore[OutMap], DeclaredCore):
         """The set point and the additional reference of PZD3, which the drive adds behind its ramp (11.2.2.2)."""
         fields = self.outputs_map.fields
         first = fields[0] if fields else None
-        if first is None or first.kind != outpzd.ADDITIONAL:
+        if first is None or first.text != outpzd.ADDITIONAL:
             return self.setpoint
         return self.setpoint + self.scale.decode(self.values.get(first.key, 0))
 
@@ -574,9 +577,9 @@ class DemagCore(MappedCore[OutMap], DeclaredCore):
         if not word.startswith("pzd_"):
             return title
         field = self.outputs_map.fields[int(word[-1]) - outpzd.FIRST]
-        return f"{title} ({'not used' if field is None else field.kind})"
+        return f"{title} ({'not used' if field is None else field.text})"
 
-    def parse_map(self, text: str, *, outputs: bool) -> OutMap:
+    def parse_map(self, text: str, *, outputs: bool) -> FieldMap:
         """The meaning of PZD3 to PZD6 is set in the drive; the option gives it to the plugin."""
         if text.strip() and not self._wide:
             raise ValueError(f"{self.telegram.name} has no PZD3 to PZD6; take PPO2 or PPO4")

@@ -29,7 +29,6 @@ from dpstack.profile import (
 )
 from dpstack_drives.fuji import pcd
 from dpstack_drives.fuji import table as t
-from dpstack_drives.fuji.pcd import PcdMap
 
 _REMOTE: Final = t.STATUS.mask("remote")
 _REVERSE: Final = t.CONTROL.mask("reverse")
@@ -37,7 +36,10 @@ _REVERSE: Final = t.CONTROL.mask("reverse")
 _FROM_BUS: Final = 3
 
 
-class FujiCore(MappedCore[PcdMap], DeclaredCore):
+FieldMap = process_data_map.FieldMap
+
+
+class FujiCore(MappedCore[FieldMap], DeclaredCore):
     """MRV and MAV in parts of F03.
 
     Options: ``reference_hz`` (F03); ``reverse``: a negative speed goes out as a negative MRV (``sign``) or by bit 11
@@ -50,8 +52,9 @@ class FujiCore(MappedCore[PcdMap], DeclaredCore):
     channel_hint = ": take PPO2"
     inputs_at = outputs_at = 2  # PCD1 stands behind STW and MAV
     map_codes = pcd.CODES
-    inputs_map: PcdMap
-    outputs_map: PcdMap
+    map_fields = pcd.MAPS
+    inputs_map: FieldMap
+    outputs_map: FieldMap
 
     def __init__(
         self, file: DeviceFile, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Options
@@ -143,18 +146,12 @@ class FujiCore(MappedCore[PcdMap], DeclaredCore):
             raise CommandError("usage", f"{op}: {self.telegram.name} has no PCD1 to PCD4: take PPO2 or PPO4")
         return super().order(op, args)
 
-    def parse_map(self, text: str, *, outputs: bool) -> PcdMap:
+    def parse_map(self, text: str, *, outputs: bool) -> FieldMap:
         if text.strip() and not self.rest:
             raise ValueError(f"{self.telegram.name} has no PCD1 to PCD4; take PPO2 or PPO4")
-        return pcd.parse(text, outputs=outputs)
+        return super().parse_map(text, outputs=outputs)
 
-    def map_of(self, codes: tuple[int, ...], *, outputs: bool) -> PcdMap:
-        return PcdMap(codes)
-
-    def codes_of(self, one: PcdMap) -> tuple[int, ...]:
-        return (*one.entries, *(0,) * (pcd.COUNT - len(one.entries)))
-
-    def read_by(self, field: process_data_map.MappedField) -> ParamKey | None:
+    def read_by(self, field: process_data_map.MapField) -> ParamKey | None:
         """Its function code, if the group is known."""
         return ParamKey(field.name) if t.address(field.name) is not None else None
 
@@ -203,11 +200,11 @@ class FujiCore(MappedCore[PcdMap], DeclaredCore):
         return ParamRef(number, (1 if array else 0) if index is None else index, array, spec, label)
 
 
-def _assigned(option: str, own: PcdMap, pnu: int, codes: str) -> Setting:
+def _assigned(option: str, own: FieldMap, pnu: int, codes: str) -> Setting:
     """The drive's assignments are those of the option. A wrong one writes into another parameter: refused."""
 
     def differs(values: Sequence[float]) -> str | None:
-        found = PcdMap(tuple(int(value) for value in values))
+        found = pcd.MAPS[0].of(int(value) for value in values)
         if str(found) == str(own):
             return None
         return (

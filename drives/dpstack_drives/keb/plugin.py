@@ -276,9 +276,8 @@ class KebCore(DeclaredMapCore[PdMap]):
         maps."""
         return pdmap.check(inputs, outputs)
 
-    def read_by(self, field: process_data_map.MappedField) -> ParamKey:
+    def read_by(self, field: process_data_map.MapField) -> ParamKey:
         """The parameter in its sets."""
-        assert isinstance(field, process_data_map.MapField)
         return ParamKey(field.key, index=field.sets)
 
     def place_of(self, key: ParamKey) -> tuple[int, int]:

@@ -397,7 +397,7 @@ class LsCore(DeclaredMapCore[FieldMap]):
     def maps_changed(self) -> None:
         self._advise_maps()
 
-    def read_by(self, field: process_data_map.MappedField) -> ParamKey:
+    def read_by(self, field: process_data_map.MapField) -> ParamKey:
         return ParamKey(field.key)
 
     def called(self, name: str | int) -> str | int:
