@@ -59,8 +59,12 @@ def describe(
         manual=source,
         steps=(*before, *settings, *behind),
         words=tuple(
-            structs.replace(word, codes=file.codes.get(name) or word.codes)
-            for word, name in zip(basic.words, ("control", "status"), strict=True)
+            structs.replace(
+                word,
+                name=file.words[part].title or word.name if word.name == f"{part} word" else word.name,
+                codes=file.codes.get(part) or word.codes,
+            )
+            for word, part in zip(basic.words, ("control", "status"), strict=True)
         ),
         ranges=(
             *((speed_range(core, reference.source or source, reference.meaning or "the reference"),) if speeds else ()),
