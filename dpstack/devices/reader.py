@@ -681,7 +681,9 @@ class Reader:
         if "per_unit" in given and not given["per_unit"]:
             table.fail("per_unit", "per_unit = 0: a scale of zero", "give the counts that make 1")
         reference = self._reference_parameters
-        use = given.get("use", "scale" if name in reference else "setting" if given.get("standstill") else "none").replace("none", "")
+        use = given.get(
+            "use", "scale" if name in reference else "setting" if given.get("standstill") else "none"
+        ).replace("none", "")
         rest = {key: given[key] for key in _SPEC_KEYS if key in given}
         try:
             return ParamSpec(

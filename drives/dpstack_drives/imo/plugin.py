@@ -369,7 +369,7 @@ class ImoCore(DeclaredMapCore[FieldMap]):
 
     def _first_learn(self) -> Steps[dict[str, object]]:
         try:
-            yield from self._learn(self.now + _LEARN_NS)
+            yield from self._learn_maps(self.now + _LEARN_NS)
         finally:
             self._learning = False
         return {}
@@ -381,9 +381,9 @@ class ImoCore(DeclaredMapCore[FieldMap]):
                 raise CommandError("timeout", "the drive's process data map (P15.02 to P15.23) has not been read yet")
             yield
         if self.inputs_map is None or self.outputs_map is None:
-            yield from self._learn(deadline)
+            yield from self._learn_maps(deadline)
 
-    def _learn(self, deadline: int) -> Steps[None]:
+    def _learn_maps(self, deadline: int) -> Steps[None]:
         self.inputs_map, self.outputs_map = yield from self.read_maps(deadline)
         self._maps_now = None
         self.dirty = True
@@ -398,7 +398,7 @@ class ImoCore(DeclaredMapCore[FieldMap]):
         if self._learning:
             yield from self.known(deadline)
         else:
-            yield from self._learn(deadline)
+            yield from self._learn_maps(deadline)
             self.settings_check.changed()
         return {"value": {"inputs": str(self.inputs_map), "outputs": str(self.outputs_map)}}
 
