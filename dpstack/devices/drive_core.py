@@ -302,7 +302,7 @@ class Layout:
         self.free: Mapping[str, WordSpec] = {
             one.name: one
             for one in self._outputs
-            if not isinstance(one, int) and one.part not in ("control", "setpoint") and not one.mapped
+            if not isinstance(one, int) and one.part not in ("control", "setpoint")
         }
         self.neutral: Mapping[str, int] = {name: counts_of(one, one.neutral) for name, one in self.free.items()}
         self.setpoint = next(

@@ -165,7 +165,6 @@ class WordKeys(TypedDict, total=False):
     as: the part of the word: `setpoint`, `speed`, `current`, `torque`, `fault` or `warning`. Left out: by its name
     bits: names of its bits by their numbers, `{ line = 1 }`
     title: what it is, for the commissioning sheet. Left out: its name
-    mapped: the drive's map of process data says what it carries, so it has no value by this name. Left out: false
     """
 
     type: Literal["n2", "n4", "i16", "u16", "i32", "u32", "f32"]
@@ -178,7 +177,6 @@ class WordKeys(TypedDict, total=False):
     as_: Literal["control", "status", "setpoint", "speed", "current", "torque", "fault", "warning"]
     bits: Mapping[str, object]
     title: str
-    mapped: bool
 
 
 class DerivedKeys(TypedDict, total=False):

@@ -78,8 +78,6 @@ class WordSpec(Struct, frozen=True, kw_only=True):
     #: bits by name
     bits: Mapping[str, int] = field(default_factory=dict)
     title: str = ""
-    #: a map of process data says what it carries
-    mapped: bool = False
 
     @property
     def octets(self) -> int:

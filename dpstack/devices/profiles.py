@@ -177,12 +177,7 @@ def _fields(file: DeviceFile, telegram: Telegram, *, outputs: bool) -> dict[str,
     at = 8 if telegram.spec.channel else 0
     for name in telegram.outputs if outputs else telegram.inputs:
         word = None if isinstance(name, int) else file.words[name]
-        if (
-            word is not None
-            and not word.mapped
-            and word.part not in ("control", "status")
-            and not (outputs and word.part == "setpoint")
-        ):
+        if word is not None and word.part not in ("control", "status") and not (outputs and word.part == "setpoint"):
             found[word.name] = _field(word, at)
             for bit, number in () if outputs else word.bits.items():
                 found[f"{word.name}_{bit}"] = f"bool@{at + (word.octets * 8 - 1 - number) // 8}.{number % 8}"

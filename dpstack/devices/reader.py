@@ -291,7 +291,6 @@ class Reader:
                 part=part,
                 bits=bits,
                 title=given.get("title", ""),
-                mapped=given.get("mapped", False),
             )
 
         self._members(table, "words", read)

@@ -11,6 +11,7 @@ from typing import Final
 
 from msgspec import structs
 
+from dpstack.devices.maps import MapWay
 from dpstack.profile import MapCodes, ParamKey, process_data_map
 from dpstack_drives.fuji import table as t
 
@@ -57,15 +58,9 @@ def _written(text: str) -> process_data_map.MapField | None:
     return structs.replace(found, read_only="can only be read: its assignment would be ignored")
 
 
-_READ: Final = process_data_map.FieldTable(
-    most=4,
-    padded=True,
-    places="PCD1 to PCD4",
-    noun="function code",
-    nouns="words",
-    hint="write F26, 041A (group and number in hex) or -",
-    find=_find,
-    by_code=word,
-)
+_WAYS: Final = t.FILE.maps or (MapWay(), MapWay())
 #: of inputs and outputs
-MAPS: Final = (_READ, structs.replace(_READ, outputs=True, twice="only the first one would count", find=_written))
+MAPS: Final = (
+    structs.replace(_WAYS[0].fields, padded=True, find=_find, by_code=word),
+    structs.replace(_WAYS[1].fields, padded=True, find=_written, by_code=word),
+)

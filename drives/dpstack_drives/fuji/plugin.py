@@ -132,13 +132,6 @@ class FujiCore(MappedCore[FieldMap], DeclaredCore):
             ]
         return found
 
-    def place_name(self, word: str, title: str, *, outputs: bool) -> str:
-        """PCD words with their function codes."""
-        if not word.startswith("pcd_"):
-            return title
-        field = (self.outputs_map if outputs else self.inputs_map).fields[int(word[-1]) - 1]
-        return f"{title} ({'not used' if field is None else field.name})"
-
     # -- PCD1 to PCD4 ---------------------------------------------------------------------------------------------
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
