@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import pytest
 
-from dpstack.profile import registry
+from dpstack.devices import finding
 from dpstack.profile.model.states import State
 from tests.strangers.browser_kit import Browser
 from tests.strangers.shown_plant import (
@@ -561,7 +561,7 @@ def test_each_state_of_a_drive_has_its_place_in_the_picture(
     browser: Browser, shown: ShownPlant, states_told: dict[str, set[str]], profile: str
 ) -> None:
     """Those that the demo goes through, and those that the table of its status word has."""
-    core = registry.known()[profile].core("x", simulated=True)
+    core = finding.known()[profile].core("x", simulated=True)
     told = states_told[profile] | {row.state.value for row in core.table.states.rows}
     assert "running" in told
     drawn = browser.module(

@@ -10,6 +10,7 @@ from slave_kit import make_slave
 
 import dpstack
 from dpstack.api.bus.bus import core_of
+from dpstack.devices.finding import find
 from dpstack.dp.master.events import DriveEvent, ModeChanged, SlaveFaulted, SlaveStateChanged
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
@@ -205,7 +206,7 @@ async def test_an_order_to_a_drive_that_is_not_there(w: World) -> None:
 
 
 async def test_a_drive_that_vanishes_fails_what_is_pending(w: World) -> None:
-    fan = dpstack.profile.find("fuji-frenic").simulated("PPO3", {}, {})
+    fan = find("fuji-frenic").simulated("PPO3", {}, {})
     station = make_slave(4, fan, BusParams.preset(500_000))
     w.add(station)
     async with bus_of(FAN, world=w) as bus:
