@@ -91,11 +91,14 @@ class FileDevice(DeclaredDevice):
         self.fault = 0
 
     def fault_code(self, code: str) -> int:
-        """By number, text or the text's beginning, such as ``F07011``."""
+        """By number, text or the text's beginning, such as ``F07011``; any number if the file has no texts."""
         wanted = code.strip().lower()
         for number, text in self.trips.items():
             if text.lower().startswith(wanted) and wanted:
                 return number
+        digits = "".join(filter(str.isdecimal, wanted))
+        if not self.file.fault.texts and wanted in (digits, self.file.fault.unknown.format(int(digits or 0)).lower()):
+            return int(digits)
         return super().fault_code(code)
 
     def live(self, spec: ParamSpec) -> int | None:

@@ -138,3 +138,47 @@ def test_acs355_the_fault_that_stands_is_read() -> None:
         plugin.see(f"{answer} 03 38 00 00")
         plugin.see(CHANNEL + "03 38 00 00", 3)
     assert plugin.core.faults() == ("2310h overcurrent",)
+
+
+# -- SINAMICS G120 -----------------------------------------------------------------------------------------------------
+
+G120 = find("sinamics-g120")
+
+
+class TestG120(DriveConformance):
+    profile = G120
+    telegrams = ("352", "353", "354")
+    fault = "F07011"
+
+
+class TestG120WithoutFaultWord(DriveConformance):
+    profile = G120
+    telegrams = ("1", "20", "350")
+    names_faults = False
+
+
+def test_g120_words_of_telegram_352() -> None:
+    """Operating instructions p112; fault and alarm are numbers without their letters (LH9 p654: F01003 is 1003)."""
+    status = meaning(G120, "352", "02B8 0000 0000 0000 03F8 03EB", "047E")
+    assert (status.state, status.faults, status.warnings) == (State.FAULT, ("F01003",), ("A01016 firmware changed",))
+    status = meaning(G120, "352", "0337 2000 1000 F000 0000 0000", "047F")
+    assert (status.state, status.speed, status.current, status.torque) == (State.RUNNING, 0.5, 0.25, -0.25)
+
+
+def test_g120_the_torque_limit_stays_open_in_the_safe_outputs() -> None:
+    core = G120.core("drive", "350", ALONE, simulated=True)
+    assert core.safe_outputs.hex(" ", 2) == "047e 0000 4000 0000"
+    plugin = PluginBench(core, "0231 0000 0000 0000")
+    plugin.order("set", values=[{"name": "torque_limit", "value": 50}])
+    assert plugin.out(2) == "04 7E 00 00 20 00 00 00"
+
+
+def test_g120_parameters() -> None:
+    """p122, table 6-17: r7841[2]; and the write of 26 to p1210."""
+    plugin = bench(G120, "353", "0231 0000")
+    read = asked(plugin, "67 31 02 90 00 00 00 00", "47 31 02 90 00 00 00 07", "read", number="r7841[2]")
+    assert read["value"] == 7
+    wrote = asked(
+        plugin, "74 BA 00 00 00 00 00 1A", "44 BA 00 00 00 00 00 1A", "write", number="p1210", index=0, value=26
+    )
+    assert wrote["ok"]
