@@ -97,7 +97,11 @@ class FileDevice(DeclaredDevice):
             if text.lower().startswith(wanted) and wanted:
                 return number
         digits = "".join(filter(str.isdecimal, wanted))
-        if not self.file.fault.texts and wanted in (digits, self.file.fault.unknown.format(int(digits or 0)).lower()):
+        if (
+            digits
+            and not self.file.fault.texts
+            and wanted in (digits, self.file.fault.unknown.format(int(digits or 0)).lower())
+        ):
             return int(digits)
         return super().fault_code(code)
 

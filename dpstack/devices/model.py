@@ -13,7 +13,8 @@ from typing import Final
 from msgspec import Struct, field
 
 from dpstack.devices.maps import MapWay
-from dpstack.profile.channel.pkw import ARRAY_PKW, PAGED_PKW, PLAIN_PKW, PkwDialect
+from dpstack.profile.channel.indexed import IndexedDialect
+from dpstack.profile.channel.pkw import PLAIN_PKW, PkwDialect
 from dpstack.profile.drive_profile import OptionSpec, RateSetting
 from dpstack.profile.master.messages import MessageParameter
 from dpstack.profile.model.description import DescribedCode, DescribedLed, DescribedRange
@@ -46,14 +47,6 @@ def filled(text: str, facts: Mapping[str, object]) -> str:
 
 #: the words that the state machine and the status of a drive use; a word takes one of these parts by its name or `as`
 PARTS: Final = ("control", "status", "setpoint", "speed", "current", "torque", "fault", "warning")
-
-
-#: kinds of PKW by name
-DIALECTS: Final[Mapping[str, PkwDialect]] = {
-    "plain": PLAIN_PKW,
-    "arrays": ARRAY_PKW,
-    "paged": PAGED_PKW,
-}
 
 
 class WordSpec(Struct, frozen=True, kw_only=True):
@@ -187,7 +180,7 @@ class SettingSpec(Struct, frozen=True, kw_only=True):
 class Channel(Struct, frozen=True, kw_only=True):
     """The ways to parameters: the PKW area, and slot and object of record 47 (None: it has none)."""
 
-    pkw: PkwDialect = PLAIN_PKW
+    pkw: PkwDialect | IndexedDialect = PLAIN_PKW
     source: str = ""
     sheet: str = "{}"
     record_slot: int | None = None

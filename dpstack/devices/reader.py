@@ -13,7 +13,6 @@ from msgspec import structs
 from dpstack.devices import keys as k
 from dpstack.devices.maps import MapWay, read_maps
 from dpstack.devices.model import (
-    DIALECTS,
     NORMALISED,
     PARTS,
     PLACE,
@@ -37,6 +36,8 @@ from dpstack.devices.model import (
 )
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.identifiers import io_lengths
+from dpstack.profile.channel.indexed import DIALECTS
+from dpstack.profile.channel.pkw import PkwDialect
 from dpstack.profile.drive_profile import OptionSpec, RateSetting
 from dpstack.profile.master.messages import MessageParameter
 from dpstack.profile.model.description import DescribedCode, DescribedLed, DescribedRange, DeviceDescription
@@ -782,13 +783,18 @@ class Reader:
                         texts.fail(number, f"{brief(number)} is no number", "write each text behind its number")
                     errors[int(number)] = texts.text(number)
             pkw = DIALECTS[dialect]
-            pkw = structs.replace(
-                pkw,
-                answers=answers or pkw.answers,
-                errors=errors if answers else {**pkw.errors, **errors},
-                zero_between=given.get("zero_between", pkw.zero_between),
-                busy=frozenset(given.get("busy", pkw.busy)),
-            )
+            if isinstance(pkw, PkwDialect):
+                pkw = structs.replace(
+                    pkw,
+                    answers=answers or pkw.answers,
+                    errors=errors if answers else {**pkw.errors, **errors},
+                    zero_between=given.get("zero_between", pkw.zero_between),
+                )
+            elif answers or "zero_between" in given:
+                inside.fail("dialect", f"{dialect} has neither answers nor zero_between", "leave them out")
+            else:
+                pkw = structs.replace(pkw, errors={**pkw.errors, **errors})
+            pkw = structs.replace(pkw, busy=frozenset(given.get("busy", pkw.busy)))
             self._places(inside, "sheet", given.get("sheet", ""), ("",), 'write "{}" or "{:02X}h"')
             return Channel(
                 pkw=pkw,

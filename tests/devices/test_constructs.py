@@ -8,6 +8,7 @@ import pytest
 from drive_bench import PairBench, PluginBench, pair
 
 from dpstack.devices.finding import find
+from dpstack.errors import ConfigError
 from dpstack.profile import DriveProfile
 
 ALONE = {"check_settings": False}
@@ -106,3 +107,25 @@ def test_the_simulated_drive_shows_off2_and_off3_of_its_control_word() -> None:
     assert both.inputs[:2].hex() == "0337"
     both.ok("coast")
     assert both.inputs[:2].hex() == "0260"
+
+
+def test_a_file_takes_movilink_for_its_parameter_channel(tmp_path: Path) -> None:
+    text = """base = "profidrive"
+    [channel]
+    dialect = "movilink"
+    [parameters]
+    P100 = { number = 8461, title = "Control signal source" }
+    """
+    both = pair(read(tmp_path, text), "PPO1", options=ALONE)
+    both.pass_time(50)
+    token = both.order("read", number="P100")
+    seen = set()
+    while both.result(token) is None:
+        seen.add(both.run()[:4].hex(" ").upper())
+    assert "71 00 21 0D" in seen
+    assert both.value(token) == 0
+
+
+def test_movilink_has_no_answers_of_pkw(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="movilink has neither answers nor zero_between; leave them out"):
+        read(tmp_path, 'base = "profidrive"\n[channel]\ndialect = "movilink"\nzero_between = false\n')

@@ -27,7 +27,7 @@ from dpstack.profile.channel.base import (
     check_write,
     outcome,
 )
-from dpstack.profile.channel.pkw import PAGED_PKW, PLAIN_PKW, RETRY_NS, PkwDialect
+from dpstack.profile.channel.pkw import ARRAY_PKW, PAGED_PKW, PLAIN_PKW, RETRY_NS, VLT_PKW, PkwDialect
 from dpstack.profile.channel.stored_writes import StoredWrites
 from dpstack.profile.model import param_errors as errors
 from dpstack.profile.model.jobs import CommandError, Steps
@@ -120,6 +120,8 @@ MOVILINK: Final = IndexedDialect(
 #: layouts of the parameter channel by name, for drives that are declared as data
 DIALECTS: Final[Mapping[str, PkwDialect | IndexedDialect]] = {
     "plain": PLAIN_PKW,
+    "arrays": ARRAY_PKW,
+    "vlt": VLT_PKW,
     "paged": PAGED_PKW,
     "movilink": MOVILINK,
 }

@@ -153,6 +153,8 @@ class PkwDialect(Struct, frozen=True, kw_only=True):
     #: a subclass of :class:`Pkw` for octets that are laid out in another way
     layout: type[Pkw] = Pkw
     busy: frozenset[int] = frozenset()
+    #: a refusal has neither the number nor the index of the order
+    bare_errors: bool = False
 
     def error_text(self, number: int) -> str:
         """The drive's text for an error number."""
@@ -197,6 +199,8 @@ ARRAY_PKW: Final = PkwDialect(
     },
     errors=PLAIN_PKW.errors,
 )
+#: Danfoss VLT: a refusal is 7000 0000h and its error; VLT PROFIBUS DP operating instructions MG.33.C4.02 p61
+VLT_PKW: Final = PkwDialect(answers=ARRAY_PKW.answers, errors=PLAIN_PKW.errors, bare_errors=True)
 #: SINAMICS and MICROMASTER 4: arrays by index, numbers up to 63999 by pages; replies, G110M operating instructions p198
 PAGED_PKW: Final = PkwDialect(answers=ARRAY_PKW.answers, errors={**PLAIN_PKW.errors, **SIEMENS}, layout=PagedPkw)
 
@@ -353,6 +357,8 @@ class PkwChannel:
         return (order.pnu, order.ind) != (last.pnu, last.ind)
 
     def _fits(self, order: Pkw, reply: Pkw) -> bool:
+        if self._dialect.bare_errors and reply.id == ReplyId.ERROR and not reply.pnu:
+            return True
         if reply.pnu != order.pnu or reply.ind != order.ind:
             return False
         # after a zero any reply for this PNU is the answer, right or wrong; without one it may be an old one
@@ -512,5 +518,7 @@ class PkwServer:
         refusal = None if again else self._refuse(order)
         self._refused = refusal is not None
         reply, pwe = self._handler(order) if refusal is None else refusal
+        if self._dialect.bare_errors and reply == ReplyId.ERROR:
+            order = self._dialect.layout(reply, 0)
         self._reply = order._replace(id=reply, pwe=pwe).build()
         return self._reply
