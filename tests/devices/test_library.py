@@ -6,7 +6,7 @@ The octets here are those of the manuals again, not read from the files: a wrong
 from __future__ import annotations
 
 import pytest
-from drive_bench import PluginBench
+from drive_bench import PluginBench, pair
 
 from dpstack.devices.finding import find
 from dpstack.profile import DriveProfile, DriveStatus, State
@@ -182,3 +182,62 @@ def test_g120_parameters() -> None:
         plugin, "74 BA 00 00 00 00 00 1A", "44 BA 00 00 00 00 00 1A", "write", number="p1210", index=0, value=26
     )
     assert wrote["ok"]
+
+
+# -- Danfoss FC 302 ----------------------------------------------------------------------------------------------------
+
+FC302 = find("danfoss-fc-302")
+
+
+class TestFc302(DriveConformance):
+    profile = FC302
+    telegrams = ("PPO1", "PPO2", "PPO5")
+    rest_s = 12.0
+
+
+class TestFc302WithoutChannel(DriveConformance):
+    profile = FC302
+    telegrams = ("1", "PPO6", "PPO8")
+    names_faults = False
+    rest_s = 12.0
+
+
+def test_fc302_start_and_status() -> None:
+    """MG.33.C4.02 p85: 04 7C 20 00 starts at 50 %; p86: 0F 07 20 00 is running at 50 %."""
+    plugin = bench(FC302, "PPO1", "1603 0000")
+    assert plugin.out() == CHANNEL + "04 3C 00 00"
+    plugin.ok("speed", value=0.5)
+    plugin.order("start")
+    assert plugin.out() == CHANNEL + "04 7C 20 00"
+    status = meaning(FC302, "PPO1", "0F07 2000", "047C")
+    assert (status.state, status.speed, status.remote, status.reached) == (State.RUNNING, 0.5, True, True)
+    assert status.bits == ("control_ready", "drive_ready", "enabled", "reached", "remote", "in_range", "in_operation")
+
+
+def test_fc302_words_of_the_other_orders_follow_from_the_bits() -> None:
+    """MG.33.C2.02 p35: bit 6 start, 4 quick stop, 3 coasting, 7 reset by its edge; bit 10 always 1."""
+    plugin = bench(FC302, "1", "0F07 2000")
+    for order, word in (("stop", "04 3C"), ("quick_stop", "04 2C"), ("coast", "04 34")):
+        plugin.order(order)
+        assert plugin.out()[:5] == word
+    assert meaning(FC302, "1", "0F07 2000", "043C").state is State.STOPPING
+
+
+def test_fc302_parameters() -> None:
+    """p61: par. 3-41 is 10.00 s; and a refusal, which has neither number nor index: error 2."""
+    plugin = bench(FC302, "PPO1", "0603 0000")
+    asks = "31 55 00 00 00 00 03 E8"
+    assert asked(plugin, asks, "21 55 00 00 00 00 03 E8", "write", number="3-41", value=10)["value"] == 10
+    refused = asked(plugin, asks, "70 00 00 00 00 00 00 02", "write", number="3-41", value=10)
+    assert (refused["error"], "error 2, low or high limit" in str(refused["text"])) == ("parameter", True)
+
+
+def test_fc302_simulated_a_refusal_has_neither_number_nor_index() -> None:
+    both = pair(FC302, "PPO1", options=ALONE)
+    both.pass_time(50)
+    token = both.order("read", number=999)
+    while both.result(token) is None:
+        both.run()
+        if both.inputs[0] >> 4 == 7:
+            assert both.inputs[:8].hex() == "7000000000000000"
+    assert both.text(token, "parameter") == "parameter 999: error 0, illegal parameter number"
