@@ -16,7 +16,7 @@ from dpstack.profile.master.settings import Setting, equal
 from dpstack.profile.model.drive_type import DriveType, Options, TelegramSpec
 from dpstack.profile.model.jobs import LARGEST, Args, CommandError, Steps
 from dpstack.profile.model.process_data_map import FieldMap, FieldTable
-from dpstack.profile.model.states import ControlTable
+from dpstack.profile.model.states import FAULTED, ControlTable
 
 M = TypeVar("M", bound=FieldMap)
 #: the order that sets free words of the outputs
@@ -261,6 +261,8 @@ class FileCore(DeclaredCore):
     def warnings(self) -> tuple[str, ...]:
         if self.word("warning") is None and self.warning_parameter is None:
             return ("warning",) if self.table.status.is_set(self.status_word, "warning") else ()
+        if self.file.warning.word == self.file.fault.word and self.raw_state in FAULTED:
+            return ()  # one word for both: its number is the fault's
         return super().warnings()
 
 

@@ -275,11 +275,13 @@ class FileDevice(DeclaredDevice):
                 status |= 1 << bits[name]
         if file.reversed is not None and motor.frequency < 0:
             status |= file.reversed
-        if machine.state is State.FAULT:
-            for name, derived in file.derived.items():
-                if name == file.fault.word and file.words[derived.of].part == "status":
-                    status = status & ~(derived.mask << derived.shift) | derived.when
-                    status |= (self.fault & derived.mask) << derived.shift
+        messages, number = (
+            (file.fault, self.fault) if machine.state is State.FAULT else (file.warning, self.warning_mask)
+        )
+        derived = file.derived.get(messages.word)
+        if derived is not None and number and file.words[derived.of].part == "status":
+            status = status & ~(derived.mask << derived.shift) | derived.when
+            status |= (number & derived.mask) << derived.shift
         for obstacle in file.obstacles:
             ahead = follows and not status & obstacle.mask and obstacle.value == 0
             if ahead and not mask & obstacle.mask:

@@ -295,8 +295,10 @@ class Reader:
             )
 
         self._members(table, "words", read)
+        derived = table.raw("derived")
         for part in ("control", "status", "fault", "warning"):
-            found.setdefault(part, WordSpec(name=part, part=part))
+            if not isinstance(derived, Mapping) or part not in derived:
+                found.setdefault(part, WordSpec(name=part, part=part))
         return found
 
     def _bits(self, table: Table, key: str, most: int) -> dict[str, int]:
