@@ -9,6 +9,7 @@ import pytest
 from drive_bench import PluginBench, pair
 
 from dpstack.devices.finding import find
+from dpstack.errors import ConfigError
 from dpstack.profile import DriveProfile, DriveStatus, State
 from dpstack.testing import DriveConformance
 
@@ -241,3 +242,85 @@ def test_fc302_simulated_a_refusal_has_neither_number_nor_index() -> None:
         if both.inputs[0] >> 4 == 7:
             assert both.inputs[:8].hex() == "7000000000000000"
     assert both.text(token, "parameter") == "parameter 999: error 0, illegal parameter number"
+
+
+# -- SEW ---------------------------------------------------------------------------------------------------------------
+
+MOVITRAC = find("sew-movitrac-b")
+MOVIDRIVE = find("sew-movidrive")
+
+
+class TestMovitrac(DriveConformance):
+    profile = MOVITRAC
+    telegrams = ("2PD", "PARAM+3PD")
+
+
+class TestMovidrive(DriveConformance):
+    profile = MOVIDRIVE
+    telegrams = ("2PD", "4PD", "PARAM+2PD", "PARAM+6PD")
+
+
+def test_movitrac_control_words() -> None:
+    """0006h enable, 0002h stop (MOVIMOT MM..C p120); 0000h rapid stop, 0001h inhibit; a digit is 0.2 rpm."""
+    plugin = bench(MOVITRAC, "2PD", "0006 0000")  # ready, PO data enabled
+    assert plugin.out() == "00 02 00 00"
+    plugin.ok("speed", value=-0.5)
+    plugin.order("start")
+    assert plugin.out() == "00 06 F1 5A"  # -750 rpm
+    plugin.see("0007 F15A")
+    assert plugin.core.state is State.RUNNING
+    for order, word in (("stop", "00 02"), ("quick_stop", "00 00"), ("coast", "00 01")):
+        plugin.order(order)
+        assert plugin.out()[:5] == word
+    assert meaning(MOVITRAC, "2PD", "0007 F15A", "0006").speed == -0.5
+
+
+def test_movitrac_the_high_octet_is_a_fault_or_a_warning_while_bit_5_is_set() -> None:
+    """Online manual 5947088779: 01 is overcurrent; bit 1 is 0 while a fault stands, MDX60B unit profile p93."""
+    status = meaning(MOVITRAC, "2PD", "0124 0000", "0002")
+    assert (status.state, status.faults, status.warnings) == (State.FAULT, ("F01 overcurrent",), ())
+    status = meaning(MOVITRAC, "2PD", "1A27 0000", "0006")
+    assert (status.state, status.faults, status.warnings) == (State.RUNNING, (), ("F26",))
+    status = meaning(MOVITRAC, "2PD", "0407 0000", "0006")  # the unit status is no fault
+    assert (status.state, status.faults, status.warnings) == (State.RUNNING, (), ())
+
+
+def test_movitrac_does_not_start_by_the_reset_of_a_fault() -> None:
+    """It starts by level: 0006h must not stand when the fault ends."""
+    plugin = bench(MOVITRAC, "2PD", "0006 0000")
+    plugin.order("start")
+    plugin.out()
+    plugin.see("0007 0000")
+    assert plugin.see("0124 0000") == "00 02 00 00"
+    plugin.order("acknowledge")
+    assert plugin.out(2) == "00 42 00 00"
+    assert plugin.see("0006 0000", 60) == "00 02 00 00"
+
+
+def test_movitrac_simulated_warning_runs_on() -> None:
+    both = pair(MOVITRAC, "2PD", options=ALONE)
+    both.pass_time(50)
+    both.ok("start")
+    both.device.warn(26)
+    both.pass_time(50)
+    assert (both.inputs[:2].hex(), both.core.warnings(), both.core.faults()) == ("1a27", ("F26",), ())
+
+
+def test_movitrac_parameters() -> None:
+    """MOVIPRO manual p112: 32 00 21 9E 00 00 01 F4 writes 500 ms; MOVIMOT p195: 31 00 20 87 00 00 00 14 is 20 degC."""
+    plugin = bench(MOVITRAC, "PARAM+2PD", "0006 0000")
+    plugin.see("40 00 00 00 00 00 00 00 0006 0000", 30)  # the drive's handshake bit stands at 1
+    token = plugin.order("write", number=8606, value=500)
+    assert plugin.out(30)[:23] == "32 00 21 9E 00 00 01 F4"
+    assert plugin.value(token, "32 00 21 9E 00 00 01 F4 0006 0000") == 500
+    token = plugin.order("read", number=8327)
+    assert plugin.out(2)[:23] == "71 00 20 87 00 00 00 00"
+    assert plugin.value(token, "71 00 20 87 00 00 00 14 0006 0000") == 20
+    token = plugin.order("read", number=8327)
+    assert plugin.out(2)[:23] == "31 00 20 87 00 00 00 00"
+    assert plugin.value(token, "31 00 20 87 00 00 00 14 0006 0000") == 20
+
+
+def test_movitrac_the_reference_cannot_be_another_one() -> None:
+    with pytest.raises(ConfigError, match="reference_rpm"):
+        MOVITRAC.core("drive", "2PD", {"reference_rpm": 3000.0})
