@@ -100,6 +100,10 @@ class DeclaredCore(DriveCore):
                     why=f"it is what 100 % of the speed means in {unit}: it is read from the drive",
                 )
 
+    def learns_reference(self, unit: str) -> bool:
+        asked = isinstance(getattr(self.file.reference, unit.lower()), str) and self.access is not None
+        return asked and not getattr(self, f"reference_{unit.lower()}")
+
     def _learn(self, option: str, parameter: str, values: Sequence[float]) -> str | None:
         """The drive has said what 100 % is."""
         (value,) = values

@@ -333,7 +333,8 @@ class ReferenceKeys(TypedDict, total=False):
 class ChannelKeys(TypedDict, total=False):
     """`[channel]`: the way to parameters.
 
-    dialect: the kind of parameter channel in telegrams with `pkw`. Left out: `plain`
+    dialect: the kind of parameter channel in telegrams with `pkw`: `plain`, `arrays`, `paged` (SINAMICS), `vlt`
+        (Danfoss), `movilink` (SEW). Left out: `plain`
     errors: texts of the errors of the parameter channel by number, beside those of PROFIdrive; beside `answers` alone
     answers: positive answers by order, `{ 1 = [1, 2], 2 = [1] }`. Left out: words and double words without indexes
     zero_between: it takes a new order only after it has answered 0 with 0. Left out: true

@@ -129,3 +129,26 @@ def test_a_file_takes_movilink_for_its_parameter_channel(tmp_path: Path) -> None
 def test_movilink_has_no_answers_of_pkw(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="movilink has neither answers nor zero_between; leave them out"):
         read(tmp_path, 'base = "profidrive"\n[channel]\ndialect = "movilink"\nzero_between = false\n')
+
+
+def test_a_set_point_in_rpm_waits_until_the_drive_has_said_what_100_percent_is(tmp_path: Path) -> None:
+    text = """base = "profidrive"
+    [reference]
+    rpm = "p2000"
+    [channel]
+    dialect = "paged"
+    [parameters]
+    p2000 = { number = 2000, type = "f32", unit = "rpm", factory = 1500 }
+    """
+    both = pair(read(tmp_path, text), "PPO1")
+    refused = both.order("frequency", value=5)
+    assert both.text(refused, "usage") == "nobody knows how many Hz 100 % is: give the drive its option reference_hz"
+    waits = both.order("rpm", value=300)
+    assert both.result(waits) is None
+    both.pass_time(1000)
+    assert both.value(waits) == 0.2
+    both.core.lost(both.now)
+    overtaken, later = both.order("rpm", value=600), both.order("speed", value=0)
+    both.pass_time(1000)
+    assert both.text(overtaken, "usage") == "another set point was given before the drive had said what 100 % is"
+    assert (both.value(later), both.core.setpoint) == (0, 0)

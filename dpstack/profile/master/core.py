@@ -51,6 +51,8 @@ _TIMEOUTS: Final = {
     "acknowledge": 20.0,
     "reached": 60.0,
     "settled": 5.0,
+    "frequency": 5.0,
+    "rpm": 5.0,
     **dict.fromkeys(_PARAMETERS, 5.0),
 }
 #: of the reference, for a drive that has no bit for it
@@ -181,6 +183,7 @@ class DriveCore:
         #: bus time of the last change of the set point, in ns
         self.setpoint_at = 0
         self._setpoint_word = 0
+        self._setpoints_given = 0
         #: the process data are those of :meth:`encode_held`, as long as the drive might not understand others
         self.held = False
         #: in Clear: since when there are inputs, and what is read once
@@ -512,6 +515,7 @@ class DriveCore:
             self.setpoint = fraction
             self.setpoint_at = self.now
         self._setpoint_word = word
+        self._setpoints_given += 1
         self.dirty = True
         self.update()
 
@@ -536,6 +540,10 @@ class DriveCore:
     def cannot(self, op: str) -> str | None:
         """Why an order that moves the drive can never be carried out as things are configured; None if it can."""
         return None
+
+    def learns_reference(self, unit: str) -> bool:
+        """Whether the drive itself will say what 100 % is in ``unit``, Hz or rpm, and has not said it yet."""
+        return False
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
         """An order of this drive's own (named in ``own_ops``), not begun yet. Raises CommandError."""
@@ -779,9 +787,9 @@ class DriveCore:
             case "speed":
                 return self._speed(args.number("value"))
             case "frequency":
-                return self._speed(args.number("value") / self.known_reference("Hz"))
+                return self._speed_in("Hz", args.number("value"), deadline)
             case "rpm":
-                return self._speed(args.number("value") / self.known_reference("rpm"))
+                return self._speed_in("rpm", args.number("value"), deadline)
             case "reached":
                 return _reached(self, deadline, args.optional("tolerance"))
             case "settled":
@@ -800,6 +808,20 @@ class DriveCore:
         """End the order with ``token`` now, so that a start() does not take effect later."""
         yield from ()
         return {"value": self._orders.cancel(token)}
+
+    def _speed_in(self, unit: str, value: float, deadline: int) -> Steps[dict[str, object]]:
+        """A set point in ``unit``, whose reference the drive may have to say first: it never overtakes a later one."""
+        if not self.learns_reference(unit):
+            return self._speed(value / self.known_reference(unit))
+        return self._speed_when_known(unit, value, deadline)
+
+    def _speed_when_known(self, unit: str, value: float, deadline: int) -> Steps[dict[str, object]]:
+        given = self._setpoints_given
+        while self.learns_reference(unit) and self.now < deadline:
+            yield
+        if given != self._setpoints_given:
+            raise CommandError("usage", "another set point was given before the drive had said what 100 % is")
+        return (yield from self._speed(value / self.known_reference(unit)))
 
     def _speed(self, fraction: float) -> Steps[dict[str, object]]:
         yield from ()
