@@ -5,12 +5,17 @@ The octets here are those of the manuals again, not read from the files: a wrong
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from drive_bench import PluginBench, pair
+from profidrive_kit import RecordBench
 
+from dpstack.devices import finding
 from dpstack.devices.finding import find
 from dpstack.errors import ConfigError
 from dpstack.profile import DriveProfile, DriveStatus, State
+from dpstack.profile.record47 import RecordQueue
 from dpstack.testing import DriveConformance
 
 CHANNEL = "00 " * 8
@@ -125,6 +130,16 @@ def test_acs355_any_parameter_by_group_and_index() -> None:
     assert asked(plugin, asks, "40 54 0B 00 00 00 00 64", "read", number=84, index=11)["value"] == 100
     refused = asked(plugin, asks, "70 54 0B 00 00 00 00 03", "read", number=84, index=11)
     assert "error 3, invalid subindex" in str(refused["text"])
+
+
+def test_acs355_record_47() -> None:
+    """p140: 12.04 is read in slot 1; the request there has the reference 05 and one element, the answer is 0564h."""
+    records = RecordQueue()
+    plugin = RecordBench(PROFIDRIVE.core("drive", "PPO3", ALONE, records=records), records, "0331 0000")
+    token = plugin.order("read", number=12, index=4)
+    plugin.answer("01 01 01 01 42 01 05 64")
+    assert plugin.requests == ["01 01 01 01 10 01 00 0C 00 04"]
+    assert plugin.value(token) == 0x0564
 
 
 def test_acs355_the_fault_that_stands_is_read() -> None:
@@ -329,3 +344,17 @@ def test_movitrac_parameters() -> None:
 def test_movitrac_the_reference_cannot_be_another_one() -> None:
     with pytest.raises(ConfigError, match="reference_rpm"):
         MOVITRAC.core("drive", "2PD", {"reference_rpm": 3000.0})
+
+
+# -- all of them -------------------------------------------------------------------------------------------------------
+
+LIBRARY = sorted(path.stem for path in (Path(finding.__file__).parent / "library").glob("*.toml"))
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_each_says_where_its_facts_are_from_and_that_nobody_has_tried_it(name: str) -> None:
+    file = finding.file_at(Path(finding.__file__).parent / "library" / f"{name}.toml")
+    assert file.source
+    assert file.tried == "from the manual, not tried at the device"
+    assert all(one.source for one in file.examples)
+    assert file.examples or file.base not in ("profidrive", "bits")
