@@ -14,7 +14,7 @@ from profidrive_kit import RecordBench
 from dpstack.devices import finding
 from dpstack.devices.finding import find
 from dpstack.errors import ConfigError
-from dpstack.profile import DriveProfile, DriveStatus, State
+from dpstack.profile import DriveProfile, DriveStatus, Leave, State
 from dpstack.profile.record47 import RecordQueue
 from dpstack.testing import DriveConformance
 
@@ -130,6 +130,23 @@ def test_acs355_any_parameter_by_group_and_index() -> None:
     assert asked(plugin, asks, "40 54 0B 00 00 00 00 64", "read", number=84, index=11)["value"] == 100
     refused = asked(plugin, asks, "70 54 0B 00 00 00 00 03", "read", number=84, index=11)
     assert "error 3, invalid subindex" in str(refused["text"])
+
+
+def test_acs355_simulated_goes_on_without_its_master_and_stops_when_it_is_back() -> None:
+    """p50: 3018 COMM FAULT FUNC = LAST SPEED."""
+    both = pair(ABB_DRIVES, "PPO2", options=ALONE)
+    both.ok("speed", value=0.5)
+    both.ok("start")
+    both.pass_time(2000)
+    both.device.leave(Leave.WATCHDOG, both.now)
+    both.core.lost(both.now)
+    both.now += 20_000_000_000
+    both.device.advance(both.now)
+    assert both.device.motor.frequency == pytest.approx(0.5, abs=0.01)
+    both.device.enter(both.core.telegram.config, both.now)
+    both.inputs = b""
+    both.pass_time(3000)
+    assert (both.device.motor.frequency, both.core.state) == (0, State.READY_TO_SWITCH_ON)
 
 
 def test_acs355_record_47() -> None:
