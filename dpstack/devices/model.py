@@ -186,6 +186,12 @@ class Channel(Struct, frozen=True, kw_only=True):
     record_slot: int | None = None
     record_object: int = 1
 
+    @property
+    def of_pkw(self) -> PkwDialect:
+        """The channel of a drive that has PKW."""
+        assert isinstance(self.pkw, PkwDialect)
+        return self.pkw
+
 
 class Reference(Struct, frozen=True, kw_only=True):
     """What 100 % of the speed is: a number, or the name of the parameter that holds it; 0: not known."""

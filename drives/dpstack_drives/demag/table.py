@@ -11,7 +11,7 @@ from dpstack.profile import TelegramSpec, Word
 FILE: Final = file_at(Path(__file__).with_name("demag-dedrive.toml"))
 TABLE: Final = FILE.table
 CONTROL, STATUS = TABLE.control, TABLE.status
-PKW: Final = FILE.channel.pkw
+PKW: Final = FILE.channel.of_pkw
 FAULTS: Final = {code: one.text for code, one in FILE.fault.facts.items()}
 WARNINGS: Final = tuple(FILE.warning.texts.values())
 

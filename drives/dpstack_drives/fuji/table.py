@@ -12,7 +12,7 @@ from dpstack.profile import ParamSpec
 FILE: Final = file_at(Path(__file__).with_name("fuji-frenic.toml"))
 TABLE: Final = FILE.table
 CONTROL, STATUS = TABLE.control, TABLE.status
-PKW: Final = FILE.channel.pkw
+PKW: Final = FILE.channel.of_pkw
 PARAMETERS: Final = FILE.parameters
 
 #: Table 5.1: the telegrams that o30 chooses, all others are PPO1

@@ -105,7 +105,7 @@ class ImoCore(DeclaredMapCore[FieldMap]):
         return t.control_table(self.file.table)
 
     def open_channel(self) -> ImoAccess:
-        self._channel = ImoAccess(self.file.channel.pkw, self.file.parameters, self, self.notice)
+        self._channel = ImoAccess(self.file.channel.of_pkw, self.file.parameters, self, self.notice)
         return self._channel
 
     # -- process data ---------------------------------------------------------------------------------------------

@@ -79,7 +79,7 @@ class ImoDevice(DeclaredDevice):
         except ValueError as error:
             raise ConfigError(f"{self.title}: {error}") from None
         self.channel = PkwServer(
-            structs.replace(file.channel.pkw, layout=ImoPkw),
+            structs.replace(file.channel.of_pkw, layout=ImoPkw),
             self._request,
             reads=frozenset({int(Request.READ)}),
             refuse=self._refuse_request,

@@ -17,7 +17,7 @@ from dpstack.profile import ControlTable, Goal, ParamSpec, State, StateRow, Stat
 
 FILE: Final = file_at(Path(__file__).with_name("ls-s100.toml"))
 PARAMETERS: Final = FILE.parameters
-PKW: Final = FILE.channel.pkw
+PKW: Final = FILE.channel.of_pkw
 TRIPS: Final = FILE.fault.texts
 #: PNU 963, COM-12
 BAUD_INDEX: Final[Mapping[int, int]] = {
