@@ -16,6 +16,7 @@ from public_names import SNAPSHOT
 
 import dpstack
 from dpstack.api.bus.bus import core_of
+from dpstack.api.slave.drive import DrivePlugin
 from tools.class_attributes import attributes
 from tools.make_reference_docs import NAMESPACES, REFERENCE, event_classes, public_classes
 
@@ -87,7 +88,9 @@ async def test_the_objects_of_a_running_bus_have_no_public_attribute_without_a_r
         await bus.operate()
         await bus.ready()
         drive = bus.drive("hoist")
-        plugin = core_of(bus).parts.plugins[3][0]
+        entry = core_of(bus).parts.plugins[3]
+        assert isinstance(entry, DrivePlugin)
+        plugin = entry.core
         objects = [bus, bus.slave(3), bus.slave(9), drive, drive.status, bus.stats, bus.stats.slaves[9], bus.plan]
         for thing in [*objects, bus.snapshot, bus.config, bus.params, bus.world, plugin]:
             kind = next(base for base in type(thing).__mro__ if shown(base))

@@ -196,6 +196,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 )
 #: profile sees only these modules of dp: its public slave application and image types, and records.
 PROFILE_MAY_OF_DP = {
+    "dp.counter",
     "dp.process_image",
     "dp.slave_params",
     "dp.pdu.alarm_blocks",

@@ -3,6 +3,12 @@
 - ``description``: The commissioning sheet of a device file
 - ``drive_core``: Master side of a drive that a device file describes
 - ``drive_device``: The simulated drive of a device file
+- ``encoder``: A device file of an encoder as a profile: its scaling by the user parameters, and its named values
+- ``encoder_core``: Master side of an encoder: the order that gives its position a value
+- ``encoder_device``: The simulated encoder of a device file: it turns, answers presets, and has alarms to order
+- ``encoder_examples``: The examples of an encoder's device file: octets received and their values, orders and the
+  octets that they send
+- ``encoder_reader``: Device files of encoders read and checked: position, velocity, preset, diagnosis
 - ``finding``: Drives by name or path: plugins of packages, and device files in folders
 - ``keys``: The keys of a device file: names, types and limits
 - ``machines``: State machines of simulated drives

@@ -12,14 +12,12 @@ import importlib.util
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from dpstack.devices.model import DeviceFile, EncoderFile
 from dpstack.errors import ConfigError
 from dpstack.profile import registry
-
-if TYPE_CHECKING:
-    from dpstack.devices.model import DeviceFile
-    from dpstack.profile.drive_profile import DriveProfile
+from dpstack.profile.drive_profile import DeviceProfile, DriveProfile
 
 #: entry points of packages that bring device files: the name of a device, and the package with ``NAME.toml`` in it
 GROUP: Final = "dpstack.device_files"
@@ -40,12 +38,12 @@ def find(name: str, folder: Path | None = None) -> DriveProfile:
     Raises ConfigError with the nearest names, or with the mistakes of the file.
     """
     if is_path(name):
-        return _profile(Path(folder or ".", name))
+        return _drive(Path(folder or ".", name))
     if name in registry.places() or registry.is_given(name):
         return registry.find(name)
     path = path_of(name)
     if path is not None:
-        return _profile(path)
+        return _drive(path)
     import difflib  # here, as most names are right
 
     names = [*registry.places(), *files()]
@@ -57,8 +55,23 @@ def find(name: str, folder: Path | None = None) -> DriveProfile:
     )
 
 
-def profile_at(place: str) -> DriveProfile:
-    """The drive of the device file ``path``, if its digest is still the given one: ``DIGEST PATH``, for a bus process.
+def find_device(name: str, folder: Path | None = None) -> DeviceProfile:
+    """The device that is no drive, as :func:`find`. Raises ConfigError."""
+    path = Path(folder or ".", name) if is_path(name) else path_of(name)
+    if path is None:
+        if name in registry.places() or registry.is_given(name):
+            raise ConfigError(f"{name!r} is a drive; write drive = {name!r}")
+        known = ", ".join(known_devices()) or "none"
+        raise ConfigError(f"no device is called {name!r}; known: {known}; or give the path of a device file")
+    found = _profile(path)
+    if not isinstance(found, DriveProfile):
+        return found
+    raise ConfigError(f"{name!r} is a drive; write drive = {name!r}")
+
+
+def profile_at(place: str) -> DriveProfile | DeviceProfile:
+    """The drive or device of the device file ``path``, if its digest is still the given one: ``DIGEST PATH``, for a bus
+    process.
 
     Raises ConfigError.
     """
@@ -71,13 +84,23 @@ def profile_at(place: str) -> DriveProfile:
 
 def known() -> dict[str, DriveProfile]:
     """All drives by name; those that cannot be loaded are left out, see :func:`broken`."""
+    found = {name: one for name, one in _in_files().items() if isinstance(one, DriveProfile)}
+    return dict(sorted((found | registry.known()).items()))
+
+
+def known_devices() -> dict[str, DeviceProfile]:
+    """All devices that are no drives, by name, as :func:`known`."""
+    return {name: one for name, one in sorted(_in_files().items()) if not isinstance(one, DriveProfile)}
+
+
+def _in_files() -> dict[str, DriveProfile | DeviceProfile]:
     found = {}
     for name, path in files().items():
         try:
             found[name] = _profile(path)
         except ConfigError:
             continue
-    return dict(sorted((found | registry.known()).items()))
+    return found
 
 
 def broken() -> dict[str, str]:
@@ -151,7 +174,7 @@ def folders() -> list[Path]:
     return [*given, Path(data, "dpstack", "devices")]
 
 
-def file_at(path: Path) -> DeviceFile:
+def file_at(path: Path) -> DeviceFile | EncoderFile:
     """The device file at ``path``, read again when it or its time has changed. Raises ConfigError."""
     try:
         stamp = path.stat()
@@ -160,17 +183,38 @@ def file_at(path: Path) -> DeviceFile:
     return _read(path.resolve(), stamp.st_mtime_ns, stamp.st_size)
 
 
-def _profile(path: Path) -> DriveProfile:
-    from dpstack.devices.profiles import profile_of
+def read(path: Path) -> DeviceFile | EncoderFile:
+    """The device file at ``path``. Raises DeviceFileError with all mistakes, or ConfigError."""
+    from dpstack.devices.reader import ENCODER, Reader
 
-    return profile_of(file_at(path))
+    if Reader(path, base_of).root != ENCODER:
+        return Reader(path, base_of).read()
+    from dpstack.devices.encoder_reader import EncoderReader
+
+    return EncoderReader(path, base_of).read()
+
+
+def _drive(path: Path) -> DriveProfile:
+    found = _profile(path)
+    if isinstance(found, DriveProfile):
+        return found
+    raise ConfigError(f"{path.name} describes no drive; write device = ... in place of drive = ...")
+
+
+def _profile(path: Path) -> DriveProfile | DeviceProfile:
+    found = file_at(path)
+    if isinstance(found, DeviceFile):
+        from dpstack.devices.profiles import profile_of
+
+        return profile_of(found)
+    from dpstack.devices.encoder import profile_of_encoder
+
+    return profile_of_encoder(found)
 
 
 @functools.lru_cache(maxsize=256)
-def _read(path: Path, _changed_at: int, _size: int) -> DeviceFile:
-    from dpstack.devices.reader import Reader
-
-    return Reader(path, base_of).read()
+def _read(path: Path, _changed_at: int, _size: int) -> DeviceFile | EncoderFile:
+    return read(path)
 
 
 def _listed(folder: Path) -> Iterator[Path]:

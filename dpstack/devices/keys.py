@@ -97,6 +97,10 @@ class DeviceKeys(TypedDict, total=False):
     options: Mapping[str, object]
     map: Mapping[str, object]
     simulate: Mapping[str, object]
+    position: Mapping[str, object]
+    velocity: Mapping[str, object]
+    preset: Mapping[str, object]
+    diagnosis: Mapping[str, object]
     step: Annotated[Sequence[object], _GIVEN]
     range: Annotated[Sequence[object], _GIVEN]
     led: Annotated[Sequence[object], _GIVEN]
@@ -162,9 +166,11 @@ class WordKeys(TypedDict, total=False):
     low: lowest value that may be set
     high: highest value that may be set
     neutral: the value in the safe outputs. Left out: 0
-    as: the part of the word: `setpoint`, `speed`, `current`, `torque`, `fault` or `warning`. Left out: by its name
+    as: the part of the word: `setpoint`, `speed`, `current`, `torque`, `fault` or `warning`; with the base `encoder`
+        `position`, `velocity` or `preset`. Left out: by its name
     bits: names of its bits by their numbers, `{ line = 1 }`
     title: what it is, for the commissioning sheet. Left out: its name
+    width: bits of the number, the lowest ones, for a word with `bits` above it. Left out: all
     """
 
     type: Literal["n2", "n4", "i16", "u16", "i32", "u32", "f32"]
@@ -174,9 +180,22 @@ class WordKeys(TypedDict, total=False):
     low: Annotated[float, Key(-_MOST, _MOST)]
     high: Annotated[float, Key(-_MOST, _MOST)]
     neutral: Annotated[float, Key(-_MOST, _MOST)]
-    as_: Literal["control", "status", "setpoint", "speed", "current", "torque", "fault", "warning"]
+    as_: Literal[
+        "control",
+        "status",
+        "setpoint",
+        "speed",
+        "current",
+        "torque",
+        "fault",
+        "warning",
+        "position",
+        "velocity",
+        "preset",
+    ]
     bits: Mapping[str, object]
     title: str
+    width: Annotated[int, Key(1, 32)]
 
 
 class DerivedKeys(TypedDict, total=False):
@@ -549,6 +568,65 @@ class SimulateKeys(TypedDict, total=False):
     errors: Sequence[int]
     read_errors: Sequence[int]
     write_errors: Sequence[int]
+
+
+class PositionKeys(TypedDict, total=False):
+    """`[position]`, with the base `encoder`: the meaning of the counts.
+
+    counts_per_turn: a number; or where the user parameters hold it: `"prm:NAME"`, the parameter of this name in the
+        GSD file, or its two words `NAME (high)` and `NAME (low)`; or `"u16@4"`, a place in their octets. Of a list the
+        first one that is there counts. Left out: not known, so it has neither turns nor degrees
+    range: counts after which the position begins again with 0, in the same ways. Left out: all that its bits hold
+    only_if: user parameters that must have a value for both to hold, `{ "Scaling function control" = 1 }`
+    """
+
+    counts_per_turn: Annotated[object, _GIVEN]
+    range: Annotated[object, _GIVEN]
+    only_if: Mapping[str, object]
+
+
+class VelocityKeys(TypedDict, total=False):
+    """`[velocity]`, with the base `encoder`: the unit of the word `velocity`.
+
+    unit: `counts/s` or `rpm`. Left out: `counts/s`
+    scale: the value of one count in the word. Left out: 1
+    by: the user parameter that chooses the unit, `"prm:NAME"`. Left out: none
+    units: scale and unit by the value of that parameter, `{ 1 = [10, "counts/s"] }`
+    """
+
+    unit: Literal["counts/s", "rpm"]
+    scale: Annotated[float, Key(-_MOST, _MOST)]
+    by: str
+    units: Mapping[str, object]
+
+
+class PresetKeys(TypedDict, total=False):
+    """`[preset]`, with the base `encoder`: the order that gives the present position a value. The highest bit of the
+    word `preset` is the strobe, whose rising edge counts; the bits below are the value.
+
+    done: `position`, when the inputs show the value; `time`, for a device that confirms nothing; or the name of a bit
+        of the position's word, in telegrams without it `position`. Left out: `position`
+    timeout_ms: for the whole order. Left out: 1000
+    hold_ms: the strobe stays at least so long. Left out: 50
+    """
+
+    done: str
+    timeout_ms: Annotated[int, Key(10, 600_000)]
+    hold_ms: Annotated[int, Key(0, 60_000)]
+
+
+class DiagnosisKeys(TypedDict, total=False):
+    """`[diagnosis]`, with the base `encoder`: bits of the extended diagnosis with their texts, by `"OCTET.BIT"`. The
+    first octet is 7, the length of the block, as the profile for encoders counts.
+
+    alarms: values are bad while one of these bits is set
+    warnings: values are uncertain while one of these is set
+    octets: octets of the whole diagnosis, for the simulated encoder. Left out: up to the last bit
+    """
+
+    alarms: Mapping[str, object]
+    warnings: Mapping[str, object]
+    octets: Annotated[int, Key(8, 244)]
 
 
 class StepKeys(TypedDict, total=False):

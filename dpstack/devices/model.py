@@ -47,6 +47,8 @@ def filled(text: str, facts: Mapping[str, object]) -> str:
 
 #: the words that the state machine and the status of a drive use; a word takes one of these parts by its name or `as`
 PARTS: Final = ("control", "status", "setpoint", "speed", "current", "torque", "fault", "warning")
+#: the same of an encoder
+ENCODER_PARTS: Final = ("position", "velocity", "preset")
 
 
 class WordSpec(Struct, frozen=True, kw_only=True):
@@ -71,6 +73,8 @@ class WordSpec(Struct, frozen=True, kw_only=True):
     #: bits by name
     bits: Mapping[str, int] = field(default_factory=dict)
     title: str = ""
+    #: bits of the number, the lowest ones; 0: all
+    width: int = 0
 
     @property
     def octets(self) -> int:
@@ -274,8 +278,8 @@ class BusFacts(Struct, frozen=True, kw_only=True):
     rate_setting: RateSetting | None = None
 
 
-class DeviceFile(Struct, frozen=True, kw_only=True):
-    """A device file, read and checked."""
+class FileFacts(Struct, frozen=True, kw_only=True):
+    """The part of a device file that files of drives and of other devices share."""
 
     path: Path
     #: SHA-256 of its text, hex
@@ -294,6 +298,16 @@ class DeviceFile(Struct, frozen=True, kw_only=True):
     telegrams: Mapping[str, Telegram]
     default_telegram: str
     words: Mapping[str, WordSpec] = field(default_factory=dict)
+    options: Mapping[str, OptionSpec] = field(default_factory=dict)
+    #: options of the simulated device
+    device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
+    steps: tuple[Step, ...] = ()
+    examples: tuple[Example, ...] = ()
+
+
+class DeviceFile(FileFacts, frozen=True, kw_only=True):
+    """The device file of a drive, read and checked."""
+
     derived: Mapping[str, Derived] = field(default_factory=dict)
     table: ControlTable
     #: the state machine of the simulated drive: "profidrive", "drivecom" or "table"
@@ -322,12 +336,8 @@ class DeviceFile(Struct, frozen=True, kw_only=True):
     lock_hint: str = ""
     start_hint: str = ""
     simulate: Simulation = Simulation()
-    options: Mapping[str, OptionSpec] = field(default_factory=dict)
-    #: options of the simulated drive
-    device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
     #: names of the parameters that are written at standstill only
     standstill: frozenset[str] = frozenset()
-    steps: tuple[Step, ...] = ()
     ranges: tuple[DescribedRange, ...] = ()
     leds: tuple[DescribedLed, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
@@ -336,6 +346,38 @@ class DeviceFile(Struct, frozen=True, kw_only=True):
     #: name of the parameter that chooses the telegram; "": none does
     telegram_parameter: str = ""
     scan_ms: float = 4.0
-    examples: tuple[Example, ...] = ()
     #: name of the Python of a package, in the entry point group ``dpstack.devices``
     python: str = ""
+
+
+class EncoderFile(FileFacts, frozen=True, kw_only=True):
+    """The device file of an encoder, read and checked. See :mod:`dpstack.devices.keys` for the meaning."""
+
+    #: numbers, ``prm:NAME`` or a place in the user parameters; the first that is there counts
+    counts_per_turn: tuple[int | str, ...] = ()
+    range: tuple[int | str, ...] = ()
+    #: user parameters by name, and the value for which both hold
+    only_if: Mapping[str, int] = field(default_factory=dict)
+    #: scale and unit of the velocity, or those by the value of the user parameter ``velocity_by``
+    velocity: tuple[float, str] = (1, "counts/s")
+    velocity_by: str = ""
+    velocities: Mapping[int, tuple[float, str]] = field(default_factory=dict)
+    #: "position", "time", or the name of a bit
+    preset_done: str = "position"
+    preset_timeout_ms: int = 1000
+    preset_hold_ms: int = 50
+    #: texts by bit, counted from 0 at the first octet behind the block's header
+    alarms: Mapping[int, str] = field(default_factory=dict)
+    warnings: Mapping[int, str] = field(default_factory=dict)
+    #: octets of the simulated diagnosis
+    diagnosis_octets: int = 0
+
+    def part(self, telegram: str, part: str, *, outputs: bool = False) -> tuple[WordSpec, int] | None:
+        """The word with this ``part`` in the telegram, and its first octet; None if it has none."""
+        at, found = 0, self.telegrams[telegram]
+        for name in found.outputs if outputs else found.inputs:
+            word = None if isinstance(name, int) else self.words[name]
+            if word is not None and word.part == part:
+                return word, at
+            at += 2 if word is None else word.octets
+        return None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from dpstack.devices.drive_core import FileCore, counts_of
 from dpstack.devices.drive_device import FileDevice
-from dpstack.devices.model import DeviceFile, Telegram, WordSpec
+from dpstack.devices.model import DeviceFile, FileFacts, Telegram, WordSpec
 from dpstack.errors import ConfigError
 from dpstack.profile.drive_profile import CoreFactory, DeviceFactory, DriveProfile, OptionSpec, TelegramSetting
 from dpstack.profile.master.core import DriveCore
@@ -49,7 +49,7 @@ def profile_of(file: DeviceFile) -> DriveProfile:
     if file.python:
         _point(file.python)
         core, device = partial(_own_core, file), partial(_own_device, file)
-    bus, simulate = file.bus, file.simulate
+    simulate = file.simulate
     options = dict(file.options)
     for name, text in _REFERENCES.items():
         given = getattr(file.reference, name.removeprefix("reference_"))
@@ -64,40 +64,48 @@ def profile_of(file: DeviceFile) -> DriveProfile:
     numbers = {name: one.number for name, one in file.telegrams.items() if one.number is not None}
     hz, rpm = (one if isinstance(one, (int, float)) else 0.0 for one in (file.reference.hz, file.reference.rpm))
     return DriveProfile(
-        name=file.name,
-        title=file.title,
-        ident=bus.ident or 0,
-        ident_made_up=bus.made_up or (bus.ident is None and file.gsd is None),
-        telegrams={name: one.spec for name, one in file.telegrams.items()},
-        default_telegram=file.default_telegram,
-        user_prm=bus.user_prm,
-        baud_rates=bus.rates or tuple(bus.max_tsdr),
-        max_tsdr=bus.max_tsdr,
-        min_slave_interval_ns=bus.min_slave_interval_us * 1000,
-        fail_safe=bus.fail_safe,
+        **facts_of(file),
         reference_hz=hz,
         reference_rpm=rpm,
-        on_loss=file.on_loss,
         core_factory=core,
         device_factory=device,
         details=partial(_details, file),
         core_options=options,
         device_options=file.device_options,
-        notes=tuple(one for one in (*file.notes, file.tried) if one),
         ready=ready,
         left_open=simulate.left_open,
         simulated_options=simulate.options,
-        gsd=(bus.made_gsd and str(file.path.parent / bus.made_gsd)) or None,
-        rate_setting=bus.rate_setting,
+        rate_setting=file.bus.rate_setting,
         family=TelegramFamily(partial(_named, file), partial(_of_config, file)) if file.python else None,
         telegram_setting=TelegramSetting(chosen, numbers) if chosen else None,
-        file=str(file.path),
-        digest=file.digest,
-        gsd_file=None if file.gsd is None else str(file.gsd),
-        modules={name: one.modules for name, one in file.telegrams.items() if one.modules},
         fields=None if file.python else partial(fields_of, file),
         check_word=None if file.python else partial(_check_word, file),
     )
+
+
+def facts_of(file: FileFacts) -> dict[str, Any]:
+    """The fields of a profile that drives and other devices have from their file."""
+    bus = file.bus
+    return {
+        "name": file.name,
+        "title": file.title,
+        "ident": bus.ident or 0,
+        "ident_made_up": bus.made_up or (bus.ident is None and file.gsd is None),
+        "telegrams": {name: one.spec for name, one in file.telegrams.items()},
+        "default_telegram": file.default_telegram,
+        "user_prm": bus.user_prm,
+        "baud_rates": bus.rates or tuple(bus.max_tsdr),
+        "max_tsdr": bus.max_tsdr,
+        "min_slave_interval_ns": bus.min_slave_interval_us * 1000,
+        "fail_safe": bus.fail_safe,
+        "on_loss": file.on_loss,
+        "notes": tuple(one for one in (*file.notes, file.tried) if one),
+        "gsd": (bus.made_gsd and str(file.path.parent / bus.made_gsd)) or None,
+        "file": str(file.path),
+        "digest": file.digest,
+        "gsd_file": None if file.gsd is None else str(file.gsd),
+        "modules": {name: one.modules for name, one in file.telegrams.items() if one.modules},
+    }
 
 
 def _own_core(file: DeviceFile, *args: Any) -> DriveCore:
@@ -178,14 +186,15 @@ def _fields(file: DeviceFile, telegram: Telegram, *, outputs: bool) -> dict[str,
     for name in telegram.outputs if outputs else telegram.inputs:
         word = None if isinstance(name, int) else file.words[name]
         if word is not None and word.part not in ("control", "status") and not (outputs and word.part == "setpoint"):
-            found[word.name] = _field(word, at)
+            found[word.name] = field_of_word(word, at)
             for bit, number in () if outputs else word.bits.items():
                 found[f"{word.name}_{bit}"] = f"bool@{at + (word.octets * 8 - 1 - number) // 8}.{number % 8}"
         at += 2 if word is None else word.octets
     return found
 
 
-def _field(word: WordSpec, at: int) -> str | Mapping[str, object]:
+def field_of_word(word: WordSpec, at: int) -> str | Mapping[str, object]:
+    """A word as a named value of the octets from ``at`` on."""
     kind = word.type
     if kind in ("n2", "n4"):
         kind = "i16" if kind == "n2" else "i32"

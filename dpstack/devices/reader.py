@@ -6,7 +6,7 @@ import csv
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, ClassVar, Final, TypeVar
 
 from msgspec import structs
 
@@ -21,6 +21,7 @@ from dpstack.devices.model import (
     Channel,
     Derived,
     DeviceFile,
+    EncoderFile,
     Example,
     Message,
     Messages,
@@ -54,6 +55,8 @@ from dpstack.toml.table import Key, Source, Table, is_integer, keys_of
 MAX_OCTETS: Final = 1_000_000
 #: files that stand on one another
 MAX_BASES: Final = 8
+#: the base of encoders, which are no drives
+ENCODER: Final = "encoder"
 #: rows of a CSV file of texts
 _MOST_TEXTS: Final = 10_000
 _GOALS: Final = {
@@ -102,6 +105,12 @@ class _Collected:
 class Reader:
     """Reads one file over its bases. ``find_base``: the path of a base by its name, for the file at a path."""
 
+    #: words that each telegram begins with, of outputs and inputs
+    _first_words: ClassVar[tuple[str, str]] = ("control", "status")
+    #: parts that words take by their name, and words that need no declaration
+    _parts: ClassVar[tuple[str, ...]] = PARTS
+    _given_words: ClassVar[tuple[str, ...]] = ("control", "status", "fault", "warning")
+
     def __init__(self, path: Path, find_base: Callable[[str, Path], Path]) -> None:
         self.path = path
         self._find_base = find_base
@@ -111,7 +120,7 @@ class Reader:
 
     # -- the text, its bases and its tables -------------------------------------------------------------------------
 
-    def read(self) -> DeviceFile:
+    def read(self) -> DeviceFile | EncoderFile:
         """Raises DeviceFileError with all mistakes."""
         text, digest = text_of(self.path)
         data, lines = _toml(text, self.path)
@@ -121,6 +130,15 @@ class Reader:
         with self._collected():
             return self._file(Table(self._source, (), merged, "the file"), digest)
         raise DeviceFileError(sorted(self.errors, key=_line))
+
+    @property
+    def root(self) -> str:
+        """The name of the last one of its bases; its own without any. Raises ConfigError."""
+        text, digest = text_of(self.path)
+        data, lines = _toml(text, self.path)
+        self._source = Source(str(self.path), lines, self.path, digest)
+        self._over_bases(data, {self.path.resolve()})
+        return self._root
 
     def _over_bases(self, data: dict[str, Any], seen: set[Path]) -> dict[str, Any]:
         """``data`` over the data of its bases: tables are joined key by key, everything else is replaced.
@@ -159,27 +177,10 @@ class Reader:
 
     # -- the whole file -----------------------------------------------------------------------------------------------
 
-    def _file(self, table: Table, digest: str) -> DeviceFile:
-        given: dict[str, Any] = {}
-        with self._collected():
-            given = table.read(_keys(k.DeviceKeys))
-        if not given:
-            raise DeviceFileError(self.errors)
-        for key, why in (("format", "write format = 1"), ("name", "give the name of the file"), ("base", "")):
-            if key not in given and why:
-                self.errors.append(table.error(None, f"no {key}", why))
-        name = str(given.get("name", self.path.stem))
-        if name != self.path.stem:
-            self.errors.append(
-                table.error(
-                    "name", f"name = {brief(name)}, but the file is {self.path.name}", "give both the same name"
-                )
-            )
-        self._python = "python" in given
-        words = self._words(table)
+    def _file(self, table: Table, digest: str) -> DeviceFile | EncoderFile:
+        facts, given = self._facts(table, digest)
+        words: Mapping[str, WordSpec] = facts["words"]
         derived = self._derived(table, words)
-        gsd = self.path.parent / given["gsd"] if "gsd" in given else None
-        telegrams = self._telegrams(table, words, gsd, given.get("only", ()))
         control, status, states, own = self._control(table)
         run, steady = own["run"], own["goals"]
         named = table.raw("reference")
@@ -188,16 +189,10 @@ class Reader:
         )
         self._numbered = given.get("by_number", False)
         parameters = self._parameters(table)
-        self._options(table)
-        first = next((one for one in telegrams if one in self._own.get("telegrams", {})), next(iter(telegrams), ""))
-        default = str(given.get("telegram", first))
-        if telegrams and default not in telegrams:
-            self.errors.append(table.error("telegram", f"no telegram {default!r}", f"it has {', '.join(telegrams)}"))
         self._simulate = self._simulation(table, parameters)
         released, releasing = own["released"], own["releasing"]
         idle = steady.get(Goal.IDLE, 0)
         parts: dict[str, Any] = {
-            "bus": self._bus(table),
             "orders": self._orders(table, control),
             "fault": self._messages(table, "fault", words, derived),
             "warning": self._messages(table, "warning", words, derived),
@@ -208,31 +203,17 @@ class Reader:
             "reference": self._reference(table, parameters),
             "address_parameter": self._parameter_named(table, "address", given.get("address", ""), parameters),
             "simulate": self._simulate,
-            "steps": self._steps(table),
             "ranges": self._rows_of(table, "range", k.RangeKeys, DescribedRange),
             "leds": self._rows_of(table, "led", k.LedKeys, DescribedLed),
             "missing": self._missing(table),
             "telegram_parameter": self._parameter_named(
                 table, "telegram_parameter", given.get("telegram_parameter", ""), parameters
             ),
-            "examples": self._examples(table),
         }
         if self.errors:
             raise DeviceFileError(self.errors)
         return DeviceFile(
-            path=self.path,
-            digest=digest,
-            name=name,
-            title=given.get("title", name),
-            base=self._root,
-            source=given.get("source", ""),
-            tried=given.get("tried", ""),
-            on_loss=given.get("on_loss", "not in its manual"),
-            notes=tuple(given.get("notes", ())),
-            gsd=gsd,
-            telegrams=telegrams,
-            default_telegram=default,
-            words=words,
+            **facts,
             derived=derived,
             table=ControlTable(
                 control=control,
@@ -253,8 +234,6 @@ class Reader:
             parameters=parameters,
             lock_hint=given.get("lock_hint", ""),
             start_hint=given.get("start_hint", ""),
-            options=self.options,
-            device_options=self.device_options,
             standstill=self._standstill,
             acknowledge=given.get("acknowledge", ""),
             address_acts=given.get("address_acts", "when it is switched off and on").removeprefix("at once"),
@@ -262,6 +241,54 @@ class Reader:
             python=given.get("python", ""),
             **parts,
         )
+
+    def _facts(self, table: Table, digest: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The fields of :class:`FileFacts`, and the keys in front of all tables. Raises DeviceFileError."""
+        given: dict[str, Any] = {}
+        with self._collected():
+            given = table.read(_keys(k.DeviceKeys))
+        if not given:
+            raise DeviceFileError(self.errors)
+        for key, why in (("format", "write format = 1"), ("name", "give the name of the file"), ("base", "")):
+            if key not in given and why:
+                self.errors.append(table.error(None, f"no {key}", why))
+        name = str(given.get("name", self.path.stem))
+        if name != self.path.stem:
+            self.errors.append(
+                table.error(
+                    "name", f"name = {brief(name)}, but the file is {self.path.name}", "give both the same name"
+                )
+            )
+        self._python = "python" in given
+        words = self._words(table)
+        gsd = self.path.parent / given["gsd"] if "gsd" in given else None
+        telegrams = self._telegrams(table, words, gsd, given.get("only", ()))
+        self._options(table)
+        first = next((one for one in telegrams if one in self._own.get("telegrams", {})), next(iter(telegrams), ""))
+        default = str(given.get("telegram", first))
+        if telegrams and default not in telegrams:
+            self.errors.append(table.error("telegram", f"no telegram {default!r}", f"it has {', '.join(telegrams)}"))
+        facts = {
+            "path": self.path,
+            "digest": digest,
+            "name": name,
+            "title": given.get("title", name),
+            "base": self._root,
+            "source": given.get("source", ""),
+            "tried": given.get("tried", ""),
+            "on_loss": given.get("on_loss", "not in its manual"),
+            "notes": tuple(given.get("notes", ())),
+            "gsd": gsd,
+            "bus": self._bus(table),
+            "telegrams": telegrams,
+            "default_telegram": default,
+            "words": words,
+            "options": self.options,
+            "device_options": self.device_options,
+            "steps": self._steps(table),
+            "examples": self._examples(table),
+        }
+        return facts, given
 
     # -- telegrams and words ------------------------------------------------------------------------------------------
 
@@ -277,7 +304,7 @@ class Reader:
             if not isinstance(of, (str, int, float)) or isinstance(of, bool) or of == 0:
                 inside.fail("of", f"of = {brief(of)}: a scale of zero or no number", "give the value at full")
             bits = self._bits(inside, "bits", 8 * TYPES[kind][0] // 8)
-            part = given.get("as", name if name in PARTS else "")
+            part = given.get("as", name if name in self._parts else "")
             if part in ("control", "status") and TYPES[kind][0] != _BITS_OF_WORD:
                 inside.fail("type", f"the {part} word has 16 bits, not those of {kind}", 'leave type out, or "u16"')
             found[name] = WordSpec(
@@ -292,11 +319,12 @@ class Reader:
                 part=part,
                 bits=bits,
                 title=given.get("title", ""),
+                width=given.get("width", 0),
             )
 
         self._members(table, "words", read)
         derived = table.raw("derived")
-        for part in ("control", "status", "fault", "warning"):
+        for part in self._given_words:
             if not isinstance(derived, Mapping) or part not in derived:
                 found.setdefault(part, WordSpec(name=part, part=part))
         return found
@@ -337,7 +365,7 @@ class Reader:
                 return
             given = inside.read(_keys(k.TelegramKeys))
             ways: list[tuple[str | int, ...]] = []
-            for key, first in (("out", "control"), ("in", "status")):
+            for key, first in zip(("out", "in"), self._first_words, strict=True):
                 ways.append(self._way(inside, key, given.get(key), words, first))
             outputs, inputs = ways
             pkw = bool(given.get("pkw", False))
@@ -380,7 +408,9 @@ class Reader:
     def _way(
         self, table: Table, key: str, given: object, words: Mapping[str, WordSpec], first: str
     ) -> tuple[str | int, ...]:
-        todo = f'write {key} = ["{first}", ...]'
+        if given is None and not first:
+            return ()
+        todo = f'write {key} = ["{first or "position"}", ...]'
         if not isinstance(given, list) or not given:
             table.fail(key, f"{key} is no list of words", todo)
         found: list[str | int] = []
@@ -397,7 +427,7 @@ class Reader:
                 table.fail(key, f"{key}: {brief(one)} is no word of this file", hint)
             else:
                 table.fail(key, f"{key} holds {brief(one)}", "a word is a name or a constant of 0..65535")
-        if found[0] != first and not self._python:
+        if first and found[0] != first and not self._python:
             table.fail(key, f"{key} begins with {brief(found[0])}", f"the first word must be {first!r}")
         return tuple(found)
 

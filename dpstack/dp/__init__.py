@@ -6,6 +6,8 @@
 - ``plan/``: The plan of a bus: rotation time, cycle, T_TR, before anything is sent
 - ``slave/``: The DP slave: its states, its services, and what an author of a device writes
 - ``channels``: The channels of a slave as fields with proposed names
+- ``counter``: Counters that begin again at the end of their range, such as the position of an encoder, and named values
+  of them
 - ``doubts``: The parts of a slave's process data that its diagnosis throws doubt on: slot, channel, octets, the reason
   in words
 - ``error_origin``: The origin of an exception in the functions of a device or of a drive plugin

@@ -90,6 +90,8 @@ class DoubtKind(Enum):
     NO_VALID_DATA = Trust.BAD, 9
     #: the configuration has no such slot: about no value by itself
     NO_PLACE = Trust.GOOD, 10
+    #: an alarm of the device, which makes its values wrong
+    DEVICE_FAULT = Trust.BAD, 11
 
     def __init__(self, trust: Trust, _number: int) -> None:
         self.trust = trust
@@ -347,14 +349,17 @@ class _Reader:
             return
         if diagnosis.stat_diag:
             yield _of_all(DoubtKind.NO_VALID_DATA, FLAG["stat_diag"].text)
-        if diagnosis.ext_diag:
-            known = [one for block in self._device for one in self._known(block) if one.text and _is_raised(one)]
-            if known:
-                texts = list(dict.fromkeys(one.text for one in known))[:_MOST_TEXTS]
-                helps = list(dict.fromkeys(one.help for one in known if one.help))[:_MOST_TEXTS]
-                yield _of_all(DoubtKind.SLAVE_FAULT, ", ".join(texts), "; ".join(helps) or _LOOK_AT_DEVICE)
-            if not known and not self._listed:
-                yield _of_all(DoubtKind.SLAVE_FAULT, self._unplaced())
+        raised = [one for block in self._device for one in self._known(block) if one.text and _is_raised(one)]
+        alarms = frozenset() if self._texts is None else self._texts.alarms
+        beside = alarms if self._texts is None else alarms | self._texts.warnings
+        known = raised if diagnosis.ext_diag else [one for one in raised if one in beside]
+        if known:
+            texts = list(dict.fromkeys(one.text for one in known))[:_MOST_TEXTS]
+            helps = list(dict.fromkeys(one.help for one in known if one.help))[:_MOST_TEXTS]
+            kind = DoubtKind.SLAVE_FAULT if alarms.isdisjoint(known) else DoubtKind.DEVICE_FAULT
+            yield _of_all(kind, ", ".join(texts), "; ".join(helps) or _LOOK_AT_DEVICE)
+        elif diagnosis.ext_diag and not self._listed:
+            yield _of_all(DoubtKind.SLAVE_FAULT, self._unplaced())
         if diagnosis.overflow:
             yield _of_all(DoubtKind.UNLISTED, FLAG["ext_diag_overflow"].text)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -14,9 +14,22 @@ class DiagTexts:
 
     If the module is known, its texts count before the device's. Bits are counted from 0 at the first
     octet behind the block's header (GE's MM300 manual prints it so, table 4-5); an area's first bit is its lowest.
+
+    ``alarms``, ``warnings``: texts by bit that somebody knows beside the file, and that go before its own: they count
+    without Ext_Diag too, and after an alarm no value of the device is good.
     """
 
-    def __init__(self, device: Device, modules: Sequence[Module | None] = ()) -> None:
+    def __init__(
+        self,
+        device: Device,
+        modules: Sequence[Module | None] = (),
+        alarms: Iterable[DiagText] = (),
+        warnings: Iterable[DiagText] = (),
+    ) -> None:
+        #: see above
+        self.alarms = frozenset(alarms)
+        self.warnings = frozenset(warnings)
+        self._known_beside = tuple(sorted(self.alarms | self.warnings))
         self.device = device
         self.first_slot = device.first_slot
         self._types = {d.type: d for d in device.diag_types}
@@ -67,8 +80,8 @@ class DiagTexts:
         sources = self._sources(module) if typed is None else (typed,)
         value, size = int.from_bytes(octets, "little"), 8 * len(octets)
         found: set[tuple[str, int]] = set()
-        for diagnosis in sources:
-            for text in diagnosis.texts:
+        for texts in (self._known_beside, *(diagnosis.texts for diagnosis in sources)):
+            for text in texts:
                 kind, first, last, wanted, _, _ = text
                 if first is None or last is None or first < 0 or last >= size or (kind, first) in found:
                     continue

@@ -105,6 +105,8 @@ class Reason(Enum):
     UNLISTED = "more diagnosis than fits", Quality.UNCERTAIN, 0x4000_0000
     #: BadOutOfService
     NO_VALID_DATA = "the slave has no valid data", Quality.BAD, 0x808D_0000
+    #: BadDeviceFailure
+    DEVICE_FAULT = "fault of the device", Quality.BAD, 0x808B_0000
     # --- by the value itself (Bad), and by a status octet beside it
     NOT_A_NUMBER = "not a number (NaN or infinite)", Quality.BAD, 0x8000_0000
     STATUS_BAD = "bad", Quality.BAD, 0x8000_0000

@@ -1,18 +1,21 @@
-"""Profile of one drive: its data for bus, configuration and simulation, and its options."""
+"""Profiles of drives and of other devices: data for bus, configuration and simulation, and their options."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, NamedTuple, Self, TypeVar
 
 from msgspec import Struct, structs
 
+from dpstack.dp.counter import Counter
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.plugin_queue import RecordQueue
+from dpstack.dpv1.slave.device import Device
 from dpstack.errors import ConfigError
 from dpstack.profile.master.core import DriveCore
+from dpstack.profile.master.device_core import DeviceCore
 from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, Options, TelegramSpec, config_number
 from dpstack.profile.simulator.device import DriveDevice
 
@@ -71,11 +74,19 @@ class TelegramSetting(NamedTuple):
 
 CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Options], DriveCore]
 DeviceFactory = Callable[["DriveProfile", TelegramSpec, Options, Mapping[str, object]], DriveDevice]
+#: see :attr:`Profile.settle`
+Settle = Callable[
+    ["DeviceProfile", str, Mapping[str, object], bytes, Mapping[str, int]],
+    tuple["DeviceProfile", dict[str, object], tuple[str, ...]],
+]
+#: the master's end, and the simulated device
+CoreT = TypeVar("CoreT", bound=DriveCore | DeviceCore)
+DeviceT = TypeVar("DeviceT", bound=Device)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveProfile(DriveType):
-    """A drive: found by the entry point group ``dpstack.drives`` under ``name``.
+class Profile(DriveType, Generic[CoreT, DeviceT]):
+    """The common part of a drive's profile (:class:`DriveProfile`) and that of another device.
 
     ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know. ``simulated_options``:
     options of the core that no manual gives, as the simulated drive has them. ``ready``: parameters of the simulated
@@ -86,10 +97,13 @@ class DriveProfile(DriveType):
     #: maker and type for people
     title: str
     on_loss: str
-    #: makes the :class:`DriveCore` of a master
-    core_factory: CoreFactory
-    #: makes the :class:`DriveDevice` of a simulation; None: the plugin has no simulated drive
-    device_factory: DeviceFactory | None = None
+    #: makes the end of a master: of the profile, the name in the configuration, telegram, checked options
+    core_factory: Callable[[Any, str, TelegramSpec, Options], CoreT]
+    #: makes the simulated device: of the profile, telegram, checked options, and further presets; None: it has none
+    device_factory: Callable[[Any, TelegramSpec, Options, Mapping[str, object]], DeviceT] | None = None
+    #: options beside those of the profile: of the core, and of the simulated device
+    _common_options: ClassVar[Mapping[str, OptionSpec]] = {}
+    _common_device_options: ClassVar[Mapping[str, OptionSpec]] = {}
     #: no manual gives the ident number
     ident_made_up: bool = False
     #: baud rates in bit/s; empty if the manual gives none
@@ -128,37 +142,6 @@ class DriveProfile(DriveType):
     #: raises ValueError for a value that a free word of the outputs cannot have; None: it has no such words
     check_word: Callable[[str, object], None] | None = None
 
-    def describe(
-        self, address: int, telegram: str | None = None, options: Mapping[str, object] | None = None
-    ) -> DeviceDescription:
-        """The drive at the station ``address`` with telegram and options, for the commissioning sheet.
-
-        Raises ConfigError.
-        """
-        from pkgutil import resolve_name  # these here, as only a sheet needs them
-
-        from dpstack.profile.core_description import describe_core
-
-        checked = self._core_options(options or {}, self.name)
-        core = self.core_factory(self, self.name, self.telegram(telegram), checked)
-        basic = structs.replace(
-            describe_core(core, address, self.title, self.telegrams),
-            ident=None if self.ident_made_up else self.ident,
-            rates=self.baud_rates,
-            notes=self.notes,
-            on_loss=self.on_loss,
-        )
-        if self.details is None:
-            return basic
-        try:
-            details = resolve_name(self.details) if isinstance(self.details, str) else self.details
-            described: DeviceDescription = details(core, basic, address, checked)
-        except Exception as error:
-            why = f"{type(error).__name__}: {error}"
-            remedy = self.details if isinstance(self.details, str) else self.file
-            raise ConfigError(f"drive {self.name} cannot be described: {why}; repair {remedy}") from error
-        return described
-
     def rates(self, options: Mapping[str, object]) -> tuple[int, ...]:
         """The baud rates of the drive with these checked options in bit/s; empty: the manual gives none."""
         setting = self.rate_setting
@@ -168,7 +151,7 @@ class DriveProfile(DriveType):
         assert isinstance(value, (int, float))
         return (setting.rates[int(value)],)
 
-    def described(self, telegram: TelegramSpec, params: SlaveParams, baud_rates: tuple[int, ...]) -> DriveProfile:
+    def described(self, telegram: TelegramSpec, params: SlaveParams, baud_rates: tuple[int, ...]) -> Self:
         """The drive with ``telegram`` by default, as a GSD file describes it; what that says is not made up.
 
         ``params.ident`` None: the file has none.
@@ -195,24 +178,28 @@ class DriveProfile(DriveType):
         *,
         simulated: bool = False,
         records: RecordQueue | None = None,
-    ) -> DriveCore:
-        """The master's end for the drive called ``name`` in the configuration. Raises ConfigError.
+    ) -> CoreT:
+        """The master's end for the device called ``name`` in the configuration. Raises ConfigError.
 
         ``simulated``: the other end is the simulated drive, so what is made up for it counts if nothing is given.
         ``records``: the master carries out Read and Write of this slave, so parameters go over record 47 if the
         drive has it, and over the parameter channel of its telegram if not.
         """
         where = f"drive {name} ({self.name})"
-        checked = self._core_options({**(self.simulated_options if simulated else {}), **(options or {})}, where)
+        checked = self.checked_options({**(self.simulated_options if simulated else {}), **(options or {})}, where)
         core = self.core_factory(self, name, self.telegram(telegram), checked)
-        if records is not None and (acyclic := core.over_records(records)) is not None:
-            core.records, acyclic.notice = records, core.notice
-            acyclic.cyclic, core.access = core.access, acyclic
+        if records is not None:
+            self._give_records(core, records)
         return core
 
-    def _core_options(self, options: Mapping[str, object], where: str) -> Options:
-        """The options of the core with their values or defaults. Raises ConfigError."""
-        specs = {**self.core_options, **_OPTIONS}
+    def _give_records(self, core: CoreT, records: RecordQueue) -> None:
+        """The master carries out Read and Write for ``core``."""
+
+    def checked_options(self, options: Mapping[str, object], where: str = "") -> Options:
+        """The options of the core with their values or defaults. ``where``: its name in messages. Raises
+        ConfigError."""
+        where = where or self.name
+        specs = {**self.core_options, **self._common_options}
         checked, extra = _checked(specs, options, where)
         for unknown in extra:
             near = difflib.get_close_matches(unknown, specs, n=1)
@@ -220,7 +207,7 @@ class DriveProfile(DriveType):
             raise ConfigError(f"{where}: there is no option {unknown!r}; {hint}")
         return checked
 
-    def device(self, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveDevice:
+    def device(self, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DeviceT:
         """A simulated drive, as delivered. Options: those declared, :data:`READY`, and parameters by number or name
         with their value.
 
@@ -228,25 +215,90 @@ class DriveProfile(DriveType):
         """
         if self.device_factory is None:
             raise ConfigError(f"{self.name} has no simulated drive: use the drive itself, on a port of this computer")
-        specs = {**self.device_options, **_DEVICE_OPTIONS}
+        specs = {**self.device_options, **self._common_device_options}
         checked, extra = _checked(specs, options or {}, f"simulated {self.name}")
-        if checked[READY]:
+        if checked.get(READY):
             extra = {**self.ready, **extra}
         return self.device_factory(self, self.telegram(telegram), checked, extra)
 
     def simulated(
         self, telegram: str | None, options: Mapping[str, object], simulated: Mapping[str, object]
-    ) -> DriveDevice:
+    ) -> DeviceT:
         """The simulated drive of a plant: ready but for ``left_open``, unless ``simulated`` has :data:`READY`.
 
         ``options``: those of the core. Raises ConfigError.
         """
-        own = {} if READY in simulated else {READY: True, **self.left_open}
+        own = {READY: True, **self.left_open} if READY in self._common_device_options and READY not in simulated else {}
         return self.device(telegram, {**own, **self.shared(options), **simulated})
 
     def shared(self, options: Mapping[str, object]) -> dict[str, object]:
         """The options of the core that the simulated drive has too."""
         return {name: value for name, value in options.items() if name in self.device_options}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveProfile(Profile[DriveCore, DriveDevice]):
+    """A drive: found by the entry point group ``dpstack.drives`` under ``name``, or made of a device file."""
+
+    #: makes the :class:`DriveCore` of a master
+    core_factory: CoreFactory
+    #: makes the :class:`DriveDevice` of a simulation; None: the plugin has no simulated drive
+    device_factory: DeviceFactory | None = None
+    _common_options: ClassVar[Mapping[str, OptionSpec]] = _OPTIONS
+    _common_device_options: ClassVar[Mapping[str, OptionSpec]] = _DEVICE_OPTIONS
+
+    def describe(
+        self, address: int, telegram: str | None = None, options: Mapping[str, object] | None = None
+    ) -> DeviceDescription:
+        """The drive at the station ``address`` with telegram and options, for the commissioning sheet.
+
+        Raises ConfigError.
+        """
+        from pkgutil import resolve_name  # these here, as only a sheet needs them
+
+        from dpstack.profile.core_description import describe_core
+
+        checked = self.checked_options(options or {})
+        core = self.core_factory(self, self.name, self.telegram(telegram), checked)
+        basic = structs.replace(
+            describe_core(core, address, self.title, self.telegrams),
+            ident=None if self.ident_made_up else self.ident,
+            rates=self.baud_rates,
+            notes=self.notes,
+            on_loss=self.on_loss,
+        )
+        if self.details is None:
+            return basic
+        try:
+            details = resolve_name(self.details) if isinstance(self.details, str) else self.details
+            described: DeviceDescription = details(core, basic, address, checked)
+        except Exception as error:
+            why = f"{type(error).__name__}: {error}"
+            remedy = self.details if isinstance(self.details, str) else self.file
+            raise ConfigError(f"drive {self.name} cannot be described: {why}; repair {remedy}") from error
+        return described
+
+    def _give_records(self, core: DriveCore, records: RecordQueue) -> None:
+        """Parameters go over record 47 if the drive has it."""
+        acyclic = core.over_records(records)
+        if acyclic is not None:
+            core.records, acyclic.notice = records, core.notice
+            acyclic.cyclic, core.access = core.access, acyclic
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceProfile(Profile[DeviceCore, Device]):
+    """A device that is no drive, with values and orders."""
+
+    #: named values of counters, with the counts of a turn if they are an angle
+    counters: Mapping[str, tuple[Counter, int]] = field(default_factory=dict)
+    #: completes a device whose values depend on its user parameters: called with the profile, the name of the telegram,
+    #: the given options, the octets and the values by name; returns the profile, its options and remarks
+    settle: Settle | None = None
+    #: texts by bit of a device related diagnosis, from 0 behind its header: alarms, which make all values bad, and
+    #: warnings, which make them uncertain
+    alarms: Mapping[int, str] = field(default_factory=dict)
+    warnings: Mapping[int, str] = field(default_factory=dict)
 
 
 def _checked(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from dpstack.api.bus.driver_choice import PROCESS, driver_for
 from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
@@ -33,9 +33,14 @@ if TYPE_CHECKING:
     from dpstack.drivers.process.client import ProcessRuntime
     from dpstack.drivers.process.plugins import AttachPlugin
     from dpstack.profile import DriveCore, DriveStatus
+    from dpstack.profile.master.device_core import DeviceCore
     from dpstack.sim.world import World
 
 __all__ = ["Case", "Plan"]  # for the command line
+
+
+#: the plugin of a drive, or of another device: a copy of it for a plugin in a bus process
+Plugin: TypeAlias = "DrivePlugin | DeviceCore"
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
@@ -98,10 +103,10 @@ class Parts:
     runtime: Runtime
     #: "asyncio", "process", or "virtual" on a simulated bus
     driver: str
-    #: drive plugins of the configured slaves by address
-    plugins: Mapping[int, DrivePlugin]
-    #: attaches the drive plugin of a new slave to its process image; None for a slave without. Raises ConfigError
-    attach: Callable[[SlaveConfig], Awaitable[DrivePlugin | None]]
+    #: plugins of the configured slaves by address
+    plugins: Mapping[int, Plugin]
+    #: attaches the plugin of a new slave to its process image; None for a slave without. Raises ConfigError
+    attach: Callable[[SlaveConfig], Awaitable[Plugin | None]]
     rounds: Rounds
     world: World | None = None
     #: the simulated slaves; None without any
@@ -230,22 +235,32 @@ def _plugin_groups() -> str:
     return f"{registry.GROUP} {profiles.GROUP}"
 
 
-async def _attach_async(attach: Callable[[SlaveConfig], DrivePlugin | None], slave: SlaveConfig) -> DrivePlugin | None:
+async def _attach_async(attach: Callable[[SlaveConfig], Plugin | None], slave: SlaveConfig) -> Plugin | None:
     return attach(slave)
 
 
-def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DrivePlugin | None:
-    """Attach the drive plugin of ``slave`` to its process image; None for a slave without plugin.
+def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Plugin | None:
+    """Attach the plugin of ``slave`` to its process image; None for a slave without plugin.
 
     ``simulated``: the slave is simulated in this process.
     """
+    device, image = device_core_of(slave), master.handlers[slave.address].image
+    if device is not None:
+        image.plugin = device
+        return device
     core = core_of(slave, simulated=simulated)
     if core is None:
         return None
     from dpstack.api.slave.drive import DrivePlugin
 
-    master.handlers[slave.address].image.plugin = core
+    image.plugin = core
     return DrivePlugin(core, core.status)
+
+
+def device_core_of(slave: SlaveConfig) -> DeviceCore | None:
+    """The plugin of a device that is no drive; None for another slave, or one whose outputs the application sets."""
+    profile = slave.device_profile
+    return None if profile is None or slave.raw else profile.core(slave.name, slave.telegram, slave.options)
 
 
 def core_of(slave: SlaveConfig, *, simulated: bool = False) -> DriveCore | None:
@@ -266,17 +281,18 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
 
     Raises ConfigError for a plugin that has no entry point to import.
     """
-    if slave.profile is None or slave.raw:
+    profile = slave.any_profile
+    if profile is None or slave.raw:
         return None
     from dpstack.drivers.process.plugins import AttachPlugin
     from dpstack.profile import registry
 
-    place, argument = registry.places().get(slave.profile.name), ""
-    if slave.profile.file:
-        place, argument = "dpstack.devices.finding:profile_at", f"{slave.profile.digest} {slave.profile.file}"
+    place, argument = registry.places().get(profile.name), ""
+    if profile.file:
+        place, argument = "dpstack.devices.finding:profile_at", f"{profile.digest} {profile.file}"
     if place is None:
         raise ConfigError(
-            f"slave {slave.address} ({slave.name}): its drive plugin {slave.profile.name!r} is an object of this "
+            f"slave {slave.address} ({slave.name}): its drive plugin {profile.name!r} is an object of this "
             f"program, and the bus process is handed names only; give it an entry point of the group {registry.GROUP}, "
             'or take driver = "asyncio"'
         )
@@ -291,8 +307,11 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
     )
 
 
-def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
-    """The drive plugin of ``slave`` in the bus process. A copy here checks ranges and converts references."""
+def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> Plugin:
+    """The plugin of ``slave`` in the bus process. A copy here checks ranges and converts references."""
+    device = device_core_of(slave)
+    if device is not None:
+        return device
     from dpstack.api.slave.drive import DrivePlugin
     from dpstack.drivers.process.messages import typed
     from dpstack.profile import DriveStatus
@@ -308,8 +327,8 @@ def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
     return DrivePlugin(core, status)
 
 
-async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin | None:
-    """Attach the drive plugin of ``slave`` in the running bus process; None for a slave without plugin.
+async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> Plugin | None:
+    """Attach the plugin of ``slave`` in the running bus process; None for a slave without plugin.
 
     Raises ConfigError if it cannot be imported there.
     """

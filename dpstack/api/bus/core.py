@@ -43,9 +43,9 @@ from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
+    from dpstack.api.bus.compose import Plugin
     from dpstack.api.bus.live import LiveFeed
     from dpstack.api.bus.recording import BusRecording
-    from dpstack.api.slave.drive import DrivePlugin
     from dpstack.sim.world import World
 
 
@@ -104,12 +104,24 @@ class BusCore(BusBase):
         for slave in config.slaves:
             self._register(slave, self.parts.plugins.get(slave.address))
 
-    def _register(self, config: SlaveConfig, plugin: DrivePlugin | None) -> Slave:
+    def _register(self, config: SlaveConfig, plugin: Plugin | None) -> Slave:
         setup = self.view.setups[config.address]
-        slave = self._slaves[config.address] = Slave(self, config, setup, has_plugin=plugin is not None)
-        if plugin is not None:
-            from dpstack.api.slave.drive import Drive  # here, as a bus without drives needs nothing of them
+        orders = None
+        if plugin is not None and config.device_profile is not None:
+            from dpstack.api.slave.device_orders import DeviceOrders  # here, as most buses have none
 
+            assert not isinstance(plugin, tuple)
+            orders = self._device_orders[config.address] = DeviceOrders(self, plugin)
+        slave = self._slaves[config.address] = Slave(
+            self, config, setup, has_plugin=plugin is not None, device_orders=orders
+        )
+        if plugin is not None and orders is None:
+            from dpstack.api.slave.drive import (
+                Drive,
+                DrivePlugin,
+            )  # here, as a bus without drives needs nothing of them
+
+            assert isinstance(plugin, DrivePlugin)
             self._drives[config.address] = Drive(self, slave, plugin)
         return slave
 
@@ -219,6 +231,9 @@ class BusCore(BusBase):
         await self.order(RemoveSlave(address))
         self._round_ns = None
         del self._slaves[address]
+        orders = self._device_orders.pop(address, None)
+        if orders is not None:
+            orders.end(UsageError(f"slave {address} was removed from the bus"))
         self.services.alarms.forget(address)
         drive = self._drives.pop(address, None)
         if drive is not None:
@@ -302,6 +317,8 @@ class BusCore(BusBase):
                     drive = self._drives.get(address)
                     if drive is not None:
                         drive.on_payload(payload, event.t_ns)
+                    elif (orders := self._device_orders.get(address)) is not None:
+                        orders.on_payload(self._slaves[address], payload)
                 case SlaveStateChanged(address=address) if address in self._drives:
                     self._drives[address].publish_status()
                 case AddressCollision():
@@ -355,6 +372,8 @@ class BusCore(BusBase):
         self._ordered_end.is_over()
         for drive in self._drives.values():
             drive.end(self._over)
+        for orders in self._device_orders.values():
+            orders.end(self._over)
         self.cycles.end()
         self.services.end(self._over)
         self._quality_events.end()

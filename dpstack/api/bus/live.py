@@ -393,6 +393,7 @@ def slave_plant(bus: BusBase, slave: Slave) -> dict[str, object]:
     config, params = slave.config, slave.setup
     watchdog = None if bus.config.bus.read_only else params.watchdog(bus.plan.watchdog_ms)
     device, profile = config.device, config.profile
+    known = config.any_profile
     drive = None
     if profile is not None:
         options = config.options
@@ -408,7 +409,7 @@ def slave_plant(bus: BusBase, slave: Slave) -> dict[str, object]:
         "address": slave.address,
         "ident": _ident(slave),
         "vendor": "" if device is None else device.vendor,
-        "model": device.model if device is not None else profile.title if profile is not None else "",
+        "model": device.model if device is not None else known.title if known is not None else "",
         "gsd": config.gsd,
         "modules": _modules(config),
         "input_len": params.input_len,

@@ -34,6 +34,7 @@ from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.refused_orders import RefusedOrders
+    from dpstack.api.slave.device_orders import DeviceOrders
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave_side.virtual_bench import VirtualBench
     from dpstack.sim.world import World
@@ -63,6 +64,7 @@ class BusBase:
         self.services = Services(self.command, self.order, lambda: self.is_open, self.load_layouts)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
+        self._device_orders: dict[int, DeviceOrders] = {}
         self._wall_clock = WallClock(lambda: self.runtime.now(), lambda: self.driver == "virtual")
         log = EventLogging(lambda: (self.started_ns, self.runtime.port_name))
         self._events = Events(on_event, self._wall_clock, log)

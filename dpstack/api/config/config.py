@@ -335,7 +335,7 @@ def rate_findings(config: Config, baud: int) -> list[str]:
 
 
 def _rate_finding(slave: SlaveConfig, baud: int) -> str:
-    profile = slave.profile
+    profile = slave.any_profile
     if profile is not None and profile.rate_setting is not None:
         rates = " or ".join(baud_text(rate) for rate in slave.baud_rates)
         option = profile.rate_setting.option

@@ -1,28 +1,46 @@
-"""A [[slave]] table with a drive, alone or with its maker's GSD file. Loaded if a slave has the key ``drive``."""
+"""A [[slave]] table with a drive or a device, alone or with its maker's GSD file. Loaded if a slave has such a key."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from dpstack.api.config.slave_source import REFERENCES, Basis, Who, leave_out
+from dpstack.api.config.slave_source import REFERENCES, Basis, Who, leave_out, need_gsd
 from dpstack.devices import finding
 from dpstack.dp.slave_params import DriveTelegrams, SlaveParams
+from dpstack.errors import GsdError
 from dpstack.gsd.configuration import Configuration, configuration_like
+from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.gsd.model import Device, DiagText
+from dpstack.gsd.prm import UserPrm
 from dpstack.profile import DriveProfile, TelegramSpec
+from dpstack.profile.drive_profile import DeviceProfile
 from dpstack.toml.table import Table
 
 
-def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
-    leave_out(table, "config", "beside drive", "leave config out: it follows from drive and telegram")
-    with table.blaming("drive"):
-        profile = finding.find(given["drive"], table.folder)
+def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
+    """The basis of a slave with the key ``drive`` or ``device``. Raises ConfigError."""
+    key = "device" if "device" in given else "drive"
+    leave_out(table, "config", f"beside {key}", f"leave config out: it follows from {key} and telegram")
+    profile: DriveProfile | DeviceProfile
+    if key == "device":
+        leave_out(table, "drive", "beside device", "leave one of them out")
+        for name in REFERENCES:
+            leave_out(table, name, "is for drives", f"leave {name} out")
+        with table.blaming(key):
+            profile = finding.find_device(given[key], table.folder)
+    else:
+        with table.blaming(key):
+            profile = finding.find(given[key], table.folder)
     with table.blaming("telegram"):
         telegram = profile.telegram(given.get("telegram"))
     by_gsd: Basis | None = None
     if "gsd" not in given and profile.gsd_file is not None:
         given = {**given, "gsd": profile.gsd_file}
+    if "gsd" not in given:
+        need_gsd(table)
     if "gsd" in given:
         from dpstack.api.config.gsd_source import read_gsd_slave  # here, as most drives need no GSD file
 
@@ -36,8 +54,14 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         # the GSD file has priority over the plugin
         profile = profile.described(telegram, by_gsd[0], tuple(sorted(by_gsd[1]["baud_rates"])))
         telegram = profile.telegram(telegram.name)
-    references = {key: given[key] for key in REFERENCES if key in given}
+    references = {name: given[name] for name in REFERENCES if name in given}
     options = given.get("options", {}) | references
+    remarks: tuple[str, ...] = ()
+    if isinstance(profile, DeviceProfile) and profile.settle is not None:
+        octets = given.get("user_prm", profile.user_prm if by_gsd is None else by_gsd[0].user_prm)
+        values = _values(by_gsd, octets)
+        with table.blaming("options"):
+            profile, options, remarks = profile.settle(profile, telegram.name, options, octets, values)
     simulated = given.get("simulated", {})
     with table.blaming(next(iter(references), "options")):
         core = profile.core(who["name"], telegram.name, options)
@@ -45,7 +69,7 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         with table.blaming("simulated"):
             profile.simulated(telegram.name, options, simulated)
     rest = {
-        "profile": profile,
+        "profile" if isinstance(profile, DriveProfile) else "device_profile": profile,
         "telegram": telegram.name,
         "options": options,
         "simulated": simulated,
@@ -53,6 +77,7 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     }
     if by_gsd is not None:
         known, rest = by_gsd[0], by_gsd[1] | rest
+        remarks = (*rest["notes"], *remarks)
     else:
         with table.blaming():
             known = SlaveParams(
@@ -64,6 +89,10 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
                 fail_safe=profile.fail_safe,
                 max_tsdr=profile.max_tsdr,
             )
+    if remarks:
+        rest["notes"] = remarks
+    if isinstance(profile, DeviceProfile) and (profile.alarms or profile.warnings):
+        known = dataclasses.replace(known, texts=_texts(known.texts, profile))
     telegrams = _telegrams(profile, telegram)
     known = dataclasses.replace(
         known,
@@ -75,7 +104,28 @@ def basis_of_drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     return known, rest
 
 
-def _telegrams(profile: DriveProfile, configured: TelegramSpec) -> DriveTelegrams:
+def _values(by_gsd: Basis | None, octets: bytes) -> dict[str, int]:
+    """The user parameters by name, as the GSD file reads them; empty without one, or for octets of another length."""
+    if by_gsd is None:
+        return {}
+    rest = by_gsd[1]
+    with contextlib.suppress(GsdError):
+        fields = UserPrm(rest["device"], rest["modules"]).read(octets)
+        return {field.parameter.name: field.value for field in fields}
+    return {}
+
+
+def _texts(known: DiagTexts | None, profile: DeviceProfile) -> DiagTexts:
+    """The texts of the GSD file and those of the profile."""
+    alarms, warnings = (
+        [DiagText("bit", bit, bit, 1, text, "") for bit, text in one.items()]
+        for one in (profile.alarms, profile.warnings)
+    )
+    device, modules = (Device(), ()) if known is None else (known.device, known.modules)
+    return DiagTexts(device, modules, alarms, warnings)
+
+
+def _telegrams(profile: DriveProfile | DeviceProfile, configured: TelegramSpec) -> DriveTelegrams:
     """The words for a drive that is set to another telegram than ``configured``."""
 
     def named(config: bytes) -> str:
@@ -89,7 +139,9 @@ def _telegrams(profile: DriveProfile, configured: TelegramSpec) -> DriveTelegram
     return DriveTelegrams(configured.name, named, values, setting.acts)
 
 
-def _telegram_for(table: Table, profile: DriveProfile, default: TelegramSpec, chosen: Configuration) -> TelegramSpec:
+def _telegram_for(
+    table: Table, profile: DriveProfile | DeviceProfile, default: TelegramSpec, chosen: Configuration
+) -> TelegramSpec:
     """The telegram of the ``chosen`` modules: the named one, else the one with their identifier octets or lengths."""
     lengths, octets = (chosen.inputs, chosen.outputs), chosen.config.hex(" ").upper()
     if "telegram" in table or "modules" not in table:

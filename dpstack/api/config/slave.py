@@ -18,14 +18,15 @@ from dpstack.api.config.dpv1 import read_dpv1
 from dpstack.api.config.simulate import SimulateConfig, read_simulate
 from dpstack.api.config.slave_source import (
     DRIVE_KEYS,
-    GSD_KEYS,
     Basis,
     Who,
     basis_of_octets,
     leave_out,
     modules_of,
+    need_gsd,
     remarks,
 )
+from dpstack.dp.counter import counted
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale, with_status
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
 from dpstack.dp.slot_map import Direction, SlotMap
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from dpstack.dpv1.slave.description import SlaveDescription
     from dpstack.gsd.model import Device, Module
     from dpstack.profile import DriveProfile
+    from dpstack.profile.drive_profile import DeviceProfile
 
 #: the largest scale and offset
 _MOST: Final = 1e9
@@ -201,8 +203,9 @@ class SlaveKeys(TypedDict, total=False):
 
     name: the name in programs and messages, unique. Left out: `slaveN`
     address: the station address, unique. Left out: required
-    drive: the name of a known drive, see [drives.md](drives.md)
-    telegram: one of the telegrams of that drive
+    drive: the name of a known drive, see [drives.md](drives.md), or the path of a device file
+    device: the same for a device that is no drive, such as an encoder, see [encoder.md](../how-to/encoder.md)
+    telegram: one of the telegrams of that drive or device
     gsd: a [GSD file](gsd.md), relative to the configuration; or the name of a drive for which dpstack has one; or
         `"io-station"` ([io-station.md](io-station.md)). Beside `drive`, the file has priority over the data of the
         plugin
@@ -215,15 +218,16 @@ class SlaveKeys(TypedDict, total=False):
     outputs: names for the outputs
     reference_hz: the frequency at 100 % speed, if the drive has that option. Left out: the drive's
     reference_rpm: the speed in rpm at 100 %, if the drive has that option. Left out: the drive's
-    options: options of the drive plugin, see [drives.md](drives.md)
+    options: options of the drive plugin, see [drives.md](drives.md), or of the device
     simulate: the inputs of the simulated slave, [see below](#inputs-of-a-simulated-slave)
-    simulated: for the simulated drive only: its options, and its parameters by name or number (`{ load = 0.8, 412 = 1
-        }`), see [drives.md](drives.md)
+    simulated: for the simulated drive or device only: its options, and a drive's parameters by name or number
+        (`{ load = 0.8, 412 = 1 }`), see [drives.md](drives.md)
     """
 
     name: str
     address: Annotated[int, Key(0, MAX_STATION, hint="stations have 0..125; 126 is a slave without an address yet")]
     drive: str
+    device: str
     telegram: str
     gsd: str
     modules: Annotated[Sequence[int | str], Key(read=modules_of)]
@@ -311,6 +315,8 @@ class SlaveConfig:
     #: the parameters by drive, GSD file or identifier octets, without the table's own keys
     known: SlaveParams
     profile: DriveProfile | None = None
+    #: of a device that is no drive
+    device_profile: DeviceProfile | None = None
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
     #: where the inputs of the simulated slave come from; None: they are its outputs
@@ -340,6 +346,11 @@ class SlaveConfig:
     @property
     def name(self) -> str:
         return self.params.name
+
+    @property
+    def any_profile(self) -> DriveProfile | DeviceProfile | None:
+        """The profile of its drive or device; None without one."""
+        return self.profile or self.device_profile
 
     @property
     def fields(self) -> tuple[tuple[Direction, FieldMap], ...]:
@@ -380,7 +391,9 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     with table.blaming():
         params = dataclasses.replace(known, **changes)
     inputs, outputs = read_fields(_with_words(table, slave), params)
-    simulate = read_simulate(table, drive=slave.profile is not None)
+    if slave.device_profile is not None:
+        inputs = _with_counters(inputs, table, slave.device_profile)
+    simulate = read_simulate(table, drive=slave.any_profile is not None)
     slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs, simulate=simulate)
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, given) if note)
     return dataclasses.replace(slave, notes=tuple(notes))
@@ -388,11 +401,12 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
 
 def _with_words(table: Table, slave: SlaveConfig) -> Table:
     """``table`` with the words that a device file names; the names that a user gives go before them."""
-    profile = slave.profile
+    profile = slave.any_profile
     if profile is None:
         return table
     if "outputs" in table and not slave.raw:
-        table.fail("outputs", "outputs beside drive: its plugin makes the outputs", "leave outputs out")
+        key = "device" if slave.profile is None else "drive"
+        table.fail("outputs", f"outputs beside {key}: its plugin makes the outputs", "leave outputs out")
     if profile.fields is None:
         return table
     inputs, outputs = profile.fields(profile.telegram(slave.telegram).name)
@@ -400,17 +414,26 @@ def _with_words(table: Table, slave: SlaveConfig) -> Table:
     return table.extended({"inputs": inputs | (given if isinstance(given, dict) else {}), "outputs": outputs})
 
 
+def _with_counters(fields: FieldMap, table: Table, profile: DeviceProfile) -> FieldMap:
+    """``fields`` with the counters of the device; a name that the user gives is the user's."""
+    given = table.raw("inputs")
+    own = given if isinstance(given, dict) else {}
+    counters = {
+        name: counted(fields.fields[name], *counter) for name, counter in profile.counters.items() if name not in own
+    }
+    return FieldMap({**fields.fields, **counters}, fields.length)
+
+
 def _basis_of(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     """Parameters from the drive, the GSD file, both, or octets, by the keys ``given``. Raises ConfigError, one line."""
     if "gsd" in given:
         leave_out(table, "config", "beside gsd", "leave config out, or gsd")
-    else:
-        for key in GSD_KEYS:
-            leave_out(table, key, "without gsd", f"name the GSD file, or leave {key} out")
-    if "drive" in given:
-        from dpstack.api.config.drive_source import basis_of_drive  # here, as a bus without drives needs no plugins
+    if "drive" in given or "device" in given:
+        from dpstack.api.config.drive_source import basis_of_profile  # here, as a bus without drives needs no plugins
 
-        return basis_of_drive(table, given, who)
+        return basis_of_profile(table, given, who)
+    if "gsd" not in given:
+        need_gsd(table)
     for key in DRIVE_KEYS:
         leave_out(table, key, "without drive", f"add drive, or leave {key} out")
     if "gsd" in given:
@@ -463,6 +486,11 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
     where = f"slave {slave.address} ({slave.name})"
     table = Table(Source(where), (), changes, "reparameterise")
     params = dataclasses.replace(slave.params, **_changes(slave, table, table.read(keys)))
+    if slave.device_profile is not None and params.user_prm != slave.params.user_prm:
+        raise UsageError(
+            f"{where}: its user parameters decide how its plugin reads the position: remove the slave and add it with "
+            "others"
+        )
     if slave.profile is not None and not slave.raw and (slave.params.dpv1 is None) is not (params.dpv1 is None):
         raise UsageError(
             f"{where}: DP-V1 on or off decides how its drive plugin asks for parameters: remove the slave and add it "
@@ -483,7 +511,7 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
 
 
 def _notes(slave: SlaveConfig, given: Mapping[str, Any]) -> Iterator[str]:
-    profile, params = slave.profile, slave.params
+    profile, params = slave.any_profile, slave.params
     if profile is not None and profile.ident_made_up and "ident" not in given:
         yield (
             f"the ident number 0x{profile.ident:04X} of {profile.name} is in no manual (made up); "

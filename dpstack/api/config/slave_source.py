@@ -58,6 +58,12 @@ def leave_out(table: Table, key: str, why: str, todo: str) -> None:
         table.fail(key, f"{key} {why}", todo)
 
 
+def need_gsd(table: Table) -> None:
+    """Raises ConfigError for a key that a GSD file gives its meaning."""
+    for key in GSD_KEYS:
+        leave_out(table, key, "without gsd", f"name the GSD file, or leave {key} out")
+
+
 def modules_of(table: Table, name: str, _: Key) -> list[int | str]:
     """Reader of ``modules``."""
     value = table.raw(name)

@@ -62,13 +62,14 @@ TAP: Final = Spec("tap", "", "the octets on its line, for `dpstack capture` and 
 #: likewise, for the live screen and the page
 LIVE: Final = Spec("live", "[SECONDS]", "plant, snapshots every SECONDS (0.1), events", "0.5")
 SLAVES: Final = (
-    Spec("trip", "SLAVE CODE", "a fault of the simulated drive, by its code or name", "3 F2100"),
+    Spec("trip", "SLAVE CODE", "a fault of the simulated drive or encoder, by its code or name", "3 F2100"),
     Spec("warn", "SLAVE MASK", "its warning word in hex, 0 clears it", "3 0080"),
+    Spec("turn", "SLAVE RPM", "turns the shaft of a simulated encoder", "5 60"),
     Spec("load", "SLAVE TORQUE", "load torque against the motion, of the rated torque", "3 0.6"),
     Spec("release", "SLAVE on|off", "its hardware release inputs", "3 off"),
     Spec("contact", "SLAVE CONTACT on|off", "a contact or terminal of a simulated drive", "3 S2 on"),
     Spec("set-point", "SLAVE HZ", "the internal set point of a drive that has one", "3 12.5"),
-    Spec("acknowledge", "SLAVE", "acknowledges its fault at the keypad of the drive", "3"),
+    Spec("acknowledge", "SLAVE", "acknowledges its fault at the keypad of the drive; ends alarms of an encoder", "3"),
     Spec("jog", "SLAVE forward|reverse|off", "the jog terminals of a drive that has them", "6 forward"),
     Spec("mains", "SLAVE on|off", "the inverter's power under an option with 24 V of its own", "3 off"),
     Spec("link", "SLAVE on|off", "the link between a drive's operator and its inverter", "5 off"),
@@ -104,6 +105,7 @@ RUN: Final = (
     Spec("clear", "", "inputs are read, outputs are zero", ""),
     Spec("stop", "", "ends the run in order: safe values, Clear", ""),
     Spec("drive", f"[{NOW}] NAME ORDER [ARG]...", "gives a drive orders, as `dpstack drive` does", "hoist speed 0.5"),
+    Spec("order", "SLAVE ORDER [NAME=VALUE]...", "gives a device that is no drive an order", "5 preset value=1000"),
     Spec("acyclic", "SLAVE ORDER [ARG]...", "records of a slave, as `dpstack acyclic` does", "8 read 1 47"),
     Spec("class2", "SLAVE ORDER [ARG]...", "the same over a class 2 connection (MS2)", "8 read 1 47"),
     Spec("diag", "ADDRESS", "diagnosis, configuration, inputs and outputs of any station, read as class 2", "8"),

@@ -1,4 +1,5 @@
-"""Orders to a drive (``speed``, ``stop``, ``read`` ...): words, parser, execution, answers in JSON."""
+"""Orders to a drive (``speed``, ``stop``, ``read`` ...), and to another device: words, parser, execution, answers in
+JSON."""
 
 from __future__ import annotations
 
@@ -71,6 +72,24 @@ def drive_order(bus: Bus, args: list[str]) -> LongCommand:
     """``NAME ORDER [ARG]...`` to a drive of a run. A client that closes the connection cancels the order."""
     drive, order = find_order(bus, args)
     return lambda send: kept_alive(carry_out(drive, order), lambda: {"status": drive.status.as_dict()}, send)
+
+
+def device_order(bus: Bus, args: list[str]) -> LongCommand:
+    """``SLAVE ORDER [NAME=VALUE]...`` to a device that is no drive. A client that closes the connection cancels it."""
+    slave, op = bus.slave(number_or_name(args[0])), args[1]
+    values: dict[str, float] = {}
+    for text in args[2:]:
+        name, equals, number = text.partition("=")
+        if not equals:
+            raise UsageError(f"{shortened(text)}: write NAME=VALUE, for instance value=1000")
+        values[name] = _number(number)
+    timeout = values.pop("timeout", None)
+
+    async def carry_out() -> dict[str, Any]:
+        value = await slave.order(op, timeout, **values)
+        return {"order": op, "slave": slave.name, "address": slave.address, "value": value}
+
+    return lambda send: kept_alive(carry_out(), lambda: {"state": slave.state.value}, send)
 
 
 def find_order(bus: Bus, args: Sequence[str]) -> tuple[Drive, ParsedCommand]:

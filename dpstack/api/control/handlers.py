@@ -64,6 +64,7 @@ def control_run(
         "clear": lambda _: carry_out(bus, ModeOrder("clear")),
         "stop": end,
         "drive": _by_need("drive_orders", "drive_order", bus),
+        "order": _by_need("drive_orders", "device_order", bus),
         "acyclic": _by_need("record_orders", "acyclic_order", bus),
         "class2": _by_need("record_orders", "acyclic_order", bus, class2=True),
         "diag": lambda args: _diag(bus, args[0]),

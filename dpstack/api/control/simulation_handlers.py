@@ -174,17 +174,26 @@ def _input(bench: Bench, address: int, args: list[str]) -> object:
     return None if remark is None else f"done, without an alarm: {remark}"
 
 
-def _of_drive(act: Callable[..., None]) -> _Act:
-    """A handler that calls ``act`` with the drive and the arguments."""
+def _of_drive(act: Callable[..., None], *, encoder: bool = False) -> _Act:
+    """A handler that calls ``act`` with the drive and the arguments; ``encoder``: with an encoder too."""
 
     def carry_out(bench: Bench, address: int, args: list[str]) -> None:
         device = bench.device(address)
-        if not isinstance(device, DriveDevice):
+        is_encoder = bench.units[address].encoder is not None
+        if not isinstance(device, DriveDevice) and not (encoder and is_encoder):
             what = "the I/O station" if isinstance(device, IoStation) else "it mirrors its outputs"
+            what = "an encoder" if is_encoder else what
             raise UsageError(f"slave {address} ({device.name}) is no simulated drive: {what}")
         act(device, *args)
 
     return carry_out
+
+
+def _turn(bench: Bench, address: int, args: list[str]) -> None:
+    unit = bench.units[address]
+    if unit.encoder is None:
+        raise UsageError(f"{unit.who} is no simulated encoder")
+    unit.encoder.turn(arguments.number(args[0], -100_000, 100_000, "60"))
 
 
 def _of_station(act: Callable[[IoStation, int, list[str]], str | None]) -> _Act:
@@ -213,13 +222,14 @@ _OF_SLOT: Final = _of_station(
 )
 
 _ACTS: Final[dict[str, _Act]] = {
-    "trip": _of_drive(lambda drive, code: drive.trip(code)),
-    "warn": _of_drive(lambda drive, text: drive.warn(arguments.mask(text))),
+    "trip": _of_drive(lambda drive, code: drive.trip(code), encoder=True),
+    "warn": _of_drive(lambda drive, text: drive.warn(arguments.mask(text)), encoder=True),
+    "turn": _turn,
     "load": _of_drive(lambda drive, text: drive.set_load(arguments.number(text, -10, 10, "0.6"))),
     "release": _of_drive(lambda drive, text: drive.release(arguments.switch(text))),
     "contact": _of_drive(lambda drive, name, text: drive.contact(name, arguments.switch(text))),
     "set-point": _of_drive(lambda drive, text: drive.set_point(arguments.number(text, -1000, 1000, "12.5"))),
-    "acknowledge": _of_drive(lambda drive: drive.acknowledge()),
+    "acknowledge": _of_drive(lambda drive: drive.acknowledge(), encoder=True),
     "jog": _of_drive(lambda drive, text: drive.jog(arguments.direction(text))),
     "mains": _of_drive(lambda drive, text: drive.mains(arguments.switch(text))),
     "link": _of_drive(lambda drive, text: drive.link(arguments.switch(text))),

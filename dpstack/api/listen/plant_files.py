@@ -49,8 +49,8 @@ def load_devices(
 def _configured(slave: SlaveConfig) -> KnownDevice:
     device, params = slave.device, slave.params
     model = "" if device is None else _model(device)
-    if slave.profile is not None:
-        model = model or slave.profile.title
+    if slave.any_profile is not None:
+        model = model or slave.any_profile.title
     dpv1 = slave.gsd_dpv1.slave or params.dpv1 is not None if device is not None or params.dpv1 is not None else None
     return KnownDevice(params.name, model, params.max_tsdr, params.texts, dpv1)
 

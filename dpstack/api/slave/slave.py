@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping
-from typing import TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, TypeVar, Unpack, overload
 
 from dpstack import argcheck
 from dpstack.api.config.slave import Changes, SlaveConfig, changed
@@ -35,6 +35,9 @@ from dpstack.plant.quality import Quality
 from dpstack.text import did_you_mean, nearest, octets_text
 from dpstack.units import ns_to_s
 
+if TYPE_CHECKING:
+    from dpstack.api.slave.device_orders import DeviceOrders
+
 T = TypeVar("T", bool, int, float, bytes)
 In = TypeVar("In", bound=Inputs)
 Out = TypeVar("Out", bound=Outputs)
@@ -57,9 +60,18 @@ class Slave(Sealed, RecordAccess):
     #: the slave's table of the configuration
     config: SlaveConfig
 
-    def __init__(self, bus: Host, config: SlaveConfig, setup: SlaveParams, *, has_plugin: bool) -> None:
+    def __init__(
+        self,
+        bus: Host,
+        config: SlaveConfig,
+        setup: SlaveParams,
+        *,
+        has_plugin: bool,
+        device_orders: DeviceOrders | None = None,
+    ) -> None:
         self._bus = bus
         self._setup = setup
+        self._device_orders = device_orders
         self._has_plugin = has_plugin
         self.config = config
         self._quality = SlaveQuality(self)
@@ -306,7 +318,10 @@ class Slave(Sealed, RecordAccess):
             why = "this bus is read-only; leave read_only out"
         elif self._has_plugin:
             free = f", or set {', '.join(self.config.output_fields)} by name" if self.config.output_fields else ""
-            why = f"its drive plugin makes the outputs; give the drive an order (bus.drive()){free}"
+            how = "give the drive an order (bus.drive())"
+            if self._device_orders is not None:
+                how = f"give it an order, slave.order() ({', '.join(self.orders) or 'it has none in this telegram'})"
+            why = f"its {'drive plugin' if self._device_orders is None else 'plugin'} makes the outputs; {how}{free}"
         elif len(octets) != length:
             why = f"{octets_text(len(octets))} of outputs given, the slave's configuration has {length}"
         if why:
@@ -358,6 +373,26 @@ class Slave(Sealed, RecordAccess):
         check_words(self, values)
         words = [{"name": name, "value": value} for name, value in values.items()]
         self._bus.command(DriveCommand(self.address, "set", {"values": words}, next(TOKENS)))
+
+    @property
+    def orders(self) -> tuple[str, ...]:
+        """The orders of :meth:`order`: those of its device, if it has the key ``device``."""
+        return () if self._device_orders is None else tuple(self._device_orders.core.operations)
+
+    async def order(self, op: str, timeout: float | None = None, **args: object) -> object:
+        """Give a device that is no drive one of its :attr:`orders`: ``await slave.order("preset", value=1000)``.
+        Returns when it is carried out, with its result.
+
+        ``timeout`` in seconds; None: the time of its device file. Raises UsageError for wrong use, SlaveTimeout,
+        SlaveError when the slave leaves data exchange meanwhile; an order that fails has no effect later. For a drive
+        see ``bus.drive()``.
+        """
+        self._bus.check_open()
+        if self._device_orders is None:
+            raise UsageError(f"{self.who} takes no orders: it has no device file with orders (key device)")
+        if self._bus.view.read_only:
+            raise UsageError(f"{self.who}: this bus is read-only; leave read_only out")
+        return await self._device_orders.order(self, op, timeout, args)
 
     @overload
     def value(self, name: str, kind: None = None) -> QualifiedValue: ...

@@ -36,6 +36,7 @@ from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
 if TYPE_CHECKING:
+    from dpstack.devices.encoder_device import EncoderDevice
     from dpstack.profile import DriveDevice
 
 
@@ -74,8 +75,9 @@ _MADE_UP: Final = 0x8000
 
 
 def _device_of(slave: SlaveConfig, held: HeldInputs | None, im: ImOf) -> Device:
-    if slave.profile is not None:
-        device = slave.profile.simulated(slave.telegram, slave.options, slave.simulated)
+    profile = slave.any_profile
+    if profile is not None:
+        device: Device = profile.simulated(slave.telegram, slave.options, slave.simulated)
         if slave.params.ident is not None:
             device.ident = slave.params.ident
         device.name = slave.name
@@ -107,7 +109,7 @@ def rates_of(slave: SlaveConfig) -> Sequence[int]:
 
 def set_rate(slave: SlaveConfig) -> int | None:
     """The rate to which the device is set; None if it detects the rate."""
-    fixed = slave.profile is not None and slave.profile.rate_setting is not None
+    fixed = slave.any_profile is not None and slave.any_profile.rate_setting is not None
     return rates_of(slave)[0] if fixed else None
 
 
@@ -151,7 +153,7 @@ class SimulatedSlave:
     @property
     def kind(self) -> str:
         """The kind of the simulated device for people: its drive, the I/O station, or a mirror."""
-        profile, description = self.config.profile, self.config.description
+        profile, description = self.config.any_profile, self.config.description
         if self._own is not None:
             return f"own, {self._own.name}"
         if profile is not None:
@@ -206,6 +208,11 @@ class SimulatedSlave:
         return None if self.config.profile is None else cast("DriveDevice", self.device)
 
     @property
+    def encoder(self) -> EncoderDevice | None:
+        """The device if it is a simulated encoder."""
+        return None if self.config.device_profile is None or self._own else cast("EncoderDevice", self.device)
+
+    @property
     def refused(self) -> str | None:
         """Its state and the reason of its last refusal since power-on or data exchange; None without one."""
         last = self.app.report.last_refusal
@@ -217,6 +224,8 @@ class SimulatedSlave:
             raise UsageError(f"{self.who}: its own function makes its inputs; change what the function returns")
         if self.drive is not None:
             raise UsageError(f"{self.who}: the simulated drive makes its inputs; trip, warn and load change them")
+        if self.encoder is not None:
+            raise UsageError(f"{self.who}: the simulated encoder makes its inputs; turn, trip and warn change them")
 
     def set_inputs(self, octets: bytes | None) -> str | None:
         """Set the inputs that the master reads; they stay over :meth:`renew`. None: mirror the outputs again.
@@ -290,7 +299,7 @@ class SimulatedSlave:
 
     def renew(self, params: BusParams) -> None:
         """Give it power again."""
-        before, drive_before = self.device, self.drive
+        before, drive_before, encoder_before = self.device, self.drive, self.encoder
         if isinstance(before, DpSlave):
             self._im = {slot: before.im_of(slot) for slot in self._im}
         self.device = self._new_device()
@@ -300,6 +309,8 @@ class SimulatedSlave:
             self.drive.inherit(drive_before)
             own = self.drive.own_address
             self._address = self._address if own is None else own
+        if self.encoder is not None and encoder_before is not None:
+            self.encoder.inherit(encoder_before)
         if self._own is None and isinstance(before, IoStation) and isinstance(self.device, IoStation):
             self.device.inherit(before)
         self._create_station(params)
@@ -428,6 +439,8 @@ class Bench(ABC):
         found += [fault_text(fault) for fault in unit.faults.active]
         if unit.drive is not None:
             found += unit.drive.injected
+        elif unit.encoder is not None:
+            found += unit.encoder.injected
         elif isinstance(unit.device, IoStation):
             found += unit.device.injected
         return found
@@ -499,7 +512,7 @@ class VirtualBench(Bench):
             before = None  # it has moved, and is another one's device now
         if before is None and own is None:
             for key, unit in self._units.items():
-                if unit.address == address and config.profile is unit.config.profile is not None:
+                if unit.address == address and config.any_profile is unit.config.any_profile is not None:
                     self._resume(key)
                     unit.config = config
                     self._units[address] = unit  # steps of a scenario and faults may still mean the former address

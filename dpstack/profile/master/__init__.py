@@ -1,6 +1,8 @@
 """Master side of a drive: state machine, orders, process data maps, comparison of settings.
 
 - ``core``: Master side of one drive, called once a rotation: state machine, set point, orders, status events
+- ``device_core``: Master side of a device that is no drive, called once a rotation: its orders, and the outputs that
+  they make
 - ``guarded_writes``: Writes to parameters that the plugin relies on: refused while the motor may turn, read again
 - ``lookup``: Requests to a drive that depend on its inputs, sent in the background
 - ``mapped_core``: Master side of a drive with process data maps: orders to read and write maps and values

@@ -150,15 +150,15 @@ LISTS = {
     "services.set_prm": "from the parameters to the octets",
     "slave.Changes": "the keys of the configuration",
     "gsd_source.read_gsd_slave": "from what a GSD file says to the parameters",
-    "drive_source.basis_of_drive": "from what a drive plugin says to the parameters",
-    "drive_profile.DriveProfile": "what a drive plugin says",
-    "profiles.profile_of": "what a device file says",
+    "drive_source.basis_of_profile": "from what a drive plugin says to the parameters",
+    "drive_profile.Profile": "what a drive plugin says",
+    "profiles.facts_of": "what a device file says",
     "live.slave_plant": "a slave as the live stream describes it, some of its parameters in JSON",
     "sheet.Sheet": "a slave as its commissioning sheet shows it",
     "sheet._sheet": "the same, from its configuration",
     "plan._slave_dict": "a slave as `dpstack plan --json` shows it",
     "items.SlavePlant": "the same with its types, for items that come from outside",
-    "drive_profile.DriveProfile.described": "a drive plugin as a GSD file has it",
+    "drive_profile.Profile.described": "a drive plugin as a GSD file has it",
 }
 
 
