@@ -32,6 +32,7 @@ from dpstack.api.control.simulation_handlers import slave_handlers
 from dpstack.api.listen.plant_files import load_thresholds
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.cli.main import _COMMANDS, build_parser, main
+from dpstack.devices import finding
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 from tools import draw_pictures, make_book_docs, make_config_docs, make_pictures, make_reference_docs
@@ -56,7 +57,7 @@ _MARKS = {
     "python": {"", "file", "readers", "tests"},
     "sql": {"readers"},
     "text": {"", "after Ctrl-C", "decode", "filters", "output", "printed", "readers", "session", "symptom", "syntax"},
-    "toml": {"", "file", "parameter list", "parsed", "scenario", "thresholds file"},
+    "toml": {"", "device file", "file", "parameter list", "parsed", "scenario", "thresholds file"},
     "yaml": {""},
     "{eval-rst}": {""},
 }
@@ -268,6 +269,14 @@ def test_configurations_load(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
         try:
             if mark.startswith("parsed:"):  # listed on docs/development/book.md
                 tomllib.loads(text)
+            elif mark == "device file":
+                data = tomllib.loads(text)
+                if "gsd" in data:  # one that has these modules
+                    sensor = ROOT / "dpstack" / "devices" / "library" / "simodrive-sensor.gsd"
+                    (tmp_path / data["gsd"]).write_bytes(sensor.read_bytes())
+                path = tmp_path / f"{data['name']}.toml"
+                path.write_text(text, encoding="utf-8")
+                finding.read(path)
             elif mark == "thresholds file":
                 (tmp_path / "limits.toml").write_text(text, encoding="utf-8")
                 load_thresholds(tmp_path / "limits.toml")

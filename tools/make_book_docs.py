@@ -36,7 +36,8 @@ and in a folder of the page's own (`tools/book_blocks.py` and `tools/book_comman
 `make test` has the others:
 
 - `console`: each command is parsed (`tests/test_docs.py`)
-- `toml`: loads as a configuration, or as its mark says: scenario, thresholds, list of parameters (`tests/test_docs.py`)
+- `toml`: loads as a configuration, or as its mark says: scenario, thresholds, list of parameters, device file
+  (`tests/test_docs.py`)
 - `json`: each line is JSON (`tests/test_docs.py`)
 - `yaml`: is a file of `examples/`, which parses (`tests/test_examples.py`)
 - `text` marked `<!-- decode -->`: telegrams decode as printed (`tests/cli/listening/test_decode.py`)

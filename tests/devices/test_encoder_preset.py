@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import inspect
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ from hypothesis import strategies as st
 
 import dpstack
 from dpstack.api.bus.bus import core_of
+from dpstack.api.control.control_server import ControlServer
+from dpstack.api.control.handlers import control_run
 from dpstack.devices import finding
 from dpstack.devices.encoder_core import EncoderCore
 from dpstack.devices.encoder_examples import encoder_mistakes
@@ -216,7 +219,7 @@ def test_examples_that_contradict_are_reported(tmp_path: Path) -> None:
 @contextlib.asynccontextmanager
 async def bus_of(**more: object) -> AsyncIterator[dpstack.Bus]:
     slaves = [{**SENSOR, **more}]
-    async with dpstack.open_bus(port="virtual", baud=93_750, slaves=slaves) as bus:
+    async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=slaves) as bus:
         await bus.operate()
         await bus.ready()
         await asyncio.sleep(0.05)
@@ -314,6 +317,52 @@ async def test_orders_that_cannot_be() -> None:
         assert bus.slave(9).orders == ()
         with pytest.raises(UsageError, match="takes no orders"):
             await bus.slave(9).order("preset", value=1)
+
+
+async def ordered(server: ControlServer, text: str) -> object:
+    """The answer to a command of `dpstack ctl`."""
+    name, *args = text.split()
+    found = server._handlers[name](args)
+    found = await found if inspect.isawaitable(found) else found
+    if not callable(found):
+        return found
+
+    async def send(_item: object) -> None:
+        pass
+
+    return await found(send)
+
+
+@pytest.mark.virtual_time
+async def test_commands_of_ctl() -> None:
+    async with bus_of(telegram="2.2") as bus:
+        server, spindle = control_run(bus, "virtual"), bus.slave("spindle")
+        answer = {"order": "preset", "slave": "spindle", "address": 5, "value": 1000}
+        assert await ordered(server, "order spindle preset value=1000") == answer
+        assert spindle["position"] == 1000
+        await ordered(server, "turn 5 -60")
+        await ordered(server, "trip spindle 8.4")
+        await ordered(server, "warn spindle 1")
+        await asyncio.sleep(0.1)
+        assert spindle["velocity"] == -4096
+        assert spindle.value("position").text == "memory error, speed too high"
+        bench = core_of(bus).bench
+        assert bench is not None
+        assert bench.injected(5) == ["trip memory error", "warn 0001"]
+        await ordered(server, "acknowledge spindle")
+        for command, text in (
+            ("order spindle preset 1000", "write NAME=VALUE"),
+            ("order spindle preset value=x", "is no number"),
+            ("order spindle start", "has no order 'start'; it has preset"),
+            ("trip spindle 9.9", "no alarm of this device; known: 8.0 (position error)"),
+            ("acknowledge spindle", "no alarm stands"),
+            ("load spindle 1", "is no simulated drive: an encoder"),
+            ("turn spindle x", "60"),
+            ("set spindle.position=1", "the simulated encoder makes its inputs"),
+        ):
+            with pytest.raises((UsageError, ValueError)) as caught:
+                await ordered(server, command)
+            assert text in str(caught.value)
 
 
 @pytest.mark.virtual_time

@@ -30,7 +30,7 @@ import dpstack
 from dpstack.api.config.config import make_config
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.api.slave_side.simulation import Segment, Simulation
-from dpstack.errors import ConfigError
+from dpstack.errors import ConfigError, UsageError
 
 INVERTER: dict[str, object] = {"name": "it", "address": 4, "drive": "imo-hd2"}
 
@@ -108,6 +108,23 @@ async def test_a_bus_process_does_not_begin_on_a_processor_that_is_not_there() -
     with pytest.raises(ConfigError, match="cpu = 8191: processor 8191 is not there"):
         async with operating_octets("process", VALVES, cpu=8191):
             pass
+
+
+async def test_an_encoder_takes_a_preset(tmp_path: Path) -> None:
+    spindle: dict[str, object] = {"name": "spindle", "address": 5, "device": "simodrive-sensor", "telegram": "2.2"}
+    spindle["parameters"] = {"Total measuring range (high)": 0, "Total measuring range (low)": 40960}
+    async with Segment(2, tmp_path / "bus", baud=1_500_000) as segment:
+        plant = make_config(segment.paths[1], 1_500_000, slaves=[spindle])
+        async with Simulation(plant, segment.paths[1], 1_500_000), bus_on(segment.paths[0], "process") as bus:
+            await bus.operate()
+            await bus.add_slave(spindle)
+            slave = bus.slave("spindle")
+            await slave.ready(60)
+            assert slave.orders == ("preset",)
+            assert await slave.order("preset", value=6144, timeout=20) == 6144
+            await slave.until(lambda v: v["turns"] == 1.5 and v["degrees"] == 180.0, 20)
+            with pytest.raises(UsageError, match=r"40960 is outside 0\.\.40959"):
+                await slave.order("preset", value=40960)
 
 
 async def test_parameters_are_listed_dumped_and_compared(tmp_path: Path) -> None:
