@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.api.config.config import slave_config
+from dpstack.api.commissioning.sheet import make_sheets
+from dpstack.api.config.config import make_config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.devices.finding import find, read
 from dpstack.devices.reader import DeviceFileError
@@ -126,6 +127,19 @@ def test_counts_beyond_the_range_have_no_angle(tmp_path: Path) -> None:
     assert found["position"] == 129600
     assert found["turns"] != found["turns"]
     assert found["degrees"] != found["degrees"]
+
+
+def test_the_commissioning_sheet_has_file_and_gsd_file() -> None:
+    plant = make_config("virtual", 500_000, slaves=[SENSOR, {"name": "tr", "address": 6, "device": "tr-58"}])
+    spindle, wheel = (one.device for one in make_sheets(plant))
+    assert spindle.title == "Siemens SIMODRIVE sensor 6FX2001-5.P.."
+    assert spindle.manual.startswith("device file simodrive-sensor.toml, GSD file ")
+    assert wheel.manual == "device file tr-58.toml"
+    assert "from the manual, not tried at the device" in spindle.notes
+    codes = {one.code: one.text for one in spindle.faults}
+    assert codes["alarm 8.4"] == "memory error"  # Unit_Diag_Bit(4) of the GSD file has the same text
+    assert "bit 4" not in codes
+    assert codes["warning 21.4"] == "operating time exceeded"
 
 
 def test_names_of_the_plant_file_go_before() -> None:

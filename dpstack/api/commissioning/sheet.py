@@ -20,6 +20,7 @@ from dpstack.errors import DpError, GsdError, UsageError
 from dpstack.gsd.model import Device, Module
 from dpstack.gsd.prm import UserPrm
 from dpstack.params import UNADDRESSED
+from dpstack.profile.drive_profile import DeviceProfile
 from dpstack.profile.model.description import (
     Check,
     DescribedMessage,
@@ -141,6 +142,8 @@ def _sheet(slave: SlaveConfig, baud: int | None, loss: tuple[int, str] | None) -
         kind, device = "gsd", _describe_gsd(slave, slave.device, baud)
     else:
         kind, device = "octets", _describe_octets(slave)
+    if slave.device_profile is not None:
+        device = _with_device_file(slave, device, slave.device_profile)
     watchdog, on_loss = loss or (params.watchdog_ms, params.on_loss or "as its manual says (usually outputs off)")
     modules = tuple(_modules(slave))
     return Sheet(
@@ -160,6 +163,31 @@ def _sheet(slave: SlaveConfig, baud: int | None, loss: tuple[int, str] | None) -
         parameters=_parameters(slave),
         values=tuple(_values(slave)),
         remarks=slave.notes,
+    )
+
+
+#: the octet of a diagnosis behind the header of its first block, counted from 1
+_FIRST_OCTET: Final = 8
+
+
+def _with_device_file(slave: SlaveConfig, device: DeviceDescription, profile: DeviceProfile) -> DeviceDescription:
+    """``device`` with the facts of its device file."""
+    told = [
+        DescribedMessage(code=f"{kind} {_FIRST_OCTET + bit // 8}.{bit % 8}", text=text, source="its device file")
+        for kind, texts in (("alarm", profile.alarms), ("warning", profile.warnings))
+        for bit, text in texts.items()
+    ]
+    known = {one.text.lower() for one in told}
+    others = (one for one in device.faults if one.text.lower() not in known)
+    missing = {what: why for what, why in device.missing.items() if what != "faults" or not told}
+    of_gsd = f", {device.manual}" if slave.device is not None else ""
+    return msgspec.structs.replace(
+        device,
+        title=profile.title,
+        manual=f"device file {profile.name}.toml{of_gsd}",
+        notes=(*device.notes, *profile.notes),
+        faults=(*told, *others),
+        missing=missing,
     )
 
 

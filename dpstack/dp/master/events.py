@@ -340,7 +340,7 @@ class DriveEvent(SlaveEvent):
             said = "order done" if value is None or isinstance(value, (dict, list)) else f"order done: {value}"
         elif kind == "result":
             said = "order failed" + ("" if payload.get("text") is None else f": {payload['text']}")
-        return f"drive {self.address} ({self.name}): {said}"
+        return f"{payload.get('of', 'drive')} {self.address} ({self.name}): {said}"
 
     @property
     def severity(self) -> Severity:

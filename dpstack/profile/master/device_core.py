@@ -42,7 +42,7 @@ class DeviceCore:
         self.now = 0
         self._called_at: int | None = None
         self._rotation_ns = 0
-        self._orders = DriveJobs()
+        self._orders = DriveJobs("device")
         #: returns plain JSON data for the application, oldest first
         self.take_events: Callable[[], list[dict[str, object]]] = self._orders.take_events
 

@@ -146,9 +146,13 @@ class Args:
 
 
 class DriveJobs:
-    """The jobs of one drive in order of arrival; each is resumed once a cycle and ends with a result event."""
+    """The jobs of one drive in order of arrival; each is resumed once a cycle and ends with a result event.
 
-    def __init__(self) -> None:
+    ``of``: the kind of device in its events, if it is no drive.
+    """
+
+    def __init__(self, of: str = "") -> None:
+        self._of = {"of": of} if of else {}
         #: the jobs that are not over
         self.jobs: list[DriveJob] = []
         #: The drive's status word in the last :meth:`step`. All jobs sleep until :attr:`due_ns`, unless it changes.
@@ -206,7 +210,7 @@ class DriveJobs:
             self.tell({"type": "result", "token": token, "ok": False, **why})
 
     def tell(self, event: dict[str, object]) -> None:
-        self._events.append(event)
+        self._events.append(event | self._of)
 
     def take_events(self) -> list[dict[str, object]]:
         """Plain JSON data for the application, oldest first."""
@@ -229,7 +233,7 @@ class DriveJobs:
         except StopIteration as done:
             self.jobs.remove(job)
             if job.token is not None:
-                self._events.append({"type": "result", "token": job.token, "ok": True, **done.value})
+                self.tell({"type": "result", "token": job.token, "ok": True, **done.value})
         except CommandError as error:
             self.jobs.remove(job)
             self.failed(job.token, error)
