@@ -209,6 +209,7 @@ def test_drives_and_devices_have_keys_of_their_own(tmp_path: Path) -> None:
         ({"device": "tr-58", "reference_hz": 50}, "reference_hz is for drives"),
         ({"device": "tr-58", "outputs": {"x": "u8@0"}}, "outputs beside device"),
         ({"device": "tr-58", "config": "F1"}, "config beside device"),
+        ({"device": "tr-58", "after_return": "resume"}, "after_return beside device"),
         ({"device": "tr-58", "options": {"turns": 3}}, "there is no option 'turns'"),
         ({"device": "tr-58", "simulated": {"rmp": 3}}, "there is no option 'rmp'"),
         ({"device": "tr-58", "simulate": {"recording": "x.csv"}}, "simulate beside"),

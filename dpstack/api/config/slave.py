@@ -298,6 +298,7 @@ class Changes(TypedDict, total=False):
 
 
 _DRIVE_RETURNS: Final = "the drive does not start by itself: start() starts it again"
+_DEVICE_RETURNS: Final = "its outputs stay at their safe values until it gets an order"
 _RETURNS: Final = {
     "resume": (
         'its outputs are at once those from before (after_return = "resume"), and a drive that starts by level turns; '
@@ -362,7 +363,9 @@ class SlaveConfig:
         """What its outputs do after it was away, for people; empty without outputs."""
         if not self.params.output_len:
             return ""
-        return _RETURNS[self.params.after_return] if self.profile is None or self.raw else _DRIVE_RETURNS
+        if self.any_profile is None or self.raw:
+            return _RETURNS[self.params.after_return]
+        return _DEVICE_RETURNS if self.profile is None else _DRIVE_RETURNS
 
     @property
     def gsd_dpv1(self) -> DpV1:
@@ -460,9 +463,11 @@ def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict
             changes[to] = getattr(slave.known, to)
     if "ident" in changes:
         changes |= _ident_changes(changes["ident"], slave.known)
-    if slave.profile is not None and not slave.raw:
+    if slave.any_profile is not None and not slave.raw:
         todo = "leave it out: a drive never starts by itself after it was away, start() starts it again"
-        leave_out(table, "after_return", "beside drive", todo)
+        if slave.profile is None:
+            todo = f"leave it out: {_DEVICE_RETURNS}"
+        leave_out(table, "after_return", f"beside {'device' if slave.profile is None else 'drive'}", todo)
     table.check_against_gsd(keys, given, slave.device)
     safe, outputs = changes.get("safe"), io_lengths(changes.get("config", slave.params.config))[1]
     if safe and len(safe) != outputs:
