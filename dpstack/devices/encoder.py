@@ -104,9 +104,13 @@ def settle(
     if (whole := int(float(options[_RANGE]))) > limit:
         notes.append(f"range = {whole} is more than the {limit} counts that its position can have in {telegram}")
     counter = counter_of(file, telegram, options)
-    turn = round(float(options[_TURN]))
+    turn = float(options[_TURN])
     inputs = _inputs(file, telegram, options, prm)
-    counters = {"position": (counter, 0), "turns": (counter, 0), "degrees": (counter, turn)}
+    counters = {
+        "position": (counter, 0),
+        "turns": (counter, 0),
+        "degrees": (counter, int(turn) if turn.is_integer() else turn),
+    }
     settled = dataclasses.replace(
         profile,
         fields=lambda _: (inputs, {}),

@@ -40,7 +40,7 @@ class EncoderDevice(Device):
         #: speed in revolutions per minute
         self.rpm = float(options["rpm"])
         self._range = round(float(options["range"]))
-        self._turn = round(float(options["counts_per_turn"])) or _COUNTS
+        self._turn = float(options["counts_per_turn"]) or _COUNTS
         self._counts = float(options["start"])
         self._at: int | None = None
         self._strobe = False

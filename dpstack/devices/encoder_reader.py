@@ -57,9 +57,11 @@ class EncoderReader(Reader):
         for name, telegram in file.telegrams.items():
             if file.part(name, "position") is None:
                 raise table.error("telegrams", f"telegram {name} has no position", 'write in = ["position"]')
-            both = [part for part in ENCODER_PARTS if sum(file.words[str(w)].part == part for w in telegram.inputs) > 1]
-            if both:
-                raise table.error("telegrams", f"telegram {name} has two words of {both[0]}", "leave one out")
+            for way in (telegram.inputs, telegram.outputs):
+                parts = [file.words[word].part for word in way if isinstance(word, str)]
+                twice = next((part for part in ENCODER_PARTS if parts.count(part) > 1), None)
+                if twice is not None:
+                    raise table.error("telegrams", f"telegram {name} has two words of {twice}", "leave one out")
         return file
 
     def _position(self, table: Table) -> dict[str, Any]:

@@ -375,6 +375,8 @@ class Reader:
             made_up = given.get("made_up", bool(isinstance(bus, Mapping) and bus.get("made_up")))
             if config is None and modules and gsd is not None:
                 config = self._config_of(inside, gsd, modules)
+            if config is None and not self._first_words[0]:
+                inside.fail("config", f"telegram {name} has no identifiers", 'add config, or gsd and modules = ["..."]')
             if config is None:
                 config, made_up = _identifiers(sizes[0], sizes[1], given.get("number", name), pkw=pkw), True
             lead = CHANNEL_LEN if pkw else 0

@@ -46,7 +46,7 @@ class CountedField(Field):
     angle; 0: all counts."""
 
     counter: Counter = _NO_COUNTER
-    turn: int = 0
+    turn: float = 0
 
     @property
     def speaks_for_itself(self) -> bool:
@@ -59,13 +59,13 @@ class CountedField(Field):
         counts = own & ((1 << self.width) - 1)
         if counts >= self.counter.range:
             return math.nan if self.is_scaled else counts
-        shown = self.counter.shown(counts)
+        shown: float = self.counter.shown(counts)
         if self.turn:
             shown %= self.turn
         return self._scaled(shown) if self.is_scaled else shown
 
 
-def counted(found: Field, counter: Counter, turn: int = 0) -> CountedField:
+def counted(found: Field, counter: Counter, turn: float = 0) -> CountedField:
     """``found`` as a value of ``counter``."""
     given = {one.name: getattr(found, one.name) for one in dataclasses.fields(Field) if one.init}
     return CountedField(**given, counter=counter, turn=turn)

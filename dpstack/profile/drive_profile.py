@@ -291,7 +291,7 @@ class DeviceProfile(Profile[DeviceCore, Device]):
     """A device that is no drive, with values and orders."""
 
     #: named values of counters, with the counts of a turn if they are an angle
-    counters: Mapping[str, tuple[Counter, int]] = field(default_factory=dict)
+    counters: Mapping[str, tuple[Counter, float]] = field(default_factory=dict)
     #: completes a device whose values depend on its user parameters: called with the profile, the name of the telegram,
     #: the given options, the octets and the values by name; returns the profile, its options and remarks
     settle: Settle | None = None

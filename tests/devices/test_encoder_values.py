@@ -121,6 +121,20 @@ def test_places_in_user_parameters_without_a_gsd_file(tmp_path: Path) -> None:
     assert values(other, "00 00 00 80") == {"position": 128, "turns": 0.5, "degrees": 180.0}
 
 
+def test_other_words_constants_and_a_turn_that_is_no_whole_number(tmp_path: Path) -> None:
+    text = WHEEL.replace('config = "F1"', 'config = "C0 C1 C3"').replace('"position"]', '0, "position", "load"]')
+    text = text.replace("[position]", '[words]\nload = { type = "i16", full = 1000, unit = "%" }\n[position]')
+    slave = wheel(tmp_path, text.replace('"u16@4"', "360"), options={"counts_per_turn": 4.5})
+    assert values(slave, "ff ff 00 00 00 0c ff 9c") == {
+        "position": 12,
+        "turns": pytest.approx(12 / 4.5),
+        "degrees": pytest.approx(240),
+        "load": -10.0,
+    }
+    whole = values(wheel(tmp_path, text.replace('"u16@4"', "360")), "ff ff 00 00 02 1c ff 9c")
+    assert (whole["degrees"], type(whole["degrees"])) == (180, int)
+
+
 def test_counts_beyond_the_range_have_no_angle(tmp_path: Path) -> None:
     """Nothing damaged is shown as good: the number stays what it is, the angle is none."""
     found = values(wheel(tmp_path), "00 01 fa 40")
@@ -197,6 +211,13 @@ def test_telegrams_need_a_position(tmp_path: Path) -> None:
     path = tmp_path / "wheel.toml"
     path.write_text(WHEEL.replace('"F1", out = ["preset"], in = ["position"]', '"D0", in = ["velocity"]'))
     with pytest.raises(DeviceFileError, match=r"telegram one has no position; write in = \[\"position\"\]"):
+        read(path)
+
+
+def test_telegrams_need_identifiers(tmp_path: Path) -> None:
+    path = tmp_path / "wheel.toml"
+    path.write_text(WHEEL.replace('config = "F1", out = ["preset"], ', ""))
+    with pytest.raises(DeviceFileError, match="telegram one has no identifiers; add config, or gsd and modules"):
         read(path)
 
 

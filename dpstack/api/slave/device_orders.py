@@ -17,6 +17,8 @@ from dpstack.text import did_you_mean
 
 #: seconds: the plugin checks time-outs once a rotation; after this time its answer is late
 _GRACE: Final = 0.25
+#: that an order takes beside the time of its device
+_ROTATIONS: Final = 8
 
 
 class Ordered(Protocol):
@@ -45,8 +47,8 @@ class DeviceOrders:
         if op not in known:
             hint = did_you_mean(op, tuple(known), f"it has {', '.join(known) or 'none in this telegram'}")
             raise UsageError(f"{slave.who} has no order {op!r}; {hint}")
-        if timeout is None:
-            timeout = known[op]
+        if timeout is None:  # an order waits some times for outputs to leave and inputs to come
+            timeout = known[op] + _ROTATIONS * self._bus.rotation_limit_s
         if not is_number(timeout) or not 0 <= timeout <= LARGEST:
             raise UsageError(f"{slave.who}: {op}: timeout must be a number of seconds, not {timeout!r}")
         token = next(TOKENS)
