@@ -333,6 +333,7 @@ ELSEWHERE: Final = {
     "contact": "tests/api/slave_side/test_simulated_orders.py",
     "link": "tests/api/slave_side/test_simulated_orders.py",
     "set-point": "tests/api/slave_side/test_simulated_orders.py",
+    "turn": "tests/devices/test_encoder_preset.py",
 }
 
 
