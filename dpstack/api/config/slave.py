@@ -26,7 +26,6 @@ from dpstack.api.config.slave_source import (
     need_gsd,
     remarks,
 )
-from dpstack.dp.counter import counted
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale, with_status
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
 from dpstack.dp.slot_map import Direction, SlotMap
@@ -419,6 +418,8 @@ def _with_words(table: Table, slave: SlaveConfig) -> Table:
 
 def _with_counters(fields: FieldMap, table: Table, profile: DeviceProfile) -> FieldMap:
     """``fields`` with the counters of the device; a name that the user gives is the user's."""
+    from dpstack.dp.counter import counted  # here, as most buses have no device with counters
+
     given = table.raw("inputs")
     own = given if isinstance(given, dict) else {}
     counters = {
