@@ -183,6 +183,15 @@ def file_at(path: Path) -> DeviceFile | EncoderFile:
     return _read(path.resolve(), stamp.st_mtime_ns, stamp.st_size)
 
 
+def drive_file_at(path: Path) -> DeviceFile:
+    """As :func:`file_at`, the file of a drive, for the Python behind it."""
+    from dpstack.devices.model import DeviceFile
+
+    found = file_at(path)
+    assert isinstance(found, DeviceFile)
+    return found
+
+
 def read(path: Path) -> DeviceFile | EncoderFile:
     """The device file at ``path``. Raises DeviceFileError with all mistakes, or ConfigError."""
     from dpstack.devices.reader import ENCODER, Reader

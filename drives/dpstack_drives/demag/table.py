@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from dpstack.devices.finding import file_at
+from dpstack.devices.finding import drive_file_at
 from dpstack.profile import TelegramSpec, Word
 
-FILE: Final = file_at(Path(__file__).with_name("demag-dedrive.toml"))
+FILE: Final = drive_file_at(Path(__file__).with_name("demag-dedrive.toml"))
 TABLE: Final = FILE.table
 CONTROL, STATUS = TABLE.control, TABLE.status
 PKW: Final = FILE.channel.of_pkw

@@ -6,10 +6,10 @@ import re
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from dpstack.devices.finding import file_at
+from dpstack.devices.finding import drive_file_at
 from dpstack.profile import ParamSpec
 
-FILE: Final = file_at(Path(__file__).with_name("fuji-frenic.toml"))
+FILE: Final = drive_file_at(Path(__file__).with_name("fuji-frenic.toml"))
 TABLE: Final = FILE.table
 CONTROL, STATUS = TABLE.control, TABLE.status
 PKW: Final = FILE.channel.of_pkw

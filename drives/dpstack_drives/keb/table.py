@@ -9,10 +9,10 @@ import re
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from dpstack.devices.finding import file_at
+from dpstack.devices.finding import drive_file_at
 from dpstack.profile import ParamSpec
 
-FILE: Final = file_at(Path(__file__).with_name("keb-f5.toml"))
+FILE: Final = drive_file_at(Path(__file__).with_name("keb-f5.toml"))
 PARAMETERS: Final = FILE.parameters
 
 #: Application Parameters: 2000h + the address of the application manual

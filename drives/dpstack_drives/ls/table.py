@@ -12,10 +12,10 @@ from typing import Final
 
 from msgspec import structs
 
-from dpstack.devices.finding import file_at
+from dpstack.devices.finding import drive_file_at
 from dpstack.profile import ControlTable, Goal, ParamSpec, State, StateRow, StateTable, Word
 
-FILE: Final = file_at(Path(__file__).with_name("ls-s100.toml"))
+FILE: Final = drive_file_at(Path(__file__).with_name("ls-s100.toml"))
 PARAMETERS: Final = FILE.parameters
 PKW: Final = FILE.channel.of_pkw
 TRIPS: Final = FILE.fault.texts
