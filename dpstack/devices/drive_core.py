@@ -41,7 +41,8 @@ class DeclaredCore(DriveCore):
         self.parameter_table = file.parameters if has_channel or len(list(file.parameters)) else None
         self.record_slot, self.record_object = file.channel.record_slot, file.channel.record_object
         self.lock_hint, self.start_hint = file.lock_hint, file.start_hint
-        self.address_parameter, self.address_acts = file.address_parameter, file.address_acts
+        self.address_parameter = self.address_parameter or file.address_parameter
+        self.address_acts = file.address_acts
         self.dialect = file.channel.pkw
         self.fault_names, self.unknown_fault = file.fault.texts, file.fault.unknown
         self.warning_names, self.unknown_warning = file.warning.texts, file.warning.unknown

@@ -79,6 +79,7 @@ class KebCore(DeclaredMapCore[PdMap]):
     inputs_map: PdMap
     outputs_map: PdMap
     channel_hint = ": take PCH+..."
+    address_parameter = t.name_of(0x2006)  # as its channel calls it
     held_hint = "its outputs are 0 until then"
 
     def __init__(
