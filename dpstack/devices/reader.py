@@ -403,6 +403,11 @@ class Reader:
             )
 
         self._members(table, "telegrams", read)
+        listed = table.raw("telegrams")
+        for name in only:
+            if not isinstance(listed, Mapping) or name not in listed:
+                what = f"only has {brief(name)}, which is no telegram of this file"
+                self.errors.append(table.error("only", what, "declare it in [telegrams], or take it out"))
         if not found and not self.errors:
             self.errors.append(table.error("telegrams", "no telegram", "add [telegrams] with 1 = { out = [...], ... }"))
         return found
