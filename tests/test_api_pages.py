@@ -78,6 +78,14 @@ def test_no_row_is_without_a_line(namespace: str) -> None:
     assert bare == []
 
 
+def value_of(thing: object, name: str) -> object:
+    """None of a property that has no value now, as the set point in rpm of a drive whose reference nobody knows."""
+    try:
+        return getattr(thing, name, None)
+    except dpstack.UsageError:
+        return None
+
+
 @in_virtual_time
 async def test_the_objects_of_a_running_bus_have_no_public_attribute_without_a_row() -> None:
     slaves = [
@@ -97,7 +105,7 @@ async def test_the_objects_of_a_running_bus_have_no_public_attribute_without_a_r
             names = {
                 name for name in dir(thing) if not name.startswith("_") and not callable(getattr(kind, name, None))
             }
-            own = {name for name in names if not inspect.ismethod(getattr(thing, name, None))}
+            own = {name for name in names if not inspect.ismethod(value_of(thing, name))}
             assert sorted(own - set(shown(kind)) - set(dir(dict))) == [], kind
     assert {"access", "lookups", "online", "words", "status_word"} <= set(shown(dpstack.profile.DriveCore))
 

@@ -55,8 +55,9 @@ class DriveStatus:
     #: the process data as received, 16 bits each
     words: tuple[int, ...] = ()
     bits: tuple[str, ...] = ()
-    #: frequency in Hz and speed in rpm that 100 % means; None while nobody knows it
+    #: frequency in Hz that 100 % means; None while nobody knows it
     reference_hz: float | None = None
+    #: speed in rpm that 100 % means; None while nobody knows it
     reference_rpm: float | None = None
     #: result of the comparison of the drive's settings with those that its plugin relies on
     settings: SettingsState = SettingsState.NONE

@@ -184,7 +184,7 @@ async def through(config: dpstack.Config) -> None:
             f"ctl acyclic has no files: `dpstack acyclic CONFIG 8 {word} FILE` has, and goes through this run; "
             "parameters gives the same list"
         )
-    with pytest.raises(UsageError, match="ctl acyclic does not know 'look'; it knows read, write, parameters, im"):
+    with pytest.raises(UsageError, match="ctl acyclic does not know 'look'; it knows read, write, parameters, "):
         await through_run(config, 8, ParsedCommand("look", [], {}))
 
 
