@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Final, Literal, TypedDict
 
-from dpstack.toml.table import Key, Octets, Table
+from dpstack.toml.table import Key, Octets, Table, is_integer
 
 #: a word, an index, a number of a parameter
 _WORD: Final = Key(0, 0xFFFF)
@@ -22,12 +22,21 @@ def _texts(table: Table, name: str, _: Key) -> tuple[str, ...]:
     return tuple(str(one) for one in value)
 
 
+def _integers(table: Table, name: str, _: Key) -> tuple[int, ...]:
+    """Reader of whole numbers in their order."""
+    value = table.raw(name)
+    if not isinstance(value, list) or not all(map(is_integer, value)):
+        table.fail(name, f"{name} is no list of whole numbers", f"write {name} = [1, 2]")
+    return tuple(value)
+
+
 def _as_given(table: Table, name: str, _: Key) -> object:
     return table.raw(name)
 
 
 _TEXTS: Final = Key(read=_texts)
 _GIVEN: Final = Key(read=_as_given)
+_INTEGERS: Final = Key(read=_integers)
 
 
 class DeviceKeys(TypedDict, total=False):
@@ -434,11 +443,11 @@ class ParameterKeys(TypedDict, total=False):
     times: Annotated[int, Key(1, 1000)]
     stride: Annotated[int, Key(1, 1000)]
     first: Annotated[int, Key(0, 1000)]
-    factories: Sequence[int]
+    factories: Annotated[Sequence[int], _INTEGERS]
 
 
 class MapKeys(TypedDict, total=False):
-    """`[map]`: what the words behind control word and set point carry, for a drive where that is chosen.
+    """`[map]`: what the words behind control word and set point carry, where that is chosen; beside `python`.
 
     most: words of a map. Left out: as many as it has codes
     places: their names, such as `PZD2 to PZD12`
@@ -476,7 +485,7 @@ class MapWayKeys(TypedDict, total=False):
 
     codes: Annotated[Sequence[str], _TEXTS]
     count: str
-    default: Sequence[int]
+    default: Annotated[Sequence[int], _INTEGERS]
     place: str
     first: Annotated[int, Key(0, 1000)]
     fields: Mapping[str, object]

@@ -774,6 +774,8 @@ class Reader:
 
     def _maps(self, table: Table, parameters: ParamTable) -> tuple[MapWay, MapWay] | None:
         with self._collected():
+            if table.raw("map") is not None and not self._python:
+                table.fail("map", "only Python reads and writes a map", "name it: python = ..., or leave [map] out")
             return read_maps(table, parameters)
         return None
 

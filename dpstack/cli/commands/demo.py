@@ -28,8 +28,9 @@ from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import drawing, output
 from dpstack.cli.terminal.report import Reporter, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
+from dpstack.devices import finding
 from dpstack.errors import ConfigError, DpError, UsageError
-from dpstack.profile import registry
+from dpstack.profile import DriveProfile, registry
 from dpstack.tcp_address import Listen
 from dpstack.text import printable
 from dpstack.web import PAGE
@@ -69,16 +70,21 @@ def execute(args: argparse.Namespace) -> int:
         raise UsageError("demo: --listen is the address of the page; add --web")
     if args.web and args.fast:
         raise UsageError("demo: --fast is over before a page is open; leave out one of --web and --fast")
-    for name, drive in registry.known().items():
+    for name, drive in _drives().items():
         if drive.device_factory is None and not args.json:
             output.line(f"{name} has no simulated drive: left out")
     return run_virtual(_demo(plant(args.baud), args), paced=not args.fast)
 
 
+def _drives() -> dict[str, DriveProfile]:
+    return {name: finding.find(name) for name in STORIES} | registry.known()
+
+
 def plant(baud: int) -> Config:
-    """Every known drive that can be simulated, at an address of its own, called by its maker, or by its full name if
-    there are several of that maker. One master alone: the GAP is off, the rotation is the shortest."""
-    drives = {name: drive for name, drive in registry.known().items() if drive.device_factory is not None}
+    """Every plugin and every drive with a story, if it can be simulated, at an address of its own, called by its maker,
+    or by its full name if there are several of that maker. One master alone: GAP is off, the rotation is the shortest.
+    """
+    drives = {name: drive for name, drive in _drives().items() if drive.device_factory is not None}
     names = sorted(drives)
     if not names:
         raise ConfigError("no drive is known; install dpstack with `pip install .` or `make demo`")
