@@ -15,12 +15,12 @@ from dpstack.profile import process_data_map
 
 HEAD = """format = 1
 name = "it"
-base = "bits"
+base = "profidrive"
 python = "imo-hd2"
 [telegrams]
 A = { out = ["control", 0], in = ["status", 0] }
-[status]
-states = { running = [1, 1] }
+# the states are those
+# of the base
 [parameters]
 "P1.08" = { number = 0x0108, times = 3, first = 2, title = "Word {}", factories = [7, 1], use = "map" }
 count = { number = 5 }
@@ -44,7 +44,9 @@ flag = { code = 7, high = 1 }
 def read(folder: Path, text: str) -> DeviceFile:
     path = folder / "it.toml"
     path.write_text(HEAD + text)
-    return Reader(path, base_of).read()
+    found = Reader(path, base_of).read()
+    assert isinstance(found, DeviceFile)
+    return found
 
 
 def outputs_of(folder: Path) -> process_data_map.FieldTable:
