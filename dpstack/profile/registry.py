@@ -95,7 +95,10 @@ def is_given(name: str) -> bool:
 
 
 def find(name: str) -> DriveProfile:
-    """The drive called ``name``. Raises ConfigError with the nearest names, or with the reason why it cannot load."""
+    """The plugin called ``name``; :func:`dpstack.devices.finding.find` has the drives of device files, too.
+
+    Raises ConfigError with the nearest names, or with the reason why it cannot load.
+    """
     found = _given.get(name) or (_loaded(name) if name in _points() else None)
     if isinstance(found, str):
         raise ConfigError(f"drive {name} cannot be loaded: {found}; repair or uninstall that package")
@@ -107,4 +110,8 @@ def find(name: str) -> DriveProfile:
     near = difflib.get_close_matches(name.lower(), drives, n=3)
     if near:
         raise ConfigError(f"no drive is called {name!r}; did you mean {' or '.join(near)}?")
-    raise ConfigError(f"no drive is called {name!r}; known: {', '.join(drives) or 'none (is dpstack installed?)'}")
+    known_here = ", ".join(drives) or "none"
+    raise ConfigError(
+        f"no drive plugin is called {name!r}; known: {known_here}; dpstack.devices.finding.find has the drives of "
+        "device files, too, and so those of dpstack"
+    )

@@ -12,8 +12,8 @@ from profidrive_kit import DRIVE
 
 from dpstack.api.config.config import load_config, parse_config
 from dpstack.cli.commands import demo
+from dpstack.devices.finding import find
 from dpstack.errors import ConfigError
-from dpstack.profile import find
 from dpstack.profile.registry import also
 
 PLANT = '[bus]\nport = "{}"\nbaud = 500000\n[[slave]]\nname = "belt"\naddress = 7\ndrive = "profidrive-kit"\n'
