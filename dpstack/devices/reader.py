@@ -154,6 +154,7 @@ class Reader:
                 )
             seen.add(path.resolve())
             at, _ = _toml(text_of(path)[0], path)
+            _stay_beside(at, path.parent)
             layers.append(at)
         self._root = path.stem if len(layers) > 1 else str(data.get("name", path.stem))
         merged: dict[str, Any] = {}
@@ -1051,6 +1052,14 @@ def _toml(text: str, path: Path) -> tuple[dict[str, Any], dict[tuple[str | int, 
         return read_toml(text)
     except TomlError as error:
         raise ConfigError.at(str(path), error.line, error.what, "correct the line") from None
+
+
+def _stay_beside(data: Mapping[str, Any], folder: Path) -> None:
+    """Paths in the data of a base are relative to its own folder."""
+    inside = [(data.get(name), key) for name, key in (("bus", "made_gsd"), ("fault", "texts"), ("warning", "texts"))]
+    for table, key in [(data, "gsd"), *inside]:
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            table[key] = str(folder / table[key])
 
 
 def _joined(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

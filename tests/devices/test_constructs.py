@@ -36,6 +36,18 @@ def test_false_takes_out_a_table_of_the_base(tmp_path: Path) -> None:
     assert not {"5", "6"} & set(profile.telegrams)
 
 
+def test_paths_of_a_base_are_relative_to_it(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "texts.csv").write_text("7011;F07011 motor overtemperature\n")
+    text = (
+        HEAD.replace("it", "low") + 'base = "profidrive"\n[fault]\ntexts = "texts.csv"\n[bus]\nmade_gsd = "low.gsd"\n'
+    )
+    (tmp_path / "below" / "low.toml").write_text(text)
+    profile = read(tmp_path, 'base = "./below/low.toml"\n')
+    assert profile.core("m").fault_names == {7011: "F07011 motor overtemperature"}
+    assert profile.gsd == str(tmp_path / "below" / "low.gsd")
+
+
 @pytest.mark.parametrize(
     ("parameter", "orders"),
     [
