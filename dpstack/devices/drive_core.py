@@ -165,17 +165,17 @@ class FileCore(DeclaredCore):
         self.values: dict[str, int] = dict(layout.neutral)
         self._extra = 0
         super().__init__(file, profile, name, telegram, options)
-        self.safe_outputs = bytes(self.offset) + layout.pack(file.safe_control, 0, layout.neutral)
+        self.safe_outputs = bytes(self.offset) + layout.pack(file.safe_control & ~layout.clear, 0, layout.neutral)
         for obstacle in file.obstacles:  # a change of their bits is a new status
             self._event_mask |= obstacle.mask
 
     # -- outputs --------------------------------------------------------------------------------------------------
 
     def encode(self, control: int, setpoint: int) -> bytes:
-        return self._layout.pack(control, setpoint, self.values)
+        return self._layout.pack(control & ~self._layout.clear | self._extra, setpoint, self.values)
 
     def encode_held(self) -> bytes:
-        return self._layout.pack(self.file.safe_control, 0, self._layout.neutral)
+        return self._layout.pack(self.file.safe_control & ~self._layout.clear, 0, self._layout.neutral)
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
         return self._layout.unpack_outputs(process, self.file)
@@ -305,6 +305,8 @@ class Layout:
         self._out = struct.Struct(
             ">" + "".join("H" if isinstance(one, int) or one.octets == 2 else "I" for one in self._outputs)
         )
+        #: bits of the control word that stay 0
+        self.clear = file.table.control.mask(*found.clear)
         #: the words behind control word and set point that a program may set
         self.free: Mapping[str, WordSpec] = {
             one.name: one

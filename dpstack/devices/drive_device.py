@@ -141,7 +141,8 @@ class FileDevice(DeclaredDevice):
             self._without_master(still)
         elif control is not None and follows:
             before = machine.state
-            machine.obey(control, still=still)
+            clear = self.file.table.control.mask(*self.file.telegrams[self.telegram.name].clear)
+            machine.obey(control | clear, still=still)
             if before is State.FAULT and machine.state is not State.FAULT:
                 self.fault = 0
         elif words is None or not follows:

@@ -152,6 +152,7 @@ class TelegramKeys(TypedDict, total=False):
     config: identifier octets in hex. Left out: those of `modules` in the GSD file
     made_up: those identifiers are in no manual. Left out: as in `[bus]`
     modules: names of the modules in the GSD file
+    clear: bits of the control word that stay 0 with it, until an order of the file's own sets them. Left out: none
     number: value of the drive's parameter that chooses it, for `{telegram}` in `[settings]`. Left out: its name, if
         that is a number
     """
@@ -162,6 +163,7 @@ class TelegramKeys(TypedDict, total=False):
     config: Octets
     made_up: bool
     modules: Annotated[Sequence[str], _TEXTS]
+    clear: Annotated[Sequence[str], _TEXTS]
     number: Annotated[int, _WORD]
 
 

@@ -112,6 +112,8 @@ class Telegram(Struct, frozen=True, kw_only=True):
     modules: tuple[str, ...] = ()
     #: value of the setting that chooses it in the drive, see ``settings``
     number: int | None = None
+    #: bits of the control word that stay 0 unless an order of the file's own sets them
+    clear: tuple[str, ...] = ()
 
 
 class Derived(Struct, frozen=True, kw_only=True):

@@ -211,6 +211,11 @@ class Reader:
                 table, "telegram_parameter", given.get("telegram_parameter", ""), parameters
             ),
         }
+        for telegram in facts["telegrams"].values():
+            for bit in telegram.clear:
+                if control.bits and bit not in control.bits:
+                    what = f"clear of telegram {telegram.spec.name}: {brief(bit)} is no bit of the control word"
+                    self.errors.append(table.error("telegrams", what, f"it has {', '.join(control.bits)}"))
         if self.errors:
             raise DeviceFileError(self.errors)
         return DeviceFile(
@@ -400,6 +405,7 @@ class Reader:
                 outputs=outputs,
                 inputs=inputs,
                 modules=modules,
+                clear=tuple(given.get("clear", ())),
                 number=number,
             )
 

@@ -82,6 +82,23 @@ async def test_telegram_2_has_32_bits() -> None:
     assert core.read_inputs(bytes.fromhex("0307 E000 0000 0000"), 0x047F).speed == -0.5
 
 
+async def test_the_basic_positioner_is_switched_on_without_a_traversing_task() -> None:
+    core = core_of("sample.toml", "111")
+    at_rest = "0240 0000 0000 0000 0000 0000 0000 0000 0000 0000 0000 0000"
+    assert core.safe_outputs.hex(" ", 2) == "043e 0000 0000 0000 0000 0000 0000 0000 0000 4000 4000 0000"
+    core.command("start", {}, 1, 9_000_000)
+    now, status = 10_000_000, ("0240", "0231", "0233", "0237")
+    sent = []
+    for word in (one for one in status for _ in range(20)):
+        now += 5_000_000
+        sent.append(told(core, at_rest.replace("0240", word, 1), now)[:4])
+    assert set(sent) == {"043E", "043F"}  # bit 6, activate traversing task, stays 0
+    core.command("set", {"values": [{"name": "target_position", "value": -10_000}]}, 2, now)
+    assert told(core, at_rest.replace("0240", "0237", 1), now + 1)[25:34] == "FFFF D8F0"
+    with pytest.raises(ValueError, match="telegram 111 has no speed set point"):
+        core.setpoint_word(0.5)
+
+
 async def test_free_words_are_set_and_named_values_are_read_by_name() -> None:
     async with bus_of(SAMPLE) as bus:
         await bus.ready()
