@@ -35,6 +35,7 @@ from dpstack.events import (
     OperateWaits,
     OrdersRefused,
     OutputsDropped,
+    OutputsWithheld,
     PortBack,
     PortDisturbed,
     PortLost,
@@ -97,6 +98,8 @@ class Watcher:
                 log.warning("%s comes and goes: %d changes were left out; look at its plug", name, count)
             case OutputsDropped(name=name, outputs=outputs):
                 log.error("%s did not get %s", name, outputs.hex(" "))
+            case OutputsWithheld(name=name, outputs=outputs):
+                log.warning("%s was away: %s waits until somebody sets its outputs anew", name, outputs.hex(" "))
             case SlaveRemark(name=name, message=message):
                 log.info("%s deviates from the standard: %s", name, message)
             # the mode of the master

@@ -43,7 +43,8 @@ Drivers, ports, programs:
 - ``programs``: ``dpstack`` as a program, ``forked_programs``: as a fork of one that has imported it; ``control_kit``:
   control sockets and a client of octets; ``cli_kit``: commands in the process of the test.
 
-Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``; ``acyclic_kit`` (record 47).
+Drives: ``drive_bench`` (plugin and simulated drive), on it ``demag_kit``; ``profidrive_kit`` (a drive without
+peculiarities); ``acyclic_kit`` (record 47).
 
 Connectors of a bus to other programs:
 

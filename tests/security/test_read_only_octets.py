@@ -82,6 +82,8 @@ ARGS: dict[str, Callable[[Path], tuple[tuple[Any, ...], dict[str, Any]]]] = {
     "Slave.wait_state": lambda _: ((dpstack.SlaveState.DATA_EXCHANGE,), {"timeout": 1}),
     "Drive.speed": lambda _: ((0.5,), {}),
     "Drive.frequency": lambda _: ((25.0,), {}),
+    "Drive.rpm": lambda _: ((750.0,), {}),
+    "Slave.order": lambda _: (("preset",), {"value": 1}),
     "Slave.quality": lambda _: (("raw",), {}),
     "Slave.readings": lambda _: (("raw",), {}),
     "Drive.compare": lambda path: ((path / "none.toml",), {}),

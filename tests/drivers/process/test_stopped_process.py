@@ -66,6 +66,7 @@ def arguments(bus: dpstack.Bus) -> dict[type, dict[str, tuple[Any, ...]]]:
             "conspicuous_text": (rig.diagnosis,),
             "follow": ("target", int),
             "inputs_as": (Level,),
+            "order": ("preset",),
             "output_field": ("target",),
             "outputs_as": (Target,),
             "quality": ("target",),
