@@ -1,4 +1,9 @@
-"""Writes the tables of docs/reference/configuration.md from the keys of the readers; a test holds the page to them."""
+"""Writes tables of docs/reference from the keys of the readers and from the device files; a test holds the pages to it.
+
+- ``configuration.md``: the keys of the configuration file
+- ``device-files.md``: the keys of a device file
+- ``devices.md``: the drives and devices that come with dpstack, by base and source
+"""
 
 from __future__ import annotations
 
@@ -9,19 +14,22 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.connectors import CONNECTORS
 from dpstack.api.config.dpv1 import Dpv1Keys
 from dpstack.api.config.simulate import SimulateConfig, SimulateKeys
 from dpstack.api.config.slave import Changes, FieldKeys, IdentKeys, SlaveConfig, SlaveKeys
+from dpstack.devices import finding
+from dpstack.devices import keys as device_keys
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.process_data import Field
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.toml.table import Key, Octets, keys_of
 
-TARGET: Final = Path(__file__).resolve().parent.parent / "docs" / "reference" / "configuration.md"
+REFERENCE: Final = Path(__file__).resolve().parent.parent / "docs" / "reference"
+TARGET: Final = REFERENCE / "configuration.md"
 #: the class of each table, and the one whose fields have the plain defaults
 TABLES: Final[Mapping[str, tuple[type, type]]] = {
     "bus": (BusConfig, BusConfig),
@@ -34,7 +42,9 @@ TABLES: Final[Mapping[str, tuple[type, type]]] = {
     **{name: (table, table) for name, table in CONNECTORS.items()},
 }
 #: what a value is, where its type says it wholly
-_PLAIN: Final = {str: "a text", bool: "true, false", bytes: "octets", Mapping: "a table"}
+_PLAIN: Final = {str: "a text", bool: "true, false", bytes: "octets", Mapping: "a table", object: "as described"}
+#: a limit from here on is none for people
+_ANY: Final = 1e9
 #: an entry of a docstring: the key, and its sentence in lines that are set in
 _ENTRY: Final = re.compile(r"^(\w+): (.*(?:\n +.*)*)", re.MULTILINE)
 #: a link in a docstring names a page of docs/ without its folder
@@ -69,7 +79,11 @@ def value_text(hint: Any, key: Key) -> str:
     kind = get_origin(hint) or hint
     if kind is Literal:
         return ", ".join(f'`"{word}"`' for word in get_args(hint))
-    limits = "" if math.isinf(key.low) else f"{_number(key.low)}..{_number(key.high)}"
+    limits = f"{_number(key.low)}..{_number(key.high)}"
+    if math.isinf(key.low) or key.high >= _ANY:
+        limits = ""
+    elif key.low == key.high:
+        limits = _number(key.low)
     if kind in (tuple, Sequence):
         (member, *_) = get_args(hint)
         return f"a list of {limits}" if member is int and limits else "a list"
@@ -89,29 +103,78 @@ def _default_text(value: object) -> str:
 def rows(table: type, made: type) -> list[str]:
     """The rows of the keys of ``table``, from which a ``made`` is made."""
     hints, said = get_type_hints(table), sentences(table)
-    defaults = {name: one.default for name, one in inspect.signature(made).parameters.items()}
+    defaults = {} if made is dict else {name: one.default for name, one in inspect.signature(made).parameters.items()}
     found = ["| key | value | meaning | default |", "|---|---|---|---|"]
-    for name, key in keys_of(table).items():
+    for field, key in keys_of(table).items():
+        name = field.rstrip("_")
+        if name not in said and made is dict:  # a table inside, with a table of its own
+            continue
         meaning, _, left_out = said[name].partition(" Left out: ")
         left_out = left_out or _default_text(defaults.get(name))
         gsd = "" if key.gsd is None else f" (GSD: {key.gsd.keyword})"
-        value = value_text(hints[name], key)
+        value = value_text(hints[field], key)
         found.append(f"| `{name}` | {value} | {meaning.removesuffix('.')}{gsd} | {left_out} |")
     return found
 
 
 def render(page: str) -> str:
-    """``page`` with its tables as they are now."""
+    """``page`` of configurations with its tables as they are now."""
     for name, (table, made) in TABLES.items():
-        begin, end = f"<!-- keys: {name} -->\n", "<!-- end -->"
-        before, _, rest = page.partition(begin)
-        _, _, after = rest.partition(end)
-        page = before + begin + "\n".join(rows(table, made)) + "\n" + end + after
+        page = _between(page, f"keys: {name}", rows(table, made))
     return page
 
 
+def _between(page: str, mark: str, lines: Sequence[str]) -> str:
+    """``page`` with ``lines`` between the comment ``mark`` and the next end."""
+    begin, end = f"<!-- {mark} -->\n", "<!-- end -->"
+    before, found, rest = page.partition(begin)
+    assert found, f"{mark} is not in the page"
+    _, _, after = rest.partition(end)
+    return before + begin + "\n".join(lines) + "\n" + end + after
+
+
+# --- device files -----------------------------------------------------------------------------------------------------
+def device_key_lines() -> list[str]:
+    """A section for each table of a device file, in the order of the module."""
+    tables = [one for one in vars(device_keys).values() if is_typeddict(one) and one.__module__ == device_keys.__name__]
+    found: list[str] = []
+    for table in tables:
+        head = " ".join((inspect.getdoc(table) or "").partition("\n\n")[0].split())
+        title, colon, text = head.partition(": ")
+        found += [f"## {title.rstrip('.')}", ""] if colon else [f"## {head.rstrip('.')}", ""]
+        found += [f"{text[0].upper()}{text[1:]}", ""] if text else []
+        found += [*rows(table, dict), ""]
+    return found[:-1]
+
+
+def device_lines() -> list[str]:
+    """The drives and devices that come with dpstack."""
+    origins = finding.origins()
+    found = ["| name | drive or device | base | telegrams | source | tried |", "|---|---|---|---|---|---|"]
+    ours = [(name, one) for name, one in finding.known().items() if origins.get(name, "").startswith("dpstack ")]
+    listed = []
+    for name, profile in ours:
+        file = finding.file_at(Path(profile.file)) if profile.file else None
+        base, source, tried = ("Python", "", "") if file is None else (file.base, file.source, file.tried)
+        listed.append((base, name, profile.title, " ".join(profile.telegrams), source, tried))
+    for base, name, title, telegrams, source, tried in sorted(listed):
+        found.append(f"| `{name}` | {title} | {base} | {telegrams} | {source} | {tried} |")
+    return found
+
+
+def pages() -> dict[Path, str]:
+    """The pages as they should be."""
+    keys, devices = REFERENCE / "device-files.md", REFERENCE / "devices.md"
+    return {
+        TARGET: render(TARGET.read_text(encoding="utf-8")),
+        keys: _between(keys.read_text(encoding="utf-8"), "keys of device files", device_key_lines()),
+        devices: _between(devices.read_text(encoding="utf-8"), "devices", device_lines()),
+    }
+
+
 def main() -> None:
-    TARGET.write_text(render(TARGET.read_text(encoding="utf-8")), encoding="utf-8")
+    for path, text in pages().items():
+        path.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.api.files import AtomicFile, read_file
+from dpstack.devices import finding
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.dpv1.slave.description_to_gsd import as_gsd_file, gsd_octets
@@ -22,7 +23,6 @@ from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, Pa
 from dpstack.gsd.parser import load_gsd, parse_gsd
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.gsd.text import MAX_OCTETS
-from dpstack.profile import registry
 from dpstack.sim import io_station
 from dpstack.text import nearest
 
@@ -33,7 +33,7 @@ def bundled() -> dict[str, str]:
 
     Those of drive plugins, and that of the simulated I/O station.
     """
-    drives = {name: drive.gsd for name, drive in registry.known().items() if drive.gsd is not None}
+    drives = {name: drive.gsd for name, drive in finding.known().items() if drive.gsd is not None}
     return drives | {io_station.NAME: io_station.GSD}
 
 

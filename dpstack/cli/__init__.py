@@ -1,6 +1,7 @@
 """The program ``dpstack``: its commands, options and terminal output.
 
 - ``commands/``: The commands of the program, one module for each
+- ``devices/``: The commands about kinds of drives and devices, and the files that describe them
 - ``listening/``: The commands that only listen, or explain what was heard
 - ``looking/``: The commands that look at a plant: on a page, on the screen, in words
 - ``terminal/``: Output, reports and signals

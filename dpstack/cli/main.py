@@ -46,13 +46,16 @@ _COMMANDS = {
     "ports": "serial adapters with their lasting path, chip and holder",
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
     "drives": "the drives and devices that are known here, and the packages that bring them",
+    "device": "device files: check one, list and show them, begin one from a GSD file",
     "gsd": "GSD files: show, check, configure",
     "completion": "the completion script for bash, zsh or fish",
 }
-#: those whose modules stand in the room ``listening``
-_LISTENING = ("baud", "capture", "decode", "monitor", "wireshark")
-#: and in the room ``looking``
-_LOOKING = ("diag", "fleet", "names", "plot", "sheet", "web", "why")
+#: the commands whose modules stand in another room than ``commands``
+_ROOMS = {
+    "devices": ("device", "drives"),
+    "listening": ("baud", "capture", "decode", "monitor", "wireshark"),
+    "looking": ("diag", "fleet", "names", "plot", "sheet", "web", "why"),
+}
 _VERSION = "--version"
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback
@@ -83,7 +86,7 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
     named = [first] if first in _COMMANDS else [] if first == _VERSION else _COMMANDS
     for name in named:
         text = _COMMANDS[name]
-        room = "listening" if name in _LISTENING else "looking" if name in _LOOKING else "commands"
+        room = next((room for room, inside in _ROOMS.items() if name in inside), "commands")
         commands.add_parser(name, help=text, description=text).module = f"dpstack.cli.{room}.{name}"
     return parser
 

@@ -9,6 +9,7 @@
 - ``encoder_examples``: The examples of an encoder's device file: octets received and their values, orders and the
   octets that they send
 - ``encoder_reader``: Device files of encoders read and checked: position, velocity, preset, diagnosis
+- ``examples``: The examples of a device file, carried out
 - ``finding``: Drives by name or path: plugins of packages, and device files in folders
 - ``keys``: The keys of a device file: names, types and limits
 - ``machines``: State machines of simulated drives

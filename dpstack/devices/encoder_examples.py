@@ -49,8 +49,8 @@ def _mistakes(file: EncoderFile, example: Example) -> Iterator[str]:
             yield f"inputs {inputs.hex(' ').upper()}: {name} is {found!r}, not {wanted!r}"
     for order, octets in example.outputs.items():
         sent = _sent(profile, telegram, options, order, bytes(length))
-        if octets not in sent:
-            yield f"{order}: it sends {', '.join(one.hex(' ').upper() for one in sent)}, not {octets.hex(' ').upper()}"
+        said = ", ".join(one.hex(" ").upper() for one in sent)
+        yield from (f"{order}: it sends {said}, not {one.hex(' ').upper()}" for one in octets if one not in sent)
 
 
 def _settled(file: EncoderFile, example: Example) -> tuple[DeviceProfile, str, Mapping[str, object]]:

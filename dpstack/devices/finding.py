@@ -12,13 +12,18 @@ import importlib.util
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.devices.model import DeviceFile, EncoderFile
 from dpstack.errors import ConfigError
 from dpstack.profile import registry
 from dpstack.profile.drive_profile import DeviceProfile, DriveProfile
 
+if TYPE_CHECKING:
+    from importlib import metadata
+
+#: the bases of drives
+DRIVE_BASES: Final = ("profidrive", "drivecom", "bits")
 #: entry points of packages that bring device files: the name of a device, and the package with ``NAME.toml`` in it
 GROUP: Final = "dpstack.device_files"
 ENDING: Final = ".toml"
@@ -103,6 +108,11 @@ def _in_files() -> dict[str, DriveProfile | DeviceProfile]:
     return found
 
 
+def with_ident(ident: int) -> list[DriveProfile]:
+    """The drives with this ident number, by name."""
+    return [one for one in known().values() if ident and one.ident == ident]
+
+
 def broken() -> dict[str, str]:
     """Plugins and device files that cannot be loaded: name -> why."""
     found = {}
@@ -120,14 +130,31 @@ def files() -> dict[str, Path]:
     for folder in folders():
         for path in _listed(folder):
             found.setdefault(path.stem, path)
-    for name, package in _of_packages().items():
-        if (brought := _in_package(name, package)) is not None:
+    for name, point in _of_packages().items():
+        if (brought := _in_package(name, point.value)) is not None:
             found.setdefault(name, brought)
     for folder in (_HERE / "library", _HERE / "bases"):
         for path in _listed(folder):
             if path.stem not in _NO_DRIVES:
                 found.setdefault(path.stem, path)
     return found
+
+
+def origins() -> dict[str, str]:
+    """The package with its version, or the folder, that brings each drive: ``dpstack 1.0``. No plugin is imported."""
+    from importlib import metadata
+
+    found = {}
+    for name, path in files().items():
+        point = _of_packages().get(name)
+        dist = None if point is None else point.dist
+        if path.is_relative_to(_HERE):
+            found[name] = f"dpstack {metadata.version('dpstack')}"
+        elif point is not None and path == _in_package(name, point.value):
+            found[name] = "" if dist is None else f"{dist.name} {dist.version}"
+        else:
+            found[name] = str(path.parent)
+    return found | registry.origins()
 
 
 #: bases that are no drive without a file
@@ -141,8 +168,8 @@ def path_of(name: str) -> Path | None:
     for folder in folders():
         if (path := folder / (name + ENDING)).is_file():
             return path
-    package = _of_packages().get(name)
-    if package is not None and (found := _in_package(name, package)) is not None:
+    point = _of_packages().get(name)
+    if point is not None and (found := _in_package(name, point.value)) is not None:
         return found
     for folder in (_HERE / "library", _HERE / "bases"):
         if (path := folder / (name + ENDING)).is_file() and name not in _NO_DRIVES:
@@ -176,11 +203,7 @@ def folders() -> list[Path]:
 
 def file_at(path: Path) -> DeviceFile | EncoderFile:
     """The device file at ``path``, read again when it or its time has changed. Raises ConfigError."""
-    try:
-        stamp = path.stat()
-    except OSError as error:
-        raise ConfigError(f"the device file {path} cannot be read ({error.strerror}); give its path") from None
-    return _read(path.resolve(), stamp.st_mtime_ns, stamp.st_size)
+    return _read(*_key(path))
 
 
 def drive_file_at(path: Path) -> DeviceFile:
@@ -211,7 +234,12 @@ def _drive(path: Path) -> DriveProfile:
 
 
 def _profile(path: Path) -> DriveProfile | DeviceProfile:
-    found = file_at(path)
+    return _made(*_key(path))
+
+
+@functools.lru_cache(maxsize=256)
+def _made(path: Path, changed_at: int, size: int) -> DriveProfile | DeviceProfile:
+    found = _read(path, changed_at, size)
     if isinstance(found, DeviceFile):
         from dpstack.devices.profiles import profile_of
 
@@ -219,6 +247,16 @@ def _profile(path: Path) -> DriveProfile | DeviceProfile:
     from dpstack.devices.encoder import profile_of_encoder
 
     return profile_of_encoder(found)
+
+
+def _key(path: Path) -> tuple[Path, int, int]:
+    """The file and its state. Raises ConfigError if it cannot be read."""
+    try:
+        stamp = path.stat()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ConfigError(f"the device file {path} cannot be read ({why}); give its path") from None
+    return path.resolve(), stamp.st_mtime_ns, stamp.st_size
 
 
 @functools.lru_cache(maxsize=256)
@@ -235,11 +273,11 @@ def _listed(folder: Path) -> Iterator[Path]:
 
 
 @functools.cache
-def _of_packages() -> dict[str, str]:
-    """The packages of device files by the name of the device; none is imported for it."""
+def _of_packages() -> dict[str, metadata.EntryPoint]:
+    """The entry points of packages with device files by the name of the device; none is imported for it."""
     from importlib import metadata  # here, as it takes 10 ms
 
-    return {point.name: point.value for point in sorted(metadata.entry_points(group=GROUP), key=lambda one: one.name)}
+    return {point.name: point for point in sorted(metadata.entry_points(group=GROUP), key=lambda one: one.name)}
 
 
 def _in_package(name: str, package: str) -> Path | None:

@@ -695,20 +695,20 @@ class LedKeys(TypedDict, total=False):
 class ExampleKeys(TypedDict, total=False):
     """`[[example]]`: octets of the manual with their meaning, run by `dpstack device check`.
 
-    telegram: the telegram. Left out: the default one
+    telegram: the telegram. Left out: the default one, beside `parameter` one with a parameter channel
     options: options of the drive
     source: section of the manual
     inputs: process data received, in hex
     after: process data sent before, as far as the state depends on them
     state: the state that they mean
-    fault: the text or number of the fault; `""`: none stands
-    warning: the text or number of the warning; `""`: none stands
-    speed: actual speed of the reference
-    values: named values
-    outputs: process data sent by an order: `{ start = "047F 0000", "speed 0.5" = "047E 2000" }`
+    fault: the fault that stands, by its text, the first word of it, or its number; `""`: none stands
+    warning: the warning that stands, likewise; for bits the number is that of the bit
+    speed: actual speed in parts of the reference
+    values: named values: a word in its unit, a bit as `WORD_BIT`, a derived value
+    outputs: process data sent by an order, see [below](#orders): `{ start = "047F 0000", "speed 0.5" = "047E 2000" }`
     parameter: `read NAME` or `write NAME VALUE`, over the parameter channel
-    request: its octets
-    answer: the octets of the drive's answer
+    request: its eight octets
+    answer: the eight octets of the drive's answer
     value: the value in the answer
     """
 

@@ -11,7 +11,7 @@ from dpstack.profile.model.profidrive_states import ProfidriveMachine
 from dpstack.profile.model.states import Goal, State
 
 #: the way up, lowest first
-_WAY: Final[tuple[State, ...]] = (
+WAY: Final[tuple[State, ...]] = (
     State.NOT_READY,
     State.SWITCH_ON_INHIBITED,
     State.READY_TO_SWITCH_ON,
@@ -104,7 +104,7 @@ class TableMachine:
         for word in words:
             self._mask |= word ^ words[0]
         self._shown = {row.state: row.value for row in reversed(file.table.states.rows)}
-        self._way = [state for state in _WAY if state in self._shown]
+        self._way = [state for state in WAY if state in self._shown]
         self._acknowledge = False
         self.state: State = self._way[0]
 

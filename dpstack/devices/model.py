@@ -250,12 +250,13 @@ class Example(Struct, frozen=True, kw_only=True):
     #: octets sent before, as far as the meaning of the inputs depends on them
     after: bytes | None = None
     state: str = ""
-    fault: str = ""
-    warning: str = ""
+    #: text or number of the message; "": none stands; None: not said
+    fault: str | int | None = None
+    warning: str | int | None = None
     speed: float | None = None
     values: Mapping[str, float | bool] = field(default_factory=dict)
-    #: octets sent by an order, such as "start" or "speed 0.5"
-    outputs: Mapping[str, bytes] = field(default_factory=dict)
+    #: octets sent by an order, such as "start" or "speed 0.5", in their order
+    outputs: Mapping[str, tuple[bytes, ...]] = field(default_factory=dict)
     #: options of the drive
     options: Mapping[str, object] = field(default_factory=dict)
     #: a request and its answer in the parameter channel: "read NAME" or "write NAME VALUE", request, answer, value
@@ -299,6 +300,8 @@ class FileFacts(Struct, frozen=True, kw_only=True):
     bus: BusFacts = BusFacts()
     telegrams: Mapping[str, Telegram]
     default_telegram: str
+    #: names of the telegrams that are in the file itself, not in a base
+    own_telegrams: tuple[str, ...] = ()
     words: Mapping[str, WordSpec] = field(default_factory=dict)
     options: Mapping[str, OptionSpec] = field(default_factory=dict)
     #: options of the simulated device

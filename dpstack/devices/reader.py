@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import csv
+import errno
 import hashlib
+import os
+import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Final, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
 
 from msgspec import structs
 
 from dpstack.devices import keys as k
+from dpstack.devices.drive_core import counts_of
+from dpstack.devices.machines import WAY
 from dpstack.devices.maps import MapWay, read_maps
 from dpstack.devices.model import (
     NORMALISED,
@@ -37,6 +42,7 @@ from dpstack.devices.model import (
 )
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.text import MAX_OCTETS as MAX_GSD
 from dpstack.profile.channel.indexed import DIALECTS
 from dpstack.profile.channel.pkw import PkwDialect
 from dpstack.profile.drive_profile import OptionSpec, RateSetting
@@ -50,6 +56,10 @@ from dpstack.profile.model.words import Word
 from dpstack.text import brief, nearest
 from dpstack.toml.reading import TomlError, read_toml
 from dpstack.toml.table import Key, Source, Table, is_integer, keys_of
+from dpstack.units import BAUD_RATES
+
+if TYPE_CHECKING:
+    from dpstack.gsd.model import Device
 
 #: octets of a device file: the largest of the library has a tenth of it
 MAX_OCTETS: Final = 1_000_000
@@ -68,6 +78,14 @@ _GOALS: Final = {
     "ack_low": Goal.ACK_LOW,
 }
 _STATES: Final = {str(state): state for state in State if state not in (State.OFFLINE, State.UNKNOWN)}
+#: user parameters of a Set_Prm
+_MOST_PRM: Final = 237
+#: the highest number in a word
+_MOST_NUMBER: Final = 0xFFFF_FFFF
+#: octets of the data of a frame
+MAX_DATA: Final = 244
+#: words in one direction of an identifier
+_MOST_WORDS: Final = 64
 #: bits of a word by their type
 _BITS_OF_WORD: Final = 16
 T = TypeVar("T")
@@ -82,7 +100,7 @@ class DeviceFileError(ConfigError):
         more = len(self.errors) - 1
         text = str(first) if not more else f"{first} (and {more} more: `dpstack device check` shows them)"
         super().__init__(text)
-        self.what = first.what
+        self.line, self.what, self.todo = first.line, first.what, first.todo
 
 
 class _Collected:
@@ -122,23 +140,25 @@ class Reader:
 
     def read(self) -> DeviceFile | EncoderFile:
         """Raises DeviceFileError with all mistakes."""
-        text, digest = text_of(self.path)
-        data, lines = _toml(text, self.path)
-        self._source = Source(str(self.path), lines, self.path, digest)
-        merged = self._over_bases(data, {self.path.resolve()})
-        self._own = data
         with self._collected():
+            text, digest = text_of(self.path)
+            data, lines = _toml(text, self.path)
+            self._source = Source(str(self.path), lines, self.path, digest)
+            merged = self._over_bases(data, {self.path.resolve()})
+            self._own = data
             return self._file(Table(self._source, (), merged, "the file"), digest)
         raise DeviceFileError(sorted(self.errors, key=_line))
 
     @property
     def root(self) -> str:
-        """The name of the last one of its bases; its own without any. Raises ConfigError."""
-        text, digest = text_of(self.path)
-        data, lines = _toml(text, self.path)
-        self._source = Source(str(self.path), lines, self.path, digest)
-        self._over_bases(data, {self.path.resolve()})
-        return self._root
+        """The name of the last one of its bases; its own without any. Raises DeviceFileError."""
+        with self._collected():
+            text, digest = text_of(self.path)
+            data, lines = _toml(text, self.path)
+            self._source = Source(str(self.path), lines, self.path, digest)
+            self._over_bases(data, {self.path.resolve()})
+            return self._root
+        raise DeviceFileError(self.errors)
 
     def _over_bases(self, data: dict[str, Any], seen: set[Path]) -> dict[str, Any]:
         """``data`` over the data of its bases: tables are joined key by key, everything else is replaced.
@@ -147,7 +167,12 @@ class Reader:
         while (name := at.get("base")) is not None:
             if not isinstance(name, str):
                 raise self._source.error(("base",), f"base = {brief(name)} is no name", 'write base = "profidrive"')
-            path = self._find_base(name, path)
+            try:
+                path = self._find_base(name, path)
+            except ConfigError as error:
+                if path != self.path:
+                    raise
+                raise self._source.error(("base",), error.what or str(error), error.todo or "correct it") from None
             if path.resolve() in seen or len(seen) > MAX_BASES:
                 raise self._source.error(
                     ("base",), f"the bases stand on one another in a circle: {path.name}", "take a base of dpstack"
@@ -157,10 +182,11 @@ class Reader:
             _stay_beside(at, path.parent)
             layers.append(at)
         self._root = path.stem if len(layers) > 1 else str(data.get("name", path.stem))
-        merged: dict[str, Any] = {}
-        for layer in reversed(layers):
-            merged = _joined(merged, layer)
-        return merged
+        #: the data of the bases alone
+        self._below: dict[str, Any] = {}
+        for layer in reversed(layers[1:]):
+            self._below = _joined(self._below, layer)
+        return _joined(self._below, data)
 
     def _collected(self) -> _Collected:
         """A mistake inside is noted, and reading goes on behind the block."""
@@ -190,6 +216,11 @@ class Reader:
         )
         self._numbered = given.get("by_number", False)
         parameters = self._parameters(table)
+        for word in words.values():
+            if isinstance(word.of, str):
+                self._parameter_named(table.table("words").table(word.name), "of", word.of, parameters)
+        if given.get("machine", "table") == "table" and not self._python:
+            self._check_way(table, states, run)
         self._simulate = self._simulation(table, parameters)
         released, releasing = own["released"], own["releasing"]
         idle = steady.get(Goal.IDLE, 0)
@@ -253,7 +284,7 @@ class Reader:
         given: dict[str, Any] = {}
         with self._collected():
             given = table.read(_keys(k.DeviceKeys))
-        if not given:
+        if self.errors:
             raise DeviceFileError(self.errors)
         for key, why in (("format", "write format = 1"), ("name", "give the name of the file"), ("base", "")):
             if key not in given and why:
@@ -268,11 +299,18 @@ class Reader:
         self._python = "python" in given
         words = self._words(table)
         gsd = self.path.parent / given["gsd"] if "gsd" in given else None
-        telegrams = self._telegrams(table, words, gsd, given.get("only", ()))
+        device = None
+        with self._collected():
+            device = None if gsd is None else self._device(table, gsd)
+        telegrams = self._telegrams(table, words, device, given.get("only", ()))
         self._options(table)
-        first = next((one for one in telegrams if one in self._own.get("telegrams", {})), next(iter(telegrams), ""))
+        own = self._own.get("telegrams")
+        named = {*(own if isinstance(own, dict) else ()), *given.get("only", ())}
+        own_telegrams = tuple(one for one in telegrams if one in named)
+        in_file = (one for one in telegrams if isinstance(own, dict) and one in own)
+        first = next(in_file, next(iter(telegrams), ""))
         default = str(given.get("telegram", first))
-        if telegrams and default not in telegrams:
+        if telegrams and default not in telegrams and default not in given.get("telegrams", ()):
             self.errors.append(table.error("telegram", f"no telegram {default!r}", f"it has {', '.join(telegrams)}"))
         facts = {
             "path": self.path,
@@ -285,9 +323,10 @@ class Reader:
             "on_loss": given.get("on_loss", "not in its manual"),
             "notes": tuple(given.get("notes", ())),
             "gsd": gsd,
-            "bus": self._bus(table),
+            "bus": self._bus(table, None if device is None else device.ident),
             "telegrams": telegrams,
             "default_telegram": default,
+            "own_telegrams": own_telegrams,
             "words": words,
             "options": self.options,
             "device_options": self.device_options,
@@ -310,23 +349,32 @@ class Reader:
             if not isinstance(of, (str, int, float)) or isinstance(of, bool) or of == 0:
                 inside.fail("of", f"of = {brief(of)}: a scale of zero or no number", "give the value at full")
             bits = self._bits(inside, "bits", 8 * TYPES[kind][0] // 8)
+            low, high = given.get("low"), given.get("high")
+            if low is not None and high is not None and low > high:
+                inside.fail("low", f"low = {low:g} is above high = {high:g}", "correct the limits")
+            self._check_width(inside, name, kind)
             part = given.get("as", name if name in self._parts else "")
             if part in ("control", "status") and TYPES[kind][0] != _BITS_OF_WORD:
                 inside.fail("type", f"the {part} word has 16 bits, not those of {kind}", 'leave type out, or "u16"')
-            found[name] = WordSpec(
+            found[name] = word = WordSpec(
                 name=name,
                 type=kind,
                 full=full,
                 of=of if isinstance(of, str) else float(of),
                 unit=given.get("unit", "%" if full and not isinstance(of, str) and "of" not in given else ""),
-                low=given.get("low"),
-                high=given.get("high"),
+                low=low,
+                high=high,
                 neutral=given.get("neutral", 0.0),
                 part=part,
                 bits=bits,
                 title=given.get("title", ""),
                 width=given.get("width", 0),
             )
+            try:
+                counts_of(word, word.neutral)
+            except ValueError as error:
+                if "neutral" in given:
+                    raise inside.error("neutral", f"neutral: {error}", "give a value within the limits") from None
 
         self._members(table, "words", read)
         derived = table.raw("derived")
@@ -334,6 +382,21 @@ class Reader:
             if not isinstance(derived, Mapping) or part not in derived:
                 found.setdefault(part, WordSpec(name=part, part=part))
         return found
+
+    def _check_width(self, table: Table, name: str, kind: str) -> None:
+        """Refuse another width for a word in telegrams of a base."""
+        below, words = self._below.get("telegrams"), self._below.get("words")
+        base = words.get(name) if isinstance(words, dict) else None
+        if not isinstance(base, dict) or not isinstance(below, dict):
+            return
+        width = TYPES.get(str(base.get("type", "u16")), (0, False))[0]
+        users = (one for one in below.values() if isinstance(one, dict))
+        if TYPES[kind][0] != width and any(name in (*one.get("out", ()), *one.get("in", ())) for one in users):
+            table.fail(
+                "type",
+                f"{name} has {width} bits in telegrams of the base",
+                f"give the word of {TYPES[kind][0]} bits a name of its own, and as = ... for its part",
+            )
 
     def _bits(self, table: Table, key: str, most: int) -> dict[str, int]:
         if table.raw(key) is None:
@@ -360,8 +423,22 @@ class Reader:
         self._members(table, "derived", read)
         return found
 
+    def _device(self, table: Table, gsd: Path) -> Device:
+        """The device of the GSD file."""
+        from dpstack.gsd.parser import load_gsd  # here, as most device files name no GSD file
+
+        try:
+            return load_gsd(_octets_of(gsd, MAX_GSD), gsd.name).device
+        except OSError as error:
+            raise table.error(
+                "gsd", f"gsd: {gsd.name} cannot be read ({error.strerror})", "give the path of the maker's GSD file"
+            ) from None
+        except GsdError as error:
+            what, _, todo = str(error).partition("; ")
+            raise table.error("gsd", what, todo or "give the maker's GSD file") from None
+
     def _telegrams(
-        self, table: Table, words: Mapping[str, WordSpec], gsd: Path | None, only: Sequence[str]
+        self, table: Table, words: Mapping[str, WordSpec], device: Device | None, only: Sequence[str]
     ) -> dict[str, Telegram]:
         found: dict[str, Telegram] = {}
         bus = table.raw("bus")
@@ -379,13 +456,21 @@ class Reader:
             modules = tuple(given.get("modules", ()))
             config = given.get("config")
             made_up = given.get("made_up", bool(isinstance(bus, Mapping) and bus.get("made_up")))
-            if config is None and modules and gsd is not None:
-                config = self._config_of(inside, gsd, modules)
+            number = given.get("number", int(name) if name.isascii() and name.isdecimal() and len(name) < 9 else None)
+            if number is not None and number > 0xFFFF:
+                inside.fail(None, f"telegram {name}: numbers of telegrams are 0..65535", "give it another name")
+            lead = CHANNEL_LEN if pkw else 0
+            if max(sizes) + lead > MAX_DATA:
+                inside.fail(None, f"telegram {name} has more than the {MAX_DATA} octets of a frame", "take words out")
+            if device is not None:
+                lengths = sizes[1] + lead, sizes[0] + lead
+                guessed = _identifiers(sizes[0], sizes[1], number, pkw=pkw) if self._first_words[0] else b""
+                config = self._config_of(inside, name, device, modules, config, lengths, guessed)
             if config is None and not self._first_words[0]:
                 inside.fail("config", f"telegram {name} has no identifiers", 'add config, or gsd and modules = ["..."]')
             if config is None:
-                config, made_up = _identifiers(sizes[0], sizes[1], given.get("number", name), pkw=pkw), True
-            lead = CHANNEL_LEN if pkw else 0
+                with inside.blaming():
+                    config, made_up = _identifiers(sizes[0], sizes[1], number, pkw=pkw), True
             with inside.blaming("config"):
                 declared = io_lengths(config)
             if not self.errors and declared != (sizes[1] + lead, sizes[0] + lead):
@@ -395,9 +480,6 @@ class Reader:
                     f"identifiers {config.hex(' ').upper()} have {declared[0]} and {declared[1]}",
                     "correct the words, or config",
                 )
-            number = given.get("number")
-            if number is None and name.isascii() and name.isdecimal():
-                number = int(name)
             found[name] = Telegram(
                 spec=TelegramSpec(
                     name=name, config=config, outputs=sizes[0], inputs=sizes[1], channel=pkw, made_up=made_up
@@ -435,6 +517,11 @@ class Reader:
                 if one in found:
                     table.fail(key, f"{key} names {one!r} twice", "give each word a name of its own")
                 found.append(one)
+                part = words[one].part
+                other = next((name for name in found[:-1] if isinstance(name, str) and words[name].part == part), None)
+                if part and other is not None:
+                    what = f"{key}: {other!r} and {one!r} are both the {part}"
+                    table.fail(key, what, "leave one out, or give it another part by as")
             elif isinstance(one, str):
                 near = nearest(one, words)
                 hint = f"did you mean {near!r}?" if near else "declare it in [words]"
@@ -445,20 +532,40 @@ class Reader:
             table.fail(key, f"{key} begins with {brief(found[0])}", f"the first word must be {first!r}")
         return tuple(found)
 
-    def _config_of(self, table: Table, gsd: Path, modules: Sequence[str]) -> bytes:
-        from dpstack.gsd.configuration import find_module
-        from dpstack.gsd.parser import load_gsd
+    def _config_of(
+        self,
+        table: Table,
+        name: str,
+        device: Device,
+        modules: Sequence[str],
+        config: bytes | None,
+        lengths: tuple[int, int],
+        guessed: bytes,
+    ) -> bytes | None:
+        """The identifiers of a telegram by the GSD file; None for one of a base that the file does not have.
 
+        ``lengths``: of all inputs and outputs; ``guessed``: the identifiers that it would have without the file.
+        """
+        from dpstack.gsd.configuration import configuration_like, find_module, modules_of_config, plug
+
+        own = self._own.get("telegrams")
+        is_own = isinstance(own, dict) and name in own
         try:
-            device = load_gsd(gsd.read_bytes(), gsd.name).device
-            return b"".join(find_module(device, name).config for name in modules)
-        except OSError as error:
-            raise self._source.error(
-                ("gsd",), f"gsd: {gsd.name} cannot be read ({error.strerror})", "give the path of the file"
-            ) from None
+            if modules:
+                return plug(device, [find_module(device, one) for one in modules], own_prm=True).config
+            if config is not None:
+                if is_own and modules_of_config(device, config) is None:
+                    raise GsdError(
+                        f"config {config.hex(' ').upper()} is in no module of the GSD file; give the modules instead"
+                    )
+                return config
+            return configuration_like(device, guessed, lengths, own_prm=True).config
         except GsdError as error:
+            if not is_own:
+                return None
             what, _, todo = str(error).partition("; ")
-            raise table.error("modules", what, todo or "give the names of its modules") from None
+            key = "modules" if modules else "config" if config is not None else None
+            raise table.error(key, f"telegram {name}: {what}", todo or "give the names of its modules") from None
 
     # -- control, status, states --------------------------------------------------------------------------------------
 
@@ -509,7 +616,10 @@ class Reader:
                 raise table.error(
                     "status", str(error), "make masks and values of the states exclude one another"
                 ) from None
-            if not rows:
+            if not rows and "base" not in self._own:
+                raise table.error(None, "no base", 'write base = "profidrive", "drivecom" or "bits"')
+            given_status = table.raw("status")
+            if not rows and not (isinstance(given_status, Mapping) and "states" in given_status):
                 raise table.error("status", "no states", "add states = { running = [mask, value], ... }")
         return Word(titles["control"], control_bits), Word(titles["status"], status_bits), states, own
 
@@ -518,6 +628,19 @@ class Reader:
             return ()
         inside = table.table("codes")
         return tuple(DescribedCode(code, inside.text(code)) for code in inside)
+
+    def _check_way(self, table: Table, states: StateTable, run: Mapping[State, int]) -> None:
+        """A drive without a state machine of a base: the states and words that a start and a stop need."""
+        known = {row.state for row in states.rows}
+        lower = [state for state in WAY if state in known and state is not State.RUNNING]
+        if known and (State.RUNNING not in known or not lower):
+            names = ", ".join(str(state) for state in WAY)
+            self.errors.append(
+                table.error("status", "states: running and a state below it are needed", f"they are {names}")
+            )
+        elif known and not any(state in run for state in lower):
+            todo = f"write run = {{ {lower[-1]} = 0x..., running = 0x... }} in [control]"
+            self.errors.append(table.error("control", "no word leads to running", todo))
 
     def _bit_of(self, table: Table, key: str, given: Mapping[str, Any], bits: Mapping[str, int]) -> int | None:
         name = given.get(key)
@@ -677,6 +800,8 @@ class Reader:
                 number = int(name, 0)
             except ValueError:
                 table.fail("texts", f"{brief(name)} is no number", "write each text behind its number")
+            if not 0 <= number <= _MOST_NUMBER:
+                table.fail("texts", f"{brief(name)} is beyond every word", "a word has 16 or 32 bits")
             found[number] = Message(**({"code": filled(code, {"number": number})} | more))
         return found
 
@@ -773,6 +898,8 @@ class Reader:
                 equals = option
             elif not isinstance(equals, (int, float)) or isinstance(equals, bool):
                 inside.fail("equals", f"equals = {brief(equals)}", 'give a number, or "{OPTION}"')
+            else:
+                _check_value(inside, "equals", spec, equals)
             rest = {key: value for key, value in given.items() if key != "equals"}
             found.append(SettingSpec(parameter=name, equals=equals, unit=spec.unit, **rest))
 
@@ -855,9 +982,10 @@ class Reader:
 
     # -- the rest -----------------------------------------------------------------------------------------------------
 
-    def _bus(self, table: Table) -> BusFacts:
+    def _bus(self, table: Table, ident: int | None) -> BusFacts:
+        """``ident``: the ident number in the GSD file."""
         if table.raw("bus") is None:
-            return BusFacts()
+            return BusFacts(ident=ident)
         with self._collected():
             inside = table.table("bus")
             given = inside.read(_keys(k.BusKeys))
@@ -868,7 +996,12 @@ class Reader:
                 inside.fail("rate_option", f"rate_option = {brief(option)}", "name an option, and give rate_numbers")
             setting = RateSetting(option, rates) if option else None
             given["rates"] = given.get("rates") or tuple(rates.values())
-            return BusFacts(**(given | {"max_tsdr": times, "rate_setting": setting}))
+            if unknown := {*given["rates"], *times} - {*BAUD_RATES}:
+                known = ", ".join(map(str, BAUD_RATES))
+                inside.fail("rates", f"{min(unknown)} bit/s is no rate of PROFIBUS", f"they are {known}")
+            if len(given.get("user_prm", b"")) > _MOST_PRM:
+                inside.fail("user_prm", f"more than the {_MOST_PRM} octets of a Set_Prm", "take octets out")
+            return BusFacts(**({"ident": ident} | given | {"max_tsdr": times, "rate_setting": setting}))
         return BusFacts()
 
     def _by_number(self, table: Table, key: str, most: int) -> dict[int, int]:
@@ -887,8 +1020,14 @@ class Reader:
             table.fail("default", f"the option {table.title} has no default", "give true or false, a number or a text")
         if isinstance(default, int) and not isinstance(default, bool):
             default = float(default)
-        limits = {"text": given.get("text", ""), "low": given.get("low"), "high": given.get("high")}
-        return OptionSpec(default=default, choices=tuple(given.get("choices", ())), **limits)
+        low, high, choices = given.get("low"), given.get("high"), tuple(given.get("choices", ()))
+        if isinstance(default, str):
+            fits = not choices or default in choices
+        else:
+            fits = (low is None or default >= low) and (high is None or default <= high) and default == default
+        if not fits:
+            table.fail("default", f"default = {brief(default)} is none of its values", "correct it or the limits")
+        return OptionSpec(default=default, text=given.get("text", ""), low=low, high=high, choices=choices)
 
     def _options(self, table: Table) -> None:
         def read(name: str, inside: Table) -> None:
@@ -922,10 +1061,26 @@ class Reader:
             known = ("stop", "quick_stop", "coast", "go_on")
             if lost not in known and not is_integer(lost):
                 inside.fail("lost", f"lost = {brief(lost)}", f"it must be {', '.join(known)} or the number of a fault")
+            if is_integer(lost) and not 0 < lost <= 0xFFFF:
+                inside.fail("lost", f"lost = {lost} is no number of a fault", "give 1..65535")
+            for key in ("ready", "left_open"):
+                if key in given:
+                    self._presets(inside.table(key), parameters)
             rest = {key: value for key, value in given.items() if key not in ("ramps", "lost")}
             up, down, quick = (ramps.get(way, "") for way in ("up", "down", "quick"))
             return Simulation(lost=str(lost), up=up, down=down, quick=quick, **rest)
         return Simulation()
+
+    def _presets(self, table: Table, parameters: ParamTable) -> None:
+        """Parameters with the values of a simulated drive."""
+        for name in table:
+            spec = parameters.named(name)
+            if spec is None:
+                table.fail(name, f"{brief(name)} is no parameter of this file", "declare it in [parameters]")
+            value = table.raw(name)
+            if not isinstance(value, (int, float)) or isinstance(value, bool):
+                table.fail(name, f"{name} = {brief(value)}", "give a number")
+            _check_value(table, name, spec, value)
 
     def _each(self, table: Table, key: str, read: Callable[[int, Table], None]) -> None:
         """Call ``read`` with line and table of each of an array of tables; its mistakes are noted."""
@@ -980,10 +1135,13 @@ class Reader:
             given = inside.read(_keys(k.ExampleKeys))
             if not {"inputs", "outputs", "parameter"} & set(given):
                 inside.fail(None, "it has no octets", "give inputs, outputs, or parameter with request and answer")
-            outputs: dict[str, bytes] = {}
+            for key in ("fault", "warning"):
+                if not isinstance(given.get(key, ""), str) and not is_integer(given[key]):
+                    inside.fail(key, f"{key} = {brief(given[key])}", "give a text or a number")
+            outputs: dict[str, tuple[bytes, ...]] = {}
             if "outputs" in given:
                 orders = inside.table("outputs")
-                outputs = {order: orders.octets(order) for order in orders}
+                outputs = {order: _octets_in_order(orders, order) for order in orders}
             values: dict[str, float | bool] = {}
             if "values" in given:
                 numbers = inside.table("values")
@@ -996,6 +1154,21 @@ class Reader:
 
         self._each(table, "example", read)
         return tuple(found)
+
+
+def _check_value(table: Table, key: str, spec: ParamSpec, value: float) -> None:
+    try:
+        spec.to_raw(value)
+    except ValueError as error:
+        raise table.error(key, str(error), "give a value that it can have") from None
+
+
+def _octets_in_order(table: Table, key: str) -> tuple[bytes, ...]:
+    """Octets, or a list of octets in hex."""
+    if not isinstance(table.raw(key), list):
+        return (table.octets(key),)
+    each = table.numbered(key)
+    return tuple(each.octets(one) for one in each)
 
 
 def _in_a_row(name: str, given: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -1037,20 +1210,34 @@ _REFERENCES: Final = ("reference_hz", "reference_rpm")
 def text_of(path: Path) -> tuple[str, str]:
     """The text of a file and the SHA-256 of its octets. Raises ConfigError."""
     try:
-        with path.open("rb") as file:
-            octets = file.read(MAX_OCTETS + 1)
+        octets = _octets_of(path, MAX_OCTETS)
     except OSError as error:
         raise ConfigError.at(
             str(path), None, f"{path.name} cannot be read ({error.strerror})", "give the path of a file"
         ) from None
     if len(octets) > MAX_OCTETS:
         raise ConfigError.at(
-            str(path), None, f"the file has more than {MAX_OCTETS // 1_000_000} MB", "a device file has some kB"
+            str(path), 1, f"the file has more than {MAX_OCTETS // 1_000_000} MB", "a device file has some kB"
         )
     try:
         return octets.decode(), hashlib.sha256(octets).hexdigest()
-    except UnicodeDecodeError:
-        raise ConfigError.at(str(path), None, "the file is no UTF-8 text", "save it as UTF-8") from None
+    except UnicodeDecodeError as error:
+        line = octets.count(b"\n", 0, error.start) + 1
+        raise ConfigError.at(str(path), line, "the file is no UTF-8 text", "save it as UTF-8") from None
+
+
+def _octets_of(path: Path, most: int) -> bytes:
+    """The octets of an ordinary file, at most ``most`` + 1; a pipe or a device is not opened. Raises OSError."""
+    try:
+        mode = path.stat().st_mode
+    except ValueError as error:  # an octet 0 in the name
+        raise OSError(errno.EINVAL, str(error)) from None
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "no ordinary file")
+    with path.open("rb") as file:
+        return file.read(most + 1)
 
 
 def _toml(text: str, path: Path) -> tuple[dict[str, Any], dict[tuple[str | int, ...], int]]:
@@ -1089,12 +1276,17 @@ def _line(error: ConfigError) -> int:
     return error.line or 0
 
 
-def _identifiers(outputs: int, inputs: int, number: object, *, pkw: bool) -> bytes:
-    """Identifiers of PROFIdrive for a telegram that no GSD file describes, in words: PPO, or the special format."""
+def _identifiers(outputs: int, inputs: int, number: int | None, *, pkw: bool) -> bytes:
+    """Identifiers of PROFIdrive for a telegram that no GSD file describes, in words: PPO, or the special format.
+
+    Raises ConfigError for more words than an identifier has.
+    """
     out, into = outputs // 2, inputs // 2
-    if pkw or not str(number).isdecimal():
+    if max(out, into) > _MOST_WORDS:
+        raise ConfigError(f"more than {_MOST_WORDS} words one way; give config, or modules of a GSD file")
+    if pkw or number is None:
         lead = b"\xf3" if pkw else b""
         return lead + (
             bytes((0x70 | out - 1,)) if out == into <= 16 else bytes((0xC0, 0xC0 | out - 1, 0xC0 | into - 1))
         )
-    return bytes((0xC3, 0xC0 | out - 1, 0xC0 | into - 1, 0xFD)) + int(str(number)).to_bytes(2, "big")
+    return bytes((0xC3, 0xC0 | out - 1, 0xC0 | into - 1, 0xFD)) + number.to_bytes(2, "big")

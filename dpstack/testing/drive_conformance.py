@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Coroutine, Mapping, Sequence
+import inspect
+from collections.abc import Callable, Collection, Coroutine, Iterator, Mapping, Sequence
 from random import Random
 from typing import ClassVar, Final, NamedTuple
+
+from msgspec import Struct
 
 from dpstack.api.slave.drive import Drive
 from dpstack.devices.finding import find
 from dpstack.dp.master.commands import Mode
-from dpstack.errors import DriveError, ParameterError, UsageError
+from dpstack.errors import DpError, DriveError, ParameterError, UsageError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.profile import FAULTED, DriveDevice, DriveProfile, ListedParam, State
 from dpstack.profile.master.core import NO_NAME, NOT_NAMED
 from dpstack.profile.model.drive_type import CHECK_SETTINGS
 from dpstack.profile.registry import also
-from dpstack.testing.bus import BusFactory, SimulatedBus
+from dpstack.testing.bus import BusFactory, SimulatedBus, VirtualTime
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
 _NAME: Final = "tested"
@@ -364,3 +367,86 @@ async def _read(drive: Drive, one: ListedParam) -> float | int:
 
 def _words(rig: _Rig) -> str:
     return " ".join(f"{word:04X}" for word in rig.drive.status.words)
+
+
+# --- without pytest ---------------------------------------------------------------------------------------------------
+class Outcome(Struct, frozen=True):
+    """A check with one telegram; ``telegram`` is "" for a check of the declarations, ``reason`` if it passed."""
+
+    check: str
+    telegram: str
+    reason: str
+
+    @property
+    def passed(self) -> bool:
+        return not self.reason
+
+
+def run_checks(
+    profile: DriveProfile, telegrams: Sequence[str] = (), *, nameless: Collection[str] = (), **settings: object
+) -> Iterator[Outcome]:
+    """Run all checks of ``profile`` in virtual time, with each of ``telegrams`` (none: the default one).
+
+    ``nameless``: telegrams with which a fault has no name. ``settings``: attributes of :class:`DriveConformance`, such
+    as ``speeds``. Raises UsageError under ``python -O``, which leaves assertions out.
+    """
+    if not __debug__:
+        raise UsageError("the checks are assertions, which python -O leaves out: run it without -O")
+    kind: type[DriveConformance] = type("Checks", (DriveConformance,), {"profile": profile, **settings})
+    names = [name for name, _ in inspect.getmembers(DriveConformance, inspect.isfunction) if name.startswith("test_")]
+    lines = {name: getattr(DriveConformance, name).__code__.co_firstlineno for name in names}
+    chosen = telegrams or (profile.default_telegram,)
+    for name in sorted(names, key=lines.__getitem__):
+        wanted = inspect.signature(getattr(DriveConformance, name)).parameters
+        for telegram in chosen if "dpstack_telegram" in wanted else ("",):
+            checks = kind()
+            checks.names_faults = telegram not in nameless  # type: ignore[misc]
+            yield Outcome(name.removeprefix("test_").replace("_", " "), telegram, _reason(checks, name, telegram))
+
+
+def run_exchange(device: str, telegram: str, keys: Mapping[str, object]) -> Outcome:
+    """The check of a device that is no drive: it is brought up, in data exchange, and its values can be read.
+
+    ``device``: the path of its file; ``keys``: further ones of its slave.
+    """
+
+    def check(buses: BusFactory) -> None:
+        slave = {"name": _NAME, "address": _ADDRESS, "device": device, "telegram": telegram, **keys}
+        bus = buses(slaves=[slave])
+        bus.wait(1)
+        bus.wire.assert_brought_up(_NAME)
+        tested = bus.slave(_NAME)
+        assert tested.ready_now, "it left data exchange"
+        for name in bus.config.slaves[0].input_fields:
+            assert tested[name] is not None
+
+    return Outcome("it comes into data exchange", telegram, _outcome(check))
+
+
+def _reason(checks: DriveConformance, name: str, telegram: str) -> str:
+    """Why the check failed; "" if it passed."""
+    wanted = inspect.signature(getattr(checks, name)).parameters
+
+    def check(buses: BusFactory) -> None:
+        given = {"dpstack_bus": buses, "dpstack_telegram": telegram}
+        getattr(checks, name)(**{key: given[key] for key in wanted})
+
+    return _outcome(check)
+
+
+def _outcome(check: Callable[[BusFactory], None]) -> str:
+    """Why ``check`` failed in virtual time; "" if it passed."""
+    time = VirtualTime()
+    buses = BusFactory(time)
+    try:
+        check(buses)
+        buses.close()
+    except AssertionError as error:
+        return str(error).partition("\nassert ")[0] or "its condition does not hold"  # pytest adds its own lines
+    except DpError as error:
+        return str(error)
+    except Exception as error:  # the Python of a package may raise anything
+        return f"{type(error).__name__}: {error}"
+    finally:
+        time.close()
+    return ""

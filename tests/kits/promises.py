@@ -279,9 +279,20 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "F11": ("api/recording/test_record_files.py::test_the_lines_of_a_log", "test_text.py::test_shown_to_people"),
     "F12": ("monitor/test_acceptance_report.py::test_foreign_text_is_text_and_nothing_else",),
+    "F13": (
+        "devices/test_bad_files.py::test_a_device_file_names_no_code_but_what_a_package_has_registered",
+        "devices/test_bad_files.py::test_a_configuration_names_no_code_by_a_device_file",
+    ),
+    "F14": (
+        "devices/test_bad_files.py::test_contents_that_are_no_text",
+        "devices/test_bad_files.py::test_a_pipe_is_not_opened",
+        "devices/test_bad_files.py::test_a_chain_of_bases_has_an_end",
+        "devices/test_bad_files.py::test_a_mistake_has_its_line_and_a_remedy",
+    ),
     "E1": (
         "profile/test_registry.py::test_known_drives_in_spite_of_broken_packages",
         "profile/test_registry.py::test_the_entry_points_of_this_project_load",
+        "cli/devices/test_device_show.py::test_a_file_with_mistakes_is_listed_with_the_reason",
     ),
     "E2": (
         "api/bus/test_bus.py::test_a_plugin_that_raises_stops_its_drive_only",

@@ -11,6 +11,7 @@ from dpstack.api.commissioning.live_list import Chosen
 from dpstack.api.config.gsd_choice import module_key, slots_of
 from dpstack.api.gsd_folder import GsdEntry, GsdFolder
 from dpstack.api.gsd_info import module_lengths
+from dpstack.devices import finding
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.slot_map import SlotMap
 from dpstack.errors import ConfigError, DpError
@@ -19,7 +20,7 @@ from dpstack.gsd.configuration import default_modules, find_module, plug
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module, in_ranges
 from dpstack.gsd.module_readings import ModuleReading, read_modules
-from dpstack.profile import DriveProfile, registry
+from dpstack.profile import DriveProfile
 from dpstack.text import octets_text
 
 #: readings of identifier octets in an answer
@@ -74,7 +75,7 @@ def candidates(folder: GsdFolder, ident: int | None, config: bytes | None) -> li
     """
     found: list[Candidate] = []
     if ident is not None:
-        found += (_of_drive(drive, config) for drive in registry.known().values() if drive.ident == ident)
+        found += (_of_drive(drive, config) for drive in finding.with_ident(ident))
         for entry in folder.with_ident(ident):
             try:
                 device = folder.device(entry.key)

@@ -126,9 +126,9 @@ def answer_notes(stations: Iterable[Found], unreadable: Iterable[int]) -> Iterat
 
 def drive_of(found: Found) -> DriveProfile | None:
     """The known drive with the ident number of ``found``, if there is one."""
-    from dpstack.profile import registry  # here, as most scans of a program do not ask for drives
+    from dpstack.devices import finding  # here, as most scans of a program do not ask for drives
 
-    return next((p for p in registry.known().values() if p.ident == found.ident), None)
+    return None if found.ident is None else next(iter(finding.with_ident(found.ident)), None)
 
 
 def config_skeleton(result: LiveListResult, port: str, chosen: Mapping[int, Chosen] | None = None) -> str:

@@ -4,6 +4,7 @@
 - ``channel_names``: The slots of a slave, and names for their channels, as lines of a configuration
 - ``config``: ``Config``: configuration files, read and checked
 - ``connectors``: The tables of the connectors that publish a plant
+- ``device_draft``: A first device file, written from a GSD file
 - ``dpv1``: The table [slave.dpv1]: DPV1_Status, alarms, class 2 connections
 - ``drive_source``: A [[slave]] table with a drive, alone or with its maker's GSD file
 - ``gsd_choice``: A [[slave]] table from the modules and parameters chosen in a GSD file

@@ -16,6 +16,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
 from dpstack.decode.fields import Fields
 from dpstack.decode.names import DriveWords, ModuleName, Names, SlaveNames
+from dpstack.devices import finding
 from dpstack.dp.pdu.diag_texts import first_slot_of
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import modules_of_config
@@ -23,7 +24,6 @@ from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import parse_identifiers
 from dpstack.gsd.model import Device, Module
 from dpstack.gsd.prm import UserPrm
-from dpstack.profile import registry
 from dpstack.profile.heard_words import HeardDrive, record_fields
 from dpstack.sim import io_station
 
@@ -131,7 +131,7 @@ class _Recogniser:
 
     def _bundled_device(self, ident: int) -> tuple[str, Device] | None:
         if self._bundled is None:
-            drives = registry.known()
+            drives = finding.known()
             self._bundled = {drives[name].ident: name for name in bundled() if name in drives}
             self._bundled[io_station.IDENT] = io_station.NAME
         name = self._bundled.get(ident)
@@ -145,9 +145,7 @@ class _Recogniser:
 
 def _drive(ident: int, config: bytes) -> DriveWords | None:
     """The drive with this ident number, in the telegram with these identifier octets, as its factory has it."""
-    for profile in registry.known().values():
-        if profile.ident != ident:
-            continue
+    for profile in finding.with_ident(ident):
         telegrams = profile.telegrams_of(config)
         if len(telegrams) == 1:
             try:

@@ -17,6 +17,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
 from dpstack.api.slave.class2 import Class2, Configuration
 from dpstack.api.slave.quality import judged_by
+from dpstack.devices import finding
 from dpstack.dp.doubts import doubts_of
 from dpstack.dp.master.scanner import SlaveView, view_of
 from dpstack.dp.pdu.diag_bits import Flag, SetBy
@@ -30,7 +31,6 @@ from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.model import Device, Module
 from dpstack.gsd.module_comparison import compare_modules
 from dpstack.plant.quality import Quality
-from dpstack.profile import registry
 from dpstack.text import octets_text
 
 #: the services by the name of their octets in a reading
@@ -245,7 +245,7 @@ def _is_dpv1(slave: SlaveConfig | None, device: Device | None) -> bool:
 def _model(device: Device | None, ident: int) -> str | None:
     if device is not None:
         return device.model
-    return next((one.title for one in registry.known().values() if one.ident == ident), None)
+    return next((one.title for one in finding.with_ident(ident)), None)
 
 
 def _modules(

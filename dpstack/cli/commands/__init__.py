@@ -8,7 +8,6 @@
 - ``demo_stories``: The programs that ``dpstack demo`` runs, one for each known drive
 - ``doctor``: ``dpstack doctor``: checks of adapters, permissions, latency and real-time rights
 - ``drive``: ``dpstack drive``: manual control of one drive, through a running master or as master in the foreground
-- ``drives``: ``dpstack drives``: the drives and devices that are known here, and the packages that bring them
 - ``gsd``: ``dpstack gsd``: shows, checks, configures and copies GSD files
 - ``gsd_configure``: ``dpstack gsd configure``: a dialogue that makes a [[slave]] table from a GSD file
 - ``lists``: Output of dumps and comparisons of parameter lists, as text and JSON

@@ -14,7 +14,7 @@ from typing import Any, Final
 from dpstack.cli.options import require
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
-from dpstack.profile import registry
+from dpstack.devices import finding
 from dpstack.units import BAUD_RATES
 
 SHELLS: Final = ("bash", "zsh", "fish")
@@ -126,7 +126,7 @@ def completion_of(action: argparse.Action) -> str | tuple[str, ...]:
     if action.metavar in _RATE_WORDS and action.dest == "baud":
         return (*map(str, BAUD_RATES), *_RATE_WORDS[str(action.metavar)])
     if action.dest == "drive":
-        return tuple(name for name in registry.known() if re.fullmatch(r"[\w.-]+", name))
+        return tuple(name for name in finding.known() if re.fullmatch(r"[\w.-]+", name))
     return _BY_METAVAR.get(action.metavar, "")
 
 

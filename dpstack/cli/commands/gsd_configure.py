@@ -9,22 +9,20 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final
 
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.gsd_choice import Choice, as_toml, base_name, channel_names, module_key, slots_of
 from dpstack.cli import options
 from dpstack.cli.terminal import output
-from dpstack.errors import GsdError, UsageError
+from dpstack.cli.terminal.questions import Questions, say
+from dpstack.errors import GsdError
 from dpstack.gsd.configuration import default_modules, find_module, fixed_modules, is_fixed, plug
 from dpstack.gsd.model import Device, GsdFile, Module, folded, ranges_text
 from dpstack.gsd.prm import PrmField, containing, is_slot_number, value_of
-from dpstack.text import printable, some_of
+from dpstack.text import some_of
 
-_T = TypeVar("_T")
 #: longest list of modules that is printed without a request
 _LISTED = 40
 #: answer that ends the modules or the parameters
@@ -35,30 +33,23 @@ _BACK: Final = "back"
 _NAMED: Final = 6
 
 
-def say(text: str) -> None:
-    """One line for the person at the keyboard."""
-    with output.guarded():
-        sys.stderr.write(printable(text) + "\n")
-        sys.stderr.flush()
-
-
-class Dialogue:
+class Dialogue(Questions):
     """``beside``: path of the configuration that the table is for, which need not exist; None: without one."""
 
     def __init__(self, file: GsdFile, path: str, beside: str | None) -> None:
+        super().__init__("gsd configure", "table")
         self._file = file
         self._device = file.device
         self._config = _existing(beside)
         self._path = path if beside is None else _seen_from(path, beside)
-        self._ended = False
 
     def run(self) -> int:
         """Ask, then print the table."""
         device = self._device
         say(f"{device.vendor} {device.model}".strip() or self._path)
         base = base_name(device.model)
-        name = self._ask(f"name [{base}-ADDRESS]: ", self._name, "")
-        address = self._ask("address, 0..125: ", self._address)
+        name = self.ask(f"name [{base}-ADDRESS]: ", self._name, "")
+        address = self.ask("address, 0..125: ", self._address)
         if not name:
             name = self._name(f"{base}-{address}")
         choice = Choice(name, address, self._path, self._modules())
@@ -66,44 +57,6 @@ class Dialogue:
         self._names(choice)
         output.toml(as_toml(device, choice))
         return 0
-
-    def _ask(
-        self,
-        prompt: str,
-        read: Callable[[str], _T],
-        default: str | None = None,
-        search: Callable[[str], None] | None = None,
-    ) -> _T:
-        """Ask until ``read`` accepts the answer (it raises GsdError otherwise); an empty answer is ``default``.
-
-        ``search`` gets the text of an answer ``/text`` or ``?text``, then the question comes again. Raises UsageError
-        if the input has ended and there is no default.
-        """
-        while True:
-            line = "" if self._ended else self._line(prompt)
-            if not line and default is None:
-                raise UsageError("gsd configure: the answers ended before the table was complete; nothing was written")
-            answer = line.strip() or (default or "")
-            if search is not None and answer[:1] in ("/", "?"):
-                search(answer[1:].strip())
-                continue
-            try:
-                return read(answer)
-            except GsdError as error:
-                if self._ended:
-                    raise UsageError(f"gsd configure: {error}; nothing was written") from None
-                output.warn(str(error))
-
-    def _line(self, prompt: str) -> str:
-        """One line of input with its line end; empty at the end of input."""
-        with output.guarded():
-            sys.stderr.write(printable(prompt))
-            sys.stderr.flush()
-        line = sys.stdin.readline()
-        if not line:
-            self._ended = True
-            say("")
-        return line
 
     # --- name and address -------------------------------------------------------------------------------------------
 
@@ -138,7 +91,7 @@ class Dialogue:
             preset = default_modules(device)
             if preset is not None:
                 say("preset: " + _places(device, preset))
-                if self._ask("take these modules, y or n [y]: ", _yes, "y"):
+                if self.ask("take these modules, y or n [y]: ", _yes, "y"):
                     chosen = list(preset)
         if self._room(chosen):
             if len(device.modules) <= _LISTED:
@@ -149,7 +102,7 @@ class Dialogue:
                 "done ends"
             )
         while self._room(chosen):
-            answer = self._ask(
+            answer = self.ask(
                 self._slot_prompt(chosen), lambda text: self._slot(chosen, text), _DONE, self._list_modules
             )
             if answer == _DONE:
@@ -230,7 +183,7 @@ class Dialogue:
         proposed = channel_names(slots)
         if proposed:
             some = some_of(proposed, _NAMED)
-            choice.names = self._ask(f"names for the channels ({some}), y or n [n]: ", _yes, "n")
+            choice.names = self.ask(f"names for the channels ({some}), y or n [n]: ", _yes, "n")
 
     # --- parameters -------------------------------------------------------------------------------------------------
 
@@ -245,12 +198,12 @@ class Dialogue:
             for field in prm.fields
             if field.parameter.visible and field.parameter.changeable and not is_slot_number(field.parameter)
         ]
-        if not fields or not self._ask(f"parameters: {len(fields)}; go through them, y or n [n]: ", _yes, "n"):
+        if not fields or not self.ask(f"parameters: {len(fields)}; go through them, y or n [n]: ", _yes, "n"):
             return
         say("an empty line keeps the value, done keeps all that follow")
         for field in fields:
             prompt = f"{field.key} ({_allowed(field)}) [{field.text}]: "
-            value = self._ask(prompt, lambda text, field=field: _value(field, text), "")  # type: ignore[misc]
+            value = self.ask(prompt, lambda text, field=field: _value(field, text), "")  # type: ignore[misc]
             if value is None:
                 break
             if value != field.value:

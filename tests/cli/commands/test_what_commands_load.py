@@ -14,7 +14,7 @@ import pytest
 import dpstack
 from dpstack.api.bus import opening
 from dpstack.capture.pcapng import Writer
-from dpstack.cli.main import _COMMANDS, _LISTENING, _LOOKING
+from dpstack.cli.main import _COMMANDS, _ROOMS
 
 _PROGRAM = """
 import sys
@@ -126,7 +126,7 @@ def test_the_package_loads_nothing_of_itself() -> None:
 
 @pytest.mark.parametrize("name", _COMMANDS)
 def test_a_command_is_the_module_of_its_name(name: str) -> None:
-    room = "listening" if name in _LISTENING else "looking" if name in _LOOKING else "commands"
+    room = next((room for room, inside in _ROOMS.items() if name in inside), "commands")
     assert callable(importlib.import_module(f"dpstack.cli.{room}.{name}").add_to)
 
 

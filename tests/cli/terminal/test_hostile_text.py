@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import socket
@@ -146,6 +147,52 @@ def test_questions_about_a_gsd_file(
         run(capsys, "gsd", "configure", str(gsd))
 
 
+def test_a_first_device_file_of_a_gsd_file(
+    gsd: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    target = tmp_path / "evil.toml"
+    text = gsd.read_text(encoding="utf-8").replace("0x10\n", "0x71\n", 1)
+    gsd.write_text(text, encoding="utf-8")
+    for target_or_not in (("-o", str(target)), ("--name", "evil")):
+        answers = io.StringIO("profidrive\n1\n")
+        monkeypatch.setattr(answers, "isatty", lambda: True, raising=False)
+        monkeypatch.setattr("sys.stdin", answers)
+        code, out, err = run(capsys, "device", "new", "--gsd", str(gsd), *target_or_not)
+        assert code == 0
+        assert r"\x1b]0;owned" in err
+    assert r"\u001b]0;owned" in out
+    assert r"\u001b]0;owned" in target.read_text(encoding="utf-8")
+
+
+def test_device_files(
+    reader: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Their texts, of which the reader refuses those that are not printable, and what stands in messages about them."""
+    monkeypatch.setenv("DPSTACK_DEVICES", str(tmp_path))
+    path = tmp_path / "fan.toml"
+    for place in ("title", "source", "base", "gsd", "python", "notes", "key", "word", "fault", "state", "order"):
+        evil = json.dumps(EVIL)
+        parts = {
+            "title": f"title = {evil}", "source": f"source = {evil}", "base": f"base = {evil}", "gsd": f"gsd = {evil}",
+            "python": f"python = {evil}", "notes": f"notes = [{evil}]", "key": f"{evil} = 1",
+        }  # fmt: skip
+        tables = {
+            "word": f"[words]\n{evil} = {{ bits = {{ {evil} = 1 }} }}",
+            "fault": f"[fault]\ntexts = {{ 1 = {evil} }}",
+            "state": f"[[example]]\ninputs = 'EB31 0000'\nstate = {evil}\nfault = {evil}\nvalues = {{ {evil} = 1 }}",
+            "order": f"[[example]]\ninputs = 'EB31 0000'\noutputs = {{ {evil} = '047E 0000' }}",
+        }
+        base = "" if place == "base" else 'base = "profidrive"\n'
+        path.write_text(
+            f'format = 1\nname = "fan"\n{base}{parts.get(place, "")}\n[telegrams]\n1 = {{}}\n{tables.get(place, "")}\n',
+            encoding="utf-8",
+        )
+        for argv in (["check", str(path)], ["list"], ["show", "fan"]):
+            code, out, err = run(capsys, "device", *argv)
+            assert out or err, (place, argv)
+            assert code in (0, 1, 2)
+
+
 def test_plan_and_run_of_such_a_device(reader: str, config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for json_or_not in ([], ["--json"]):
         code, _, _ = run(capsys, "plan", str(config), *json_or_not)
@@ -196,6 +243,18 @@ NAMES = [
     ["fleet", "--mqtt", "mqtt://localhost", "--user", "x", "--password-env", EVIL],
     ["completion", EVIL],
     ["drives", EVIL],
+    ["device", EVIL],
+    ["device", "check", EVIL],
+    ["device", "check", f"{EVIL}.toml"],
+    ["device", "check", "profidrive", "--telegram", EVIL],
+    ["device", "new", "--gsd", EVIL],
+    ["device", "new", "--gsd", "GSD", "--name", EVIL],
+    ["device", "new", "--gsd", "GSD", "--modules", EVIL],
+    ["device", "new", "--gsd", "GSD", "--modules", "8 DO", "--out", EVIL],
+    ["device", "new", "--gsd", "GSD", "-o", EVIL],
+    ["device", "list", EVIL],
+    ["device", "show", EVIL],
+    ["device", "show", f"{EVIL}.toml"],
     ["ctl", EVIL, EVIL, EVIL],
     ["drive", EVIL, "x", "status"],
     ["drive", "CONFIG", EVIL, "status"],
@@ -249,7 +308,8 @@ NAMES = [
 def test_names_of_files_and_arguments(
     argv: list[str], more: str, config: Path, alone: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    argv = [arg.replace("CONFIG", str(config)) + (more if EVIL in arg else "") for arg in argv]
+    there = {"CONFIG": str(config), "GSD": str(config.parent / "evil.gsd")}
+    argv = [there.get(arg, arg) + (more if EVIL in arg else "") for arg in argv]
     code, _, err = run(capsys, *argv)
     assert code in (1, 2)
     assert err or argv[0] == "doctor"

@@ -34,15 +34,17 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_drives_and_devices_that_come_with_dpstack(cli: Cli) -> None:
     found = cli.json("drives")
-    assert [one["name"] for one in found["drives"]] == ["demag-dedrive", "fuji-frenic", "imo-hd2", "keb-f5", "ls-s100"]
+    names = {one["name"] for one in found["drives"]}
+    assert names >= {"demag-dedrive", "fuji-frenic", "imo-hd2", "keb-f5", "ls-s100", "profidrive"}
     assert {one["origin"] for one in found["drives"] + found["devices"]} == {f"dpstack {__version__}"}
-    demag = found["drives"][0]
+    demag, fuji = (one for one in found["drives"] if one["name"] in ("demag-dedrive", "fuji-frenic"))
     assert (demag["ident"], demag["telegrams"]) == ("0x0696", ["PPO1", "PPO2", "PPO3", "PPO4"])
-    assert (demag["telegram"], demag["gsd"], demag["place"]) == ("PPO1", True, "dpstack_drives.demag:DRIVE")
+    assert (demag["telegram"], demag["gsd"], Path(demag["place"]).name) == ("PPO1", True, "demag-dedrive.toml")
     assert "set_412" in demag["options"]
-    fuji = found["drives"][1]
     assert (fuji["ident"], fuji["gsd"]) == (None, False)  # its ident number is in no manual
-    assert [(one["name"], one["ident"]) for one in found["devices"]] == [("io-station", "0x10D5")]
+    devices = {one["name"]: (one["key"], one["ident"]) for one in found["devices"]}
+    assert devices["io-station"] == ("gsd", "0x10D5")
+    assert devices["simodrive-sensor"] == ("device", "0x0024")
     assert found["broken"] == []
     lines = [line.split() for line in cli.out("drives").splitlines()]
     assert [
@@ -63,6 +65,9 @@ def test_drives_of_other_packages(cli: Cli, install: None) -> None:
     (acme,) = (one for one in found["drives"] if one["name"] == "acme-a300")
     assert (acme["origin"], acme["place"]) == ("dpstack-acme_drive 1.0", "acme_drive:DRIVE")
     assert [one["name"] for one in found["broken"]] == ["nowhere"]
+    assert "acme-a300 is a plugin of a Python package, not a device file" in cli.err("device", "show", "acme-a300")
+    listed = {one["name"]: one["base"] for one in cli.json("device", "list", code=1)["devices"]}
+    assert (listed["acme-a300"], listed["keb-f5"]) == ("python", "bits")
     out, err = cli("drives", code=1)
     assert "dpstack-acme_drive 1.0" in out
     assert err == (
