@@ -26,6 +26,7 @@ from dpstack.devices import keys as device_keys
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.process_data import Field
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.profile.drive_profile import DeviceProfile, DriveProfile
 from dpstack.toml.table import Key, Octets, keys_of
 
 REFERENCE: Final = Path(__file__).resolve().parent.parent / "docs" / "reference"
@@ -151,7 +152,8 @@ def device_lines() -> list[str]:
     """The drives and devices that come with dpstack."""
     origins = finding.origins()
     found = ["| name | drive or device | base | telegrams | source | tried |", "|---|---|---|---|---|---|"]
-    ours = [(name, one) for name, one in finding.known().items() if origins.get(name, "").startswith("dpstack ")]
+    known: dict[str, DriveProfile | DeviceProfile] = {**finding.known(), **finding.known_devices()}
+    ours = [(name, one) for name, one in known.items() if origins.get(name, "").startswith("dpstack ")]
     listed = []
     for name, profile in ours:
         file = finding.file_at(Path(profile.file)) if profile.file else None

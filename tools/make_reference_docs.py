@@ -42,6 +42,7 @@ NAMESPACES: Final = (
     "dpstack.slave",
     "dpstack.blocking",
     "dpstack.profile",
+    "dpstack.devices",
     "dpstack.gsd",
     "dpstack.decode",
     "dpstack.testing",

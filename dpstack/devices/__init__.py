@@ -18,3 +18,30 @@
 - ``profiles``: A device file as a drive profile
 - ``reader``: Device files read and checked, every mistake by line
 """
+
+from typing import TYPE_CHECKING, Final
+
+from dpstack.namespaces import namespace
+
+if TYPE_CHECKING:
+    from dpstack.devices.drive_core import DeclaredCore as DeclaredCore
+    from dpstack.devices.drive_core import FileCore as FileCore
+    from dpstack.devices.drive_device import DeclaredDevice as DeclaredDevice
+    from dpstack.devices.drive_device import FileDevice as FileDevice
+    from dpstack.devices.finding import broken as broken
+    from dpstack.devices.finding import find as find
+    from dpstack.devices.finding import known as known
+    from dpstack.devices.finding import known_devices as known_devices
+    from dpstack.devices.profiles import DevicePython as DevicePython
+    from dpstack.devices.reader import DeviceFileError as DeviceFileError
+
+#: module and its public names
+_PLACES: Final = """
+drive_core DeclaredCore FileCore
+drive_device DeclaredDevice FileDevice
+finding broken find known known_devices
+profiles DevicePython
+reader DeviceFileError
+"""
+if not TYPE_CHECKING:  # a type checker knows the names
+    __getattr__, __dir__, __all__ = namespace(__name__, _PLACES)

@@ -68,6 +68,7 @@ class FileDevice(DeclaredDevice):
         super().__init__(file, profile, telegram, options, presets)
         if "load" not in options:
             self.motor.load = file.simulate.load
+        #: its state machine
         self.machine: Machine = machine_of(file)
         #: number of the fault that stands; 0: none
         self.fault = 0

@@ -95,6 +95,7 @@ class DeviceFileError(ConfigError):
     """All mistakes of a device file, in the order of their lines; the text is the first one."""
 
     def __init__(self, errors: Sequence[ConfigError]) -> None:
+        #: the mistakes, in the order of their lines
         self.errors = tuple(errors)
         first = self.errors[0]
         more = len(self.errors) - 1
