@@ -254,8 +254,9 @@ class FileCore(DeclaredCore):
         return speed, current, torque
 
     def _part(self, part: str) -> float | None:
+        """A part of the reference or of the rated value; a word in another unit is a named value only."""
         word = self.word(part)
-        return None if word is None else self._layout.scales[part].decode(word)
+        return None if word is None or part not in self._layout.scales else self._layout.scales[part].decode(word)
 
     def fault_texts(self) -> tuple[str, ...] | None:
         value = self.word("fault")
@@ -330,7 +331,8 @@ class Layout:
                 self.places[name] = (len(names), wide)
                 if word.part:
                     self.places.setdefault(word.part, (len(names), wide))
-                    self.scales[word.part] = word.scale
+                    if word.is_part_of_reference:
+                        self.scales[word.part] = word.scale
             names += [name, f"{name} low"] if wide else [name]
         self.names = tuple(names)
 

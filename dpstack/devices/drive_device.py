@@ -92,19 +92,17 @@ class FileDevice(DeclaredDevice):
         self.fault = 0
 
     def fault_code(self, code: str) -> int:
-        """By number, text or the text's beginning, such as ``F07011``; any number if the file has no texts."""
+        """By number, text or the text's beginning, such as ``F07011``; any number may trip it."""
         wanted = code.strip().lower()
         for number, text in self.trips.items():
             if text.lower().startswith(wanted) and wanted:
                 return number
         digits = "".join(filter(str.isdecimal, wanted))
-        if (
-            digits
-            and not self.file.fault.texts
-            and wanted in (digits, self.file.fault.unknown.format(int(digits or 0)).lower())
-        ):
+        unknown = self.file.fault.unknown
+        if digits and wanted in (digits, unknown.format(int(digits)).lower()):
             return int(digits)
-        return super().fault_code(code)
+        known = ", ".join(self.trips.values())
+        raise ValueError(f"{code!r} is no fault of this drive; known: {known}, or any number")
 
     def live(self, spec: ParamSpec) -> int | None:
         """Faults and warnings that stand, in the parameters that have them."""

@@ -137,8 +137,8 @@ class EncoderCore(DeviceCore):
             return "it does not confirm the preset; are its class 2 functions on?"
         at, wanted = self._counter.shown(self._counts % self._counter.range), self._counter.shown(counts)
         return (
-            f"its position is {at}, not {wanted}: does its shaft stand still, and are its class 2 functions on? For a "
-            "shaft that turns give tolerance"
+            f"its position is {at}, not {wanted}. It may have taken the preset and turned on: look at its position. "
+            "Does its shaft stand still, and are its class 2 functions on? For a shaft that turns give tolerance=COUNTS"
         )
 
 

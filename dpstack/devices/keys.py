@@ -253,7 +253,10 @@ class StatusKeys(TypedDict, total=False):
     """`[status]`: the status word.
 
     bits: names of its bits by their numbers; `reached`, `remote` and `warning` mean what they say
-    states: mask and value of each state, `fault = [0x0008, 0x0008]`, or several such pairs
+    states: mask and value of each state, `fault = [0x0008, 0x0008]`, or several such pairs. The states are `not_ready`
+        (initialising, without mains), `switch_on_inhibited`, `ready_to_switch_on`, `ready` (switched on, the power
+        stage blocked; the rest state of a drive with a single bit for it), `running`, `stopping`, `quick_stop`,
+        `fault_reaction` and `fault`. A status word that fits none is `unknown`
     reversed: the bit of the other direction. Left out: the sign of the actual value is the direction
     title: its name in the manual. Left out: `status word`
     codes: meaning of its values, for the commissioning sheet. Left out: the states

@@ -104,7 +104,8 @@ class TableMachine:
         for word in words:
             self._mask |= word ^ words[0]
         self._shown = {row.state: row.value for row in reversed(file.table.states.rows)}
-        self._way = [state for state in WAY if state in self._shown]
+        # a drive leaves a state by itself that no word leads on from: the simulated one is never in it
+        self._way = [state for state in WAY if state in self._shown and (state in file.run or state is State.RUNNING)]
         self._acknowledge = False
         self.state: State = self._way[0]
 

@@ -97,6 +97,13 @@ class WordSpec(Struct, frozen=True, kw_only=True):
         return "%" if self.full and isinstance(self.of, str) else self.unit
 
     @property
+    def is_part_of_reference(self) -> bool:
+        """Whether :attr:`scale` gives a part of the reference or of the rated value: not one in ampere, nor a count."""
+        return bool(self.full) and (
+            self.part in ("setpoint", "speed") or isinstance(self.of, str) or self.unit in ("", "%")
+        )
+
+    @property
     def scale(self) -> Scale:
         """In parts of the reference, for set point and actual values."""
         return Scale(self.name, full=self.full or NORMALISED["n2"], bits=8 * self.octets)

@@ -357,6 +357,8 @@ class Reader:
             part = given.get("as", name if name in self._parts else "")
             if part in ("control", "status") and TYPES[kind][0] != _BITS_OF_WORD:
                 inside.fail("type", f"the {part} word has 16 bits, not those of {kind}", 'leave type out, or "u16"')
+            if part in ("setpoint", "speed") and not full and not self._python:
+                inside.fail(None, f"{name} has no scale", 'give full, the counts at 100 %, or type = "n2" (4000h)')
             found[name] = word = WordSpec(
                 name=name,
                 type=kind,

@@ -17,6 +17,7 @@ HEAD = 'format = 1\nname = "d"\nbase = "profidrive"\n'
 BITS = 'format = 1\nname = "d"\nbase = "bits"\n'
 OWN = '[telegrams]\n9 = { out = ["control", "setpoint"], in = ["status", "speed"] }\n'
 STATES = "[status]\nstates = { running = [15, 7], ready = [15, 1] }\n"
+WORDS = '[words]\nsetpoint = { type = "n2" }\nspeed = { type = "n2" }\n'
 RUN = "[control]\nrun = { ready = 3, running = 3 }\n"
 
 
@@ -61,7 +62,7 @@ BAD: list[tuple[str, list[str]]] = [
     (f"{HEAD}{OWN}[words]\na = {{}}\na = {{}}\n", ["8: "]),
     (
         f'{HEAD}[telegrams]\n9 = {{ out = ["control", "setpoint"], in = ["status", "speed", "n"] }}\n'
-        '[words]\nn = { as = "speed" }\n',
+        '[words]\nn = { type = "n2", as = "speed" }\n',
         ["5: the file: telegrams: 9: in: 'speed' and 'n' are both the speed; leave one out, or give it another part"],
     ),
     (f"{HEAD}{OWN}[derived]\nspeed = {{ of = 'status' }}\n", ["7: the file: derived: speed: 'speed' is a word and a"]),
@@ -130,22 +131,25 @@ BAD: list[tuple[str, list[str]]] = [
     (f"{HEAD}{OWN}[bus]\nuser_prm = '{'00' * 238}'\n", ["7: the file: bus: more than the 237 octets of a Set_Prm"]),
     # states
     (
-        f"{BITS}{OWN}{RUN}[status]\nstates = {{ ready = [1, 1], running = [2, 2] }}\n",
+        f"{BITS}{OWN}{RUN}[status]\nstates = {{ ready = [1, 1], running = [2, 2] }}\n{WORDS}",
         ["8: the file: a status word can match both "],
     ),
     (
-        f"{BITS}{OWN}{RUN}[status]\nstates = {{ ready = [1, 3], running = [2, 2] }}\n",
+        f"{BITS}{OWN}{RUN}[status]\nstates = {{ ready = [1, 3], running = [2, 2] }}\n{WORDS}",
         ["8: the file: state ready: value 0x0003 has bits outside mask 0x0001; "],
     ),
     (
-        f"{BITS}{OWN}{RUN}[status]\nstates = {{ idle = [1, 1] }}\n",
+        f"{BITS}{OWN}{RUN}[status]\nstates = {{ idle = [1, 1] }}\n{WORDS}",
         ["9: the file: status: states: 'idle' is no state; it m"],
     ),
     (
-        f"{BITS}{OWN}{RUN}[status]\nstates = {{ fault = [8, 8] }}\n",
+        f"{BITS}{OWN}{RUN}[status]\nstates = {{ fault = [8, 8] }}\n{WORDS}",
         ["8: the file: states: running and a state below it a"],
     ),
-    (f"{BITS}{OWN}{STATES}", ["1: the file: no word leads to running; write run = { ready = 0x..., running = 0x... }"]),
+    (
+        f"{BITS}{OWN}{STATES}{WORDS}",
+        ["1: the file: no word leads to running; write run = { ready = 0x..., running = 0x... }"],
+    ),
     # names of other things
     (
         f"{HEAD}{OWN}[orders]\njog = {{ set = ['jog'] }}\n",

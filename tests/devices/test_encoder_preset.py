@@ -119,8 +119,8 @@ def test_a_preset_ends_with_its_time_and_with_data_exchange() -> None:
     assert bench.see("00 00 18 00", 31) == "00 00 03 E8"
     assert bench.result == (
         "timeout",
-        "its position is 6144, not 1000: does its shaft stand still, and are its class 2 functions on? For a shaft "
-        "that turns give tolerance",
+        "its position is 6144, not 1000. It may have taken the preset and turned on: look at its position. Does its "
+        "shaft stand still, and are its class 2 functions on? For a shaft that turns give tolerance=COUNTS",
     )
     bench.events.clear()
     bench.order(value=1000)

@@ -234,7 +234,7 @@ def draft_text(device: Device, gsd: str, name: str, title: str, base: str, teleg
             _telegram(device, one, known),
         ]
         if not known:
-            declared |= _declared(one)
+            declared |= _declared(one, scaled=base != "bits")
     lines += ["", "[words]", *(f"{toml_key(word)} = {kind}" for word, kind in declared.items())]
     lines += [_WORD_HINTS, _STATE_HINTS if base == "bits" else _BIT_HINTS, _HINTS]
     return "\n".join(lines)
@@ -255,11 +255,11 @@ def _listed(words: Iterable[str]) -> Iterator[str | int]:
         yield word.partition(":")[0] if number is None else number
 
 
-def _declared(one: TelegramDraft) -> Mapping[str, str]:
-    """The words that no base has, and those with a type."""
+def _declared(one: TelegramDraft, *, scaled: bool) -> Mapping[str, str]:
+    """The words that the base does not have, and those with a type. ``scaled``: the base has set point and speed."""
     found = {}
     for word in (*one.out, *one.in_):
         name, _, kind = word.partition(":")
-        if _constant(word) is None and (kind or name not in _BROUGHT):
+        if _constant(word) is None and (kind or name not in _BROUGHT or (not scaled and name in ("setpoint", "speed"))):
             found[name] = f'{{ type = "{kind}" }}' if kind else "{}"
     return found

@@ -36,6 +36,7 @@ WORDS: Final = (
     Spec("speed", "V", "the set point as a part of the reference: 0.5 or 50%", "0.5"),
     Spec("frequency", "V", "the set point in Hz", "25"),
     Spec("rpm", "V", "the set point in rpm, if it is known what 100 % is in rpm", "750"),
+    Spec("order", "ORDER", "an order of its device file or plugin by name", "jog_on"),
     Spec("read", "P", "a parameter by number or name, in its unit", "480"),
     Spec("write", "P V", "writes a parameter in its unit", "480 20.5"),
     Spec(PARAMETERS, "", "the parameters that its plugin declares", ""),
@@ -75,7 +76,8 @@ def drive_order(bus: Bus, args: list[str]) -> LongCommand:
 
 
 def device_order(bus: Bus, args: list[str]) -> LongCommand:
-    """``SLAVE ORDER [NAME=VALUE]...`` to a device that is no drive. A client that closes the connection cancels it."""
+    """``SLAVE ORDER [NAME=VALUE]...`` to a device or a drive, an order of its own. A client that closes the connection
+    cancels it."""
     slave, op = bus.slave(number_or_name(args[0])), args[1]
     values: dict[str, float] = {}
     for text in args[2:]:
@@ -84,9 +86,13 @@ def device_order(bus: Bus, args: list[str]) -> LongCommand:
             raise UsageError(f"{shortened(text)}: write NAME=VALUE, for instance value=1000")
         values[name] = _number(number)
     timeout = values.pop("timeout", None)
+    drive = next((one for one in bus.drives if one.slave is slave), None)
 
     async def carry_out() -> dict[str, Any]:
-        value = await slave.order(op, timeout, **values)
+        if drive is not None:
+            value = await drive.order(op, 5.0 if timeout is None else timeout, **values)
+        else:
+            value = await slave.order(op, timeout, **values)
         return {"order": op, "slave": slave.name, "address": slave.address, "value": value}
 
     return lambda send: kept_alive(carry_out(), lambda: {"state": slave.state.value}, send)
@@ -161,5 +167,6 @@ def _number(text: str) -> float:
 ARGUMENTS: Final[Arguments] = {
     "P": ("number", number_or_name),
     "V": ("value", _number),
+    "ORDER": ("op", str),
     "JSON": ("parameters", _places),
 }

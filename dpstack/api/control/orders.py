@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 #: orders that set the speed: as a part of the reference, in Hz, in rpm
 SET_POINTS: Final = ("speed", "frequency", "rpm")
 #: operations of a drive whose effect lasts only as long as a master sends it
-LASTING: Final = frozenset({"start", *SET_POINTS})
+LASTING: Final = frozenset({"start", "order", *SET_POINTS})
 
 
 async def carry_out(bus: Bus, order: PlantOrder, *, now: bool = False) -> object:

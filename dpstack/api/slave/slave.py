@@ -389,7 +389,8 @@ class Slave(Sealed, RecordAccess):
         """
         self._bus.check_open()
         if self._device_orders is None:
-            raise UsageError(f"{self.who} takes no orders: it has no device file with orders (key device)")
+            todo = "give the drive its order: bus.drive().order()" if self._has_plugin else "it has no key device"
+            raise UsageError(f"{self.who} takes no orders here: {todo}")
         if self._bus.view.read_only:
             raise UsageError(f"{self.who}: this bus is read-only; leave read_only out")
         return await self._device_orders.order(self, op, timeout, args)

@@ -132,9 +132,7 @@ async def test_parameterised_anew() -> None:
             await raw.reparameterise(groups=(9,))
         with pytest.raises(dpstack.ConfigError, match="safe has 1 octets"):
             await raw.reparameterise(config=b"\x21\x11", safe=b"\x00")
-        with pytest.raises(
-            dpstack.UsageError, match="'colour' cannot be changed; these can: after_return, c"
-        ):
+        with pytest.raises(dpstack.UsageError, match="'colour' cannot be changed; these can: after_return, c"):
             await raw.reparameterise(**changes)
         assert raw.setup is before
         assert raw.ready_now

@@ -109,6 +109,10 @@ def test_without_states_check_says_what_is_missing(folder: Path, cli: Cli) -> No
     taken = [line.removeprefix("# ") for line in text.splitlines()]
     own = [line for line in taken if line.startswith(("[control]", "run =", "goals =", "[status]", "states ="))]
     (folder / "fan.toml").write_text("\n".join([text, *own]))
+    assert "setpoint has no scale; give full, the counts at 100 %" in cli.out("device", "check", "fan.toml", code=1)
+    for word in ("setpoint", "speed"):
+        text = text.replace(f"{word} = {{}}", f'{word} = {{ type = "n2" }}')
+    (folder / "fan.toml").write_text("\n".join([text, *own]))
     assert cli.json("device", "check", "fan.toml")["sound"]
 
 
