@@ -622,7 +622,7 @@ class Reader:
             if not rows and "base" not in self._own:
                 raise table.error(None, "no base", 'write base = "profidrive", "drivecom" or "bits"')
             given_status = table.raw("status")
-            if not rows and not (isinstance(given_status, Mapping) and "states" in given_status):
+            if not rows and not (isinstance(given_status, Mapping) and given_status.get("states")):
                 raise table.error("status", "no states", "add states = { running = [mask, value], ... }")
         return Word(titles["control"], control_bits), Word(titles["status"], status_bits), states, own
 

@@ -150,6 +150,7 @@ BAD: list[tuple[str, list[str]]] = [
         f"{BITS}{OWN}{STATES}{WORDS}",
         ["1: the file: no word leads to running; write run = { ready = 0x..., running = 0x... }"],
     ),
+    (f"{BITS}{OWN}{RUN}[status]\nstates = {{}}\n{WORDS}", ["8: the file: no states; add states = { running = [mask"]),
     # names of other things
     (
         f"{HEAD}{OWN}[orders]\njog = {{ set = ['jog'] }}\n",
