@@ -143,12 +143,16 @@ def _report(
         output.line(f"examples: {holding} of {len(examples)} hold" if examples else "examples: it has none")
         rows = [(one.check, one.telegram, one.reason or "passed") for one in checks]
         output.table("in the simulation", ("check", "telegram", "result"), rows)
-    found = f"{len(errors)} error{'s' * (len(errors) != 1)}"
+    found = _count(errors, "error")
     output.line(
-        "sound" if sound else f"not sound: {found}" + (f", {len(failed)} checks failed" if checks else ""),
+        "sound" if sound else f"not sound: {found}" + (f", {_count(failed, 'check')} failed" if checks else ""),
         "green" if sound else "bold red",
     )
     return int(not sound)
+
+
+def _count(found: Sequence[object], noun: str) -> str:
+    return f"{len(found)} {noun}{'s' * (len(found) != 1)}"
 
 
 def _as_dict(error: ConfigError) -> dict[str, Any]:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import io
+import itertools
 import tomllib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cli_kit import Cli
 from gsd_kit import PROFIDRIVE
+
+from dpstack.profile import DriveProfile
+from dpstack.testing.drive_conformance import Outcome, run_checks
 
 OWN = "Telegram 352, PZD-6/6"
 
@@ -19,7 +25,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "gsd").mkdir()
     (tmp_path / "gsd" / "n1.gsd").write_text(PROFIDRIVE)
     monkeypatch.setattr("sys.stdin", io.StringIO())
+    monkeypatch.setattr("dpstack.cli.devices.check.run_checks", first_checks)
     return tmp_path
+
+
+def first_checks(profile: DriveProfile, telegrams: Sequence[str], **settings: Any) -> Iterator[Outcome]:
+    """The checks of the declarations, and the first one on the bus with each telegram; all of them take long."""
+    return itertools.islice(run_checks(profile, telegrams, **settings), 2 + len(telegrams))
 
 
 def answers(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
