@@ -96,7 +96,7 @@ async def test_the_objects_of_a_running_bus_have_no_public_attribute_without_a_r
         await bus.operate()
         await bus.ready()
         drive = bus.drive("hoist")
-        entry = core_of(bus).parts.plugins[3]
+        (entry,) = core_of(bus).parts.plugins[3]
         assert isinstance(entry, DrivePlugin)
         plugin = entry.core
         objects = [bus, bus.slave(3), bus.slave(9), drive, drive.status, bus.stats, bus.stats.slaves[9], bus.plan]

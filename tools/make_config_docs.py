@@ -19,6 +19,7 @@ from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hi
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.connectors import CONNECTORS
 from dpstack.api.config.dpv1 import Dpv1Keys
+from dpstack.api.config.drives_source import DriveConfig, DriveKeys
 from dpstack.api.config.simulate import SimulateConfig, SimulateKeys
 from dpstack.api.config.slave import Changes, FieldKeys, IdentKeys, SlaveConfig, SlaveKeys
 from dpstack.devices import finding
@@ -35,6 +36,7 @@ TARGET: Final = REFERENCE / "configuration.md"
 TABLES: Final[Mapping[str, tuple[type, type]]] = {
     "bus": (BusConfig, BusConfig),
     "slave": (SlaveKeys, SlaveConfig),
+    "drives": (DriveKeys, DriveConfig),
     "parameters": (Changes, SlaveParams),
     "ident": (IdentKeys, SlaveParams),
     "dpv1": (Dpv1Keys, Dpv1),

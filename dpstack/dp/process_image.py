@@ -26,6 +26,10 @@ def inputs_are_valid(*, exchanging: bool, age_ns: int | None, limit_ns: int) -> 
     return exchanging and age_ns is not None and age_ns <= limit_ns
 
 
+#: key of a plugin's event: the name of the drive, of a slave with several drives
+DRIVE: Final = "drive"
+
+
 class CyclicPlugin(Protocol):
     """A drive plugin as the master sees it. The master calls it before each Data_Exchange with its slave.
 

@@ -114,6 +114,8 @@ class SlavePlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
     inputs: list[FieldPlant] | None = None
     outputs: list[FieldPlant] | None = None
     drive: DrivePlant | None = None
+    #: by their names those of a slave with several, whose ``drive`` is None
+    drives: dict[str, DrivePlant] | None = None
 
 
 class Rotations(Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -300,6 +302,8 @@ class SlaveValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     conspicuous: str | None = None
     alarms: dict[str, Count] | None = None
     drive: DriveValues | None = None
+    #: by their names those of a slave with several, whose ``drive`` is None
+    drives: dict[str, DriveValues] | None = None
     exchanges: Count | None = None
     retries: Count | None = None
     timeouts: Count | None = None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from enum import Enum
-from typing import Final
+from typing import Final, Literal
 
 from msgspec import structs
 
@@ -20,7 +20,7 @@ from dpstack.trace import Severity
 JUDGED: Final = frozenset(
     {
         *("state", "inputs_valid", "quality", "qualities", "doubts", "fault", "conspicuous", "withheld", "drive"),
-        *("injected", "master"),
+        *("drives", "injected", "master"),
     }
 )
 
@@ -108,18 +108,26 @@ def _remark(values: SlaveValues) -> Remark | None:
     fault, drive = values.fault, values.drive or DriveValues()
     if fault is not None:
         return _said(Severity.ERROR, "", [fault.text or fault.kind or "fault"])
-    if drive.faults:
-        return _said(Severity.ERROR, "drive fault: ", drive.faults)
+    faults = [*(drive.faults or ()), *_of_several(values, "faults")]
+    if faults:
+        return _said(Severity.ERROR, "drive fault: ", faults)
     about_values = diagnosis_remark(values)
     if about_values is not None:
         return about_values
     if values.withheld and exchanging(values):
         return _said(Severity.WARNING, "", [_WITHHELD])
-    if drive.warnings:
-        return _said(Severity.WARNING, "drive warning: ", drive.warnings)
+    warnings = [*(drive.warnings or ()), *_of_several(values, "warnings")]
+    if warnings:
+        return _said(Severity.WARNING, "drive warning: ", warnings)
     if values.injected:
         return _said(Severity.WARNING, "simulated fault: ", values.injected)
     return None
+
+
+def _of_several(values: SlaveValues, kind: Literal["faults", "warnings"]) -> list[str]:
+    """The ``kind`` of all drives of a slave with several, each with the name of its drive."""
+    drives = (values.drives or {}).items()
+    return [f"{name} {text}" for name, drive in drives for text in getattr(drive, kind) or ()]
 
 
 def diagnosis_remark(values: SlaveValues, *, announced: bool = True) -> Remark | None:

@@ -178,21 +178,23 @@ class Profile(DriveType, Generic[CoreT, DeviceT]):
         *,
         simulated: bool = False,
         records: RecordQueue | None = None,
+        record_object: int | None = None,
     ) -> CoreT:
         """The master's end for the device called ``name`` in the configuration. Raises ConfigError.
 
         ``simulated``: the other end is the simulated drive, so what is made up for it counts if nothing is given.
         ``records``: the master carries out Read and Write of this slave, so parameters go over record 47 if the
-        drive has it, and over the parameter channel of its telegram if not.
+        drive has it, and over the parameter channel of its telegram if not. ``record_object``: the drive object there,
+        None: that of the profile.
         """
         where = f"drive {name} ({self.name})"
         checked = self.checked_options({**(self.simulated_options if simulated else {}), **(options or {})}, where)
         core = self.core_factory(self, name, self.telegram(telegram), checked)
         if records is not None:
-            self._give_records(core, records)
+            self._give_records(core, records, record_object)
         return core
 
-    def _give_records(self, core: CoreT, records: RecordQueue) -> None:
+    def _give_records(self, core: CoreT, records: RecordQueue, record_object: int | None) -> None:
         """The master carries out Read and Write for ``core``."""
 
     def checked_options(self, options: Mapping[str, object], where: str = "") -> Options:
@@ -278,8 +280,10 @@ class DriveProfile(Profile[DriveCore, DriveDevice]):
             raise ConfigError(f"drive {self.name} cannot be described: {why}; repair {remedy}") from error
         return described
 
-    def _give_records(self, core: DriveCore, records: RecordQueue) -> None:
+    def _give_records(self, core: DriveCore, records: RecordQueue, record_object: int | None) -> None:
         """Parameters go over record 47 if the drive has it."""
+        if record_object is not None:
+            core.record_object = record_object
         acyclic = core.over_records(records)
         if acyclic is not None:
             core.records, acyclic.notice = records, core.notice

@@ -47,6 +47,7 @@ _NOT_RECORDED_OF_SLAVE: Final = (
         "diagnosis",
         "conspicuous",
         "alarms",
+        "drives",
     ),
     *("exchanges", "retries", "timeouts", "telegrams", "late", "wrong", "bad", "watchdog_ms", "master", "injected"),
 )
@@ -124,6 +125,7 @@ class Replay:
                 "inputs": [_field(one) for one in columns if one.kind in (Kind.INPUT, None)],
                 "outputs": [_field(one) for one in columns if one.kind is Kind.OUTPUT],
                 "drive": dict.fromkeys(("profile", "telegram", "reference_hz", "reference_rpm")) if drive else None,
+                "drives": None,
             }
         given = self._recording.about.get("bus")
         bus = given if isinstance(given, dict) else {}

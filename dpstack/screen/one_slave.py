@@ -35,7 +35,9 @@ def page(view: View, address: str, width: int, story: Mapping[str, Any] | str | 
     if story is not None:
         lines += [[], *_story_lines(story, width)]
     if values.drive is not None:
-        lines += [[], *_drive(view, address, values.drive)]
+        lines += [[], *_drive("drive", view.slave_plant(address).drive, view, address, values.drive)]
+    for name, drive in (values.drives or {}).items():
+        lines += [[], *_drive(name, (view.slave_plant(address).drives or {}).get(name), view, address, drive)]
     rack, placed = rack_lines(view, address)
     if rack:
         lines += [[], _header("modules and channels"), *rack]
@@ -121,12 +123,12 @@ def _values(view: View, address: str, placed: Collection[str]) -> list[Line]:
     return lines
 
 
-def _drive(view: View, address: str, drive: DriveValues) -> list[Line]:
-    known = view.slave_plant(address).drive or DrivePlant()
+def _drive(title: str, known: DrivePlant | None, view: View, address: str, drive: DriveValues) -> list[Line]:
+    known = known or DrivePlant()
     style = "" if view.alive(address) else "stale"
     told = view.quality(address)
     lines = [
-        _row("drive", f"{known.profile or ''} {known.telegram or ''}"),
+        _row(title, f"{known.profile or ''} {known.telegram or ''}"),
         _row("state", str(drive.state).replace("_", " "), style or ("good" if drive.running else "")),
         [*_row("speed", ""), *marked(percent(drive.speed), told, style or "bold")],
         _row("set point", percent(drive.setpoint), style),

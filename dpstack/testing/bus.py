@@ -166,9 +166,19 @@ class SimulatedDevice:
         unit = self._unit
         device = unit.device
         if not isinstance(device, DriveDevice):
-            raise UsageError(f"{unit.who} is no simulated drive")
+            several = "; it has several, see drives" if unit.several is not None else ""
+            raise UsageError(f"{unit.who} is no simulated drive{several}")
         device.advance(self._bench.now)
         return device
+
+    @property
+    def drives(self) -> dict[str, DriveDevice]:
+        """The simulated drives of a slave with several by their names; none of another slave."""
+        several = self._unit.several
+        if several is None:
+            return {}
+        several.advance(self._bench.now)
+        return dict(several.drives)
 
 
 class SimulatedBus:

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 from msgspec import Struct
 
+from dpstack.api.bus.compose import core_of
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.decode.names import NO_NAMES, Names
 from dpstack.decode.wire_log import render, render_changes
@@ -21,7 +22,7 @@ from dpstack.errors import PduError, UsageError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SAP_SLAVE_DIAG, Kind, Req, Telegram
 from dpstack.params import BROADCAST
-from dpstack.profile import Goal, State
+from dpstack.profile import DriveCore, Goal, State
 from dpstack.text import printable
 from dpstack.trace import WireEntry
 from dpstack.units import ns_to_s
@@ -75,13 +76,14 @@ class Service(NamedTuple):
 
 class Watched(Struct, frozen=True):
     """A slave whose outputs are judged. ``safe``: safe outputs, for people; ``places``: the octets that show whether
-    outputs are safe, ``accepted``: what these may be."""
+    outputs are safe, ``accepted``: what these may be. ``drives``: of a slave with several, judged instead."""
 
     name: str
     address: int
     safe: bytes
     places: tuple[int, ...]
     accepted: frozenset[bytes]
+    drives: tuple[Watched, ...] = ()
 
     @classmethod
     def of(cls, slave: SlaveConfig, safe: bytes | None = None) -> Watched:
@@ -90,20 +92,42 @@ class Watched(Struct, frozen=True):
         own = slave.params.safe_outputs if safe is None else safe
         if len(own) != slave.params.output_len:
             raise UsageError(f"{slave.name}: {len(own)} safe octets, it has {slave.params.output_len} of outputs")
-        if safe is not None or slave.raw or slave.profile is None:
+        if safe is not None or slave.raw or not slave.has_drive:
             return cls(slave.name, slave.address, own, tuple(range(len(own))), frozenset({own}))
-        core = slave.profile.core(slave.name, slave.telegram, slave.options, simulated=True)
+        if slave.drives:
+            drives = tuple(
+                cls._of_core(core, slave.address, own[slice(*one.outputs)], one.outputs[0])
+                for one in slave.drives
+                for core in (core_of(slave, one, simulated=True),)
+                if core is not None
+            )
+            return cls(slave.name, slave.address, own, (), frozenset({b""}), drives)
+        core = core_of(slave, simulated=True)
+        assert core is not None
+        return cls._of_core(core, slave.address, own)
+
+    @classmethod
+    def _of_core(cls, core: DriveCore, address: int, own: bytes, at: int = 0) -> Watched:
+        """``own``: the safe outputs of the drive, which begin ``at`` that octet of the slave."""
         zero, ones = core.encode(0, 0), core.encode(0xFFFF, 0)
         lead = len(own) - len(zero)  # the parameter channel
-        control = [at for at in range(len(zero)) if zero[at] != ones[at]]
+        control = [octet for octet in range(len(zero)) if zero[octet] != ones[octet]]
         if not control:
-            return cls(slave.name, slave.address, own, tuple(range(len(own))), frozenset({own}))
+            return cls(core.name, address, own, tuple(range(at, at + len(own))), frozenset({own}))
         words = {core.table.steady[goal] for goal in _RESTING} - {core.table.run.get(State.RUNNING)}
-        accepted = {bytes(core.encode(word, 0)[at] for at in control) for word in words}
-        accepted.add(bytes(own[lead + at] for at in control))
-        return cls(slave.name, slave.address, own, tuple(lead + at for at in control), frozenset(accepted))
+        accepted = {bytes(core.encode(word, 0)[octet] for octet in control) for word in words}
+        accepted.add(bytes(own[lead + octet] for octet in control))
+        return cls(core.name, address, own, tuple(at + lead + octet for octet in control), frozenset(accepted))
+
+    @property
+    def zeros_are_safe(self) -> bool:
+        if self.drives:
+            return all(one.zeros_are_safe for one in self.drives)
+        return bytes(len(self.places)) in self.accepted
 
     def is_safe(self, outputs: bytes) -> bool:
+        if self.drives:
+            return all(one.is_safe(outputs) for one in self.drives)
         return bytes(outputs[at] for at in self.places if at < len(outputs)) in self.accepted
 
 
@@ -123,7 +147,7 @@ class _Outputs:
         self._synced = False
         self._group = 0
         self._answers = False  # its last request was answered
-        self._zeros_are_safe = bytes(len(slave.places)) in slave.accepted
+        self._zeros_are_safe = slave.zeros_are_safe
 
     def exchange(self, t_ns: int, outputs: bytes) -> None:
         self.last = outputs

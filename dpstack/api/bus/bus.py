@@ -202,7 +202,7 @@ class Bus(Sealed):
 
     @property
     def drives(self) -> tuple[Drive, ...]:
-        """The slaves with a drive profile, in the order of their addresses."""
+        """The drives, in the order of the addresses of their slaves."""
         return self._core.drives
 
     def slave(self, which: str | int) -> Slave:
@@ -304,6 +304,10 @@ class Bus(Sealed):
         others = list(core.view.setups.values())
         if any(other.name == config.name for other in others):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
+        taken = {other.name for other in others} | {drive.name for drive in self.drives}
+        for name in (config.name, *(one.name for one in config.drives)):
+            if name in taken:
+                raise ConfigError(f"there is a drive called {name!r} already: give the new one another name")
         setup = core.fitting(config)
         slave = await run_through_cancellation(core.add(config, setup))
         for note in (*config.notes, *new_plan_texts(self.config, self.plan, others, setup)):

@@ -27,13 +27,16 @@ from dpstack.ports import Delivery, Port
 from dpstack.units import NS_PER_MS
 
 if TYPE_CHECKING:
+    from dpstack.api.config.drives_source import DriveConfig
     from dpstack.api.slave.drive import DrivePlugin
     from dpstack.api.slave_side.virtual_bench import VirtualBench
     from dpstack.dp.master.master import Master
     from dpstack.drivers.process.client import ProcessRuntime
     from dpstack.drivers.process.plugins import AttachPlugin
-    from dpstack.profile import DriveCore, DriveStatus
+    from dpstack.profile import DriveCore, DriveProfile, DriveStatus
+    from dpstack.profile.drive_profile import DeviceProfile
     from dpstack.profile.master.device_core import DeviceCore
+    from dpstack.profile.master.several_drives import SeveralDrives
     from dpstack.sim.world import World
 
 __all__ = ["Case", "Plan"]  # for the command line
@@ -41,6 +44,7 @@ __all__ = ["Case", "Plan"]  # for the command line
 
 #: the plugin of a drive, or of another device: a copy of it for a plugin in a bus process
 Plugin: TypeAlias = "DrivePlugin | DeviceCore"
+Plugins: TypeAlias = "tuple[Plugin, ...]"
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
@@ -51,7 +55,8 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     rate = config.baud if baud is None else baud
     setups = config.slave_params
     params = with_t_tr(config, config.params(rate), setups)
-    notes = [*(note for slave in config.slaves for note in slave.notes), *_groups_without_slaves(config)]
+    of_slaves = (note for slave in config.slaves for note in slave.notes)
+    notes = [*of_slaves, *_groups_without_slaves(config), *_connected(config)]
     others = other_masters(config, rate)
     pty, slack_ns, beside = False, 0, ""
     if config.bus.port is not None and not config.virtual:
@@ -87,6 +92,16 @@ def _groups_without_slaves(config: Config) -> Iterator[str]:
             )
 
 
+def _connected(config: Config) -> Iterator[str]:
+    names = ", ".join(config.connectors)
+    for slave in config.slaves:
+        if slave.drives and names:
+            yield (
+                f"slave {slave.address} ({slave.name}): {names}: the named values of its drives are published, not "
+                f"their states, and no order reaches them from there"
+            )
+
+
 def patience_for(config: Config, port: Port) -> Patience:
     """The waiting times on ``port``: of ``host_slack_ms``, or of the kind of port."""
     if config.bus.host_slack_ms is not None:
@@ -103,10 +118,10 @@ class Parts:
     runtime: Runtime
     #: "asyncio", "process", or "virtual" on a simulated bus
     driver: str
-    #: plugins of the configured slaves by address
-    plugins: Mapping[int, Plugin]
-    #: attaches the plugin of a new slave to its process image; None for a slave without. Raises ConfigError
-    attach: Callable[[SlaveConfig], Awaitable[Plugin | None]]
+    #: plugins of the configured slaves by address: one of a slave with a drive or device, several of several drives
+    plugins: Mapping[int, Plugins]
+    #: attaches the plugins of a new slave to its process image; none for a slave without. Raises ConfigError
+    attach: Callable[[SlaveConfig], Awaitable[Plugins]]
     rounds: Rounds
     world: World | None = None
     #: the simulated slaves; None without any
@@ -177,7 +192,7 @@ def compose(
             cpus=config.bus.cpus,
         )
         view = runtime = remote = ProcessRuntime(setup, on_events, on_failure, on_refused)
-        plugins = {slave.address: remote_plugin(remote, slave) for slave, _ in orders}
+        plugins = {slave.address: remote_plugins(remote, slave) for slave, _ in orders}
         attach_new = partial(attach_remote, remote)
     else:
         from dpstack.drivers.stack import Stack  # these here, as the machines of the others run in a bus process
@@ -213,7 +228,7 @@ def compose(
                     bench.add(slave)
             runtime = stack.line = VirtualRuntime(world, station, on_events, on_failure=on_failure)
         attach = partial(attach_core, stack.master, simulated=world is not None)
-        plugins = {s.address: plugin for s in config.slaves if (plugin := attach(s)) is not None}
+        plugins = {slave.address: attach(slave) for slave in config.slaves}
         attach_new = partial(_attach_async, attach)
     return Parts(
         plan=plan,
@@ -235,26 +250,33 @@ def _plugin_groups() -> str:
     return f"{registry.GROUP} {profiles.GROUP}"
 
 
-async def _attach_async(attach: Callable[[SlaveConfig], Plugin | None], slave: SlaveConfig) -> Plugin | None:
+async def _attach_async(attach: Callable[[SlaveConfig], Plugins], slave: SlaveConfig) -> Plugins:
     return attach(slave)
 
 
-def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Plugin | None:
-    """Attach the plugin of ``slave`` to its process image; None for a slave without plugin.
+def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Plugins:
+    """Attach the plugin of ``slave`` to its process image; none for a slave without plugin.
 
     ``simulated``: the slave is simulated in this process.
     """
     device, image = device_core_of(slave), master.handlers[slave.address].image
     if device is not None:
         image.plugin = device
-        return device
+        return (device,)
+    if slave.drives and not slave.raw:
+        from dpstack.api.slave.drive import DrivePlugin
+
+        image.plugin = joined = several_of(slave, simulated=simulated)
+        return tuple(
+            DrivePlugin(core, partial(joined.status_of, name), several=True) for name, core in joined.cores.items()
+        )
     core = core_of(slave, simulated=simulated)
     if core is None:
-        return None
+        return ()
     from dpstack.api.slave.drive import DrivePlugin
 
     image.plugin = core
-    return DrivePlugin(core, core.status)
+    return (DrivePlugin(core, core.status),)
 
 
 def device_core_of(slave: SlaveConfig) -> DeviceCore | None:
@@ -263,11 +285,38 @@ def device_core_of(slave: SlaveConfig) -> DeviceCore | None:
     return None if profile is None or slave.raw else profile.core(slave.name, slave.telegram, slave.options)
 
 
-def core_of(slave: SlaveConfig, *, simulated: bool = False) -> DriveCore | None:
-    """The drive plugin of ``slave``; None for a slave without one, or whose outputs the application sets as octets.
+def several_of(slave: SlaveConfig, *, simulated: bool = False) -> SeveralDrives:
+    """The plugin of a slave with several drives. ``simulated``: the slave is simulated in this process."""
+    from dpstack.dpv1.master.plugin_queue import RecordQueue
+    from dpstack.profile.master.several_drives import DrivePart, SeveralDrives
+
+    records = None if slave.params.dpv1 is None else RecordQueue()
+    parts = [
+        DrivePart(
+            one.profile.core(
+                one.name,
+                one.telegram,
+                one.options,
+                simulated=simulated,
+                records=records,
+                record_object=one.record_object,
+            ),
+            one.inputs,
+            one.outputs,
+        )
+        for one in slave.drives
+    ]
+    return SeveralDrives(parts, slave.params.output_len, records)
+
+
+def core_of(slave: SlaveConfig, drive: DriveConfig | None = None, *, simulated: bool = False) -> DriveCore | None:
+    """The drive plugin of ``slave``, or of ``drive``, one of its several; None for a slave without one, or whose
+    outputs the application sets as octets.
 
     ``simulated``: the slave is simulated in this process.
     """
+    if drive is not None:
+        return several_of(slave, simulated=simulated).cores[drive.name]
     if slave.profile is None or slave.raw:
         return None
     from dpstack.dpv1.master.plugin_queue import RecordQueue
@@ -281,21 +330,33 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
 
     Raises ConfigError for a plugin that has no entry point to import.
     """
-    profile = slave.any_profile
-    if profile is None or slave.raw:
+    if not slave.has_plugin or slave.raw:
         return None
-    from dpstack.drivers.process.plugins import AttachPlugin
-    from dpstack.profile import registry
+    from dpstack.drivers.process.plugins import AttachPlugin, DriveOfSeveral
 
-    place, argument = registry.places().get(profile.name), ""
-    if profile.file:
-        place, argument = "dpstack.devices.finding:profile_at", f"{profile.digest} {profile.file}"
-    if place is None:
-        raise ConfigError(
-            f"slave {slave.address} ({slave.name}): its drive plugin {profile.name!r} is an object of this "
-            f"program, and the bus process is handed names only; give it an entry point of the group {registry.GROUP}, "
-            'or take driver = "asyncio"'
+    if slave.drives:
+        return AttachPlugin(
+            address=slave.address,
+            place="dpstack.profile.master.several_drives:SeveralDrives",
+            name=slave.name,
+            records=slave.params.dpv1 is not None,
+            drives=tuple(
+                DriveOfSeveral(
+                    *_place_of(slave, one.profile),
+                    one.name,
+                    one.telegram,
+                    dict(one.options),
+                    one.record_object,
+                    one.inputs,
+                    one.outputs,
+                )
+                for one in slave.drives
+            ),
+            octets=slave.params.output_len,
         )
+    profile = slave.any_profile
+    assert profile is not None
+    place, argument = _place_of(slave, profile)
     return AttachPlugin(
         address=slave.address,
         place=place,
@@ -307,33 +368,52 @@ def plugin_of(slave: SlaveConfig) -> AttachPlugin | None:
     )
 
 
-def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> Plugin:
-    """The plugin of ``slave`` in the bus process. A copy here checks ranges and converts references."""
+def _place_of(slave: SlaveConfig, profile: DriveProfile | DeviceProfile) -> tuple[str, str]:
+    """``place`` and ``argument`` by which the bus process finds ``profile``. Raises ConfigError."""
+    from dpstack.profile import registry
+
+    if profile.file:
+        return "dpstack.devices.finding:profile_at", f"{profile.digest} {profile.file}"
+    place = registry.places().get(profile.name)
+    if place is None:
+        raise ConfigError(
+            f"slave {slave.address} ({slave.name}): its drive plugin {profile.name!r} is an object of this "
+            f"program, and the bus process is handed names only; give it an entry point of the group {registry.GROUP}, "
+            'or take driver = "asyncio"'
+        )
+    return place, ""
+
+
+def remote_plugins(runtime: ProcessRuntime, slave: SlaveConfig) -> Plugins:
+    """The plugins of ``slave`` in the bus process. Copies here check ranges and convert references."""
     device = device_core_of(slave)
     if device is not None:
-        return device
+        return (device,)
     from dpstack.api.slave.drive import DrivePlugin
     from dpstack.drivers.process.messages import typed
     from dpstack.profile import DriveStatus
 
+    def status(core: DriveCore, name: str | None = None) -> DriveStatus:
+        found = runtime.drive_status(slave.address)
+        if name is not None:  # one of several
+            found = found.get(name) if isinstance(found, dict) else None
+        return core.status() if found is None else typed(found, DriveStatus)
+
+    if slave.drives:
+        cores = several_of(slave).cores
+        return tuple(DrivePlugin(core, partial(status, core, name), several=True) for name, core in cores.items())
     core = core_of(slave)
     assert core is not None
-
-    def status() -> DriveStatus:
-
-        status = runtime.drive_status(slave.address)
-        return core.status() if status is None else typed(status, DriveStatus)
-
-    return DrivePlugin(core, status)
+    return (DrivePlugin(core, partial(status, core)),)
 
 
-async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> Plugin | None:
-    """Attach the plugin of ``slave`` in the running bus process; None for a slave without plugin.
+async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> Plugins:
+    """Attach the plugin of ``slave`` in the running bus process; none for a slave without plugin.
 
     Raises ConfigError if it cannot be imported there.
     """
     plugin = plugin_of(slave)
     if plugin is None:
-        return None
+        return ()
     await runtime.order(plugin)
-    return remote_plugin(runtime, slave)
+    return remote_plugins(runtime, slave)

@@ -30,6 +30,7 @@ from dpstack.dp.master.events import (
     SlaveStateChanged,
 )
 from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, view_of
+from dpstack.dp.process_image import DRIVE
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.futures import wait_through_cancellation
@@ -102,27 +103,29 @@ class BusCore(BusBase):
         self.config = config
         self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)
         for slave in config.slaves:
-            self._register(slave, self.parts.plugins.get(slave.address))
+            self._register(slave, self.parts.plugins.get(slave.address, ()))
 
-    def _register(self, config: SlaveConfig, plugin: Plugin | None) -> Slave:
+    def _register(self, config: SlaveConfig, plugins: tuple[Plugin, ...]) -> Slave:
         setup = self.view.setups[config.address]
         orders = None
-        if plugin is not None and config.device_profile is not None:
+        if plugins and config.device_profile is not None:
             from dpstack.api.slave.device_orders import DeviceOrders  # here, as most buses have none
 
+            (plugin,) = plugins
             assert not isinstance(plugin, tuple)
             orders = self._device_orders[config.address] = DeviceOrders(self, plugin)
         slave = self._slaves[config.address] = Slave(
-            self, config, setup, has_plugin=plugin is not None, device_orders=orders
+            self, config, setup, has_plugin=bool(plugins), device_orders=orders
         )
-        if plugin is not None and orders is None:
+        if plugins and orders is None:
             from dpstack.api.slave.drive import (
                 Drive,
                 DrivePlugin,
             )  # here, as a bus without drives needs nothing of them
 
-            assert isinstance(plugin, DrivePlugin)
-            self._drives[config.address] = Drive(self, slave, plugin)
+            self._drives[config.address] = tuple(
+                Drive(self, slave, plugin) for plugin in plugins if isinstance(plugin, DrivePlugin)
+            )
         return slave
 
     # --- from beginning to end ----------------------------------------------------------------------------------------
@@ -221,11 +224,11 @@ class BusCore(BusBase):
         if self.bench is not None:
             self.bench.add(config)
         try:
-            plugin = await self.parts.attach(config)
+            plugins = await self.parts.attach(config)
         except DpError:
             await self.order(RemoveSlave(setup.address))
             raise
-        return self._register(config, plugin)
+        return self._register(config, plugins)
 
     async def remove(self, address: int) -> None:
         await self.order(RemoveSlave(address))
@@ -235,8 +238,7 @@ class BusCore(BusBase):
         if orders is not None:
             orders.end(UsageError(f"slave {address} was removed from the bus"))
         self.services.alarms.forget(address)
-        drive = self._drives.pop(address, None)
-        if drive is not None:
+        for drive in self._drives.pop(address, ()):
             drive.end(UsageError(f"drive {drive.name} was removed from the bus"))
 
     async def outputs_taken(self) -> None:
@@ -314,13 +316,14 @@ class BusCore(BusBase):
                 recording.event(event)
             match event:
                 case DriveEvent(address=address, payload=payload):
-                    drive = self._drives.get(address)
-                    if drive is not None:
-                        drive.on_payload(payload, event.t_ns)
-                    elif (orders := self._device_orders.get(address)) is not None:
+                    for drive in self._drives.get(address, ()):
+                        if payload.get(DRIVE, drive.name) == drive.name:
+                            drive.on_payload(payload, event.t_ns)
+                    if (orders := self._device_orders.get(address)) is not None:
                         orders.on_payload(self._slaves[address], payload)
                 case SlaveStateChanged(address=address) if address in self._drives:
-                    self._drives[address].publish_status()
+                    for drive in self._drives[address]:
+                        drive.publish_status()
                 case AddressCollision():
                     self.collision = event.text
                 case PortDisturbed():
@@ -349,7 +352,8 @@ class BusCore(BusBase):
         self.notice("bus", f"{type(order).__name__} was not carried out: {error}", Severity.ERROR)
         match order:
             case DriveCommand(address=address, token=token) if address in self._drives:
-                self._drives[address].on_refused(token, error)
+                for drive in self._drives[address]:
+                    drive.on_refused(token, error)
             case HoldAlarms() | AcknowledgeAlarm():
                 self.services.alarms.on_refused(order, error)
             case _:
@@ -370,7 +374,7 @@ class BusCore(BusBase):
         if self._over is None:
             self._over = error
         self._ordered_end.is_over()
-        for drive in self._drives.values():
+        for drive in self.drives:
             drive.end(self._over)
         for orders in self._device_orders.values():
             orders.end(self._over)

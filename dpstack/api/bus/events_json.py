@@ -40,6 +40,7 @@ from dpstack.dp.master.events import Stalled as Stalled
 from dpstack.dp.master.scanner import Found as Found
 from dpstack.dp.master.scanner import StationSeen
 from dpstack.dp.pdu.alarm_blocks import message_dict
+from dpstack.dp.process_image import DRIVE as DRIVE
 from dpstack.dpv1.master.orders import AlarmDone, ConnectionOver, StatusTold
 from dpstack.dpv1.master.orders import AlarmRaised as AlarmRaised
 from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped

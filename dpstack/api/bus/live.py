@@ -11,7 +11,7 @@ import contextlib
 import math
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from time import time
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
@@ -33,6 +33,9 @@ from dpstack.stats import Histogram
 from dpstack.text import iso_time
 from dpstack.trace import Event
 from dpstack.units import NS_PER_US, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.profile import DriveProfile
 
 #: slaves in one step of a snapshot, about 0.2 ms, and their named values, of which one slave may have more; and the
 #: pause between two steps
@@ -394,22 +397,14 @@ def slave_plant(bus: BusBase, slave: Slave) -> dict[str, object]:
     watchdog = None if bus.config.bus.read_only else params.watchdog(bus.plan.watchdog_ms)
     device, profile = config.device, config.profile
     known = config.any_profile
-    drive = None
-    if profile is not None:
-        options = config.options
-        drive = {
-            "profile": profile.name,
-            "telegram": config.telegram,
-            "reference_hz": options.get("reference_hz"),
-            "reference_rpm": options.get("reference_rpm"),
-        }
+    models = [one.profile.title for one in config.drives] if known is None else [known.title]
     return {
         **named_values(config),
         "name": slave.name,
         "address": slave.address,
         "ident": _ident(slave),
         "vendor": "" if device is None else device.vendor,
-        "model": device.model if device is not None else known.title if known is not None else "",
+        "model": device.model if device is not None else ", ".join(dict.fromkeys(models)),
         "gsd": config.gsd,
         "modules": _modules(config),
         "input_len": params.input_len,
@@ -419,7 +414,17 @@ def slave_plant(bus: BusBase, slave: Slave) -> dict[str, object]:
         "groups": list(params.groups),
         "dpv1": params.dpv1 is not None,
         "every": params.every,
-        "drive": drive,
+        "drive": None if profile is None else _drive_plant(profile, config.telegram, config.options),
+        "drives": {one.name: _drive_plant(one.profile, one.telegram, one.options) for one in config.drives} or None,
+    }
+
+
+def _drive_plant(profile: DriveProfile, telegram: str | None, options: Mapping[str, object]) -> dict[str, object]:
+    return {
+        "profile": profile.name,
+        "telegram": telegram,
+        "reference_hz": options.get("reference_hz"),
+        "reference_rpm": options.get("reference_rpm"),
     }
 
 

@@ -63,7 +63,7 @@ class BusBase:
         self.forced_clear: ForcedClear | None = None
         self.services = Services(self.command, self.order, lambda: self.is_open, self.load_layouts)
         self._slaves: dict[int, Slave] = {}
-        self._drives: dict[int, Drive] = {}
+        self._drives: dict[int, tuple[Drive, ...]] = {}  # by address, in the order of the configuration
         self._device_orders: dict[int, DeviceOrders] = {}
         self._wall_clock = WallClock(lambda: self.runtime.now(), lambda: self.driver == "virtual")
         log = EventLogging(lambda: (self.started_ns, self.runtime.port_name))
@@ -178,11 +178,11 @@ class BusBase:
 
     @property
     def drives(self) -> tuple[Drive, ...]:
-        return tuple(self._drives[address] for address in sorted(self._drives))
+        return tuple(drive for address in sorted(self._drives) for drive in self._drives[address])
 
-    def find_drive(self, address: int) -> Drive | None:
-        """The drive at ``address``; None without one."""
-        return self._drives.get(address)
+    def drives_at(self, address: int) -> tuple[Drive, ...]:
+        """The drives of the slave at ``address``; none for a slave without."""
+        return self._drives.get(address, ())
 
     def slave(self, which: str | int) -> Slave:
         """A slave by name or address. Raises UsageError, which lists the slaves."""
@@ -195,10 +195,16 @@ class BusBase:
         raise UsageError(f"no slave {which!r} on this bus; there are: {known}")
 
     def drive(self, which: str | int) -> Drive:
-        """A drive by name or address. Raises UsageError, which lists the drives."""
-        for drive in self._drives.values():
-            if which in (drive.name, drive.slave.address):
-                return drive
+        """A drive by name or address. Raises UsageError, which lists the drives, also for the address or the name of a
+        slave with several."""
+        found = [one for one in self.drives if which == one.name] or [
+            one for one in self.drives if which in (one.slave.address, one.slave.name)
+        ]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            names = ", ".join(one.name for one in found)
+            raise UsageError(f"{found[0].slave.who} has several drives: name one of {names}")
         known = ", ".join(d.name for d in self.drives) or "none"
         raise UsageError(f"no drive {which!r} on this bus; there are: {known}")
 

@@ -85,13 +85,15 @@ class SlavePicture:
         doubted = slave.process_quality.standing
         age_ns = max(0, runtime.now() - image.input_time) if image.input_time else None
         limit_ns = inputs_limit_ns(snapshot.watchdog_ns, bus.poll_interval_ns(setup))
-        link, drive = view.link.station(slave.address), bus.find_drive(slave.address)
+        link, drives = view.link.station(slave.address), bus.drives_at(slave.address)
+        several = bool(slave.config.drives)
         values = structs.replace(
             values,
             inputs_valid=inputs_are_valid(exchanging=image.valid and ready, age_ns=age_ns, limit_ns=limit_ns),
             inputs_age_ms=None if age_ns is None else round(ns_to_s(age_ns) * 1000, 1),
             inputs_limit_ms=round(limit_ns / NS_PER_MS, 1),
-            drive=None if drive is None else _drive_values(bus, drive),
+            drive=_drive_values(bus, drives[0]) if drives and not several else None,
+            drives={one.name: _drive_values(bus, one) for one in drives} if several else None,
             exchanges=image.exchanges,
             retries=link.retries,
             timeouts=link.timeouts,

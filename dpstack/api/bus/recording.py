@@ -182,7 +182,8 @@ class BusRecording:
 
     # --- samples ---
     def _set_layout(self, bus: BusBase) -> None:
-        drives = {drive.address: drive for drive in bus.drives}
+        # those of a slave with several have their values among its named inputs
+        drives = {drive.address: drive for drive in bus.drives if not drive.slave.config.drives}
         self._sources = [_Source(slave, drives.get(slave.address), quality=self._quality) for slave in bus.slaves]
         started = time.time_ns() - (bus.runtime.now() - bus.started_ns)
         self._layout = Layout(

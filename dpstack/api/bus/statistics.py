@@ -75,6 +75,8 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
     conspicuous: str = ""
     #: status and notices of its drive; empty for other slaves
     drive: Mapping[str, object] = field(default_factory=dict)
+    #: the same of each drive by its name, of a slave with several; empty for other slaves
+    drives: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """As in the summary line of ``run --json``."""
@@ -101,6 +103,7 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
             **({} if self.alarms is None else {"alarms": structs.asdict(self.alarms)}),
             **self.diagnosis,
             **({"drive": dict(self.drive)} if self.drive else {}),
+            **({"drives": {name: dict(one) for name, one in self.drives.items()}} if self.drives else {}),
         }
 
 
@@ -287,4 +290,5 @@ def _slave_stats(bus: BusBase, slave: Slave, link: StationStats) -> SlaveStats:
         diagnosis={} if values.diagnosis is None else {"diagnosis": to_builtins(values.diagnosis)},
         conspicuous=values.conspicuous or "",
         drive={} if values.drive is None else drive_dict(values.drive),
+        drives={name: drive_dict(one) for name, one in (values.drives or {}).items()},
     )

@@ -160,7 +160,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
     link = counters.link
     texts, device = setup.texts, slave.config.device
     modules = () if texts is None else texts.modules
-    expected = None if slave.config.any_profile is None else slave.config.known.user_prm
+    expected = slave.config.known.user_prm if slave.config.has_plugin else None
     if device is not None:
         with contextlib.suppress(GsdError):
             expected = UserPrm(device, modules).octets()

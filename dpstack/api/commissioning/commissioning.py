@@ -162,7 +162,7 @@ class Commissioning:
             return {"text": _joined(lines), "errors": [_error(error)], **nothing, "notes": []}
         params = found.params
         lines += [*octet_remarks(params.config, params.user_prm), *slot_remarks(params.slots)]
-        if found.profile is None and not (found.input_fields or found.output_fields):
+        if not found.has_drive and not (found.input_fields or found.output_fields):
             lines += name_lines(params.slots)
         return {
             "text": _joined(lines),

@@ -14,6 +14,7 @@ from msgspec import Struct
 
 from dpstack.api.bus.compose import plan_bus
 from dpstack.api.config.config import Config
+from dpstack.api.config.drives_source import DriveConfig
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.slot_map import Direction
 from dpstack.errors import DpError, GsdError, UsageError
@@ -121,7 +122,9 @@ def make_sheets(config: Config, name: str | None = None) -> list[Sheet]:
         raise UsageError(f"no slave is called {brief(name)}; {did_you_mean(name, names, known)}")
     losses = _losses(config)
     baud = config.bus.baud if isinstance(config.bus.baud, int) else None
-    return [_sheet(slave, baud, losses.get(slave.address)) for slave in chosen]
+    return [
+        _sheet(slave, drive, baud, losses.get(slave.address)) for slave in chosen for drive in slave.drives or (None,)
+    ]
 
 
 def _losses(config: Config) -> dict[int, tuple[int, str]]:
@@ -133,9 +136,12 @@ def _losses(config: Config) -> dict[int, tuple[int, str]]:
     return {slave.setup.address: (slave.watchdog_ms, slave.on_loss) for slave in plan.slaves}
 
 
-def _sheet(slave: SlaveConfig, baud: int | None, loss: tuple[int, str] | None) -> Sheet:
+def _sheet(slave: SlaveConfig, drive: DriveConfig | None, baud: int | None, loss: tuple[int, str] | None) -> Sheet:
+    """``drive``: the one of several that the sheet is for."""
     params = slave.params
-    if slave.profile is not None:
+    if drive is not None:
+        kind, device = "drive", drive.profile.describe(slave.address, drive.telegram, drive.options)
+    elif slave.profile is not None:
         # not as simulated: a sheet is for the real drive, also if the plant is still on the port "virtual"
         kind, device = "drive", slave.profile.describe(slave.address, slave.telegram, slave.options)
     elif slave.device is not None:
@@ -147,7 +153,7 @@ def _sheet(slave: SlaveConfig, baud: int | None, loss: tuple[int, str] | None) -
     watchdog, on_loss = loss or (params.watchdog_ms, params.on_loss or "as its manual says (usually outputs off)")
     modules = tuple(_modules(slave))
     return Sheet(
-        name=slave.name,
+        name=slave.name if drive is None else f"{slave.name}, {drive.name}",
         address=slave.address,
         kind=kind,
         device=device,
@@ -162,7 +168,7 @@ def _sheet(slave: SlaveConfig, baud: int | None, loss: tuple[int, str] | None) -
         modules=modules,
         parameters=_parameters(slave),
         values=tuple(_values(slave)),
-        remarks=slave.notes,
+        remarks=slave.notes if drive is None else (drive.place_text, *slave.notes),
     )
 
 

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 #: keys of [bus] that are bus parameters
 _PARAMETERS: Final = ("t_sl", "t_tr", "gap", "hsa", "max_retry", "address")
+#: drives on one bus beside slaves with several: the status of each has room in the memory shared with a bus process
+_MOST_DRIVES: Final = 126
 #: the key ``echo`` as the drivers want it
 ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
 
@@ -320,9 +322,27 @@ def _conflicts(config: Config) -> Iterator[tuple[KeyPath, str, str]]:
             yield ("slave", number, "name"), what, "give each a name of its own"
         addresses[address] = name
         names[name] = address
+    yield from _conflicts_of_drives(config, names)
     if config.bus.address > config.bus.hsa:
         what = f"[bus]: address {config.bus.address} lies above hsa {config.bus.hsa}"
         yield ("bus", "hsa"), what, "no other master would ever find it: raise hsa or take a lower address"
+
+
+def _conflicts_of_drives(config: Config, slaves: Mapping[str, int]) -> Iterator[tuple[KeyPath, str, str]]:
+    """As :func:`_conflicts`, of the names of drives in slaves with several; ``slaves``: address by name."""
+    names: dict[str, int] = {}
+    for number, slave in enumerate(config.slaves):
+        key = ("slave", number, "drives")
+        for drive in slave.drives:
+            if drive.name in slaves:
+                what = f"a drive of slave {slave.address} and the slave at {slaves[drive.name]} are both {drive.name!r}"
+                yield key, what, "give each a name of its own"
+            if names.setdefault(drive.name, slave.address) != slave.address:
+                what = f"the slaves {names[drive.name]} and {slave.address} both have a drive called {drive.name!r}"
+                yield key, what, "give each a name of its own"
+    count = len(names) + sum(slave.profile is not None for slave in config.slaves)
+    if names and count > _MOST_DRIVES:
+        yield ("slave",), f"{count} drives", f"{_MOST_DRIVES} are possible on one bus"
 
 
 def rate_findings(config: Config, baud: int) -> list[str]:

@@ -80,15 +80,7 @@ def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         remarks = (*rest["notes"], *remarks)
     else:
         with table.blaming():
-            known = SlaveParams(
-                **who,
-                ident=profile.ident,
-                config=telegram.config,
-                user_prm=profile.user_prm,
-                min_slave_interval_ns=profile.min_slave_interval_ns,
-                fail_safe=profile.fail_safe,
-                max_tsdr=profile.max_tsdr,
-            )
+            known = params_by_profile(profile, who, telegram.config)
     if remarks:
         rest["notes"] = remarks
     if isinstance(profile, DeviceProfile) and (profile.alarms or profile.warnings):
@@ -102,6 +94,19 @@ def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         after_return="safe",  # also if the application makes its outputs octet by octet
     )
     return known, rest
+
+
+def params_by_profile(profile: DriveProfile | DeviceProfile, who: Who, config: bytes) -> SlaveParams:
+    """The parameters of a slave with these identifier octets that no GSD file describes. Raises ConfigError."""
+    return SlaveParams(
+        **who,
+        ident=profile.ident,
+        config=config,
+        user_prm=profile.user_prm,
+        min_slave_interval_ns=profile.min_slave_interval_ns,
+        fail_safe=profile.fail_safe,
+        max_tsdr=profile.max_tsdr,
+    )
 
 
 def _values(by_gsd: Basis | None, octets: bytes) -> dict[str, int]:

@@ -116,7 +116,7 @@ def _of_direction(slave: SlaveConfig, direction: Direction) -> Iterator[Row]:
     for field in fields:
         slot = slots.at(direction, field.octet)
         yield Row(slave, direction, slot, channel_of(field, slot, direction), field, is_named=True)
-    if slave.any_profile is not None:
+    if slave.has_plugin:
         return
     used = 0
     for field in fields:

@@ -18,9 +18,11 @@ from dpstack.api.config.dpv1 import read_dpv1
 from dpstack.api.config.simulate import SimulateConfig, read_simulate
 from dpstack.api.config.slave_source import (
     DRIVE_KEYS,
+    PERCENT,
     Basis,
     Who,
     basis_of_octets,
+    drives_of,
     leave_out,
     modules_of,
     need_gsd,
@@ -38,6 +40,7 @@ from dpstack.toml.table import Gsd, Key, Octets, Source, Table, as_given, keys_o
 from dpstack.units import ms_text
 
 if TYPE_CHECKING:
+    from dpstack.api.config.drives_source import DriveConfig
     from dpstack.dpv1.slave.description import SlaveDescription
     from dpstack.gsd.model import Device, Module
     from dpstack.profile import DriveProfile
@@ -160,7 +163,6 @@ def _with_status(keys: Table, found: Field, given: dict[str, Any], length: int, 
 
 #: commands take a name or an address: a name that is a number could mean another slave
 _NUMERIC: Final = re.compile(r"[+-]?(\d+|0[xX][0-9a-fA-F]+)")
-_PERCENT: Final = Key(0.001, 1_000_000)
 
 
 class IdentKeys(TypedDict, total=False):
@@ -203,7 +205,9 @@ class SlaveKeys(TypedDict, total=False):
     name: the name in programs and messages, unique. Left out: `slaveN`
     address: the station address, unique. Left out: required
     drive: the name of a known drive, see [drives.md](drives.md), or the path of a device file
-    device: the same for a device that is no drive, such as an encoder, see [encoder.md](../how-to/encoder.md)
+    drives: the drives of a slave with several, instead of `drive`, [see below](#several-drives-in-one-slave)
+    device: the same as `drive` for a device that is no drive, such as an encoder, see
+        [encoder.md](../how-to/encoder.md)
     telegram: one of the telegrams of that drive or device
     gsd: a [GSD file](gsd.md), relative to the configuration; or the name of a drive for which dpstack has one; or
         `"io-station"` ([io-station.md](io-station.md)). Beside `drive`, the file has priority over the data of the
@@ -226,6 +230,7 @@ class SlaveKeys(TypedDict, total=False):
     name: str
     address: Annotated[int, Key(0, MAX_STATION, hint="stations have 0..125; 126 is a slave without an address yet")]
     drive: str
+    drives: Annotated[Sequence[Mapping[str, object]], Key(read=drives_of)]
     device: str
     telegram: str
     gsd: str
@@ -234,8 +239,8 @@ class SlaveKeys(TypedDict, total=False):
     defaults: Literal["refs", "const"]
     inputs: Mapping[str, object]
     outputs: Mapping[str, object]
-    reference_hz: Annotated[float, _PERCENT]
-    reference_rpm: Annotated[float, _PERCENT]
+    reference_hz: Annotated[float, PERCENT]
+    reference_rpm: Annotated[float, PERCENT]
     options: Mapping[str, object]
     simulate: Mapping[str, object]
     simulated: Mapping[str, object]
@@ -315,6 +320,8 @@ class SlaveConfig:
     #: the parameters by drive, GSD file or identifier octets, without the table's own keys
     known: SlaveParams
     profile: DriveProfile | None = None
+    #: the drives of a slave with several; empty for all others, ``profile`` is None then
+    drives: tuple[DriveConfig, ...] = ()
     #: of a device that is no drive
     device_profile: DeviceProfile | None = None
     telegram: str | None = None
@@ -353,6 +360,16 @@ class SlaveConfig:
         return self.profile or self.device_profile
 
     @property
+    def has_drive(self) -> bool:
+        """Whether plugins of one or several drives make its outputs."""
+        return self.profile is not None or bool(self.drives)
+
+    @property
+    def has_plugin(self) -> bool:
+        """Whether plugins of its drives or of its device make its outputs."""
+        return self.has_drive or self.device_profile is not None
+
+    @property
     def fields(self) -> tuple[tuple[Direction, FieldMap], ...]:
         """The named inputs, then the named outputs."""
         return (Direction.INPUT, self.input_fields), (Direction.OUTPUT, self.output_fields)
@@ -362,9 +379,9 @@ class SlaveConfig:
         """What its outputs do after it was away, for people; empty without outputs."""
         if not self.params.output_len:
             return ""
-        if self.any_profile is None or self.raw:
+        if not self.has_plugin or self.raw:
             return _RETURNS[self.params.after_return]
-        return _DEVICE_RETURNS if self.profile is None else _DRIVE_RETURNS
+        return _DRIVE_RETURNS if self.has_drive else _DEVICE_RETURNS
 
     @property
     def gsd_dpv1(self) -> DpV1:
@@ -393,9 +410,13 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     with table.blaming():
         params = dataclasses.replace(known, **changes)
     inputs, outputs = read_fields(_with_words(table, slave), params)
+    if slave.drives and params.dpv1 is not None:
+        from dpstack.api.config.drives_source import check_objects
+
+        check_objects(table, slave.drives)
     if slave.device_profile is not None:
         inputs = _with_counters(inputs, table, slave.device_profile)
-    simulate = read_simulate(table, drive=slave.any_profile is not None)
+    simulate = read_simulate(table, drive=slave.has_plugin)
     slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs, simulate=simulate)
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, given) if note)
     return dataclasses.replace(slave, notes=tuple(notes))
@@ -404,6 +425,10 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
 def _with_words(table: Table, slave: SlaveConfig) -> Table:
     """``table`` with the words that a device file names; the names that a user gives go before them."""
     profile = slave.any_profile
+    if slave.drives:
+        from dpstack.api.config.drives_source import with_words
+
+        return with_words(table, slave.drives)
     if profile is None:
         return table
     if "outputs" in table and not slave.raw:
@@ -432,6 +457,10 @@ def _basis_of(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     """Parameters from the drive, the GSD file, both, or octets, by the keys ``given``. Raises ConfigError, one line."""
     if "gsd" in given:
         leave_out(table, "config", "beside gsd", "leave config out, or gsd")
+    if "drives" in given:
+        from dpstack.api.config.drives_source import basis_of_drives  # here, as few slaves have several
+
+        return basis_of_drives(table, given, who)
     if "drive" in given or "device" in given:
         from dpstack.api.config.drive_source import basis_of_profile  # here, as a bus without drives needs no plugins
 
@@ -464,11 +493,12 @@ def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict
             changes[to] = getattr(slave.known, to)
     if "ident" in changes:
         changes |= _ident_changes(changes["ident"], slave.known)
-    if slave.any_profile is not None and not slave.raw:
+    if slave.has_plugin and not slave.raw:
         todo = "leave it out: a drive never starts by itself after it was away, start() starts it again"
-        if slave.profile is None:
-            todo = f"leave it out: {_DEVICE_RETURNS}"
-        leave_out(table, "after_return", f"beside {'device' if slave.profile is None else 'drive'}", todo)
+        kind = "drives" if slave.drives else "drive"
+        if slave.device_profile is not None:
+            kind, todo = "device", f"leave it out: {_DEVICE_RETURNS}"
+        leave_out(table, "after_return", f"beside {kind}", todo)
     table.check_against_gsd(keys, given, slave.device)
     safe, outputs = changes.get("safe"), io_lengths(changes.get("config", slave.params.config))[1]
     if safe and len(safe) != outputs:
@@ -497,7 +527,7 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
             f"{where}: its user parameters decide how its plugin reads the position: remove the slave and add it with "
             "others"
         )
-    if slave.profile is not None and not slave.raw and (slave.params.dpv1 is None) is not (params.dpv1 is None):
+    if slave.has_drive and not slave.raw and (slave.params.dpv1 is None) is not (params.dpv1 is None):
         raise UsageError(
             f"{where}: DP-V1 on or off decides how its drive plugin asks for parameters: remove the slave and add it "
             f"with another dpv1"

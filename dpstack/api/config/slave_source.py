@@ -19,6 +19,8 @@ from dpstack.toml.table import Key, Table, is_integer
 if TYPE_CHECKING:
     from dpstack.gsd.model import Device
 
+#: a reference of a drive
+PERCENT: Final = Key(0.001, 1_000_000)
 #: the parameters of a slave before its own keys count, and the fields of a SlaveConfig that go with them
 Basis: TypeAlias = tuple[SlaveParams, dict[str, Any]]
 #: keys that need the key ``gsd``, and keys that need the key ``drive``
@@ -70,6 +72,15 @@ def modules_of(table: Table, name: str, _: Key) -> list[int | str]:
     if not isinstance(value, list) or not all(isinstance(one, str) or is_integer(one) for one in value):
         table.fail(name, f"{name} = {brief(value)} is no list of names and numbers", 'write modules = ["8 DO", 12]')
     return list(value)
+
+
+def drives_of(table: Table, name: str, _: Key) -> list[object]:
+    """Reader of ``drives``: a list of tables, which are read with the drives."""
+    value = table.raw(name)
+    if not isinstance(value, list) or not all(isinstance(one, Mapping) and one for one in value):
+        todo = 'write drives = [{ name = "axis1", file = "..." }, ...]'
+        table.fail(name, f"{name} = {brief(value)} is no list of tables", todo)
+    return value
 
 
 def remarks(device: Device | None, params: SlaveParams, *, dpv1_given: bool) -> Iterator[str]:

@@ -167,6 +167,8 @@ def run_status(bus: Bus) -> dict[str, object]:
             entry["alarms"] = values.alarms
         if values.drive is not None:
             entry["drive"] = drive_dict(values.drive)
+        if values.drives is not None:
+            entry["drives"] = {name: drive_dict(one) for name, one in values.drives.items()}
         if core.bench is not None:
             entry |= core.bench.status_of(slave.address)
         slaves[str(slave.address)] = entry

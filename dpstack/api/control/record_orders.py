@@ -61,10 +61,13 @@ def parse_order(word: str, args: Sequence[str], *, class2: bool = False, who: st
 def check_order(order: ParsedCommand, slave: SlaveConfig) -> None:
     """Raises UsageError for a write of a parameter past the plugin of a drive."""
     wanted = order.values.get("wanted")
-    if slave.profile is not None and isinstance(wanted, _Wanted) and wanted.value is not None:
+    if slave.has_drive and isinstance(wanted, _Wanted) and wanted.value is not None:
+        name, has = "DRIVE", "has drives with plugins, which know"
+        if slave.profile is not None:
+            name, has = slave.name, f"has the plugin {slave.profile.name}, which knows"
         raise UsageError(
-            f"{slave.name} has the plugin {slave.profile.name}, which knows limits and what must not change while the "
-            f"motor turns: `dpstack drive CONFIG {slave.name} write {wanted.pnu} {wanted.value}` writes it"
+            f"{slave.name} {has} limits and what must not change while the "
+            f"motor turns: `dpstack drive CONFIG {name} write {wanted.pnu} {wanted.value}` writes it"
         )
 
 
@@ -166,14 +169,15 @@ class _Wanted(NamedTuple):
 
 async def _one_parameter(slave: Slave | Connection, wanted: _Wanted, place: dict[str, int]) -> dict[str, object]:
     """Read a parameter over record 47, or write it and read it back. Raises ParameterError with the drive's reason."""
-    has_plugin = isinstance(slave, Slave) and slave.config.profile is not None
+    config = slave.config if isinstance(slave, Slave) else None
     parameters = slave.parameters(**place)
     try:
         (description,) = await parameters.describe([wanted.pnu])
     except (ParameterError, SlaveFault, UsageError) as error:
-        if not has_plugin:
+        if config is None or not config.has_drive:
             raise
-        advice = f"`dpstack drive CONFIG {slave.name} read {wanted.pnu}`"
+        name = "DRIVE" if config.drives else slave.name
+        advice = f"`dpstack drive CONFIG {name} read {wanted.pnu}`"
         raise UsageError(f"{error}; {advice} asks over the parameter channel of its telegram") from None
 
     async def read() -> ReadParameter:

@@ -100,9 +100,18 @@ def slave_handlers(bench: Bench, program: BusCore | Simulation | None = None) ->
 
         return carry_out
 
+    def drive_handler(command: str, act: Callable[..., None]) -> Handler:
+        def carry_out(args: list[str]) -> None:
+            address, drive = bench.drive(args[0], or_encoder=command in _OF_ENCODERS)
+            act(drive, *args[1:])
+            _publish(bench, program, command, address, tuple(args))
+
+        return carry_out
+
     faults = _Faults(program)
     acts = _ACTS | {"fault": faults.begin, "normal": faults.end}
     handlers = {command: handler(command, act) for command, act in acts.items()}
+    handlers |= {command: drive_handler(command, act) for command, act in _DRIVE_ACTS.items()}
     return handlers | {"set": lambda args: set_inputs(bench, program, args)}
 
 
@@ -159,7 +168,9 @@ def _publish(
 ) -> None:
     if program is not None:
         now, unit = program.runtime.now(), bench.units[address]
-        program.publish(Injected(t_ns=now, command=command, args=args, address=unit.address, name=unit.name))
+        several = {} if unit.several is None else unit.several.drives
+        name = f"{unit.name}, {args[0]}" if args[0] in several else unit.name
+        program.publish(Injected(t_ns=now, command=command, args=args, address=unit.address, name=name))
 
 
 def _input(bench: Bench, address: int, args: list[str]) -> object:
@@ -172,21 +183,6 @@ def _input(bench: Bench, address: int, args: list[str]) -> object:
         octets = unit.with_module_inputs(arguments.whole_number(args[0]), octets)
     remark = unit.set_inputs(octets)
     return None if remark is None else f"done, without an alarm: {remark}"
-
-
-def _of_drive(act: Callable[..., None], *, encoder: bool = False) -> _Act:
-    """A handler that calls ``act`` with the drive and the arguments; ``encoder``: with an encoder too."""
-
-    def carry_out(bench: Bench, address: int, args: list[str]) -> None:
-        device = bench.device(address)
-        is_encoder = bench.units[address].encoder is not None
-        if not isinstance(device, DriveDevice) and not (encoder and is_encoder):
-            what = "the I/O station" if isinstance(device, IoStation) else "it mirrors its outputs"
-            what = "an encoder" if is_encoder else what
-            raise UsageError(f"slave {address} ({device.name}) is no simulated drive: {what}")
-        act(device, *args)
-
-    return carry_out
 
 
 def _turn(bench: Bench, address: int, args: list[str]) -> None:
@@ -221,19 +217,24 @@ _OF_SLOT: Final = _of_station(
     lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "write for instance 01"))
 )
 
+#: each is called with the simulated drive and the arguments
+_DRIVE_ACTS: Final[dict[str, Callable[..., None]]] = {
+    "trip": lambda drive, code: drive.trip(code),
+    "warn": lambda drive, text: drive.warn(arguments.mask(text)),
+    "load": lambda drive, text: drive.set_load(arguments.number(text, -10, 10, "0.6")),
+    "release": lambda drive, text: drive.release(arguments.switch(text)),
+    "contact": lambda drive, name, text: drive.contact(name, arguments.switch(text)),
+    "set-point": lambda drive, text: drive.set_point(arguments.number(text, -1000, 1000, "12.5")),
+    "acknowledge": lambda drive: drive.acknowledge(),
+    "jog": lambda drive, text: drive.jog(arguments.direction(text)),
+    "mains": lambda drive, text: drive.mains(arguments.switch(text)),
+    "link": lambda drive, text: drive.link(arguments.switch(text)),
+    "parameter-error": _refuse,
+}
+#: those that a simulated encoder knows too
+_OF_ENCODERS: Final = frozenset({"trip", "warn", "acknowledge"})
 _ACTS: Final[dict[str, _Act]] = {
-    "trip": _of_drive(lambda drive, code: drive.trip(code), encoder=True),
-    "warn": _of_drive(lambda drive, text: drive.warn(arguments.mask(text)), encoder=True),
     "turn": _turn,
-    "load": _of_drive(lambda drive, text: drive.set_load(arguments.number(text, -10, 10, "0.6"))),
-    "release": _of_drive(lambda drive, text: drive.release(arguments.switch(text))),
-    "contact": _of_drive(lambda drive, name, text: drive.contact(name, arguments.switch(text))),
-    "set-point": _of_drive(lambda drive, text: drive.set_point(arguments.number(text, -1000, 1000, "12.5"))),
-    "acknowledge": _of_drive(lambda drive: drive.acknowledge(), encoder=True),
-    "jog": _of_drive(lambda drive, text: drive.jog(arguments.direction(text))),
-    "mains": _of_drive(lambda drive, text: drive.mains(arguments.switch(text))),
-    "link": _of_drive(lambda drive, text: drive.link(arguments.switch(text))),
-    "parameter-error": _of_drive(_refuse),
     "input": _input,
     "mirror": lambda bench, address, args: bench.units[address].set_inputs(None),
     "wire-break": _of_station(

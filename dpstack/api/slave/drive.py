@@ -21,6 +21,7 @@ from dpstack.dp.master.events import FaultKind
 from dpstack.errors import BusError, DpError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.plant.orders import HALTS
 from dpstack.profile import DriveCore, DriveStatus, ListedParam
+from dpstack.profile.master.several_drives import ARGUMENTS, DRIVE
 from dpstack.profile.model.jobs import LARGEST, CommandError
 from dpstack.text import brief
 
@@ -52,6 +53,8 @@ class DrivePlugin(NamedTuple):
 
     core: DriveCore
     status: Callable[[], DriveStatus]
+    #: its slave has several drives
+    several: bool = False
 
 
 class Drive(Sealed, Readable):
@@ -61,7 +64,7 @@ class Drive(Sealed, Readable):
 
     def __init__(self, bus: Host, slave: Slave, plugin: DrivePlugin) -> None:
         self._bus = bus
-        self._core, self._last_status = plugin
+        self._core, self._last_status, self._is_one_of_several = plugin
         self._pending: dict[int, asyncio.Future[dict[str, object]]] = {}
         self._readers: list[Stream[DriveStatus]] = []
         self._seen = b""
@@ -82,7 +85,7 @@ class Drive(Sealed, Readable):
     @property
     def name(self) -> str:
         """The name in the configuration."""
-        return self.slave.name
+        return self._core.name
 
     @property
     def kind(self) -> str:
@@ -162,7 +165,7 @@ class Drive(Sealed, Readable):
         token = next(TOKENS)
         self._setpoints[token] = value / reference
         try:
-            self._bus.command(DriveCommand(self.slave.address, op, {"value": value}, token))
+            self._bus.command(self._command(op, {"value": value}, token))
         except BaseException:
             self._setpoints.pop(token, None)
             raise
@@ -354,6 +357,11 @@ class Drive(Sealed, Readable):
 
     # --- inside -------------------------------------------------------------------------------------------------
 
+    def _command(self, op: str, args: dict[str, object], token: int) -> DriveCommand:
+        if self._is_one_of_several:
+            args = {DRIVE: self.name, ARGUMENTS: args}
+        return DriveCommand(self.slave.address, op, args, token)
+
     def _refuse(self, error: DpError) -> None:
         """Pending orders raise the error."""
         pending, self._pending = self._pending, {}
@@ -379,7 +387,7 @@ class Drive(Sealed, Readable):
         future: asyncio.Future[dict[str, object]] = asyncio.get_running_loop().create_future()
         self._pending[token] = future
         try:
-            await self._bus.order(DriveCommand(self.slave.address, op, {**given, "timeout_s": timeout}, token))
+            await self._bus.order(self._command(op, {**given, "timeout_s": timeout}, token))
             async with asyncio.timeout(timeout + _GRACE + self._bus.rotation_limit_s):
                 if op in HALTS:
                     await self._bus.until(lambda: future.done() or self._gets_no_outputs)
@@ -396,7 +404,7 @@ class Drive(Sealed, Readable):
             if self._pending.pop(token, None) is not None and not self._over and op not in HALTS:
                 # the caller was cancelled or its time is over: the plugin must not start the motor later
                 with contextlib.suppress(UsageError, BusError):
-                    self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(TOKENS)))
+                    self._bus.command(self._command("cancel", {"order": token}, next(TOKENS)))
         if refused is not None:
             raise refused
         return result

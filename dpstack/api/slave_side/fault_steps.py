@@ -177,6 +177,10 @@ def _trip(table: Table, given: Mapping[str, Any], bench: Bench, address: int) ->
     unit, code = bench.units[address], given.get("code")
     device = unit.device
     if not isinstance(device, DriveDevice):
+        if unit.several is not None:
+            table.fail(
+                "do", f"{unit.who} has several simulated drives", "trip one by `dpstack ctl PORT trip DRIVE CODE`"
+            )
         table.fail("do", f"{unit.who} is no simulated drive", "only a drive trips")
     if code is None:
         table.fail(None, "a trip without code", 'add the code or name of the fault, for instance code = "F2100"')

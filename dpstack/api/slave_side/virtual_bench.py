@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.injected import Injected, ScenarioEvent
@@ -38,6 +38,7 @@ from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 if TYPE_CHECKING:
     from dpstack.devices.encoder_device import EncoderDevice
     from dpstack.profile import DriveDevice
+    from dpstack.profile.simulator.several_drives import SeveralDrivesDevice
 
 
 def sim_event_json(event: Event, t: float) -> dict[str, object]:
@@ -75,6 +76,8 @@ _MADE_UP: Final = 0x8000
 
 
 def _device_of(slave: SlaveConfig, held: HeldInputs | None, im: ImOf) -> Device:
+    if slave.drives:
+        return _several(slave)
     profile = slave.any_profile
     if profile is not None:
         device: Device = profile.simulated(slave.telegram, slave.options, slave.simulated)
@@ -89,6 +92,26 @@ def _device_of(slave: SlaveConfig, held: HeldInputs | None, im: ImOf) -> Device:
     if slave.description is not None:
         return mirror_of(_own(slave, slave.description), held, im)
     return MirrorDevice(params.ident or 0, params.config, params.name, fail_safe=params.fail_safe, held=held)
+
+
+def _several(slave: SlaveConfig) -> SeveralDrivesDevice:
+    from dpstack.profile.simulator.several_drives import SeveralDrivesDevice, SimulatedPart  # here, as few have several
+
+    parts = {
+        one.name: SimulatedPart(
+            one.profile.simulated(one.telegram, one.options, one.simulated),
+            one.config,
+            one.inputs,
+            one.outputs,
+            one.record_object,
+        )
+        for one in slave.drives
+    }
+    device = SeveralDrivesDevice(parts, slave.params.config, slave.params.input_len)
+    if slave.params.ident is not None:
+        device.ident = slave.params.ident
+    device.name = slave.name
+    return device
 
 
 def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
@@ -158,6 +181,8 @@ class SimulatedSlave:
             return f"own, {self._own.name}"
         if profile is not None:
             return profile.name
+        if self.config.drives:
+            return ", ".join(f"{one.name}: {one.profile.name}" for one in self.config.drives)
         if isinstance(self.device, IoStation):
             return NAME
         return "mirror" if description is None else f"mirror, {description.name}"
@@ -213,6 +238,16 @@ class SimulatedSlave:
         return None if self.config.device_profile is None or self._own else cast("EncoderDevice", self.device)
 
     @property
+    def several(self) -> SeveralDrivesDevice | None:
+        """The device if it is a simulated slave with several drives."""
+        is_own = self._own is not None
+        return None if is_own or not self.config.drives else cast("SeveralDrivesDevice", self.device)
+
+    @property
+    def _drives(self) -> DriveDevice | SeveralDrivesDevice | None:
+        return self.drive or self.several
+
+    @property
     def refused(self) -> str | None:
         """Its state and the reason of its last refusal since power-on or data exchange; None without one."""
         last = self.app.report.last_refusal
@@ -222,7 +257,7 @@ class SimulatedSlave:
         """Raises UsageError if the device makes its inputs itself: a drive, or the device of a test."""
         if self._own is not None:
             raise UsageError(f"{self.who}: its own function makes its inputs; change what the function returns")
-        if self.drive is not None:
+        if self._drives is not None:
             raise UsageError(f"{self.who}: the simulated drive makes its inputs; trip, warn and load change them")
         if self.encoder is not None:
             raise UsageError(f"{self.who}: the simulated encoder makes its inputs; turn, trip and warn change them")
@@ -294,20 +329,20 @@ class SimulatedSlave:
         """Take its power: its outputs are off, the motor of a drive coasts."""
         self.station.command(LineDown("switched off"), now)
         self.app.restart(now)
-        if self.drive is not None:
-            self.drive.switch_off(now)
+        if (drives := self._drives) is not None:
+            drives.switch_off(now)
 
     def renew(self, params: BusParams) -> None:
         """Give it power again."""
-        before, drive_before, encoder_before = self.device, self.drive, self.encoder
+        before, drives_before, encoder_before = self.device, self._drives, self.encoder
         if isinstance(before, DpSlave):
             self._im = {slot: before.im_of(slot) for slot in self._im}
         self.device = self._new_device()
         kept, self._address_fixed = self.app.kept_address
         self._address = self._address if kept is None else kept
-        if self._own is None and self.drive is not None and drive_before is not None:
-            self.drive.inherit(drive_before)
-            own = self.drive.own_address
+        if self._own is None and (drives := self._drives) is not None and drives_before is not None:
+            drives.inherit(cast("Any", drives_before))  # of the same class
+            own = drives.own_address
             self._address = self._address if own is None else own
         if self.encoder is not None and encoder_before is not None:
             self.encoder.inherit(encoder_before)
@@ -319,8 +354,8 @@ class SimulatedSlave:
         own = set_rate(self.config)
         if own is not None and own != params.baud:
             params = BusParams.preset(own)
-        if self.drive is not None:
-            self.drive.installed(self._address, None if self._searching else params.baud)
+        if (drives := self._drives) is not None:
+            drives.installed(self._address, None if self._searching else params.baud)
         self.app = SlaveApp(self.device, address=self._address, address_fixed=self._address_fixed)
         self.station = PassiveStation(self._address, self.app, params, t_sdr=self._t_sdr, patience=self._patience)
         device = self.device
@@ -408,6 +443,26 @@ class Bench(ABC):
     def device(self, address: int) -> Device:
         return self.units[address].device
 
+    def drive(self, which: str | int, *, or_encoder: bool = False) -> tuple[int, DriveDevice | EncoderDevice]:
+        """A simulated drive, by the name or address of its slave, or by its own name; and the address of that slave.
+        ``or_encoder``: an encoder too. Raises UsageError."""
+        from dpstack.profile import DriveDevice  # here, as a bus without drives needs nothing of them
+
+        for address, unit in self.units.items():
+            if unit.several is not None and str(which) in unit.several.drives:
+                return address, unit.several.drives[str(which)]
+        address = self.address_of(which)
+        found, encoder = self.device(address), self.units[address].encoder
+        if isinstance(found, DriveDevice):
+            return address, found
+        if encoder is not None and or_encoder:
+            return address, encoder
+        what = "the I/O station" if isinstance(found, IoStation) else "it mirrors its outputs"
+        what = what if encoder is None else "an encoder"
+        if (several := self.units[address].several) is not None:
+            what = f"it has several, name one of {', '.join(several.drives)}"
+        raise UsageError(f"slave {address} ({found.name}) is no simulated drive: {what}")
+
     def silence(self, which: str | int, for_ns: int | None = None) -> None:
         """Silence a slave, by name or address: it neither receives nor sends for ``for_ns`` nanoseconds; None: until
         :meth:`resume`. Its watchdog runs. Nothing happens while it is off. Raises UsageError."""
@@ -437,10 +492,8 @@ class Bench(ABC):
         left_ns = self._silent_ns(address) or 0
         found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
         found += [fault_text(fault) for fault in unit.faults.active]
-        if unit.drive is not None:
-            found += unit.drive.injected
-        elif unit.encoder is not None:
-            found += unit.encoder.injected
+        if (device := unit.drive or unit.several or unit.encoder) is not None:
+            found += device.injected
         elif isinstance(unit.device, IoStation):
             found += unit.device.injected
         return found

@@ -10,9 +10,10 @@ from functools import partial
 from typing import Any, Final
 
 from dpstack.api.bus.compose import core_of
-from dpstack.api.bus.events_json import DriveEvent, Event, Severity
+from dpstack.api.bus.events_json import DRIVE, DriveEvent, Event, Severity
 from dpstack.api.bus.opening import open_bus
 from dpstack.api.config.config import Config, load_config
+from dpstack.api.config.drives_source import DriveConfig
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control import drive_orders as words
 from dpstack.api.control.commands import ParsedCommand, Spec, find_word
@@ -82,23 +83,24 @@ def add_to(parser: Parser) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 if an order fails or a compare finds a difference."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
-    command = _Command(args, config, _slave_of(config, args.name), _orders(args))
-    _check_orders(command.slave, command.orders, simulated=config.virtual)
+    command = _Command(args, config, *_drive_of(config, args.name), _orders(args))
+    _check_orders(command.slave, command.drive, command.orders, simulated=config.virtual)
     return run_unhurried(command.run(), json=args.json)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Command:
-    """``orders`` to the drive of ``slave``."""
+    """``orders`` to the drive of ``slave``, or to ``drive``, one of its several."""
 
     args: argparse.Namespace
     config: Config
     slave: SlaveConfig
+    drive: DriveConfig | None
     orders: Sequence[ParsedCommand]
 
     async def run(self) -> int:
         with StopSignal() as stop:
-            drive = await find_drive(self.config, self.slave.name)
+            drive = await find_drive(self.config, (self.drive or self.slave).name)
             if drive is not None:
                 with drive.client:
                     return await self._through_run(drive, stop)
@@ -109,10 +111,11 @@ class _Command:
     async def _through_run(self, drive: RemoteDrive, stop: StopSignal) -> int:
         args, slave = self.args, self.slave
         run = f"the run on {self.config.port} (pid {drive.client.pid})"
-        kind = "" if slave.profile is None else slave.profile.name
+        profile = (self.drive or slave).profile
+        kind = "" if profile is None else profile.name
         if (drive.address, drive.kind) != (slave.address, kind):
             raise UsageError(
-                f"{slave.name} is a {kind} at address {slave.address} in {args.config}, but a {drive.kind} "
+                f"{drive.name} is a {kind} at address {slave.address} in {args.config}, but a {drive.kind} "
                 f"at {drive.address} for {run}: the file was changed since that run began; begin it anew"
             )
         if any(order.word in _FOR_FILES for order in self.orders):
@@ -131,7 +134,7 @@ class _Command:
             raise UsageError("the configuration is read only: no drive can be given an order; leave read_only out")
         on_bus.refuse_application_watchdog(config, "drive")
         on_bus.warn_of_simulation(config)
-        async with OneDrive(config, self.slave, json=args.json) as master:
+        async with OneDrive(config, self.slave, self.drive, json=args.json) as master:
             if not await stop.or_done(master.come_up()):
                 output.warn("ended before the drive was in data exchange")
                 return 1
@@ -146,15 +149,17 @@ class _Command:
 
 
 class OneDrive:
-    """The drive of ``slave`` under a master in the foreground (``async with``), which leaves all other slaves alone.
+    """The drive of ``slave``, or ``drive``, one of its several, under a master in the foreground (``async with``),
+    which leaves all other slaves alone.
 
     On leaving, however that comes, the drive stops by its ramp; then the bus ends (safe values, Clear, out of the
     ring).
     """
 
-    def __init__(self, config: Config, slave: SlaveConfig, *, json: bool) -> None:
+    def __init__(self, config: Config, slave: SlaveConfig, drive: DriveConfig | None, *, json: bool) -> None:
         self._bus = open_bus(config.only(slave), on_event=self._on_event)
         self._slave = slave
+        self._name = (drive or slave).name
         self._json = json
         self._holding = False
         #: why it did not stop by its ramp
@@ -163,7 +168,7 @@ class OneDrive:
     @property
     def drive(self) -> Drive:
         """The drive. Raises UsageError while the baud rate is searched."""
-        return self._bus.drive(self._slave.address)
+        return self._bus.drive(self._name)
 
     async def __aenter__(self) -> OneDrive:
         return self
@@ -187,7 +192,7 @@ class OneDrive:
 
         Raises DriveFault when a drive that runs now stops by itself, SlaveFault when it is lost.
         """
-        name, running = self._slave.name, self.drive.status.running
+        name, running = self._name, self.drive.status.running
         self._holding = True
         if not running:
             output.warn(f"{name} does not run: `start` starts it, for instance: {name} start speed 0.5")
@@ -201,10 +206,10 @@ class OneDrive:
         slave, status = self.drive.slave, self.drive.status
         if slave.fault is not None or not slave.ready_now:
             why = slave.fault.text if slave.fault is not None else f"it is in {slave.state.value}"
-            raise SlaveFault(slave.address, f"drive {slave.name}: slave {slave.address} is lost: {why}")
+            raise SlaveFault(slave.address, f"drive {self._name}: slave {slave.address} is lost: {why}")
         if running and not status.running:
             why = f"fault {status.fault}" if status.fault else f"it reports {status.state}"
-            raise DriveFault(slave.name, f"drive {slave.name} stopped by itself: {why}")
+            raise DriveFault(self._name, f"drive {self._name} stopped by itself: {why}")
         return False
 
     async def _stop(self) -> None:
@@ -221,14 +226,16 @@ class OneDrive:
                 self.unstopped = error
 
     def _on_event(self, event: Event) -> None:
-        name = self._slave.name
+        name = self._name
         on_bus.warn_of(event)
         if isinstance(event, DriveEvent) and event.severity is Severity.INFO:
             payload = event.payload
+            if payload.get(DRIVE, name) != name:
+                return  # of another drive in the same slave
             if payload.get("type") == "notice":
                 output.warn(f"drive {name}: {payload.get('text')}")
             elif payload.get("type") == "status" and self._holding and payload.get("state") != "offline":
-                status = {key: value for key, value in payload.items() if key != "type"}
+                status = {key: value for key, value in payload.items() if key not in ("type", DRIVE)}
                 if self._json:
                     output.json_line({"event": "status", "drive": name, "status": status})
                 else:
@@ -245,16 +252,21 @@ def _last_motion(orders: Sequence[ParsedCommand]) -> str:
     return last
 
 
-def _slave_of(config: Config, name: str) -> SlaveConfig:
-    """Raises UsageError naming the drives there are."""
-    drives = [slave for slave in config.slaves if slave.profile is not None]
-    slave = config.find(name)
-    if slave in drives:
-        return slave
-    if slave is not None:
-        raise UsageError(f"slave {slave.address} ({slave.name}) is no drive; give it `drive = ...` in its table")
-    known = ", ".join(f"{slave.name} ({slave.address})" for slave in drives) or "none"
-    raise UsageError(f"no drive {name!r} in this configuration; there are: {known}")
+def _drive_of(config: Config, name: str) -> tuple[SlaveConfig, DriveConfig | None]:
+    """The slave of the drive ``name``; the drive if it is one of several. Raises UsageError naming those there are."""
+    known = [(one.name, slave, one) for slave in config.slaves for one in slave.drives]
+    drives = [*known, *((slave.name, slave, None) for slave in config.slaves if slave.profile is not None)]
+    for its_name, slave, drive in drives:
+        if name == its_name or (drive is None and name == str(slave.address)):
+            return slave, drive
+    found = config.find(name)
+    if found is not None and found.drives:
+        names = ", ".join(one.name for one in found.drives)
+        raise UsageError(f"slave {found.address} ({found.name}) has several drives: name one of {names}")
+    if found is not None:
+        raise UsageError(f"slave {found.address} ({found.name}) is no drive; give it `drive = ...` in its table")
+    there = ", ".join(f"{its_name} ({slave.address})" for its_name, slave, _ in drives) or "none"
+    raise UsageError(f"no drive {name!r} in this configuration; there are: {there}")
 
 
 def _orders(args: argparse.Namespace) -> list[ParsedCommand]:
@@ -279,23 +291,25 @@ def _orders(args: argparse.Namespace) -> list[ParsedCommand]:
 # --- the orders -------------------------------------------------------------------------------------------------------
 
 
-def _check_orders(slave: SlaveConfig, orders: Sequence[ParsedCommand], *, simulated: bool) -> None:
-    """Check all ``orders`` before the first one moves the drive of ``slave``. Raises UsageError, ConfigError."""
-    core = core_of(slave, simulated=simulated)
+def _check_orders(
+    slave: SlaveConfig, drive: DriveConfig | None, orders: Sequence[ParsedCommand], *, simulated: bool
+) -> None:
+    """Check all ``orders`` before the first one moves the drive. Raises UsageError, ConfigError."""
+    core = core_of(slave, drive, simulated=simulated)
     assert core is not None
-    drive = _Plugin(core)
+    plugin = _Plugin(core)
     made = {order.texts[0] for order in orders if order.word == "dump"}
     for order in orders:
         match order.word:
             case "dump":
-                check_dump(drive, order.texts[0], **order.values)
+                check_dump(plugin, order.texts[0], **order.values)
             case "compare":
                 if order.texts[0] not in made:
-                    check_compare(drive, order.texts[0], **order.values)
+                    check_compare(plugin, order.texts[0], **order.values)
             case "status":
                 pass
             case _:
-                drive.check(order)
+                plugin.check(order)
 
 
 class _Plugin:

@@ -162,7 +162,7 @@ def _notes_on_return(config: Config) -> list[str]:
     return [
         f"{slave.params.who}: after it was away {slave.on_return}"
         for slave in config.slaves
-        if slave.params.after_return == "safe" and slave.any_profile is None and slave.on_return
+        if slave.params.after_return == "safe" and not slave.has_plugin and slave.on_return
     ]
 
 

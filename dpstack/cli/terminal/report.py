@@ -10,6 +10,7 @@ from msgspec import structs
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.events_json import (
+    DRIVE,
     AlarmRaised,
     DriveEvent,
     Event,
@@ -76,8 +77,8 @@ class Reporter:
         self._started = False
         #: by address: the last reported diagnosis and drive status
         self._diagnoses: dict[int, str] = {}
-        self._drives: dict[int, tuple[str, ...]] = {}
-        self._flapping: dict[int, Flapping] = {}
+        self._drives: dict[tuple[int, object], tuple[str, ...]] = {}
+        self._flapping: dict[tuple[int, object], Flapping] = {}
         #: slaves whose fault was reported; the master tries them again and again
         self._retried: set[int] = set()
         #: slaves in data exchange, according to the events
@@ -169,15 +170,16 @@ class Reporter:
             case "result":
                 return
             case "status":
+                drive = address, payload.get(DRIVE)
                 status = tuple(str(payload.get(key)) for key in ("state", "faults", "warnings"))
-                if status == self._drives.get(address):
+                if status == self._drives.get(drive):
                     return
-                self._drives[address] = status
+                self._drives[drive] = status
                 if payload.get("state") == "offline":
                     return  # the state of its slave is reported anyway
-                if address not in self._flapping:
-                    self._flapping[address] = Flapping(self._line)
-                self._flapping[address].publish(event)
+                if drive not in self._flapping:
+                    self._flapping[drive] = Flapping(self._line)
+                self._flapping[drive].publish(event)
             case _:
                 self._line(event)
 
@@ -246,9 +248,10 @@ def _diagnoses(slaves: Iterable[SlaveStats]) -> None:
     rows: list[tuple[object, ...]] = []
     for s in slaves:
         found = [("diagnosis", s.conspicuous)] if s.conspicuous else []
-        for kind in ("fault", "warning"):
-            found += [(f"drive {kind}", str(one)) for one in _list(s.drive.get(f"{kind}s"))]
-        found += [(f"drive at {one['t']} s", str(one["text"])) for one in _list(s.drive.get("notices"))]
+        for name, drive in {"drive": s.drive, **s.drives}.items():
+            for kind in ("fault", "warning"):
+                found += [(f"{name} {kind}", str(one)) for one in _list(drive.get(f"{kind}s"))]
+            found += [(f"{name} at {one['t']} s", str(one["text"])) for one in _list(drive.get("notices"))]
         rows += [(s.address, s.name, what, text) for what, text in found]
     if rows:
         output.table("Diagnoses and drives", ("address", "name", "what", "text"), rows)

@@ -7,6 +7,7 @@ from enum import Enum
 
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.process_image import DRIVE
 from dpstack.trace import Event, Severity
 from dpstack.units import ms_text
 
@@ -317,7 +318,8 @@ class ControlFailed(Event):
 
 
 class DriveEvent(SlaveEvent):
-    """A drive plugin's answer or message: ``payload`` is plain JSON data with a ``"type"`` key."""
+    """A drive plugin's answer or message: ``payload`` is plain JSON data with a ``"type"`` key, and with the name of
+    the drive (:data:`~dpstack.dp.process_image.DRIVE`) if its slave has several."""
 
     #: plain JSON data with a ``"type"`` key
     payload: dict[str, object]
@@ -340,7 +342,8 @@ class DriveEvent(SlaveEvent):
             said = "order done" if value is None or isinstance(value, (dict, list)) else f"order done: {value}"
         elif kind == "result":
             said = "order failed" + ("" if payload.get("text") is None else f": {payload['text']}")
-        return f"{payload.get('of', 'drive')} {self.address} ({self.name}): {said}"
+        name = f"{self.name}, {payload[DRIVE]}" if DRIVE in payload else self.name
+        return f"{payload.get('of', 'drive')} {self.address} ({name}): {said}"
 
     @property
     def severity(self) -> Severity:

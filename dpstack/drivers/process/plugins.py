@@ -7,7 +7,7 @@ import gc
 import importlib
 from collections.abc import Callable, Mapping
 
-from msgspec import field
+from msgspec import Struct, field
 
 from dpstack.dp.pdu import layouts
 from dpstack.dp.process_image import CyclicPlugin
@@ -16,12 +16,26 @@ from dpstack.errors import ConfigError
 from dpstack.machine import Order
 
 
+class DriveOfSeveral(Struct, frozen=True):
+    """One of the drives of a slave: as in :class:`AttachPlugin`, with its number in record 47 (None: that of the
+    profile) and its octets of inputs and outputs, the first and the one behind the last."""
+
+    place: str
+    argument: str
+    name: str
+    telegram: str
+    options: Mapping[str, object]
+    record_object: int | None
+    inputs: tuple[int, int]
+    outputs: tuple[int, int]
+
+
 class AttachPlugin(Order):
     """Put the drive plugin at ``place`` ("package.module:name") onto the process image of the slave at ``address``.
 
     ``argument``: what ``place`` is called with to make the profile, "" for a profile itself (a device file: its digest
     and path). ``name``: of the slave; ``options`` are plain data. ``records``: the slave has DP-V1, and the plugin may
-    ask it by Read and Write.
+    ask it by Read and Write. ``drives``: those of a slave with several, which ``place`` joins; ``octets`` of outputs.
     """
 
     address: int
@@ -31,6 +45,8 @@ class AttachPlugin(Order):
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
     records: bool = False
+    drives: tuple[DriveOfSeveral, ...] = ()
+    octets: int = 0
 
 
 def core_at(place: str, argument: str = "") -> Callable[..., CyclicPlugin]:
@@ -80,4 +96,13 @@ def load_all(groups: str) -> None:
 def load(order: AttachPlugin) -> CyclicPlugin:
     """The drive plugin that ``order`` names. Raises ConfigError."""
     records = RecordQueue() if order.records else None
+    if order.drives:
+        cores = (
+            core_at(one.place, one.argument)(
+                one.name, one.telegram, one.options, records=records, record_object=one.record_object
+            )
+            for one in order.drives
+        )
+        parts = [(core, one.inputs, one.outputs) for core, one in zip(cores, order.drives, strict=True)]
+        return core_at(order.place)(parts, order.octets, records)
     return core_at(order.place, order.argument)(order.name, order.telegram, order.options, records=records)

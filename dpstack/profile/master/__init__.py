@@ -9,4 +9,5 @@
 - ``messages``: Numbers of the present faults and warnings by parameter: PROFIdrive's fault buffer, PNU 944, 945 and 947
 - ``new_address``: A new station address that the drive got over its plugin
 - ``settings``: Comparison of the settings that a plugin relies on with those in the drive
+- ``several_drives``: Master side of a slave with several drives: one plugin that holds a core for each of them
 """

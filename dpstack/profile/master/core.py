@@ -236,6 +236,7 @@ class DriveCore:
             self.online = True
             self.received()
             if begins:
+                self._watched_from, self._clear_job = None, None  # what was not over in Clear waits for nothing more
                 self._new_address.answered()
                 self.settings_check.begin()
             for lookup in self.lookups:

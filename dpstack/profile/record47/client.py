@@ -101,6 +101,10 @@ class ParameterClient:
         self.object = object
         self.limits = Limits() if limits is None else limits
         self.counters = Counters()
+        self.use_references(references)
+
+    def use_references(self, references: range) -> None:
+        """The references of the requests from now on."""
         self._references = references
         self._reference = references.start
 

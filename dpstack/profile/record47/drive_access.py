@@ -121,6 +121,12 @@ class AcyclicAccess(ParameterChannel):
         self._formats: dict[Address, int] = {}
         self._stored_writes = StoredWrites()
 
+    def take_turns(self, turns: deque[object], references: range) -> None:
+        """For one of several drives of a slave: its jobs take turns in ``turns`` with those of the others, and its
+        requests have ``references`` of their own."""
+        self._turns = turns
+        self.client.use_references(references)
+
     @property
     def octets(self) -> bytes:
         return b"" if self.cyclic is None else self.cyclic.octets

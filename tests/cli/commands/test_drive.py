@@ -511,3 +511,31 @@ def test_all_is_read_and_there_is_no_room(tmp_path: Path, monkeypatch: pytest.Mo
         f"dpstack: {there}: cannot be written (No space left on device); make room there, or name a file elsewhere\n"
     )
     assert list(there.parent.iterdir()) == []
+
+
+SEVERAL = """
+[bus]
+port = "virtual"
+baud = 500000
+[[slave]]
+name = "cu320"
+address = 5
+ident = 0x80E5
+drives = [{ name = "axis1", file = "profidrive" }, { name = "axis2", file = "profidrive", telegram = "2" }]
+"""
+
+
+@pytest.mark.usefixtures("fast")
+def test_one_of_several_drives_by_its_name(cli: Cli, tmp_path: Path) -> None:
+    path = tmp_path / "several.toml"
+    path.write_text(SEVERAL)
+    out, _ = cli(
+        "drive", str(path), "axis2", "speed", "0.5", "start", "reached", "status", "--seconds", "0.1", "--json"
+    )
+    answers = [json.loads(line) for line in out.splitlines()]
+    told = [(one["order"], one["drive"], one["address"]) for one in answers if "order" in one]
+    assert told == [(word, "axis2", 5) for word in ("speed", "start", "reached", "status")]
+    assert {one["drive"] for one in answers} == {"axis2"}
+    for name, text in (("cu320", "has several drives: name one of axis1, axis2"), ("axis3", "axis1 (5), axis2 (5)")):
+        _, err = cli("drive", str(path), name, "start", code=2)
+        assert text in err
