@@ -270,7 +270,8 @@ class StatusKeys(TypedDict, total=False):
 
 
 class OrderKeys(TypedDict, total=False):
-    """`[orders]`, `NAME = { ... }`: an order of the file's own.
+    """`[orders]`, `NAME = { ... }`: an order of the file's own: `await drive.order("NAME")`, `dpstack drive CONFIG
+    DRIVE order NAME`, `dpstack ctl PORT order DRIVE NAME`.
 
     set: bits of the control word that it sets, until the outputs are safe
     clear: bits that it clears
