@@ -68,6 +68,8 @@ class FileDevice(DeclaredDevice):
         super().__init__(file, profile, telegram, options, presets)
         if "load" not in options:
             self.motor.load = file.simulate.load
+        if not file.python:
+            self.unknown_trip = f"no fault of this drive; known: {', '.join(self.trips.values())}, or any number"
         #: its state machine
         self.machine: Machine = machine_of(file)
         #: number of the fault that stands; 0: none
@@ -92,17 +94,16 @@ class FileDevice(DeclaredDevice):
         self.fault = 0
 
     def fault_code(self, code: str) -> int:
-        """By number, text or the text's beginning, such as ``F07011``; any number may trip it."""
+        """By number, text or the text's beginning, such as ``F07011``; of a file without Python any number."""
         wanted = code.strip().lower()
         for number, text in self.trips.items():
             if text.lower().startswith(wanted) and wanted:
                 return number
         digits = "".join(filter(str.isdecimal, wanted))
         unknown = self.file.fault.unknown
-        if digits and wanted in (digits, unknown.format(int(digits)).lower()):
+        if digits and not self.file.python and wanted in (digits, unknown.format(int(digits)).lower()):
             return int(digits)
-        known = ", ".join(self.trips.values())
-        raise ValueError(f"{code!r} is no fault of this drive; known: {known}, or any number")
+        return super().fault_code(code)
 
     def live(self, spec: ParamSpec) -> int | None:
         """Faults and warnings that stand, in the parameters that have them."""
