@@ -30,7 +30,7 @@ def told(core: Any, octets: str, now: int) -> str:
 class TestSample(DriveConformance):
     profile = find(str(HERE / "sample.toml"))
     keys = {"ident": 0x80E5, "dpv1": True, "user_prm": "C0 00 00"}
-    telegrams = ("352", "PPO1", "2")
+    telegrams = ("352", "2")
 
 
 class TestBits(DriveConformance):

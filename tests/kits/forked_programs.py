@@ -152,7 +152,9 @@ if __name__ == "__main__":
     for name in _IMPORTED:
         importlib.import_module(name)
     from dpstack.cli.main import main
+    from dpstack.devices.finding import known, known_devices
 
+    known(), known_devices()  # the files that come with dpstack are read once, not in each fork
     gc.collect()
     gc.freeze()
     args = _become(_serve(socket.socket(fileno=int(sys.argv[1]))))
