@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import errno
+import functools
 import hashlib
 import os
 import stat
@@ -180,8 +181,7 @@ class Reader:
                 )
             seen.add(path.resolve())
             at, _ = _toml(text_of(path)[0], path)
-            _stay_beside(at, path.parent)
-            layers.append(at)
+            layers.append(_beside(at, path.parent))
         self._root = path.stem if len(layers) > 1 else str(data.get("name", path.stem))
         #: the data of the bases alone
         self._below: dict[str, Any] = {}
@@ -1243,6 +1243,7 @@ def _octets_of(path: Path, most: int) -> bytes:
         return file.read(most + 1)
 
 
+@functools.lru_cache(maxsize=16)  # a file is read for its base and for itself, a base for each file on it
 def _toml(text: str, path: Path) -> tuple[dict[str, Any], dict[tuple[str | int, ...], int]]:
     try:
         return read_toml(text)
@@ -1250,12 +1251,16 @@ def _toml(text: str, path: Path) -> tuple[dict[str, Any], dict[tuple[str | int, 
         raise ConfigError.at(str(path), error.line, error.what, "correct the line") from None
 
 
-def _stay_beside(data: Mapping[str, Any], folder: Path) -> None:
-    """Paths in the data of a base are relative to its own folder."""
-    inside = [(data.get(name), key) for name, key in (("bus", "made_gsd"), ("fault", "texts"), ("warning", "texts"))]
-    for table, key in [(data, "gsd"), *inside]:
+def _beside(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The data of a base, whose paths are relative to its own ``folder``."""
+    found = dict(data)
+    if isinstance(found.get("gsd"), str):
+        found["gsd"] = str(folder / found["gsd"])
+    for name, key in (("bus", "made_gsd"), ("fault", "texts"), ("warning", "texts")):
+        table = found.get(name)
         if isinstance(table, dict) and isinstance(table.get(key), str):
-            table[key] = str(folder / table[key])
+            found[name] = table | {key: str(folder / table[key])}
+    return found
 
 
 def _joined(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
