@@ -82,7 +82,7 @@ class EncoderDevice(Device):
 
     @property
     def injected(self) -> tuple[str, ...]:
-        """What was done to it from outside, written as the commands of ``dpstack ctl``."""
+        """Faults and conditions from outside, written as the commands of ``dpstack ctl``."""
         found = [f"trip {self.file.alarms[bit]}" for bit in sorted(self._alarms)]
         return (*found, f"warn {self._warnings:04X}") if self._warnings else tuple(found)
 

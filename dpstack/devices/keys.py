@@ -453,7 +453,7 @@ class ParameterKeys(TypedDict, total=False):
 
 
 class MapKeys(TypedDict, total=False):
-    """`[map]`: what the words behind control word and set point carry, where that is chosen; beside `python`.
+    """`[map]`: the values in the words behind control word and set point, where they can be chosen; beside `python`.
 
     most: words of a map. Left out: as many as it has codes
     places: their names, such as `PZD2 to PZD12`

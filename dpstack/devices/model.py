@@ -134,7 +134,7 @@ class Derived(Struct, frozen=True, kw_only=True):
 
 
 class Message(Struct, frozen=True, kw_only=True):
-    """What the manual has about a fault or a warning."""
+    """The facts of the manual about a fault or a warning."""
 
     text: str
     code: str = ""

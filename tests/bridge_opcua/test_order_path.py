@@ -34,7 +34,7 @@ PUMP: Final[dict[str, Any]] = {"name": "pump", "address": 6, "drive": "ls-s100",
 FLOW: Final = 54321
 SPEED: Final = 0.40404
 #: calls of functions of dpstack from the connector to the image of an output; with texts there were 159
-MOST_CALLS: Final = 122
+MOST_CALLS: Final = 120
 
 
 pytestmark = pytest.mark.usefixtures("probe", "no_collection")

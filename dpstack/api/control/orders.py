@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.parts import SEARCHING
-from dpstack.api.slave.slave import Slave, check_words, has_free_words, put_values
+from dpstack.api.slave.slave import Slave, check_words, put_values
 from dpstack.errors import BusError, SlaveError
 from dpstack.plant.orders import DriveOrder, ModeOrder, PlantOrder, SetOctets, SetOutputs
 
@@ -59,7 +59,7 @@ def octets_of(bus: Bus, orders: Sequence[SetOutputs | SetOctets], *, now: bool =
         before = wanted.get(slave, slave.outputs_held)
         if isinstance(order, SetOctets):
             wanted[slave] = order.octets
-        elif has_free_words(slave):
+        elif slave.has_free_words:
             check_words(slave, order.values)
             wanted[slave] = {**(before if isinstance(before, dict) else {}), **order.values}
         else:
@@ -72,6 +72,8 @@ def octets_of(bus: Bus, orders: Sequence[SetOutputs | SetOctets], *, now: bool =
         if not isinstance(octets, bytes):
             continue
         slave.check_outputs(octets)
+        if now:  # a slave that is away was refused above
+            continue
         setup = slave.setup
         if setup.after_return == "safe" and not slave.ready_now and octets != setup.safe_outputs:
             why = f'{slave.held_because}; after_return = "safe": set its outputs when it is back'

@@ -73,6 +73,8 @@ class Slave(Sealed, RecordAccess):
         self._setup = setup
         self._device_orders = device_orders
         self._has_plugin = has_plugin
+        #: a device file makes its outputs, with words among them that a program may set by name
+        self.has_free_words = has_plugin and bool(config.output_fields)
         self.config = config
         self._quality = SlaveQuality(self)
         self._seal(Slave)
@@ -367,7 +369,7 @@ class Slave(Sealed, RecordAccess):
         the drive was away. Raises UsageError for a name that is no output, a value that does not fit, and as
         :attr:`outputs` does.
         """
-        if not has_free_words(self):
+        if not self.has_free_words:
             self.outputs = put_values(self, self.outputs, values)
             return
         check_words(self, values)
@@ -705,11 +707,6 @@ async def all_ready(bus: Host, slaves: Collection[Slave], timeout: float | None)
             if not slave.ready_now:
                 raise slave._late("data exchange", timeout) from None
         raise
-
-
-def has_free_words(slave: Slave) -> bool:
-    """Whether a device file makes the outputs of ``slave``, with words among them that a program may set by name."""
-    return slave._has_plugin and bool(slave.config.output_fields)
 
 
 def check_words(slave: Slave, values: Mapping[str, object]) -> None:

@@ -38,7 +38,7 @@ def list_devices(*, json: bool) -> int:
 
 
 def all_devices() -> list[dict[str, Any]]:
-    """What is known, device files and plugins, as JSON has it."""
+    """All device files and plugins that are known, as JSON has them."""
     origins = finding.origins()
     found = []
     known: dict[str, DriveProfile | DeviceProfile] = {**finding.known(), **finding.known_devices()}

@@ -6,7 +6,7 @@ octets). Management: bit 7 result (1: an error), bit 6 handshake, bits 5-4 lengt
 The length bits of a confirmation are not judged: those of KEB's own example differ from the request's.
 
 Sources: SEW MOVITRAC B operating instructions p109 and p110, SEW's pages "Management byte" and "Additional code" of
-manual 31960413; KEB as docs/reference/drives/keb-f5.md#administration-byte. Which services and texts a drive has is
+manual 31960413; KEB as docs/reference/drives/keb-f5.md#administration-byte. The services and texts of a drive are
 data: an :class:`IndexedDialect`.
 """
 
