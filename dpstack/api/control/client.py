@@ -51,8 +51,7 @@ class ControlClient:
 
     def __init__(self, port: str, connection: socket.socket) -> None:
         self.port = port
-        #: process number of the program; 0 before :meth:`help`
-        self.pid = 0
+        self._pid = 0  # unknown before :meth:`help`
         self._socket = connection
         self._rest = bytearray()
         self._searched = 0  # octets of _rest that have no line end
@@ -109,8 +108,15 @@ class ControlClient:
         from dpstack.api.control.answers import Help
 
         found = self.call("help", kind=Help)
-        self.pid = found["pid"]
+        self._pid = found["pid"]
         return found
+
+    @property
+    def pid(self) -> int:
+        """Process number of the program, which is asked for it once. Raises like :meth:`call`."""
+        if not self._pid:
+            self.help()
+        return self._pid
 
     def detach(self) -> socket.socket:
         """Hand the connection over; this client can send no more commands."""

@@ -392,6 +392,7 @@ async def test_a_client_that_hangs_up_ends_the_order(plant: Path, monkeypatch: p
         await bus.ready()  # in Clear
         found = await find_drive(dpstack.load_config(plant), "fan")
         assert found is not None
+        assert await asyncio.to_thread(lambda: found.client.pid) == os.getpid()
         says = r"the bus is in Clear, nothing reaches fan: .* \(of a run: dpstack ctl virtual operate\)"
         with pytest.raises(DriveTimeout, match=says):
             await order(found, "start", "timeout=0.01")
