@@ -14,6 +14,7 @@
 - ``files``: Files: read up to a size limit, written atomically, never over somebody else's file
 - ``gsd_folder``: The GSD files of a folder: found with limits, listed by ident number, read when they are needed
 - ``gsd_info``: GSD files from disk, and their contents as plain data
+- ``gsd_orders``: The GSD files of a folder by file name, ident number and order number, as an importer asks for them
 - ``injected``: Events of people and scenarios that act on simulated slaves
 - ``measure``: Measurement of an adapter without a bus: turn-around, rates made, marks of damaged octets
 - ``refused_orders``: Orders from outside that were refused, as events of the bus: accounted for, and counted

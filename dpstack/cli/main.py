@@ -34,6 +34,7 @@ _COMMANDS = {
     "address": "gives a slave that no master owns another station address (Set_Slave_Add) and verifies it",
     "plan": "bus parameters, rotation times, watchdogs, and what does not fit together",
     "sheet": "commissioning sheets: what to set at each drive and device and why, telegrams, words, faults, LEDs",
+    "import": "a STEP 7 hardware export (.cfg) as a configuration for work beside its PLC",
     "names": "the I/O list of a configuration: named values, channels without a name; written as CSV and taken back",
     "baud": "finds the baud rate of a bus by listening only",
     "capture": "listens to a bus and keeps the telegrams in a pcapng file, or explains them; never sends",
@@ -50,11 +51,13 @@ _COMMANDS = {
     "gsd": "GSD files: show, check, configure",
     "completion": "the completion script for bash, zsh or fish",
 }
+#: a command with a word of Python as its name
+_MODULES = {"import": "import_plant"}
 #: the commands whose modules stand in another room than ``commands``
 _ROOMS = {
     "devices": ("device", "drives"),
     "listening": ("baud", "capture", "decode", "monitor", "wireshark"),
-    "looking": ("diag", "fleet", "names", "plot", "sheet", "web", "why"),
+    "looking": ("diag", "fleet", "import", "names", "plot", "sheet", "web", "why"),
 }
 _VERSION = "--version"
 _INTERRUPTED = 130
@@ -87,7 +90,8 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
     for name in named:
         text = _COMMANDS[name]
         room = next((room for room, inside in _ROOMS.items() if name in inside), "commands")
-        commands.add_parser(name, help=text, description=text).module = f"dpstack.cli.{room}.{name}"
+        module = _MODULES.get(name, name)
+        commands.add_parser(name, help=text, description=text).module = f"dpstack.cli.{room}.{module}"
     return parser
 
 

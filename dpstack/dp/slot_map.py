@@ -159,10 +159,10 @@ def slot_map(config: bytes, texts: DiagTexts | None = None) -> SlotMap:
     Raises ConfigError if the octets are no identifiers.
     """
     if texts is not None and texts.modules and b"".join(_octets_of(module) for module in texts.modules) == config:
-        return _of_modules(
+        return map_of_modules(
             tuple((module.name if module else "", _octets_of(module)) for module in texts.modules), texts.first_slot
         )
-    return _of_modules(
+    return map_of_modules(
         tuple(("", found.octets) for found in parse_identifiers(config)),
         FIRST_SLOT if texts is None else texts.first_slot,
     )
@@ -175,7 +175,9 @@ def _octets_of(module: object) -> bytes:
 
 
 @lru_cache(_KEPT)
-def _of_modules(modules: Sequence[tuple[str, bytes]], first: int) -> SlotMap:
+def map_of_modules(modules: tuple[tuple[str, bytes], ...], first: int) -> SlotMap:
+    """The map of modules with these names and identifier octets; ``first``: the number of the first slot. Raises
+    ConfigError if octets are no identifiers."""
     slots: list[Slot] = []
     inputs = outputs = 0
     for number, (name, octets) in enumerate(modules, first):

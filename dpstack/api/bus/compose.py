@@ -8,7 +8,14 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 from dpstack.api.bus.driver_choice import PROCESS, driver_for
-from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
+from dpstack.api.bus.plan_checks import (
+    adapter_notes,
+    data_control_ns,
+    other_masters,
+    refuse_forbidden,
+    refuse_misfit,
+    with_t_tr,
+)
 from dpstack.api.config.bus import SAFE
 from dpstack.api.config.config import ECHO, Config, port_of, rate_findings
 from dpstack.api.config.slave import SlaveConfig
@@ -56,7 +63,7 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     setups = config.slave_params
     params = with_t_tr(config, config.params(rate), setups)
     of_slaves = (note for slave in config.slaves for note in slave.notes)
-    notes = [*of_slaves, *_groups_without_slaves(config), *_connected(config)]
+    notes = [*of_slaves, *_forbidden(config), *_groups_without_slaves(config), *_connected(config)]
     others = other_masters(config, rate)
     pty, slack_ns, beside = False, 0, ""
     if config.bus.port is not None and not config.virtual:
@@ -89,6 +96,15 @@ def _groups_without_slaves(config: Config) -> Iterator[str]:
             yield (
                 f"{key} = {list(groups)}: no slave is in group {empty}, so its telegrams have no effect there; give "
                 f"groups = [...] to the slaves that are meant, or leave the group out (groups of this bus: {named})"
+            )
+
+
+def _forbidden(config: Config) -> Iterator[str]:
+    for slave in config.slaves:
+        if slave.refuse_master:
+            yield (
+                f"slave {slave.address} ({slave.name}): run refuses it, listening and simulation take it: "
+                f"{slave.refuse_master}"
             )
 
 
@@ -146,6 +162,7 @@ def compose(
     write, asks its slaves for their state. ``adds_drives``: drives may be added while the bus runs; a bus process loads
     the plugins of all drives then, as it has no time for it later. Raises ConfigError, PortError.
     """
+    refuse_forbidden(config, config.slaves)
     plan = plan_bus(config)
     refuse_misfit(config, plan, config.slave_params)
     virtual = world is not None or config.virtual

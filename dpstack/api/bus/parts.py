@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from dpstack.api.bus.compose import Parts
 from dpstack.api.bus.driver_choice import ASYNCIO
 from dpstack.api.bus.events_json import EventLogging
-from dpstack.api.bus.plan_checks import refuse_misfit
+from dpstack.api.bus.plan_checks import refuse_forbidden, refuse_misfit
 from dpstack.api.config.config import AUTO, Config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.quality_events import QualityEvents
@@ -101,8 +101,9 @@ class BusBase:
         return self.parts.plan.params
 
     def fitting(self, slave: SlaveConfig) -> SlaveParams:
-        """The parameters of ``slave`` for the master. Raises ConfigError if the cycle has no time for it beside the
-        others."""
+        """The parameters of ``slave`` for the master. Raises ConfigError if it must not have this master, or if
+        the cycle has no time for it beside the others."""
+        refuse_forbidden(self.config, [slave])
         others = [other for address, other in self.view.setups.items() if address != slave.address]
         refuse_misfit(self.config, self.plan, [*others, slave.params])
         self._round_ns = None

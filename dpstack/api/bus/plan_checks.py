@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dpstack.api.config.config import Config, rate_findings
+from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.plan.cycle_check import CycleVerdict, judge_cycle, slowest_rates
 from dpstack.dp.plan.plan import Plan, make_plan
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
@@ -91,6 +92,22 @@ def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveParam
         f"rate, a round of {slaves} slave{'s' * (slaves != 1)} {ms_text(round_ns)}: longer than "
         f"cycle_ms = {config.bus.cycle_ms:g}; a UART of the computer's own has no such delay"
     ]
+
+
+def refuse_forbidden(config: Config, slaves: Iterable[SlaveConfig]) -> None:
+    """Raises ConfigError, one line, if one of ``slaves`` must not have this master (key ``refuse_master``). A bus that
+    is read only is no slave's master."""
+    forbidden = [slave for slave in slaves if slave.refuse_master and not config.bus.read_only]
+    if forbidden:
+        first, more = forbidden[0], len(forbidden) - 1
+        also = f" (and {more} more slave{'s' * (more > 1)})" if more else ""
+        number = next((n for n, slave in enumerate(config.slaves) if slave is first), None)
+        path = ("bus",) if number is None else ("slave", number, "refuse_master")
+        raise config.source.error(
+            path,
+            f"slave {first.address} ({first.name}){also} must not be brought up by dpstack: {first.refuse_master}",
+            "listen (monitor), look with read_only = true, or simulate it (sim); to run the others, take it out",
+        )
 
 
 def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveParams]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Final
@@ -108,6 +109,10 @@ class PlanSimulation:
         self._plan = plan
         made = config.with_bus(
             port="virtual", baud=plan.params.baud, driver="auto", read_only=False, application_watchdog_ms=0
+        )
+        # a simulated master of simulated slaves endangers nobody
+        made = dataclasses.replace(
+            made, slaves=tuple(dataclasses.replace(slave, refuse_master="") for slave in made.slaves)
         )
         world = World(referee=False)
         bench = VirtualBench(world, plan.params)

@@ -225,6 +225,9 @@ class SlaveKeys(TypedDict, total=False):
     simulate: the inputs of the simulated slave, [see below](#inputs-of-a-simulated-slave)
     simulated: for the simulated drive or device only: its options, and a drive's parameters by name or number
         (`{ load = 0.8, 412 = 1 }`), see [drives.md](drives.md)
+    refuse_master: the reason why dpstack must not be the master of this slave. Everything that would bring it up
+        refuses the configuration with this text; listening, `read_only` and simulation take it,
+        [see below](#slaves-that-dpstack-must-not-bring-up). Left out: none
     """
 
     name: str
@@ -244,6 +247,7 @@ class SlaveKeys(TypedDict, total=False):
     options: Mapping[str, object]
     simulate: Mapping[str, object]
     simulated: Mapping[str, object]
+    refuse_master: str
 
 
 class Changes(TypedDict, total=False):
@@ -342,6 +346,8 @@ class SlaveConfig:
     output_fields: FieldMap = field(default_factory=FieldMap)
     #: the application makes the outputs octet by octet, also if there is a drive plugin
     raw: bool = False
+    #: why dpstack must not be its master; empty: it may
+    refuse_master: str = ""
     #: its baud rates by manual or GSD file; empty: not known
     baud_rates: frozenset[int] = frozenset()
     notes: tuple[str, ...] = ()
@@ -417,9 +423,23 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     if slave.device_profile is not None:
         inputs = _with_counters(inputs, table, slave.device_profile)
     simulate = read_simulate(table, drive=slave.has_plugin)
-    slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs, simulate=simulate)
+    slave = dataclasses.replace(
+        slave,
+        params=params,
+        input_fields=inputs,
+        output_fields=outputs,
+        simulate=simulate,
+        refuse_master=_refusal(table, given),
+    )
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, given) if note)
     return dataclasses.replace(slave, notes=tuple(notes))
+
+
+def _refusal(table: Table, given: Mapping[str, Any]) -> str:
+    reason = str(given.get("refuse_master", ""))
+    if "refuse_master" in given and not reason.strip():
+        table.fail("refuse_master", "refuse_master is empty", "write the reason, or leave it out")
+    return reason.strip()
 
 
 def _with_words(table: Table, slave: SlaveConfig) -> Table:
