@@ -35,7 +35,7 @@ _PLACE: Final = re.compile(
 )
 _TEXT: Final = re.compile(r'"((?:[^"]|"")*)"')
 _END: Final = re.compile(r"ENDE?")
-_KEY: Final = re.compile(r"([A-Za-z_]\w*)(?:\s+(\S.*))?")
+_KEY: Final = re.compile(r"([A-Za-z_]\w*)(?:\s+(\S.*))?", re.DOTALL)
 _PARAMETER: Final = re.compile(r'([^\s,"]+)\s*,(?:\s*([A-Z]+)\s*,)?.*', re.DOTALL)
 _NUMBERS: Final = re.compile(r"ADDRESS\s+(\d{1,9}(?:\s*,\s*\d{1,9})*)")
 _SYMBOL: Final = re.compile(r'SYMBOL\s+([IOEQA])\s*,\s*(\d{1,9})\s*,\s*(".*)', re.DOTALL)

@@ -101,12 +101,10 @@ def refuse_forbidden(config: Config, slaves: Iterable[SlaveConfig]) -> None:
     if forbidden:
         first, more = forbidden[0], len(forbidden) - 1
         also = f" (and {more} more slave{'s' * (more > 1)})" if more else ""
-        number = next((n for n, slave in enumerate(config.slaves) if slave is first), None)
-        path = ("bus",) if number is None else ("slave", number, "refuse_master")
-        raise config.source.error(
-            path,
-            f"slave {first.address} ({first.name}){also} must not be brought up by dpstack: {first.refuse_master}",
-            "listen (monitor), look with read_only = true, or simulate it (sim); to run the others, take it out",
+        raise ConfigError(  # without a line: the configuration may have been cut down to this slave
+            f"{config.source.name}: slave {first.address} ({first.name}){also} must not be brought up by dpstack: "
+            f"{first.refuse_master}; listen (monitor), look with read_only = true, or simulate it (sim); to run the "
+            f"others, take it out"
         )
 
 

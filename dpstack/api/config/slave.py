@@ -429,17 +429,10 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
         input_fields=inputs,
         output_fields=outputs,
         simulate=simulate,
-        refuse_master=_refusal(table, given),
+        refuse_master=given.get("refuse_master", ""),
     )
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, given) if note)
     return dataclasses.replace(slave, notes=tuple(notes))
-
-
-def _refusal(table: Table, given: Mapping[str, Any]) -> str:
-    reason = str(given.get("refuse_master", ""))
-    if "refuse_master" in given and not reason.strip():
-        table.fail("refuse_master", "refuse_master is empty", "write the reason, or leave it out")
-    return reason.strip()
 
 
 def _with_words(table: Table, slave: SlaveConfig) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 from msgspec import to_builtins
 
@@ -18,6 +19,9 @@ from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError, UsageError
 from dpstack.importers.step7_cfg import MAX_OCTETS, Export, read_cfg
 from dpstack.importers.step7_plant import ImportedPlant, make_plant
+
+#: of a slave in JSON
+_OF_SLAVE: Final = ("address", "name", "source", "names", "active", "refuse_master")
 
 
 def add_to(parser: Parser) -> None:
@@ -41,20 +45,18 @@ def execute(args: argparse.Namespace) -> int:
 
 
 def _import(args: argparse.Namespace, beside: Path, file: AtomicFile | None = None) -> int:
+    finder = None if args.gsd is None else FolderFinder(GsdFolder(args.gsd, beside=beside))
+    octets = _octets(args.file)
     try:
-        export = read_cfg(_octets(args.file), args.encoding or "")
-        finder = None if args.gsd is None else FolderFinder(GsdFolder(args.gsd, beside=beside))
-        check = partial(_refused, beside=beside)
-        plant = make_plant(export, args.system, finder, check, file=Path(args.file).name)
+        export = read_cfg(octets, args.encoding or "")
+        plant = make_plant(export, args.system, finder, partial(_refused, beside=beside), file=Path(args.file).name)
     except ConfigError as error:
-        text = str(error)
-        raise ConfigError(
-            text if args.gsd is not None and text.startswith(args.gsd) else f"{args.file}: {text}"
-        ) from None
-    for remark in plant.remarks:
-        output.warn(f"{args.file}{f':{remark.line}' if remark.line else ''}: {remark.text}")
+        raise ConfigError(f"{args.file}: {error}") from None
     if file is not None:
         file.keep(plant.text.encode())
+    if not args.json:
+        for remark in plant.remarks:
+            output.warn(f"{args.file}{f':{remark.line}' if remark.line else ''}: {remark.text}")
     _show(args, export, plant)
     return 1 if export.cut else 0
 
@@ -70,7 +72,8 @@ def _octets(path: str) -> bytes:
 def _refused(text: str, beside: Path) -> str:
     """Why ``dpstack plan`` refuses the configuration ``text`` in the folder ``beside``; empty if it does not."""
     try:
-        plan_bus(parse_config(text, "the plant", file=beside.resolve() / "plant.toml"))
+        file = beside / "plant.toml"  # its folder counts: GSD files are looked for from there
+        plan_bus(parse_config(text, str(file), file=file.absolute()))
     except ConfigError as error:
         return error.what or str(error)
     return ""
@@ -87,11 +90,10 @@ def _show(args: argparse.Namespace, export: Export, plant: ImportedPlant) -> Non
         names = sum(slave.names for slave in active)
         more = f", {left} as comments" if left else ""
         output.line(f"{args.out}: {len(active)} slaves{more}, {names} names, {len(plant.remarks)} remarks")
-        output.line("read only: the PLC is the master of these slaves")
+        output.line("read only: the PLC is their master; `dpstack run` of this file would join its token ring and look")
 
 
 def _as_dict(args: argparse.Namespace, export: Export, plant: ImportedPlant) -> dict[str, object]:
-    keys = ("address", "name", "source", "names", "active", "refuse_master")
     return {
         "file": args.file,
         "out": args.out,
@@ -105,10 +107,7 @@ def _as_dict(args: argparse.Namespace, export: Export, plant: ImportedPlant) -> 
         "plc": plant.system.master,
         "baud": plant.baud,
         "address": plant.address,
-        "slaves": [
-            {key: getattr(slave, key) or None if key == "refuse_master" else getattr(slave, key) for key in keys}
-            for slave in plant.slaves
-        ],
+        "slaves": [{key: getattr(slave, key) for key in _OF_SLAVE} for slave in plant.slaves],
         "remarks": to_builtins(plant.remarks),
         "toml": plant.text if args.out is None else None,
     }

@@ -1,0 +1,383 @@
+"""From exports to configurations: addresses, bus parameters, slaves with and without GSD files, symbols, remarks."""
+
+from __future__ import annotations
+
+import time
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from step7_kit import (
+    CABINET,
+    CPU,
+    GATE,
+    HEAD,
+    PLANT,
+    RACK_GSD,
+    RACK_IO,
+    STATION,
+    SUBNET,
+    SYSTEM,
+    VALVES_GSD,
+    address,
+    gsd_folder,
+    imported,
+    remark_texts,
+    section,
+)
+
+from dpstack.api.gsd_folder import GsdFolder
+from dpstack.api.gsd_orders import FolderFinder
+from dpstack.errors import ConfigError
+
+
+def toml_of(text: str) -> dict[str, Any]:
+    return tomllib.loads(text)
+
+
+def slaves_of(text: str = PLANT, **how: Any) -> dict[int, dict[str, Any]]:
+    return {slave["address"]: slave for slave in toml_of(imported(text, **how).text)["slave"]}
+
+
+@pytest.fixture
+def finder(tmp_path: Path) -> FolderFinder:
+    return FolderFinder(GsdFolder(gsd_folder(tmp_path / "gsd"), beside=tmp_path))
+
+
+def one_slave(*slots: str, head: str = '"A.GSD", "x"', keys: tuple[str, ...] = ('PNO_IDENT_NO "1"',)) -> str:
+    return HEAD + SUBNET + CPU + SYSTEM + section(f"DPSUBSYSTEM 1, DPADDRESS 9, {head}", *keys) + "".join(slots)
+
+
+def slot(number: int, config: str, *lines: str, title: str = "module") -> str:
+    octets = bytes.fromhex(config)
+    length = f"{len(octets):02X} 00 {octets.hex(' ').upper()}"
+    return section(f'DPSUBSYSTEM 1, DPADDRESS 9, SLOT {number}, "{title}", "8DE"', f'SLAVE_CFG_DATA "{length}"', *lines)
+
+
+def test_the_bus_as_in_the_export_and_read_only() -> None:
+    assert toml_of(imported().text)["bus"] == {
+        "baud": 1_500_000,
+        "address": 3,
+        "read_only": True,
+        "hsa": 126,
+        "t_sl": 300,
+        "t_tr": 30_000,
+        "gap": 10,
+        "max_retry": 1,
+    }
+    assert "`dpstack run` of this file joins the token ring of the PLC" in imported().text
+
+
+def test_the_address_is_one_that_no_station_has_and_that_the_masters_look_for() -> None:
+    stations = "".join(section(f'DPSUBSYSTEM 1, DPADDRESS {a}, "A.GSD", ""', 'PNO_IDENT_NO "1"') for a in range(3, 8))
+    panel = section(
+        'RACK 0, SLOT 5, "6GK7 342-5DA03-0XE0", "CP"', 'PROFIBUSADDRESS "8"', 'LINKED_SUBNETNAME "PROFIBUS(1)"'
+    )
+    assert imported(HEAD + SUBNET + CPU + panel + SYSTEM + stations).address == 9
+    low = SUBNET.replace('HSA "126"', 'HSA "7"')
+    assert imported(HEAD + low + CPU + SYSTEM + stations).address == 1  # the PLC has 2, 0 comes last
+
+
+@pytest.mark.parametrize(
+    ("said", "t_sl", "baud", "why"),
+    [
+        ("187.5_KBPS", 100, 187_500, ""),
+        ("45.45_KBPS", 640, 45_450, ""),
+        ("12_MBPS", 1000, 12_000_000, ""),
+        ("", 400, 3_000_000, "no PROFIBUS_BAUDRATE; PROFIBUS_TSL 400 is that of 3 Mbit/s: check it with dpstack baud"),
+        ("", 100, None, "the baud rate is not in the export: find it with dpstack baud, and add it to [bus]"),
+        ("7_MBPS", 300, None, "PROFIBUS_BAUDRATE 7_MBPS is no rate of PROFIBUS: give baud by hand"),
+    ],
+)
+def test_the_baud_rate(said: str, t_sl: int, baud: int | None, why: str) -> None:
+    keys = [f'PROFIBUS_BAUDRATE "{said}"'] if said else []
+    subnet = section('SUBNET PROFIBUS , "PROFIBUS(1)"', *keys, f'PROFIBUS_TSL "{t_sl}"')
+    plant = imported(HEAD + subnet + CPU + SYSTEM)
+    assert plant.baud == baud
+    assert [one for one in remark_texts(plant) if "BAUDRATE" in one or "baud" in one] == ([why] if why else [])
+
+
+def test_a_slave_without_its_gsd_file_has_the_octets_of_the_export() -> None:
+    found = slaves_of()[10]
+    assert found["ident"] == 0x5678
+    assert found["config"] == "00 53 10 20"
+    assert found["user_prm"] == "00 11 22 33 44"
+    assert found["groups"] == [1, 2]
+    assert found["name"] == "Hauptschrank"
+
+
+def test_symbols_are_bits_and_words_of_the_right_slots() -> None:
+    slaves = slaves_of()
+    assert slaves[10]["inputs"] == {
+        "Füllstand": "i16@0",
+        "H19_N_IST": "i16@2",
+        "NA_INT": "bool@8.3",
+        "NA_EXT": "bool@8.4",
+    }
+    assert slaves[10]["outputs"] == {"H8_EBE": "bool@0.0", "Horn": "bool@0.7"}
+    lines = imported().text.splitlines()
+    assert 'NA_INT = "bool@8.3"  # I 3.3: Not-Aus intern betätigt -3S1' in lines
+    assert 'H19_N_IST = "i16@2"  # IW 286 \'H19.N_IST\': Istwert "H19" - FU' in lines
+    assert "# slot 3: 8DI 24V DC, 8DE; I 3" in lines
+    assert "slave 10: names that a configuration cannot have are changed: 'H19.N_IST'" in remark_texts(imported())
+
+
+def test_analogue_modules_of_siemens_count_channels() -> None:
+    assert slaves_of()[12]["inputs"] == {"Tor_zu": "bool@1.1", "T_Lager": "i16@4", "T_Getriebe": "i16@12"}
+
+
+@pytest.mark.parametrize(
+    ("config", "octets", "number", "name", "place"),
+    [
+        ("94", 5, 0, "PEW 270", None),  # the name says another address
+        ("93", 4, 2, "PEW 258", "i16@2"),
+        ("93", 4, 1, "EB257", "u8@1"),
+        ("93", 4, 0, "PED_256", "i32@0"),
+        ("93", 4, 9, "E 257.1", "bool@1.1"),
+        ("93", 4, 0, "level", None),
+        ("90", 1, 7, "level", "bool@0.7"),
+        ("93", 4, 4, "level", "bool@0.4"),  # no octet has the number 4: a bit
+        ("42 84 08 05", 5, 0, "level", "f32@0"),
+        ("53", 8, 3, "level", "i16@6"),  # an odd number: channels
+        ("53", 8, 8, "level", None),
+        ("40 81", 4, 2, "level", "bool@0.2"),
+    ],
+)
+def test_the_kind_of_a_symbol_as_far_as_the_file_says_it(
+    config: str, octets: int, number: int, name: str, place: str | None
+) -> None:
+    text = one_slave(slot(1, config, *address("IN", 256, octets), f'SYMBOL  I , {number}, "{name}", ""'))
+    found = slaves_of(text)[9].get("inputs", {})
+    assert list(found.values()) == ([] if place is None else [place])
+    lost = [one for one in remark_texts(imported(text)) if repr(name) in one and "has no place" in one]
+    assert len(lost) == (place is None)
+
+
+def test_packed_addresses_keep_the_slave_and_name_the_symbols() -> None:
+    text = one_slave(slot(1, "10", *address("IN", 4, 1, bit=4), 'SYMBOL  I , 0, "door", ""'))
+    assert "inputs" not in slaves_of(text)[9]
+    assert any("places of door are not known" in one for one in remark_texts(imported(text)))
+
+
+def test_another_length_than_that_of_the_identifier_is_a_remark() -> None:
+    text = one_slave(slot(1, "11", *address("IN", 4, 1), 'SYMBOL  I , 0, "door", ""'))
+    assert any(
+        "ADDRESS gives 1 octets of inputs, its identifier octets 2" in one for one in remark_texts(imported(text))
+    )
+
+
+def test_the_same_name_twice_and_the_same_place_twice() -> None:
+    symbols = ('SYMBOL  O , 0, "pump", ""', 'SYMBOL  O , 1, "pump", ""', 'SYMBOL  O , 1, "valve", ""')
+    text = one_slave(slot(1, "20", *address("OUT", 4, 1), *symbols))
+    assert slaves_of(text)[9]["outputs"] == {"pump": "bool@0.0", "pump_2": "bool@0.1"}
+    texts = remark_texts(imported(text))
+    assert any("output 'valve' has the place of another name: left out" in one for one in texts)
+    assert any("'pump'" in one and "are changed" in one for one in texts)
+
+
+def test_empty_slots_and_missing_ones() -> None:
+    text = one_slave(slot(1, "10"), slot(4, "20"))
+    assert slaves_of(text)[9]["config"] == "10 00 00 20"
+
+
+def test_with_the_gsd_file_modules_have_its_names(finder: FolderFinder) -> None:
+    found = slaves_of(finder=finder)[10]
+    assert found["gsd"] == "gsd/valv5678.gse"  # the export names it .GSG
+    assert found["modules"] == ["coupler", "4AI 0-20mA", "8DI 24V DC", "8DO 24V DC"]
+    assert found["user_prm"] == "00 11 22 33 44"  # the file makes 00 11 22 33 00
+    assert "config" not in found
+    same = PLANT.replace("05 00 00 11 22 33 44", "05 00 00 11 22 33 00")
+    assert "user_prm" not in slaves_of(same, finder=finder)[10]
+
+
+def test_a_gsd_file_that_says_something_else_gives_place_to_the_octets(tmp_path: Path) -> None:
+    folder = gsd_folder(tmp_path / "gsd")
+    (folder / "valv5678.gse").write_text(VALVES_GSD.replace('"8DI 24V DC" 0x10', '"8DI 24V DC" 0x11'))
+    plant = imported(finder=FolderFinder(GsdFolder(folder)))
+    assert toml_of(plant.text)["slave"][0]["config"] == "00 53 10 20"
+    assert any(
+        "valv5678.gse does not fit: its modules of these names have other identifier" in r for r in remark_texts(plant)
+    )
+    (folder / "valv5678.gse").write_text(VALVES_GSD.replace("0x5678", "0x5679"))
+    plant = imported(finder=FolderFinder(GsdFolder(folder)))
+    assert any("its Ident_Number is 0x5679, the export says 0x5678" in one for one in remark_texts(plant))
+
+
+def test_siemens_own_slaves_by_order_number(finder: FolderFinder) -> None:
+    plant = imported(finder=finder)
+    found = toml_of(plant.text)["slave"][1]
+    assert found["gsd"] == "gsd/etm_801d.gsd"
+    assert found["modules"] == ["6ES7 321-1BH02-0AA0 16DI", "6ES7 331-1KF01-0AB0 8AI"]
+    assert found["inputs"] == {"Tor_zu": "bool@1.1", "T_Lager": "i16@4", "T_Getriebe": "i16@12"}
+    assert "refuse_master" not in found
+    assert any("STEP 7 may send other octets to its own slaves" in one for one in remark_texts(plant))
+
+
+def test_an_unknown_order_number_is_one_remark_and_keeps_the_names(tmp_path: Path) -> None:
+    folder = gsd_folder(tmp_path / "gsd")
+    (folder / "etm_801d.gsd").write_text(RACK_GSD.replace("6ES7 331-1KF01", "6ES7 331-7KF02"))
+    plant = imported(finder=FolderFinder(GsdFolder(folder)))
+    found = toml_of(plant.text)["slave"][1]
+    assert any("has no module 6ES7 331-1KF01-0AB0 (slot 5)" in one for one in remark_texts(plant))
+    assert (found["ident"], found["config"]) == ("ask", "40 81 40 8F")
+    assert "right lengths only" in found["refuse_master"]
+    assert found["inputs"]["T_Lager"] == "i16@4"
+    (folder / "etm_801d.gsd").unlink()
+    texts = remark_texts(imported(finder=FolderFinder(GsdFolder(folder))))
+    assert sum("no GSD file has the order number 6ES7 153-1AA03-0XB0" in one for one in texts) == 1
+
+
+@pytest.mark.parametrize(
+    ("named", "found"),
+    [
+        ("6ES7 153-1AA03-0XB0", True),
+        ("6ES7153-1AA03-0XB0", True),
+        ("6ES7 153-1AA??-0XB0", True),
+        ("6ES7 153-1xAxx-xxxx", True),
+        ("6ES7 153-1AA82-0XB0", False),
+        ("6ES7 153-2AA03-0XB0", False),
+    ],
+)
+def test_order_numbers_with_placeholders(tmp_path: Path, named: str, found: bool) -> None:
+    folder = gsd_folder(tmp_path / "gsd")
+    (folder / "etm_801d.gsd").write_text(RACK_GSD.replace("6ES7 153-1AA0?-0XB0", named))
+    assert bool(FolderFinder(GsdFolder(folder)).with_order("6ES7 153-1AA03-0XB0")) is found
+
+
+def test_f_modules_are_for_listening_and_simulation() -> None:
+    plant = imported()
+    found = toml_of(plant.text)["slave"][2]
+    assert found["refuse_master"] == "F modules (PROFIsafe) in slot 1: dpstack is no F-host"
+    assert found["config"] == "C0 83 85"
+    expected = (
+        "slave 14 (Tor): for listening and simulation only: F modules (PROFIsafe) in slot 1: dpstack is no F-host"
+    )
+    assert expected in remark_texts(plant)
+
+
+def test_f_modules_by_order_number_and_by_gsd_file(tmp_path: Path) -> None:
+    own = RACK_IO.replace("6ES7 321-1BH02-0AA0", "6ES7 326-1BK01-0AB0")
+    assert "F modules (PROFIsafe) in slot 4" in slaves_of(HEAD + SUBNET + CPU + SYSTEM + own)[12]["refuse_master"]
+    folder = gsd_folder(tmp_path / "gsd")
+    f_data = "0x10\nF_Ext_Module_Prm_Data_Len = 14"
+    (folder / "valv5678.gse").write_text(VALVES_GSD.replace('DC" 0x10', f'DC" {f_data}'))
+    found = slaves_of(finder=FolderFinder(GsdFolder(folder)))[10]
+    assert found["refuse_master"] == "F modules (PROFIsafe): dpstack is no F-host"
+
+
+SECOND = (
+    'SUBNET PROFIBUS , "PROFIBUS(2)"',
+    'DPSUBSYSTEM 2, "PROFIBUS(2): DP-Mastersystem (2)"',
+    'DPSUBSYSTEM 2, DPADDRESS 10, "PUMP1111.GSD", "Pumpe"',
+)
+
+
+def second_system() -> str:
+    return (
+        section(SECOND[0], 'PROFIBUS_BAUDRATE "500_KBPS"')
+        + section(SECOND[1], 'SUBNET_NAME "PROFIBUS(2)"')
+        + section(SECOND[2], 'PNO_IDENT_NO "4369"')
+        + section('DPSUBSYSTEM 2, DPADDRESS 10, SLOT 1, "DI", "8DE"', 'SLAVE_CFG_DATA "01 00 10"')
+    )
+
+
+def test_several_dp_systems_are_chosen_by_number() -> None:
+    text = PLANT + second_system()
+    with pytest.raises(ConfigError) as caught:
+        imported(text)
+    assert str(caught.value) == (
+        'has 2 DP systems, each a cable of its own; choose one by --system: 1 "PROFIBUS(1): DP-Mastersystem (1)" '
+        '(3 slaves); 2 "PROFIBUS(2): DP-Mastersystem (2)" (1 slave)'
+    )
+    assert [slave.name for slave in imported(text, 2).slaves] == ["Pumpe"]
+    assert imported(text, 2).baud == 500_000
+    assert slaves_of(text, system=1).keys() == {10, 12, 14}
+    left = 'DP system 2 "PROFIBUS(2): DP-Mastersystem (2)" (1 slave) is left out: --system 2 makes a file of it'
+    assert left in remark_texts(imported(text, 1))
+    with pytest.raises(ConfigError, match="has no DP system 7; it has 1 "):
+        imported(text, 7)
+
+
+def test_a_redundant_slave_stands_on_both_cables() -> None:
+    head, *slots = RACK_IO.partition("DPSUBSYSTEM 1, DPADDRESS 12, SLOT 4")
+    redundant = head.replace('"Halle 2"\r\n', '"Halle 2"\r\nREDUNDANT \r\n')
+    interface = section(
+        'DPSUBSYSTEM 1, DPADDRESS 12, SLOT 2, "6ES7 153-1AA03-0XB0", "IM"',
+        'PROFIBUSADDRESS "12"',
+        'LINKED_SUBNETNAME "PROFIBUS(2)"',
+    )
+    text = HEAD + SUBNET + CPU + SYSTEM + redundant + interface + "".join(slots) + second_system()
+    assert slaves_of(text, system=2)[12]["inputs"] == slaves_of(text, system=1)[12]["inputs"]
+    assert any("it has two interfaces" in one for one in remark_texts(imported(text, 1)))
+
+
+def test_no_dp_system_and_one_without_slaves() -> None:
+    with pytest.raises(ConfigError, match="has no DP master system"):
+        imported(HEAD + STATION)
+    plant = imported(HEAD + STATION + SUBNET + CPU + SYSTEM)
+    assert "slave" not in toml_of(plant.text)
+    assert "DP system 1 has no slaves" in remark_texts(plant)
+
+
+def test_what_is_not_on_the_bus_is_left_out_with_a_remark() -> None:
+    central = section('RACK 0, SLOT 4, "6ES7 321-1BH02-0AA0", "DI"', *address("IN", 0, 2), 'SYMBOL  I , 0, "a", ""')
+    device = section('IOSUBSYSTEM 100, IOADDRESS 1, "GSDML.xml", "camera"')
+    sub = section('DPSUBSYSTEM 1, DPADDRESS 10, SLOT 3, SUBSLOT 1, "port", "p"', *address("IN", 90, 2))
+    texts = remark_texts(imported(PLANT + central + device + sub))
+    assert "1 symbols of central modules (RACK) are left out: no bus carries them" in texts
+    assert "1 PROFINET devices (IOSUBSYSTEM) are left out: they are not on PROFIBUS" in texts
+    assert any("SUBSLOT: its addresses and symbols are left out" in one for one in texts)
+
+
+def test_a_slave_that_no_configuration_can_hold_stands_as_comments() -> None:
+    plant = imported(refused="Hauptschrank")
+    assert [(slave.name, slave.active) for slave in plant.slaves] == [
+        ("Hauptschrank", False),
+        ("Halle 2", True),
+        ("Tor", True),
+    ]
+    assert '# NA_INT = "bool@8.3"  # I 3.3: Not-Aus intern betätigt -3S1' in plant.text.splitlines()
+    assert "# slave 10 stands as comments: Hauptschrank is refused" in plant.text.splitlines()
+    assert toml_of(plant.text)["slave"][0]["name"] == "Halle 2"
+
+
+def test_names_of_slaves_are_words_and_unique() -> None:
+    def named(number: int, name: str) -> str:
+        head = f'DPSUBSYSTEM 1, DPADDRESS {number}, "A.GSD", "{name}"'
+        return section(head, 'PNO_IDENT_NO "1"') + slot(1, "10").replace("DPADDRESS 9", f"DPADDRESS {number}")
+
+    text = HEAD + SUBNET + CPU + SYSTEM + named(5, "17") + named(6, "Pumpe") + named(7, "Pumpe") + named(8, "")
+    assert [slave.name for slave in imported(text).slaves] == ["slave5", "Pumpe", "Pumpe-7", "slave8"]
+
+
+def test_500_slaves_are_read_at_once_and_the_impossible_addresses_named_in_one_line() -> None:
+    parts = [HEAD, SUBNET, CPU, SYSTEM]
+    for number in range(3, 503):
+        parts.append(section(f'DPSUBSYSTEM 1, DPADDRESS {number}, "A.GSD", "s{number}"', 'PNO_IDENT_NO "1"'))
+        parts.append(slot(1, "10", *address("IN", number, 1)).replace("DPADDRESS 9", f"DPADDRESS {number}"))
+    begun = time.process_time()
+    plant = imported("".join(parts), refused="no slave of this name")
+    assert time.process_time() - begun < 5
+    assert len(plant.slaves) == 500
+    assert remark_texts(plant) == [
+        "377 slaves have addresses above 125 (126 to 502), which PROFIBUS does not have: they stand as comments"
+    ]
+
+
+def test_octets_of_the_export_that_contradict_their_length() -> None:
+    text = PLANT.replace('"05 00 00 11 22 33 44"', '"06 00 00 11 22 33 44"')
+    assert "user_prm" not in slaves_of(text)[10]
+    assert any("NORMSLAVE_PARAM_DATA is not its length" in one for one in remark_texts(imported(text)))
+    text = PLANT.replace('SLAVE_CFG_DATA "01 00 53"', 'SLAVE_CFG_DATA "01 00 5G"')
+    found = slaves_of(text)[10]
+    assert found["config"] == "40 87 40 80 80 80"  # lengths by the addresses
+    assert found["inputs"]["NA_INT"] == "bool@8.3"
+
+
+def test_a_slave_without_a_section_of_its_own_and_slots_twice() -> None:
+    text = HEAD + SUBNET + CPU + SYSTEM + CABINET[CABINET.index("DPSUBSYSTEM 1, DPADDRESS 10, SLOT 1") :] + GATE + GATE
+    texts = remark_texts(imported(text))
+    assert "slave 10: its own section is missing" in texts
+    assert "slave 14: it stands twice in DP system 1; the first one counts" in texts
+    assert any("slot 1 stands twice; the first one counts" in one for one in texts)
