@@ -51,8 +51,6 @@ _COMMANDS = {
     "gsd": "GSD files: show, check, configure",
     "completion": "the completion script for bash, zsh or fish",
 }
-#: a command with a word of Python as its name
-_MODULES = {"import": "import_plant"}
 #: the commands whose modules stand in another room than ``commands``
 _ROOMS = {
     "devices": ("device", "drives"),
@@ -90,8 +88,7 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
     for name in named:
         text = _COMMANDS[name]
         room = next((room for room, inside in _ROOMS.items() if name in inside), "commands")
-        module = _MODULES.get(name, name)
-        commands.add_parser(name, help=text, description=text).module = f"dpstack.cli.{room}.{module}"
+        commands.add_parser(name, help=text, description=text).module = f"dpstack.cli.{room}.{name}"
     return parser
 
 

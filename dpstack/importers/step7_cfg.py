@@ -37,8 +37,8 @@ _TEXT: Final = re.compile(r'"((?:[^"]|"")*)"')
 _END: Final = re.compile(r"ENDE?")
 _KEY: Final = re.compile(r"([A-Za-z_]\w*)(?:\s+(\S.*))?", re.DOTALL)
 _PARAMETER: Final = re.compile(r'([^\s,"]+)\s*,(?:\s*([A-Z]+)\s*,)?.*', re.DOTALL)
-_NUMBERS: Final = re.compile(r"ADDRESS\s+(\d{1,9}(?:\s*,\s*\d{1,9})*)")
-_SYMBOL: Final = re.compile(r'SYMBOL\s+([IOEQA])\s*,\s*(\d{1,9})\s*,\s*(".*)', re.DOTALL)
+_NUMBERS: Final = re.compile(r"ADDRESS\s+(\d{1,9}(?:\s*,\s*\d{1,9})*)", re.ASCII)
+_SYMBOL: Final = re.compile(r'SYMBOL\s+([IOEQA])\s*,\s*(\d{1,9})\s*,\s*(".*)', re.DOTALL | re.ASCII)
 _DIRECTIONS: Final = {"LOCAL_IN_ADDRESSES": Direction.INPUT, "LOCAL_OUT_ADDRESSES": Direction.OUTPUT}
 _PARAMETERS: Final = "PARAMETER"
 #: shortened copies in forums leave BEGIN and END out

@@ -19,8 +19,10 @@ from dpstack.text import runs_of, shortened, some_of
 from dpstack.toml.reading import comment, table_lines, toml_key, toml_value
 from dpstack.units import BAUD_RATES, baud_text
 
-_MASTER: Final = re.compile(r'MASTER\s+DPSUBSYSTEM\s+(\d{1,9})\s*,(?:\s*"(.*?)"\s*,)?\s*DPADD?RESS\s+(\d{1,9})')
-_BAUD: Final = re.compile(r"(\d{1,5}(?:\.\d{1,3})?)[_ ]*([KM])(?:BPS|BIT)", re.IGNORECASE)
+_MASTER: Final = re.compile(
+    r'MASTER\s+DPSUBSYSTEM\s+(\d{1,9})\s*,(?:\s*"(.*?)"\s*,)?\s*DPADD?RESS\s+(\d{1,9})', re.ASCII
+)
+_BAUD: Final = re.compile(r"(\d{1,5}(?:\.\d{1,3})?)[_ ]*([KM])(?:BPS|BIT)", re.IGNORECASE | re.ASCII)
 _PROFIBUS: Final = "PROFIBUS"
 #: keys of [bus] by the keys of the subnet
 _PARAMETERS: Final = {
@@ -136,7 +138,7 @@ def _add_second_interfaces(systems: Mapping[int, DpSystem]) -> None:
             for section in slave.slots:
                 other = by_subnet.get(section.keys.get("LINKED_SUBNETNAME", ""))
                 given = section.keys.get("PROFIBUSADDRESS", "")
-                if other is None or other is system or not given.isdecimal():
+                if other is None or other is system or not (given.isascii() and given.isdigit()):
                     continue
                 if all(one.head is not slave.head for one in other.slaves):
                     other.slaves.append(ExportedSlave(int(given[:4]), slave.head, slave.slots))

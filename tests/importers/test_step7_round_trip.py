@@ -69,7 +69,9 @@ def heard_names(config: Config) -> dict[int, dict[str, object]]:
         line = [Transmission(bytes.fromhex(one), 1_000_000 * n, 1_500_000) for n, one in enumerate(octets, 1)]
         for one in explain(line, decode_names(config)):
             for key in ("inputs", "outputs"):
-                found.setdefault(address, {}).update(one.fields.get(key, {}))
+                named = one.fields.get(key, {})
+                assert isinstance(named, dict)
+                found.setdefault(address, {}).update(named)
     return found
 
 

@@ -103,7 +103,7 @@ def _forbidden(config: Config) -> Iterator[str]:
     for slave in config.slaves:
         if slave.refuse_master:
             yield (
-                f"slave {slave.address} ({slave.name}): run refuses it, listening and simulation take it: "
+                f"slave {slave.address} ({slave.name}): dpstack will not be its master (refuse_master): "
                 f"{slave.refuse_master}"
             )
 

@@ -3,7 +3,7 @@
 - ``diag``: ``dpstack diag``: diagnosis, configuration, inputs and outputs of any station
 - ``fleet``: ``dpstack fleet``: all segments of a broker
 - ``fleet_view``: Its table on a terminal, and its lines elsewhere
-- ``import_plant``: ``dpstack import``: a configuration from the project of another engineering tool
+- ``import``: ``dpstack import``: a configuration from the project of another engineering tool
 - ``names``: ``dpstack names``: the I/O list of a configuration
 - ``plot``: ``dpstack plot``: a recording drawn
 - ``sheet``: ``dpstack sheet``: commissioning sheets of the drives and devices of a configuration

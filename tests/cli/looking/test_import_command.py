@@ -127,5 +127,5 @@ def test_run_drive_and_acyclic_refuse_slaves_with_f_modules(export: Path, tmp_pa
     err = cli.err("run", str(plant), "--seconds", "1")
     assert "slave 12 (Halle 2) (and 1 more slave) must not be brought up by dpstack: its identifier octets" in err
     assert f"{plant}: slave 14 (Tor) {why}" in cli.err("acyclic", str(plant), "Tor", "read", "1", "2")
-    assert cli.out("plan", str(plant)).count("run refuses it, listening and simulation take it") == 2
+    assert cli.out("plan", str(plant)).count("dpstack will not be its master (refuse_master)") == 2
     assert "100" in cli.out("plan", str(plant), "--simulate", "0.1", "--json")

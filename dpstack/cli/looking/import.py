@@ -1,5 +1,6 @@
 """``dpstack import``: a configuration from the project of another engineering tool, for work beside its PLC."""
 
+# ruff: noqa: N999 the module has the name of its command, which is loaded by that name
 from __future__ import annotations
 
 import argparse
