@@ -111,6 +111,7 @@ class Stage:
 
     def write_files(self, text: str) -> None:
         for name, content in _FILE.findall(text):
+            (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
             (self.folder / name).write_text(self._own_paths(content), encoding="utf-8")
 
     def start(self, words: list[str]) -> None:

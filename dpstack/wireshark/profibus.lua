@@ -11,6 +11,7 @@
 local profibus = Proto("profibus", "PROFIBUS-DP")
 
 profibus.prefs.baud = Pref.uint("Baud rate in bit/s", 0, "For response times, where the file does not name it; 0: as the file says")
+profibus.prefs.names = Pref.string("Names of the plant", "", "A file of `dpstack wireshark names CONFIG`")
 profibus.prefs.table = Pref.bool("Table by master and slave", false, "tshark prints it at the end of the file")
 
 -- --- numbers ---------------------------------------------------------------------------------------------------------
@@ -1437,6 +1438,8 @@ text_field("error", "Error")
 text_field("damage", "Marked by the port")
 text_field("text", "In words")
 text_field("pair", "Master and station")
+text_field("station", "Station")
+text_field("value", "Value")
 define("retry_of", ProtoField.framenum("profibus.retry_of", "Retry of", base.NONE, frametype.RETRANS_PREV))
 define("response_in", ProtoField.framenum("profibus.response_in", "Answered in", base.NONE, frametype.RESPONSE))
 define("response_to", ProtoField.framenum("profibus.response_to", "Answer to", base.NONE, frametype.REQUEST))
@@ -1586,6 +1589,111 @@ local function marks_of_frame()
         end
     end
     return all, unseen
+end
+
+-- --- the names of the plant ----------------------------------------------------------------------------------------
+
+-- by address: name, inputs and outputs; of the file that was read
+local names = { path = "" }
+
+local function cells_of(line)
+    local cells = {}
+    for cell in string.gmatch(line .. "\t", "([^\t]*)\t") do
+        cells[#cells + 1] = cell
+    end
+    return cells
+end
+
+local function read_names(path)
+    names = { path = path }
+    local file = path ~= "" and io.open(path, "r")
+    if not file then
+        names.error = path ~= "" and "Names of the plant: " .. path .. " cannot be read" or nil
+        return
+    end
+    if not string.find(file:read("*l") or "", "^# names for the PROFIBUS dissector of dpstack") then
+        names.error = "Names of the plant: " .. path .. " is no file of `dpstack wireshark names`"
+        file:close()
+        return
+    end
+    for line in file:lines() do
+        local cells = cells_of(line)
+        local address = tonumber(cells[1])
+        if address and (cells[2] == "station" or #cells >= 12) then
+            names[address] = names[address] or { input = {}, output = {} }
+            if cells[2] == "station" then
+                names[address].name = printable(cells[3] or "")
+            elseif names[address][cells[2]] then
+                local known = names[address][cells[2]]
+                known[#known + 1] = {
+                    kind = cells[3], octet = tonumber(cells[4]) or 0, size = tonumber(cells[5]) or 0,
+                    bit = tonumber(cells[6]) or 0, width = tonumber(cells[7]) or 0, order = cells[8],
+                    scale = tonumber(cells[9]) or 1, offset = tonumber(cells[10]) or 0,
+                    unit = printable(cells[11]), name = printable(cells[12]),
+                }
+            end
+        end
+    end
+    file:close()
+end
+
+local function names_of(address)
+    if names.path ~= profibus.prefs.names then
+        read_names(profibus.prefs.names)
+    end
+    return address and names[address]
+end
+
+-- the value of a named field in words, nil if the octets are too short
+local function value_text(field, data)
+    local own = string.sub(data, field.octet + 1, field.octet + field.size)
+    if #own < field.size or field.size == 0 then
+        return nil
+    end
+    if field.kind == "bool" then
+        return bit(string.byte(own), field.bit) and "yes" or "no"
+    elseif field.kind == "bytes" then
+        return (string.gsub(own, ".", function(one) return string.format("%02X ", string.byte(one)) end))
+    end
+    if field.order == "little" then
+        own = string.reverse(own)
+    elseif field.order == "swapped" then
+        own = string.sub(own, 3) .. string.sub(own, 1, 2)
+    end
+    local value = 0
+    if field.kind == "float" then
+        value = Struct.unpack(#own == 8 and ">d" or ">f", own)
+    else
+        for at = 1, #own do
+            value = value * 256 + string.byte(own, at)
+        end
+        value = math.floor(value / 2 ^ field.bit) % 2 ^ field.width
+        if field.kind == "int" and value >= 2 ^ (field.width - 1) then
+            value = value - 2 ^ field.width
+        end
+    end
+    value = value * field.scale + field.offset
+    return string.format("%.9g", value) .. (field.unit ~= "" and " " .. field.unit or "")
+end
+
+-- the named values of a Data_Exchange: outputs of the station asked, or inputs of the one that answers
+local function add_values(tree, tvb, telegram)
+    local known = names_of(telegram.request and telegram.da or telegram.sa)
+    if not known or telegram.dsap or telegram.ssap then
+        return
+    end
+    for _, field in ipairs(known[telegram.request and "output" or "input"]) do
+        local text = value_text(field, telegram.data)
+        if text then
+            tree:add(fields.value, tvb(telegram.data_at + field.octet, field.size), field.name .. " = " .. text)
+        end
+    end
+end
+
+-- an address for people: with the name of its station
+local function station(address)
+    local known = names_of(address)
+    return tostring(address) .. (known and known.name and " " .. known.name or "")
 end
 
 -- --- the tree --------------------------------------------------------------------------------------------------------
@@ -1766,11 +1874,11 @@ function profibus.dissector(tvb, pinfo, tree)
     pinfo.cols.protocol = "PROFIBUS"
     pinfo.cols.info = text
     if telegram and telegram.sa then
-        pinfo.cols.src = tostring(telegram.sa)
-        pinfo.cols.dst = telegram.da == BROADCAST and "all" or tostring(telegram.da)
+        pinfo.cols.src = station(telegram.sa)
+        pinfo.cols.dst = telegram.da == BROADCAST and "all" or station(telegram.da)
     elseif step.pair then
-        pinfo.cols.src = tostring(step.pair[2])
-        pinfo.cols.dst = tostring(step.pair[1])
+        pinfo.cols.src = station(step.pair[2])
+        pinfo.cols.dst = station(step.pair[1])
     end
 
     local all = size > 0 and tvb() or nil
@@ -1784,6 +1892,15 @@ function profibus.dissector(tvb, pinfo, tree)
         root:add_proto_expert_info(one[1], one[2])
     end
     root:add(fields.text, text):set_generated()
+    for _, address in ipairs(telegram and { telegram.sa, telegram.da } or NOTHING) do
+        local known = names_of(address)
+        if known and known.name then
+            root:add(fields.station, known.name):set_generated()
+        end
+    end
+    if names.error then
+        root:add(profibus, names.error)
+    end
     if telegram then
         add_link_layer(root:add(all, "Link layer (FDL)"), tvb, telegram)
         local service = service_of(telegram)
@@ -1799,6 +1916,7 @@ function profibus.dissector(tvb, pinfo, tree)
             local unit = root:add(range, service .. ", data unit")
             unit:add(fields.data, range)
             add_nodes(unit, tvb, telegram.data_at, nodes)
+            add_values(unit, tvb, telegram)
             if unit_error then
                 unit:add(fields.error, range, unit_error)
             end

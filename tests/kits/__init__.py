@@ -61,6 +61,6 @@ tests.
 Lists and snapshots, each also a program: ``wire_logs`` (scenarios with fixed seeds), ``public_names`` (signatures),
 ``promises`` (of the security page, with their tests), ``pictures_kit`` (pictures of README and docs; no program).
 
-Others: ``gsd_kit`` (GSD files), ``linear_kit`` (linear time and memory), ``property_kit`` (number of examples of
-hypothesis), ``lost_errors`` (errors of tasks that nobody has asked for).
+Others: ``gsd_kit`` (GSD files), ``step7_kit`` (exports of STEP 7), ``linear_kit`` (linear time and memory),
+``property_kit`` (number of examples of hypothesis), ``lost_errors`` (errors of tasks that nobody has asked for).
 """

@@ -15,6 +15,7 @@ import pytest
 from bus_kit import IDENT, PPO1, SimBus, setup
 from programs import Starter, plant_of
 from recordings import ASM754, LOGO_TD, WHOLE, completed
+from step7_kit import PLANT
 from support import MS, S
 
 from dpstack.capture.listener import Listener
@@ -416,3 +417,25 @@ def test_the_rate_may_come_from_the_user(tmp_path: Path) -> None:
     path = write_capture(tmp_path / "a.pcapng", sent)
     assert _column(path, "profibus.response_time") == ["", ""]
     assert _column(path, "profibus.response_time", "-o", "profibus.baud:500000") == ["", "0.000030000"]
+
+
+def test_the_names_of_an_imported_plant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "plant.cfg").write_bytes(PLANT.encode("cp1252"))
+    plant, names = tmp_path / "plant.toml", tmp_path / "plant.names"
+    assert main(["import", str(tmp_path / "plant.cfg"), "--out", str(plant)]) == 0
+    assert main(["wireshark", "names", str(plant), "--out", str(names)]) == 0
+    capsys.readouterr()
+    inputs = bytes.fromhex("12 34 FF FE 00 00 00 00 08")
+    sent = [encode_sd2(10, 2, 0x7D, b"\x81"), encode_sd2(2, 10, 0x08, inputs), encode_sd2(12, 2, 0x7D, b"\0")]
+    path = write_capture(tmp_path / "bus.pcapng", [Transmission(one, EPOCH + n * MS) for n, one in enumerate(sent)])
+    given = ("-o", f"profibus.names:{names}", "-T", "fields", "-E", "aggregator=;")
+    shown = tshark("-r", path, *given, "-e", "_ws.col.Source", "-e", "profibus.station", "-e", "profibus.value")
+    assert shown.splitlines() == [
+        "2\tHauptschrank\tH8_EBE = yes;Horn = yes",
+        "10 Hauptschrank\tHauptschrank\tFüllstand = 4660;H19_N_IST = -2;NA_INT = yes;NA_EXT = no",
+        "2\tHalle 2\t",
+    ]
+    wrong = tshark("-r", path, "-V", "-o", f"profibus.names:{plant}")
+    assert f"Names of the plant: {plant} is no file of `dpstack wireshark names`" in wrong
+    missing = tshark("-r", path, "-V", "-o", "profibus.names:/nowhere")
+    assert "Names of the plant: /nowhere cannot be read" in missing

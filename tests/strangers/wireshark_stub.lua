@@ -37,7 +37,7 @@ end
 base, frametype = any_name(), any_name()
 expert = { group = any_name(), severity = any_name() }
 ProtoExpert = { new = function(abbreviation) return { expert = abbreviation } end }
-Pref = { uint = function(_, value) return value end, bool = function(_, value) return value end }
+Pref = { uint = function(_, value) return value end, bool = function(_, value) return value end, string = function(_, value) return value end }
 NSTime = {
     new = function(seconds, ns)
         assert(math.tointeger(seconds) and math.tointeger(ns))

@@ -26,6 +26,7 @@ _BY_METAVAR: Final[dict[object, str]] = {
     "CONFIG": _TOML,
     "CONFIG ADDRESS": _TOML,
     "FILE": _FILE,
+    "FILE.cfg": _FILE,
     "FILE.html": _FILE,
     "FILE.svg": _FILE,
     "FILE|DIR": _FILE,

@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import argparse
 
+from dpstack.api.config.config import load_config
+from dpstack.api.files import AtomicFile
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
+from dpstack.errors import UsageError
 from dpstack.wireshark.installation import Place, State, Wireshark, find_wireshark
+from dpstack.wireshark.names import names_text
 
 
 def add_to(parser: Parser) -> None:
-    parser.epilog = "example: dpstack wireshark install"
-    what = "install, remove: into, from the folders of the user; where: print the folders"
-    parser.add_argument("action", choices=("install", "remove", "where"), help=what)
+    parser.epilog = (
+        "examples: dpstack wireshark install\n          dpstack wireshark names plant.toml --out plant.names"
+    )
+    what = "install, remove: into, from the folders of the user; where: print the folders; names: see CONFIG"
+    parser.add_argument("action", choices=("install", "remove", "where", "names"), help=what)
+    parser.value("config", "CONFIG", "names: the configuration whose names the dissector shall show", nargs="?")
+    parser.value("--out", "FILE", "names: write them into this new file, else to standard output")
     parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:
+    if args.action == "names":
+        return _names(args)
+    if args.config is not None or args.out is not None:
+        raise UsageError(f"wireshark {args.action} takes no CONFIG and no --out: only `wireshark names` does")
     there = find_wireshark()
     if args.action == "install":
         _show(there, there.install(), json=args.json)
@@ -26,6 +38,25 @@ def execute(args: argparse.Namespace) -> int:
         _remove(there, json=args.json)
     else:
         _show(there, there.places, json=args.json)
+    return 0
+
+
+def _names(args: argparse.Namespace) -> int:
+    if args.config is None:
+        raise UsageError("wireshark names: no CONFIG; name the configuration file of the plant")
+    config = load_config(args.config)
+    text = names_text(config)
+    count = sum(len(fields) for slave in config.slaves for _, fields in slave.fields)
+    if args.out is None:
+        output.raw(text)
+        return 0
+    with AtomicFile(args.out) as file:
+        file.keep(text.encode())
+    if args.json:
+        output.json_line({"out": args.out, "stations": len(config.slaves), "names": count})
+    else:
+        output.line(f"{args.out}: {len(config.slaves)} stations, {count} names")
+        output.line(f"wireshark -o profibus.names:{args.out} FILE, or Preferences, Protocols, PROFIBUS")
     return 0
 
 

@@ -244,3 +244,41 @@ def test_sockets_of_a_folder_that_others_may_write_to_are_left_alone(
     assert extcap.interfaces() == [("/dev/ttyUSB0", "PROFIBUS: run on /dev/ttyUSB0")]
     folder.chmod(0o777)
     assert extcap.interfaces() == [("/dev/ttyUSB0", "a??b?")]
+
+
+NAMED = """
+[bus]
+port = "virtual"
+baud = 500000
+[[slave]]
+name = "tank 1"
+address = 8
+ident = 0x1234
+config = "24 17"
+inputs = { limit = "bool@0.3", level = { at = "i16@1", scale = 0.1, unit = "°C" }, flow = "f32ws@4", rest = "u4@3.4" }
+outputs = { raw = "bytes@0:3" }
+"""
+
+
+def test_names_for_the_dissector(tmp_path: Path, cli: Cli) -> None:
+    config = tmp_path / "plant.toml"
+    config.write_text(NAMED)
+    assert cli.out("wireshark", "names", str(config)).splitlines() == [
+        "# names for the PROFIBUS dissector of dpstack",
+        "8\tstation\ttank 1",
+        "8\tinput\tbool\t0\t1\t3\t1\tbig\t1\t0\t\tlimit",
+        "8\tinput\tint\t1\t2\t0\t16\tbig\t0.1\t0\t°C\tlevel",
+        "8\tinput\tfloat\t4\t4\t0\t32\tswapped\t1\t0\t\tflow",
+        "8\tinput\tuint\t3\t1\t4\t4\tbig\t1\t0\t\trest",
+        "8\toutput\tbytes\t0\t3\t0\t24\tbig\t1\t0\t\traw",
+    ]
+    out = tmp_path / "plant.names"
+    assert cli.json("wireshark", "names", str(config), "--out", str(out)) == {
+        "out": str(out),
+        "stations": 1,
+        "names": 5,
+    }
+    assert out.read_text().endswith("raw\n")
+    assert "there is a file of that name" in cli.err("wireshark", "names", str(config), "--out", str(out))
+    assert "name the configuration file of the plant" in cli.err("wireshark", "names")
+    assert "only `wireshark names` does" in cli.err("wireshark", "where", str(config))

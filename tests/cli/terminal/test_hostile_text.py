@@ -16,6 +16,7 @@ import pytest
 from api_kit import HOIST
 from control_kit import socket_of
 from plant_files import plant_file
+from step7_kit import PLANT
 
 from dpstack.api.control.socket_path import Sockets, own_name
 from dpstack.capture.pcapng import Writer
@@ -205,6 +206,16 @@ def test_plan_and_run_of_such_a_device(reader: str, config: Path, capsys: pytest
         assert code in (0, 1)
 
 
+def test_texts_of_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "evil.cfg"
+    text = PLANT.replace("Hauptschrank", EVIL).replace("NA_INT", EVIL).replace("Not-Aus", EVIL).replace("coupler", EVIL)
+    path.write_text(text.replace("Mischerei", EVIL).replace("REDUNDANCY", f"?{EVIL}?"), newline="")
+    for more in ([], ["--json"]):
+        code, out, _ = run(capsys, "import", str(path), *more)
+        assert code == 0
+        assert out
+
+
 def test_comments_of_a_capture(
     reader: str, gsd: Path, config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -231,6 +242,11 @@ NAMES = [
     ["segment", "--baud", EVIL],
     ["sheet", EVIL],
     ["sheet", "CONFIG", EVIL],
+    ["import", EVIL],
+    ["import", "GSD"],
+    ["import", "GSD", "--gsd", EVIL],
+    ["import", "GSD", "--out", f"/nowhere/{EVIL}"],
+    ["import", "GSD", "--encoding", EVIL],
     ["names", EVIL],
     ["names", "CONFIG", "--from", EVIL],
     ["names", "CONFIG", "--csv", f"/nowhere/{EVIL}"],
