@@ -2,6 +2,4 @@
 
 - ``extcap``: PROFIBUS ports for Wireshark, the program that Wireshark starts: lists them and captures from them
 - ``installation``: the folders of the Wireshark that is there, and the two files of ours in them
-- ``names``: the names of a configuration as a list for the dissector (profibus.lua): a line for each station and named
-  value
 """

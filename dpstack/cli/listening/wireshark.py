@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from typing import Final
 
-from dpstack.api.config.config import load_config
+from dpstack.api.config.config import Config, load_config
 from dpstack.api.files import AtomicFile
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import UsageError
+from dpstack.text import printable
 from dpstack.wireshark.installation import Place, State, Wireshark, find_wireshark
-from dpstack.wireshark.names import names_text
+
+_KINDS: Final = {"b": "bytes", "u": "uint", "i": "int", "f": "float"}
+#: the first line; the dissector takes no other file
+_FIRST: Final = "# names for the PROFIBUS dissector of dpstack"
 
 
 def add_to(parser: Parser) -> None:
@@ -58,6 +64,32 @@ def _names(args: argparse.Namespace) -> int:
         output.line(f"{args.out}: {len(config.slaves)} stations, {count} names")
         output.line(f"wireshark -o profibus.names:{args.out} FILE, or Preferences, Protocols, PROFIBUS")
     return 0
+
+
+def names_text(config: Config) -> str:
+    """The names of ``config`` as a list for the dissector (profibus.lua), with line ends.
+
+    Columns are separated by tabs: address, "station", name; or address, "input" or "output", kind (bool, uint, int,
+    float, bytes), first octet, octets, first bit, bits, order of the octets (big, little, swapped), scale, offset,
+    unit, name.
+    """
+    return "\n".join([_FIRST, *_lines(config)]) + "\n"
+
+
+def _lines(config: Config) -> Iterator[str]:
+    for slave in config.slaves:
+        yield f"{slave.address}\tstation\t{_cell(slave.name)}"
+        for direction, fields in slave.fields:
+            for field in fields.fields.values():
+                kind = "bool" if field.is_bool else _KINDS[field.type[0]]
+                order = "little" if field.little else "swapped" if field.swapped else "big"
+                place = (field.octet, field.length, field.bit or 0, field.width, order)
+                columns = (slave.address, direction, kind, *place, field.scale, field.offset, field.unit, field.name)
+                yield "\t".join(_cell(str(column)) for column in columns)
+
+
+def _cell(text: str) -> str:
+    return printable(text.replace("\t", " "))
 
 
 def _remove(there: Wireshark, *, json: bool) -> None:
