@@ -18,8 +18,11 @@ import pytest
 from far_ends import HANG_S, eventually
 from plant_files import plant_file
 from programs import Starter
+from step7_kit import PLANT as STEP7
+from step7_kit import RACK_GSD, VALVES_GSD, address, gsd_folder, section
 
 import dpstack
+from dpstack.cli.main import main
 
 pytestmark = pytest.mark.strangers
 
@@ -107,13 +110,14 @@ class Pyprofibus:
 
     def __init__(self, folder: Path, port: Path, slaves: dict[str, Any], watchdog_ms: int = 5000) -> None:
         sections = [f"[PROFIBUS]\ndebug=1\n[PHY]\ntype=serial\ndev={port}\nbaud=500000\n[DP]\nmaster_addr=2\n"]
-        for number, (name, (address, gsd, modules, octets)) in enumerate(slaves.items()):
+        for number, (name, (station, gsd, modules, octets)) in enumerate(slaves.items()):
             path = gsd
             if isinstance(gsd, str):
                 path = folder / f"{name}.gsd"
                 path.write_text(gsd, encoding="latin-1")
-            lines = [f"[SLAVE_{number}]", f"name={name}", f"addr={address}", f"gsd={path}"]
-            lines += [f"watchdog_ms={watchdog_ms}", f"input_size={octets}", f"output_size={octets}"]
+            lines = [f"[SLAVE_{number}]", f"name={name}", f"addr={station}", f"gsd={path}"]
+            into, out = octets if isinstance(octets, tuple) else (octets, octets)  # seen from the slave
+            lines += [f"watchdog_ms={watchdog_ms}", f"input_size={into}", f"output_size={out}"]
             lines += [f"module_{i}={module}" for i, module in enumerate(modules)]
             sections.append("\n".join(lines) + "\n")
         config = folder / "pyprofibus.conf"
@@ -193,6 +197,35 @@ def test_its_master_runs_every_drive(tmp_path: Path, segment: Path, start: Start
                 assert master.lines[0]["sent"]["ls"]["prm"][14:] == "800000"
     for name in SLAVES:
         slaves.wait_for(f'"name":"{name}","state":"wait_prm","master":null,"why":"watchdog expired"')
+
+
+RACK_OUT: Final = "6ES7 322-1BH01-0AA0 16DO"
+
+
+def test_its_master_runs_the_plant_of_a_step7_project(tmp_path: Path, segment: Path, start: Starter) -> None:
+    """An export imported, its plant simulated, pyprofibus as the PLC; a listener has the names of the plant."""
+    # pyprofibus takes no slave without outputs
+    lamps = 'DPSUBSYSTEM 1, DPADDRESS 12, SLOT 6, "6ES7 322-1BH01-0AA0", "DO16xDC24V"'
+    export = STEP7 + section(lamps, *address("OUT", 20, 2), 'SYMBOL  O , 8, "Lampe", ""')
+    (tmp_path / "plant.cfg").write_bytes(export.encode("cp1252"))
+    plant = tmp_path / "plant.toml"
+    gsd = gsd_folder(tmp_path / "gsd")
+    assert main(["import", str(tmp_path / "plant.cfg"), "--gsd", str(gsd), "--out", str(plant)]) == 0
+    assert main(["plan", str(plant)]) == 0
+    start("sim", str(plant), "--port", str(segment / "0"), "--baud", "500000", "--json")
+    slaves: dict[str, Any] = {
+        "Hauptschrank": (10, VALVES_GSD, ("coupler", "4AI 0-20mA", "8DI 24V DC", "8DO 24V DC"), (1, 9)),
+        "Halle 2": (12, RACK_GSD, ("6ES7 321-1BH02-0AA0 16DI", "6ES7 331-1KF01-0AB0 8AI", RACK_OUT), (2, 18)),
+    }
+    for name, slave in slaves.items():
+        with pyprofibus(tmp_path, segment / "1", {name: slave}, watchdog_ms=2000) as master:
+            master.until(lambda name=name: master.connected == [name], f"data exchange with {name}")  # type: ignore[misc]
+            master.send({name: "81" * slave[3][0]})
+            listen = ("capture", "--port", str(segment / "2"), "--baud", "500000", "--config", str(plant))
+            heard = start(*listen, "--seconds", "2")
+            assert heard.process.wait(HANG_S) == 0
+            text = heard.out
+            assert ("NA_INT" if name == "Hauptschrank" else "Lampe: yes") in text
 
 
 def test_our_program_recognises_its_bus_by_listening(tmp_path: Path, segment: Path, start: Starter) -> None:
