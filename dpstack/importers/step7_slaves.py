@@ -33,6 +33,8 @@ _NO_FIRST: Final = re.compile(r"[\W\d]")
 #: octets that one identifier of the special format can have
 _MOST_OCTETS: Final = 64
 _GROUPS: Final = range(1, 9)
+#: DPV1_Enable and Fail_Safe in DPV1_Status_1, the first octet of the user parameters then
+_DPV1_FAIL_SAFE: Final = 0xC0
 _MOST_GROUPS: Final = 255
 
 
@@ -182,6 +184,8 @@ def _octets(section: Section, key: str, remarks: list[Remark]) -> bytes | None:
 def _of_octets(slave: ExportedSlave, ident: int, config: str, remarks: list[Remark]) -> Variant:
     prm = _octets(slave.head, "NORMSLAVE_PARAM_DATA", remarks)
     keys: dict[str, object] = {"ident": ident or "ask", "config": bytes.fromhex(config), "user_prm": prm or None}
+    if prm and prm[0] & _DPV1_FAIL_SAFE == _DPV1_FAIL_SAFE:
+        keys["fail_safe"] = True  # else dpstack takes the bit out
     made = Variant(keys, "ident number, identifier octets and user parameters as in the export; no GSD file")
     numbers = range(slave.slots[0].places["SLOT"], slave.slots[-1].places["SLOT"] + 1)
     by_number = {section.places["SLOT"]: section for section in slave.slots}

@@ -27,9 +27,11 @@ from step7_kit import (
     section,
 )
 
+from dpstack.api.config.config import parse_config
 from dpstack.api.gsd_folder import GsdFolder
 from dpstack.api.gsd_orders import FolderFinder
 from dpstack.errors import ConfigError
+from dpstack.toml.reading import table_lines
 
 
 def toml_of(text: str) -> dict[str, Any]:
@@ -105,6 +107,18 @@ def test_a_slave_without_its_gsd_file_has_the_octets_of_the_export() -> None:
     assert found["user_prm"] == "00 11 22 33 44"
     assert found["groups"] == [1, 2]
     assert found["name"] == "Hauptschrank"
+
+
+def test_user_parameters_with_fail_safe_stay_as_they_are() -> None:
+    found = slaves_of(PLANT.replace("05 00 00 11 22 33 44", "03 00 C4 00 00"))[10]
+    assert (found["user_prm"], found["fail_safe"]) == ("C4 00 00", True)
+    (slave,) = parse_config(toml_text(found)).slave_params
+    assert slave.user_octets(None) == bytes.fromhex("C4 00 00")
+
+
+def toml_text(slave: dict[str, Any]) -> str:
+    keys = {key: slave[key] for key in ("name", "address", "ident", "config", "user_prm", "fail_safe")}
+    return "\n".join(table_lines("[bus]", {"port": "virtual", "baud": 500_000}) + table_lines("[[slave]]", keys))
 
 
 def test_symbols_are_bits_and_words_of_the_right_slots() -> None:

@@ -75,7 +75,8 @@ async def _ask_beside(config: Config, slave: SlaveConfig, address: int | None) -
 
     try:
         async with joined(kept, address, avoid=on_bus.stations_of(config)) as bus:
-            return await bus.why(slave.address, master=config.bus.address)
+            # the slaves of a configuration that is read only have another master, the PLC for instance
+            return await bus.why(slave.address, master=None if config.bus.read_only else config.bus.address)
     except BusError as error:
         if not made or made[-1].searching:
             raise

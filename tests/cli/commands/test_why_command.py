@@ -86,6 +86,19 @@ def test_without_a_name_every_slave_is_asked(tmp_path: Path, cli: Cli, monkeypat
     assert cli.out("why", plant(tmp_path, 2)).count("\n") == 1
 
 
+def test_beside_a_plc_that_is_the_master_of_a_read_only_configuration(
+    tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody is told to stop the PLC."""
+    there = field(monkeypatch)
+    slave = {**RAW, "name": "rig", "address": 8}
+    read_only = str(plant_file(tmp_path, slave, port="/dev/ttyNone", address=3, read_only=True))
+    assert cli.out("why", read_only).splitlines()[0] == (
+        "slave 8 (rig): data_exchange, seen by a class 2 master beside it, healthy"
+    )
+    assert there.is_undisturbed()
+
+
 def test_a_slave_of_another_master_is_locked(tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     there = field(monkeypatch)
     out = cli.out("why", plant(tmp_path, 1), "8", code=1)
