@@ -89,7 +89,7 @@ class ImportedPlant:
     remarks: list[Remark]
 
 
-def dp_systems(export: Export) -> list[DpSystem]:
+def dp_systems(export: Export, remarks: list[Remark]) -> list[DpSystem]:
     """The DP systems of the export by number. A slave with two interfaces (redundancy) stands in both systems."""
     systems: dict[int, DpSystem] = {}
     slaves: dict[tuple[int, int], ExportedSlave] = {}
@@ -106,32 +106,31 @@ def dp_systems(export: Export) -> list[DpSystem]:
             system.name = section.text(0)
             system.subnet = section.keys.get("SUBNET_NAME") or system.subnet
         elif section.place("SLOT") is None:
-            _add(system, slaves, address, section, export)
+            _add(system, slaves, address, section, remarks)
         elif (slave := slaves.get((system.number, address))) is not None:
             slave.slots.append(section)
         else:
-            _add(system, slaves, address, Section("DPSUBSYSTEM", section.line, {**section.places}, []), export)
+            _add(system, slaves, address, Section("DPSUBSYSTEM", section.line, {**section.places}, []), remarks)
             slaves[system.number, address].head.places.pop("SLOT")
             slaves[system.number, address].slots.append(section)
-            text = f"slave {address}: its own section is missing"
-            export.remarks.append(Remark(section.line, text))
-    _add_second_interfaces(systems)
+            remarks.append(Remark(section.line, f"slave {address}: its own section is missing"))
+    _add_second_interfaces(systems, remarks)
     return [systems[number] for number in sorted(systems)]
 
 
 def _add(
-    system: DpSystem, slaves: dict[tuple[int, int], ExportedSlave], address: int, head: Section, export: Export
+    system: DpSystem, slaves: dict[tuple[int, int], ExportedSlave], address: int, head: Section, remarks: list[Remark]
 ) -> None:
     if (system.number, address) in slaves:
         text = f"slave {address}: it stands twice in DP system {system.number}; the first one counts"
-        export.remarks.append(Remark(head.line, text))
+        remarks.append(Remark(head.line, text))
         return
     slave = ExportedSlave(address, head)
     slaves[system.number, address] = slave
     system.slaves.append(slave)
 
 
-def _add_second_interfaces(systems: Mapping[int, DpSystem]) -> None:
+def _add_second_interfaces(systems: Mapping[int, DpSystem], remarks: list[Remark]) -> None:
     by_subnet = {system.subnet: system for system in systems.values() if system.subnet}
     for system in list(systems.values()):
         for slave in list(system.slaves):
@@ -140,8 +139,14 @@ def _add_second_interfaces(systems: Mapping[int, DpSystem]) -> None:
                 given = section.keys.get("PROFIBUSADDRESS", "")
                 if other is None or other is system or not (given.isascii() and given.isdigit()):
                     continue
-                if all(one.head is not slave.head for one in other.slaves):
-                    other.slaves.append(ExportedSlave(int(given[:4]), slave.head, slave.slots))
+                if any(one.head is slave.head for one in other.slaves):
+                    continue
+                address = int(given[:4])
+                if any(one.address == address for one in other.slaves):
+                    text = f"slave {address}: another slave of DP system {other.number} has the address of this"
+                    remarks.append(Remark(section.line, f"{text} interface"))
+                    continue
+                other.slaves.append(ExportedSlave(address, slave.head, slave.slots))
 
 
 def choose(systems: list[DpSystem], number: int | None) -> DpSystem:
@@ -177,9 +182,9 @@ def make_plant(
     that is refused gives place to the next one; the last one then stands as comments. Raises ConfigError: no or
     several systems, an unknown number.
     """
-    systems = dp_systems(export)
+    remarks = [*export.remarks]
+    systems = dp_systems(export, remarks)
     system = choose(systems, number)
-    remarks = export.remarks
     remarks += _left_out(export, systems, system)
     subnet = next((s for s in export.sections if s.kind == "SUBNET" and s.text(0) == system.subnet), None)
     address = _free_address(export, system, subnet)
@@ -220,6 +225,9 @@ def _left_out(export: Export, systems: list[DpSystem], chosen: DpSystem) -> Iter
     if central:
         count = sum(len(section.symbols) for section in central)
         yield Remark(central[0].line, f"{count} symbols of central modules (RACK) are left out: no bus carries them")
+    count = sum(bool(section.parameters) for slave in chosen.slaves for section in slave.slots)
+    if count:
+        yield Remark(0, f"the parameters (PARAMETER) of {count} modules are left out: STEP 7 sends them in its own way")
     others = [system for system in systems if system is not chosen and system.slaves]
     for system in others:
         yield Remark(0, f"DP system {system.title} is left out: --system {system.number} makes a file of it")

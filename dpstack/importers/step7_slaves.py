@@ -16,7 +16,7 @@ from msgspec import Struct, structs
 from dpstack.dp.slot_map import Direction, Slot, map_of_modules
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, find_module
-from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.identifiers import MAX_IO, io_lengths
 from dpstack.gsd.model import Device, Module
 from dpstack.importers.step7_cfg import Remark, Section
 from dpstack.importers.step7_layout import Place, places, section_title
@@ -159,6 +159,10 @@ def _exported_config(slave: ExportedSlave, remarks: list[Remark]) -> str:
         if octets is None:
             return ""
         place = section.places["SLOT"]
+        if number is not None and place - number > MAX_IO:
+            text = f"slot {place} behind slot {number}: no slave has so many slots"
+            remarks.append(Remark(section.line, f"{section_title(section)}: {text}"))
+            return ""
         parts += ["00"] * (0 if number is None else place - number - 1)
         parts.append(octets.hex())
         number = place
@@ -204,7 +208,7 @@ def _of_gsd(slave: ExportedSlave, found: Found, ident: int, config: bytes | None
         raise GsdError(f"its Ident_Number is 0x{device.ident:04X}, the export says 0x{ident:04X}")
     modules = [_module_of(device, section, config is None) for section in slave.slots]
     names = [_entry(device, module) for module in modules]
-    made = configure(device, names, own_prm=True)
+    made = configure(device, names or None, own_prm=True)
     if config is not None and made.config != config:
         raise GsdError("its modules of these names have other identifier octets than the export")
     prm = None if octets is None else octets.keys["user_prm"]
@@ -214,7 +218,12 @@ def _of_gsd(slave: ExportedSlave, found: Found, ident: int, config: bytes | None
             with_prm = None if made.user_prm().octets() == prm else prm
         except GsdError:
             with_prm = prm
-    keys = {"gsd": found.key, "modules": names, "ident": None if device.ident else ident or "ask", "user_prm": with_prm}
+    keys: dict[str, object] = {
+        "gsd": found.key,
+        "modules": names or None,
+        "ident": None if device.ident else ident or "ask",
+        "user_prm": with_prm,
+    }
     variant = Variant(keys, f"by {found.key}", _has_f(device, modules))
     if with_prm is not None:
         variant.source += ", user parameters as in the export (others than the defaults of the file)"
@@ -343,7 +352,7 @@ def _of_lengths(slave: ExportedSlave) -> Variant:
         Remark(
             slave.head.line,
             f"{section_title(slave.head)}: its ident number and identifier octets are not in the export: listening "
-            f"shows its names, a simulation of it refuses the PLC; give the GSD file with its order number (--gsd)",
+            f"shows its names, a simulation of it refuses the PLC; give its GSD file (--gsd)",
         )
     )
     _lay_out(made, rows, own=True)

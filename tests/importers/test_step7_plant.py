@@ -326,6 +326,30 @@ def test_a_redundant_slave_stands_on_both_cables() -> None:
     assert any("it has two interfaces" in one for one in remark_texts(imported(text, 1)))
 
 
+def test_a_second_interface_at_the_address_of_another_slave() -> None:
+    interface = section(
+        'DPSUBSYSTEM 1, DPADDRESS 12, SLOT 2, "6ES7 153-1AA03-0XB0", "IM"',
+        'PROFIBUSADDRESS "10"',
+        'LINKED_SUBNETNAME "PROFIBUS(2)"',
+    )
+    plant = imported(PLANT + interface + second_system(), 2)
+    assert [slave.name for slave in plant.slaves] == ["Pumpe"]
+    assert "slave 10: another slave of DP system 2 has the address of this interface" in remark_texts(plant)
+
+
+def test_slots_far_apart_are_no_empty_slots() -> None:
+    text = one_slave(slot(1, "10", *address("IN", 0, 1)), slot(999_999_999, "20"))
+    assert slaves_of(text)[9]["config"] == "40 80"
+    assert any("no slave has so many slots" in one for one in remark_texts(imported(text)))
+
+
+def test_a_gsd_slave_without_slots_has_the_modules_that_its_file_presets(tmp_path: Path) -> None:
+    folder = gsd_folder(tmp_path / "gsd")
+    (folder / "a.gsd").write_text(VALVES_GSD.replace('"coupler" 0x00', '"all" 0x31\nPreset=1'))
+    text = one_slave(keys=('PNO_IDENT_NO "22136"',))
+    assert slaves_of(text, finder=FolderFinder(GsdFolder(folder)))[9]["gsd"] == "a.gsd"
+
+
 def test_no_dp_system_and_one_without_slaves() -> None:
     with pytest.raises(ConfigError, match="has no DP master system"):
         imported(HEAD + STATION)
@@ -341,6 +365,7 @@ def test_what_is_not_on_the_bus_is_left_out_with_a_remark() -> None:
     texts = remark_texts(imported(PLANT + central + device + sub))
     assert "1 symbols of central modules (RACK) are left out: no bus carries them" in texts
     assert "1 PROFINET devices (IOSUBSYSTEM) are left out: they are not on PROFIBUS" in texts
+    assert "the parameters (PARAMETER) of 2 modules are left out: STEP 7 sends them in its own way" in texts
     assert any("SUBSLOT: its addresses and symbols are left out" in one for one in texts)
 
 

@@ -60,7 +60,7 @@ def run(octets: bytes) -> None:
     export = parsed(read_cfg, octets, ConfigError)
     if export is None:
         return
-    numbers = [system.number for system in dp_systems(export)]
+    numbers = [system.number for system in dp_systems(export, [])]
     for finder in (None, _FINDER):
         for number in (None, *numbers[:3]):
             made = read_cfg(octets)
