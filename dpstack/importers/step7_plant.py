@@ -58,8 +58,7 @@ class DpSystem:
 
     @property
     def title(self) -> str:
-        count = len(self.slaves)
-        return f'{self.number} "{self.name or self.subnet}" ({count} slave{"s" * (count != 1)})'
+        return f'{self.number} "{self.name or self.subnet}" ({_count(len(self.slaves), "slave")})'
 
 
 @dataclass(slots=True)
@@ -206,7 +205,7 @@ def make_plant(
     name = "" if station is None else station.text(0)
     remarks.sort()
     head = [
-        f"Made by dpstack import from {file}: station {name}, DP system {system.title}"
+        f"Made by dpstack import from {file} ({export.encoding}): station {name}, DP system {system.title}"
         + (f", STEP 7 {export.version}" if export.version else ""),
         *_READ_ONLY,
     ]
@@ -224,16 +223,18 @@ def _left_out(export: Export, systems: list[DpSystem], chosen: DpSystem) -> Iter
     central = [s for s in export.sections if s.kind == "RACK" and s.symbols]
     if central:
         count = sum(len(section.symbols) for section in central)
-        yield Remark(central[0].line, f"{count} symbols of central modules (RACK) are left out: no bus carries them")
+        text = f"{_count(count, 'symbol')} of central modules (RACK), which no bus carries: left out"
+        yield Remark(central[0].line, text)
     count = sum(bool(section.parameters) for slave in chosen.slaves for section in slave.slots)
     if count:
-        yield Remark(0, f"the parameters (PARAMETER) of {count} modules are left out: STEP 7 sends them in its own way")
+        text = f"the parameters (PARAMETER) of {_count(count, 'module')} are left out: STEP 7 sends them in its own way"
+        yield Remark(0, text)
     others = [system for system in systems if system is not chosen and system.slaves]
     for system in others:
         yield Remark(0, f"DP system {system.title} is left out: --system {system.number} makes a file of it")
     devices = {s.place("IOADDRESS") for s in export.sections if s.kind == "IOSUBSYSTEM"} - {None}
     if devices:
-        yield Remark(0, f"{len(devices)} PROFINET devices (IOSUBSYSTEM) are left out: they are not on PROFIBUS")
+        yield Remark(0, f"{_count(len(devices), 'device')} of PROFINET (IOSUBSYSTEM), not of PROFIBUS: left out")
 
 
 def _free_address(export: Export, system: DpSystem, subnet: Section | None) -> int:
@@ -376,3 +377,7 @@ def _too_high(slaves: Iterable[SlaveText], remarks: list[Remark]) -> None:
 
 def _runs(numbers: Iterable[int]) -> str:
     return some_of((str(a) if a == b else f"{a} to {b}" for a, b in runs_of(numbers)), 5)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"

@@ -363,8 +363,8 @@ def test_what_is_not_on_the_bus_is_left_out_with_a_remark() -> None:
     device = section('IOSUBSYSTEM 100, IOADDRESS 1, "GSDML.xml", "camera"')
     sub = section('DPSUBSYSTEM 1, DPADDRESS 10, SLOT 3, SUBSLOT 1, "port", "p"', *address("IN", 90, 2))
     texts = remark_texts(imported(PLANT + central + device + sub))
-    assert "1 symbols of central modules (RACK) are left out: no bus carries them" in texts
-    assert "1 PROFINET devices (IOSUBSYSTEM) are left out: they are not on PROFIBUS" in texts
+    assert "1 symbol of central modules (RACK), which no bus carries: left out" in texts
+    assert "1 device of PROFINET (IOSUBSYSTEM), not of PROFIBUS: left out" in texts
     assert "the parameters (PARAMETER) of 2 modules are left out: STEP 7 sends them in its own way" in texts
     assert any("SUBSLOT: its addresses and symbols are left out" in one for one in texts)
 
