@@ -301,7 +301,12 @@ def _baud(subnet: Section | None, parameters: Mapping[str, int], remarks: list[R
         text = f"no PROFIBUS_BAUDRATE; PROFIBUS_TSL {parameters['t_sl']} is that of {baud_text(fitting[0])}"
         remarks.append(Remark(line, f"{text}: check it with dpstack baud"))
         return fitting[0]
-    remarks.append(Remark(line, "the baud rate is not in the export: find it with dpstack baud, and add it to [bus]"))
+    remarks.append(
+        Remark(
+            line,
+            "the baud rate is not in the export: export subnets and default values, too, or find it with dpstack baud",
+        )
+    )
     return None
 
 

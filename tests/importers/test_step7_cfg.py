@@ -105,7 +105,7 @@ def test_another_code_page_is_given_by_hand() -> None:
     [
         (b"", "has no section of a STEP 7 export"),
         (b"[bus]\nport = 1\n", "has no section of a STEP 7 export"),
-        (b"#Profibus_DP\nGSD_Revision = 3\n", "choose Station > Export"),
+        (b"#Profibus_DP\nGSD_Revision = 3\n", "choose Station > Export with the format Readable"),
         (b"PK\x03\x04" + bytes(200), "is binary"),
         (bytes(range(256)) * 4, "is binary"),
         (b"\x89PNG\r\n\x1a\nxyz", "has no section"),

@@ -88,7 +88,12 @@ def test_the_address_is_one_that_no_station_has_and_that_the_masters_look_for() 
         ("45.45_KBPS", 640, 45_450, ""),
         ("12_MBPS", 1000, 12_000_000, ""),
         ("", 400, 3_000_000, "no PROFIBUS_BAUDRATE; PROFIBUS_TSL 400 is that of 3 Mbit/s: check it with dpstack baud"),
-        ("", 100, None, "the baud rate is not in the export: find it with dpstack baud, and add it to [bus]"),
+        (
+            "",
+            100,
+            None,
+            "the baud rate is not in the export: export subnets and default values, too, or find it with dpstack baud",
+        ),
         ("7_MBPS", 300, None, "PROFIBUS_BAUDRATE 7_MBPS is no rate of PROFIBUS: give baud by hand"),
     ],
 )
