@@ -129,8 +129,8 @@ def read_cfg(octets: bytes, encoding: str = "") -> Export:
     text, found = _decoded(octets, encoding)
     if "\0" in text:
         raise ConfigError(
-            "is binary, not the text of a STEP 7 export; in HW Config choose Station > Export with the format Readable, "
-            "and give the .cfg file"
+            "is binary, not the text of a STEP 7 export; in HW Config choose Station > Export with the format "
+            "Readable, and give the .cfg file"
         )
     export = Export(encoding=found)
     _Reader(export).read(text)
