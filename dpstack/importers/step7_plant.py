@@ -320,15 +320,16 @@ def _slave_text(
     name = _slave_name(slave, taken, remarks)
     variants, common = slave_variants(slave, finder)
     remarks += common
-    refused = ""
+    refused = f"stations have the addresses 0..{MAX_STATION}" if slave.address > MAX_STATION else ""
     for variant in variants:
         lines = _table(slave, name, variant)
+        if slave.address > MAX_STATION:
+            break
         refused = check("\n".join(lines))
         if not refused:
             break
-        if slave.address <= MAX_STATION:
-            text = f"slave {slave.address} ({name}), {variant.source}: refused: {refused}"
-            remarks.append(Remark(slave.head.line, text))
+        text = f"slave {slave.address} ({name}), {variant.source}: refused: {refused}"
+        remarks.append(Remark(slave.head.line, text))
     remarks += variant.remarks
     reason = str(variant.keys.get("refuse_master") or "")
     if variant.f_modules and not refused:
