@@ -12,6 +12,7 @@ from pathlib import Path
 
 import probe_connector
 import pytest
+from _pytest.runner import runtestprotocol
 from api_kit import in_virtual_time
 from forked_programs import ForkServer
 from hypothesis import is_hypothesis_test
@@ -54,10 +55,32 @@ def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class, name: str
         setattr(collector.obj, name, in_virtual_time(obj))
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_collection_finish() -> None:
-    """Have no collection look at what pytest has collected: half a million objects that stay, 0.35 s each time."""
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Have no garbage collection look at what pytest collects: half a million objects that stay, 0.35 s each time."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    """Where tests run in two processes, a test sends its result to the one that prints it, and no word about how it
+    begins, is set up, torn down and ends unless something happened there: 1 ms of processor time for each test."""
+    option = item.config.option
+    if (
+        not hasattr(item.config, "workerinput")
+        or option.verbose > 0
+        or option.durations
+        or getattr(option, "xmlpath", None)
+    ):
+        return None
+    for report in runtestprotocol(item, log=False, nextitem=nextitem):
+        if report.when == "call" or not report.passed:
+            item.ihook.pytest_runtest_logreport(report=report)
+    return True
 
 
 @pytest.fixture
