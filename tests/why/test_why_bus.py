@@ -106,7 +106,7 @@ async def test_swapped_addresses_and_a_station_elsewhere_are_seen_without_asking
     away = {**RAW, "name": "away", "address": 41, "ident": 0x5555}
     slaves = [RAW, {**OTHER, "ident": 0x4321}, away]
     async with dpstack.open_bus(world=world, baud=500_000, slaves=slaves, gap=1) as bus:
-        await asyncio.sleep(30)
+        await asyncio.sleep(3)
         assert (await bus.why("raw", ask=False)).first.next == "exchange the addresses 9 and 4 (other)"
         assert (await bus.why("other", ask=False)).first.next == "exchange the addresses 4 and 9 (raw)"
         story = await bus.why("away", ask=False)
