@@ -294,22 +294,24 @@ def exists(dotted: str) -> bool:
     return base.with_suffix(".py").exists() or base.is_dir()
 
 
-@pytest.mark.parametrize("path", modules(ROOT / "dpstack"), ids=lambda p: str(p.relative_to(ROOT)))
-def test_direction(path: Path) -> None:
+def wrong_imports(path: Path) -> Iterator[str]:
     own = package_of(path)
     assert own in MAY, f"{own} is no package of the design: add it to the table"
-    wrong: list[str] = []
     for line, _, name in imports(path):
         parts = name.split(".")
         if parts[0] == "dpstack_drives":
-            wrong.append(f"{path}:{line}: {name}; drives are found by entry point, never imported")
+            yield f"{path}:{line}: {name}; drives are found by entry point, never imported"
         if parts[0] != "dpstack" or len(parts) < 2 or not exists(name):
             continue
         target = parts[1]
         if target != own and target not in MAY[own]:
-            wrong.append(f"{path}:{line}: {own} may not import {name}")
+            yield f"{path}:{line}: {own} may not import {name}"
         if own == "profile" and target == "dp" and name.removeprefix("dpstack.") not in PROFILE_MAY_OF_DP:
-            wrong.append(f"{path}:{line}: profile may not import {name}")
+            yield f"{path}:{line}: profile may not import {name}"
+
+
+def test_direction() -> None:
+    wrong = [text for path in modules(ROOT / "dpstack") for text in wrong_imports(path)]
     assert not wrong, "\n".join(wrong)
 
 
@@ -411,13 +413,14 @@ def test_each_room_has_a_map(room: str) -> None:
     assert listed == rooms + sorted(path.stem for path in folder.glob("*.py") if path.stem != "__init__")
 
 
-@pytest.mark.parametrize(
-    "path",
-    [p for p in modules(ROOT / "dpstack") if package_of(p) in PURE] + modules(ROOT / "drives"),
-    ids=lambda p: str(p.relative_to(ROOT)),
-)
-def test_pure(path: Path) -> None:
-    found = [f"{path}:{n}: {name}" for n, name, _ in imports(path) if name.split(".")[0] in FORBIDDEN_IN_PURE]
+def test_pure() -> None:
+    paths = [p for p in modules(ROOT / "dpstack") if package_of(p) in PURE] + modules(ROOT / "drives")
+    found = [
+        f"{path}:{n}: {name}"
+        for path in paths
+        for n, name, _ in imports(path)
+        if name.split(".")[0] in FORBIDDEN_IN_PURE
+    ]
     assert not found, "a machine owns no clock, no socket, no thread:\n" + "\n".join(found)
 
 
@@ -429,9 +432,14 @@ def test_drives_see_profile_and_devices_only(path: Path) -> None:
             assert seen, f"{path}:{line}: {name}; a drive imports dpstack.profile, and modules of dpstack.devices"
 
 
-@pytest.mark.parametrize("path", modules(ROOT / "dpstack") + modules(ROOT / "drives"), ids=lambda p: p.stem)
-def test_no_gpl_in_the_product(path: Path) -> None:
-    assert not [n for n, name, _ in imports(path) if name.split(".")[0] in NEVER_IN_PRODUCT]
+def test_no_gpl_in_the_product() -> None:
+    paths = modules(ROOT / "dpstack") + modules(ROOT / "drives")
+    assert not [
+        f"{path}:{n}: {name}"
+        for path in paths
+        for n, name, _ in imports(path)
+        if name.split(".")[0] in NEVER_IN_PRODUCT
+    ]
 
 
 def test_the_walk_finds_something() -> None:
