@@ -21,6 +21,7 @@ import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.dp.master import plugin_host
 from dpstack.dp.master.commands import Shutdown
+from dpstack.drivers.line import shutdown
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
 from dpstack.drivers.line.shutdown import ending_signals
 from dpstack.drivers.process import client
@@ -28,6 +29,7 @@ from dpstack.drivers.process.shared_image import SIZE, make_memory
 from dpstack.drivers.stack import Stack
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.trace import Event
+from dpstack.units import NS_PER_MS
 
 LIVE, SAFE = "1122", "a55a"
 
@@ -214,6 +216,7 @@ def test_the_signals_that_end_a_program() -> None:
 def test_a_token_that_was_lost_on_the_way_out_costs_no_clear(monkeypatch: pytest.MonkeyPatch) -> None:
     """An exception that is none of Exception (Ctrl-C, sys.exit()) in the middle of a token hold loses the token."""
     monkeypatch.setattr(plugin_host, "FAILURES", Exception)
+    monkeypatch.setattr(shutdown, "END_LIMIT", 200 * NS_PER_MS)  # without a token each step takes as long as it may
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, there), heard(there) as words:
         live = Live(path)
         loop = asyncio.new_event_loop()

@@ -211,7 +211,7 @@ async def test_a_simulation_and_its_segment(tmp_path: Path) -> None:
             await until(lambda: not bus.slave(3).ready_now, "its loss")
             await until(lambda: bus.slave(3).ready_now, "its return")
             before = segment.stats()
-            await ask(wire, "silence", "0", "2s")
+            await ask(wire, "silence", "0", "1s")
             await until(lambda: not bus.slave(3).ready_now, "its loss")
             await until(lambda: bus.slave(3).ready_now, "its return")
             assert before != segment.stats()
