@@ -2,6 +2,7 @@
 
 Protocol libraries are loaded by the connector that needs them only. docs/explanation/bridge.md has the rules.
 
+- ``homeassistant/``: Discovery messages by which Home Assistant makes devices and entities of a plant over MQTT
 - ``metrics/``: Prometheus metrics and health over HTTP
 - ``mqtt/``: MQTT 5 with Sparkplug B 3.0 (the bus as an edge node, its slaves as devices) or plain JSON
 - ``opcua/``: OPC UA: typed nodes, orders, alarms, history

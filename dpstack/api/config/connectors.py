@@ -52,6 +52,12 @@ class MqttConfig(ConnectorConfig, frozen=True, kw_only=True):
     password_env: the environment variable that has the password. Left out: none
     password_file: the file that has the password in its first line, mode 0600. Left out: none
     keepalive_s: the broker takes this program for gone after one and a half times this time without a message
+    discovery: `"homeassistant"`: describe slaves, drives and values to
+        [Home Assistant](../how-to/home-assistant.md), which makes devices and entities of them; with `format = "json"`
+        only. `"off"`: nothing
+    discovery_prefix: the first level of the topics of Home Assistant, as its settings of MQTT have it
+    datatypes: `"always"`: each metric of Sparkplug has its [type](sparkplug.md#readers-of-others) in data, too, for
+        hosts that do not remember the birth; `"births"`: there alone
     status: publish the [status](segment-status.md) of the segment for `dpstack fleet`; `false` if the broker does
         not permit this program the topic `dpstack/GROUP/NODE/status`
     """
@@ -72,6 +78,9 @@ class MqttConfig(ConnectorConfig, frozen=True, kw_only=True):
     password_env: str = ""
     password_file: Annotated[str, Key(read=_file)] = ""
     keepalive_s: Annotated[int, Key(1, 3600)] = 10
+    discovery: Literal["off", "homeassistant"] = "off"
+    discovery_prefix: str = "homeassistant"
+    datatypes: Literal["births", "always"] = "births"
     status: bool = True
 
 

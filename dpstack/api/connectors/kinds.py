@@ -52,6 +52,12 @@ def _mqtt(config: MqttConfig, parts: Parts) -> Connector:
 
     if config.format == "json" and config.primary_host:
         raise ConfigError('primary_host: plain JSON knows none; take it out, or write format = "sparkplug"')
+    if config.format == "json" and config.datatypes == "always":
+        raise ConfigError('datatypes: plain JSON has none; take it out, or write format = "sparkplug"')
+    if config.format != "json" and config.discovery != "off":
+        raise ConfigError(
+            f'discovery = "{config.discovery}": Home Assistant does not read Sparkplug; write format = "json", too'
+        )
     broker = Broker(
         url=config.url,
         ca=Path(config.ca) if config.ca else None,
@@ -62,7 +68,14 @@ def _mqtt(config: MqttConfig, parts: Parts) -> Connector:
         keepalive_s=config.keepalive_s,
     )
     node = config.node or SPARKPLUG_ID.valid(gethostname())
-    setup = NodeSetup(config.group, node, config.primary_host, config.interval_ms / 1000)
+    setup = NodeSetup(
+        config.group,
+        node,
+        config.primary_host,
+        config.interval_ms / 1000,
+        has_types=config.datatypes == "always",
+        discovery_prefix=config.discovery_prefix if config.discovery != "off" else "",
+    )
     orders = parts.orders(config.allow_commands, config.command_max_age_s)  # without any: it reports those that come
     folder = state_folder(config.group, node)
     versions = {"dpstack": product_version(), "python": python_version()} if config.status else None

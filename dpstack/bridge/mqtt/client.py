@@ -28,6 +28,7 @@ from dpstack.bridge.connector import Connector, Tell
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.connection import (
     FIRST_RETRY_S,
+    MOST_WAITING,
     Inbox,
     LastError,
     cancellations,
@@ -43,7 +44,15 @@ from dpstack.bridge.mqtt.connection import (
 from dpstack.bridge.mqtt.edge_node import EdgeNode
 from dpstack.bridge.mqtt.history import History
 from dpstack.bridge.mqtt.history_keeper import HistoryKeeper
-from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, NodeSetup, OrderWish, PlantNode, Publish
+from dpstack.bridge.mqtt.plant_node import (
+    Disconnect,
+    NodeOptions,
+    NodeSetup,
+    OrderWish,
+    PlantNode,
+    Publish,
+    Unsubscribe,
+)
 from dpstack.bridge.mqtt.session_file import SessionFile
 from dpstack.bridge.mqtt.status import EXPIRY_S, StatusSource, topic_of
 from dpstack.bridge.mqtt.worker_thread import in_thread
@@ -248,6 +257,7 @@ class MqttConnector(Connector):
             self._tls,
             self._last_error,
             connection.client_id,
+            most_waiting=MOST_WAITING + connection.most_kept,
             will=connection.will,
         )
         try:
@@ -300,7 +310,10 @@ class MqttConnector(Connector):
             if isinstance(message, Disconnect):
                 return message
             if message is not None:
-                await _publish(client, message)
+                if isinstance(message, Unsubscribe):
+                    await client.unsubscribe(message.topic)
+                else:
+                    await _publish(client, message)
                 end_if_cancelled(before)
                 await asyncio.sleep(0)  # births of many slaves: others have their turn between
                 continue

@@ -377,13 +377,16 @@ class EdgeNode(PlantNode):
             samples.append(Sample(self._kinds[key], reading, now_ms))
         return Publish(self._setup.topic("DBIRTH", device.name), birth(samples, self._next_seq(), now_ms))
 
+    def _encoded(self, samples: Iterable[Sample], now_ms: int) -> bytes:
+        return data(samples, self._next_seq(), now_ms, has_types=self._setup.has_types)
+
     def _data(self, slave: int | None, owner: _Device, now_ms: int, clock: float) -> Publish:
         pending, owner.pending = owner.pending, {}
         owner.due = clock + self._setup.interval_s
         self._was_sent(self._entries(slave, pending))
         samples = [self._sample(owner, key, reading, now_ms) for key, reading in pending.items()]
         kind, device = ("NDATA", None) if slave is None else ("DDATA", owner.name)
-        return Publish(self._setup.topic(kind, device), data(samples, self._next_seq(), now_ms))
+        return Publish(self._setup.topic(kind, device), self._encoded(samples, now_ms))
 
     def _sample(self, owner: _Device, key: str, reading: Reading, now_ms: int) -> Sample:
         had_remark = key in owner.remarked
@@ -495,7 +498,7 @@ class EdgeNode(PlantNode):
             return None
         device, samples = found
         kind = "NDATA" if device is None else "DDATA"
-        return Publish(self._setup.topic(kind, device), data(samples, self._next_seq(), now_ms))
+        return Publish(self._setup.topic(kind, device), self._encoded(samples, now_ms))
 
     def _find(self, entry: Entry) -> MetricKind | Absent:
         """The metric of a kept value in the births of this session."""

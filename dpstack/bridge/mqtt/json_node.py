@@ -14,6 +14,8 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Final, NamedTuple
 
+from dpstack.bridge.homeassistant.discovery import MOST_ENTITIES, Discovery, Leave
+from dpstack.bridge.homeassistant.entities import Device, Entity, Gateway, Shown, entities
 from dpstack.bridge.mqtt.json_payload import condition_payload, read_order, result_payload, sent_time, values_payload
 from dpstack.bridge.mqtt.plant_node import (
     ConnectionNeeds,
@@ -24,6 +26,7 @@ from dpstack.bridge.mqtt.plant_node import (
     Phase,
     PlantNode,
     Publish,
+    Unsubscribe,
 )
 from dpstack.bridge.names import MQTT_NAME, unique_names
 from dpstack.plant.conditions import Condition
@@ -83,7 +86,10 @@ class JsonNode(PlantNode):
         #: conditions that have ended and are acknowledged: the tree has forgotten them
         self._ended: dict[str, Condition] = {}
         self._results: deque[bytes] = deque()
-        self._is_turn_of_results = False
+        self._is_turn_of_others = False
+        self._discovery: Discovery | None = None
+        if setup.discovery_prefix:
+            self._discovery = Discovery(setup.discovery_prefix, self._base, tell=self._tell, pause=options.pause)
         self._rename()
 
     # --- the connection -------------------------------------------------------------------------------------------
@@ -92,7 +98,10 @@ class JsonNode(PlantNode):
         self.disconnected()
         self.phase = Phase.CONNECTING
         will = Publish(self._online_topic, _SAID[False], qos=1, retain=True, session=number)
-        return ConnectionNeeds(self._setup.client_id, will, (f"{self._base}/slave/+/set/+",))
+        topics = (f"{self._base}/slave/+/set/+",)
+        if self._discovery is None:
+            return ConnectionNeeds(self._setup.client_id, will, topics)
+        return ConnectionNeeds(self._setup.client_id, will, (*topics, *self._discovery.subscriptions), MOST_ENTITIES)
 
     def connected(self) -> None:
         if self.phase is not Phase.CONNECTING:
@@ -102,6 +111,8 @@ class JsonNode(PlantNode):
             if key.part == _CONDITION and self._tree.conditions.get(key.id) is None:
                 self._forget(key)
         self._mark_all()
+        if self._discovery is not None:
+            self._discovery.connected()
 
     def disconnected(self) -> None:
         """The connection is gone, or was not made. The broker may keep what was sent; the next session corrects it."""
@@ -198,6 +209,8 @@ class JsonNode(PlantNode):
         for key in (*self._parts, *(_Key(slave, _ONLINE) for slave in slaves)):
             if key not in self._sent:
                 self._mark(key, urgent=True)
+        if self._discovery is not None and tree.plant is not None:
+            self._discovery.show(self._entities())
         for condition in tree.conditions:
             if (key := _Key(condition.slave, _CONDITION, condition.id)) not in self._sent:
                 self._mark(key)
@@ -214,6 +227,34 @@ class JsonNode(PlantNode):
                 self._tell(text)
             self._parts[key] = [(names.names[node.id], node) for node in inside]
             self._key_of |= dict.fromkeys((node.id for node in inside), key)
+
+    def _entities(self) -> Iterator[Entity]:
+        """The bus first: its slaves are connected through it."""
+        tree = self._tree
+        gateway = Gateway(self._base, f"PROFIBUS {self._setup.node}", self._expiry_s, bool(self._orders))
+        topics = {order: f"{self._base}/slave/{folder}/set/{name}" for (folder, name), order in self._orders.items()}
+        yield from entities(gateway, Device(None, "", {}, self._online_topic, self._shown(None, topics)))
+        for address, described in tree.slaves.items():
+            buttons = [
+                (order.operation, topics[order])
+                for order in described.orders
+                if order in topics and order.operation is not None and order.type is None
+            ]
+            online = f"{self._base}/{self._folders[address]}/{_ONLINE}"
+            shown = self._shown(address, topics)
+            yield from entities(gateway, Device(address, described.name, described.about, online, shown, buttons))
+
+    def _shown(self, slave: int | None, topics: Mapping[OfferedOrder, str]) -> list[Shown]:
+        """The nodes of the bus or of a slave in their topics. The order ``speed`` sets the set point of a drive."""
+        speeds = [topic for order, topic in topics.items() if order.slave == slave and order.operation == "speed"]
+        found = []
+        for key, members in self._parts.items():
+            for name, node in members if key.slave == slave else ():
+                topic = "" if node.order is None else topics.get(node.order, "")
+                if speeds and node.keys == ("drive", "setpoint"):
+                    topic = speeds[0]
+                found.append(Shown(node, f"{self._base}/{self._folders[slave]}/{key.part}", name, topic))
+        return found
 
     def _forget(self, key: _Key) -> None:
         """The broker shall forget a topic."""
@@ -235,7 +276,7 @@ class JsonNode(PlantNode):
 
     # --- messages out ---------------------------------------------------------------------------------------------
 
-    def next(self, wall: float, clock: float) -> Publish | Disconnect | None:
+    def next(self, wall: float, clock: float) -> Publish | Unsubscribe | Disconnect | None:
         if self.phase is Phase.LEAVING:
             return self._farewell(wall, clock)
         if self.phase is not Phase.ONLINE or self._tree.plant is None:
@@ -243,16 +284,14 @@ class JsonNode(PlantNode):
         if self._gone:
             return self._next_gone()
         # whoever gives orders at any rate gets every second message at most: values do not wait for them
-        self._is_turn_of_results = not self._is_turn_of_results
-        if self._results and self._is_turn_of_results:
-            return self._next_result()
+        self._is_turn_of_others = not self._is_turn_of_others
+        if self._is_turn_of_others and (other := self._next_other(clock)) is not None:
+            return other
         for key in self._due_keys(clock):
             self._waiting.pop(key, None)
             if (message := self._publish(key, wall, clock)) is not None:
                 return message
-        if self._results:
-            return self._next_result()
-        return self._next_gone() if self._gone else None
+        return self._next_gone() if self._gone else self._next_other(clock)
 
     def due(self, clock: float) -> float:
         if self.phase is Phase.LEAVING:
@@ -261,9 +300,10 @@ class JsonNode(PlantNode):
             return math.inf
         if self._gone or self._results:
             return clock
+        described = math.inf if self._discovery is None else self._discovery.due(clock)
         first = min((clock if urgent else self._due_at(key) for key, urgent in self._waiting.items()), default=math.inf)
         oldest = next(iter(self._sent.values()), None)
-        return first if oldest is None else min(first, oldest.at + self._expiry_s / 3)
+        return min(first, described, math.inf if oldest is None else oldest.at + self._expiry_s / 3)
 
     def _due_keys(self, clock: float) -> Iterator[_Key]:
         """Topics to send now: urgent ones, those that the broker is about to forget, as news take all its time, those
@@ -292,6 +332,15 @@ class JsonNode(PlantNode):
         topic = next(iter(self._gone))
         del self._gone[topic]
         return Publish(topic, b"", retain=True)
+
+    def _next_other(self, clock: float) -> Publish | Unsubscribe | None:
+        """A result, or a discovery message."""
+        if self._results:
+            return self._next_result()
+        step = None if self._discovery is None else self._discovery.next(clock)
+        if isinstance(step, Leave):
+            return Unsubscribe(step.topic)
+        return None if step is None else Publish(step.topic, step.payload, retain=True)
 
     def _next_result(self) -> Publish:
         return Publish(f"{self._base}/result", self._results.popleft())
@@ -347,6 +396,8 @@ class JsonNode(PlantNode):
     def receive(self, topic: str, payload: bytes, wall: float, *, retained: bool = False) -> Sequence[OrderWish]:
         """Take a message of the broker; nothing that it may hold raises. Returns an order for the run, whose result
         :meth:`answer` takes."""
+        if self._discovery is not None and self._discovery.receive(topic, payload, retained=retained):
+            return ()
         below = topic.removeprefix(f"{self._base}/slave/")
         levels = below.split("/")
         if self.phase is not Phase.ONLINE or below == topic or len(levels) != 3 or levels[1] != "set":

@@ -114,13 +114,16 @@ def birth(samples: Iterable[Sample], seq: int, now_ms: int) -> bytes:
     return payload.SerializeToString()
 
 
-def data(samples: Iterable[Sample], seq: int, now_ms: int) -> bytes:
-    """The payload of NDATA or DDATA: aliases and values; names of the metrics that have no alias."""
+def data(samples: Iterable[Sample], seq: int, now_ms: int, *, has_types: bool = False) -> bytes:
+    """The payload of NDATA or DDATA: aliases and values; names of the metrics that have no alias; with ``has_types``
+    the type of each (6.4.6: it may be there)."""
     payload = pb.Payload(timestamp=now_ms, seq=seq)
     for sample in _in_order(samples):
         metric = _add(payload, sample)
         if sample.kind.alias is None:
             metric.name = sample.kind.name
+        if has_types:
+            metric.datatype = sample.kind.type
         if sample.historical:
             metric.is_historical = True
         if sample.with_quality or sample.reading.has_remark:

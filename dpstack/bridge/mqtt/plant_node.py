@@ -21,7 +21,7 @@ from enum import Enum, auto
 from typing import ClassVar, Final, NamedTuple
 
 from dpstack.bridge.mqtt.history import History
-from dpstack.bridge.names import SPARKPLUG_ID, NameRule, unique_names
+from dpstack.bridge.names import MQTT_NAME, SPARKPLUG_ID, NameRule, unique_names
 from dpstack.errors import ConfigError
 from dpstack.plant.nodes import OfferedOrder
 from dpstack.plant.quality import Value
@@ -50,13 +50,20 @@ class Disconnect(NamedTuple):
     why: str
 
 
+class Unsubscribe(NamedTuple):
+    """Leave a subscription of :class:`ConnectionNeeds`."""
+
+    topic: str
+
+
 class ConnectionNeeds(NamedTuple):
     """The needs of a connection. Clean Start is set, and the Session Expiry Interval is 0. ``subscriptions``: topics,
-    each with QoS 1."""
+    each with QoS 1; ``most_kept``: messages that the broker may have kept for them."""
 
     client_id: str
     will: Publish
     subscriptions: tuple[str, ...]
+    most_kept: int = 0
 
 
 class OrderWish(NamedTuple):
@@ -72,7 +79,8 @@ class OrderWish(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class NodeSetup:
     """A plant on a broker as it is configured. ``primary_host``: births wait for it; empty: none. ``interval_s``:
-    the values of a slave are published no more often.
+    the values of a slave are published no more often. ``has_types``: data of Sparkplug have the types of the births.
+    ``discovery_prefix``: of the discovery messages of Home Assistant; empty: none are sent.
 
     Raises ConfigError for a name that Sparkplug does not permit.
     """
@@ -81,6 +89,8 @@ class NodeSetup:
     node: str
     primary_host: str = ""
     interval_s: float = 1.0
+    has_types: bool = False
+    discovery_prefix: str = ""
 
     def __post_init__(self) -> None:
         for key in ("group", "node", "primary_host"):
@@ -90,6 +100,12 @@ class NodeSetup:
                 raise ConfigError(
                     f"{key} {shortened(printable(name))!r}: MQTT does not permit this name; take {valid!r}"
                 )
+        prefix = self.discovery_prefix
+        valid = "/".join(MQTT_NAME.valid(level) for level in prefix.split("/")) if prefix else ""
+        if prefix != valid:
+            raise ConfigError(
+                f"discovery_prefix {shortened(printable(prefix))!r}: MQTT does not permit this topic; take {valid!r}"
+            )
 
     @property
     def client_id(self) -> str:
@@ -180,8 +196,8 @@ class PlantNode(ABC):
         """Take changes of the tree."""
 
     @abstractmethod
-    def next(self, wall: float, clock: float) -> Publish | Disconnect | None:
-        """The next message, or the end of the connection; None: nothing is to be sent now."""
+    def next(self, wall: float, clock: float) -> Publish | Unsubscribe | Disconnect | None:
+        """The next message, subscription to leave, or the end of the connection; None: nothing is to be sent now."""
 
     @abstractmethod
     def due(self, clock: float) -> float:
