@@ -4,7 +4,6 @@ orders to a run that the test is."""
 from __future__ import annotations
 
 import asyncio
-import copy
 import json
 import math
 import time
@@ -20,118 +19,22 @@ from fake_broker import FakeBroker, publish
 from far_ends import until
 from hypothesis import given
 from hypothesis import strategies as st
-from plant_items import HOIST, PLANT, VALVES
+from plant_items import HOIST, VALVES
 from property_kit import examples
 
 from dpstack.bridge.mqtt import sparkplug_pb2 as pb
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.connection import Inbox
-from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.json_payload import read_order
-from dpstack.bridge.mqtt.plant_node import Disconnect, NodeOptions, NodeSetup, OrderWish, Publish
+from dpstack.bridge.mqtt.plant_node import OrderWish, Publish
 from dpstack.bridge.orders import Orders
 from dpstack.plant.orders import DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.quality import Value
 from dpstack.plant.tree import ClockSet, PlantTree
 from tests.bridge_mqtt.connector_kit import connector_at, published, serving
+from tests.bridge_mqtt.json_rig import BASE, Rig
 
-BASE = f"dpstack/{GROUP}/{NODE}"
-ALLOWED = ("valves.lamp", "valves.speed", "hoist.start", "hoist.speed")
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "mqtt-json.md"
-
-
-class Rig:
-    """A node, and a broker that keeps retained messages until they expire. Time passes in :meth:`wait` only."""
-
-    def __init__(self, *, interval_s: float = 1.0) -> None:
-        self.clock, self.started = 1000.0, 1_700_000_000.0
-        self.told: list[str] = []
-        #: name, reason and time of each order that the node refused
-        self.refused: list[tuple[str, str, str]] = []
-        self.plant: dict[str, Any] = copy.deepcopy(PLANT)
-        self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
-        self.tree = PlantTree()
-        self.node = JsonNode(
-            NodeSetup(GROUP, NODE, "", interval_s),
-            self.tree,
-            NodeOptions(
-                allowed=lambda: ALLOWED, tell=self.told.append, refused=lambda *order: self.refused.append(order)
-            ),
-        )
-        #: payload and time of expiry by topic
-        self.kept: dict[str, tuple[bytes, float]] = {}
-        self.sent: list[Publish] = []
-        self.will: Publish | None = None
-        self.give_plant()
-
-    @property
-    def wall(self) -> float:
-        return self.started + self.clock - 1000.0
-
-    def give_plant(self) -> None:
-        self.node.take(self.tree.apply({"plant": copy.deepcopy(self.plant)}, self.clock), self.wall, 0.0)
-        self.give_values()
-
-    def give_values(self) -> None:
-        slaves = {one: copy.deepcopy(self.values[one]) for one in self.plant["slaves"]}
-        bus = {"stale": False, "mode": "operate"}
-        body = {"t": self.clock - 1000.0, "whole": True, "bus": bus, "slaves": slaves}
-        self.node.take(self.tree.apply({"snapshot": body}, self.clock), self.wall, 0.0)
-
-    def connect(self) -> None:
-        self.will = self.node.connect(1, self.wall).will
-        self.node.connected()
-        self.pump()
-
-    def die(self) -> None:
-        """SIGKILL: the broker publishes the will."""
-        assert self.will is not None
-        self.keep(self.will)
-        self.node.disconnected()
-
-    def keep(self, message: Publish) -> None:
-        assert message.retain == (message.topic != f"{BASE}/result")
-        if message.retain and message.payload:
-            self.kept[message.topic] = message.payload, self.clock + (message.expiry_s or math.inf)
-        elif message.retain:
-            self.kept.pop(message.topic, None)
-
-    def pump(self) -> list[Publish]:
-        found: list[Publish] = []
-        while (message := self.node.next(self.wall, self.clock)) is not None:
-            if isinstance(message, Disconnect):
-                self.die()
-                break
-            assert message.topic.split("/", 3)[:3] == BASE.split("/")
-            self.keep(message)
-            found.append(message)
-            assert len(found) < 1000
-        else:
-            assert self.node.due(self.clock) > self.clock
-        self.sent += found
-        return found
-
-    def wait(self, seconds: float, *, stream: bool = True) -> None:
-        for _ in range(math.ceil(seconds)):
-            self.clock += min(seconds, 1.0)
-            if stream:
-                self.give_values()
-            else:
-                self.node.take(self.tree.tick(self.clock), self.wall, 0.0)
-            if stream:
-                self.pump()
-        self.kept = {topic: one for topic, one in self.kept.items() if one[1] > self.clock}
-
-    def seen(self, topic: str) -> Any:
-        return json.loads(self.kept[f"{BASE}/{topic}"][0])
-
-    def order(self, topic: str, payload: object, *, retained: bool = False) -> list[OrderWish]:
-        octets = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-        return list(self.node.receive(f"{BASE}/slave/{topic}", octets, self.wall, retained=retained))
-
-    def result(self) -> Any:
-        self.wait(1.0)
-        return json.loads([one for one in self.sent if one.topic == f"{BASE}/result"][-1].payload)
 
 
 @pytest.fixture

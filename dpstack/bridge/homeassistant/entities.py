@@ -87,10 +87,10 @@ def entities(gateway: Gateway, device: Device) -> Iterator[Entity]:
 
     yield entity("binary_sensor", f"{own}/online", partial(_online, gateway, device))
     shown = [one for one in device.shown if one.node.kind is not Kind.STATISTIC]
-    names = Counter(_name(one.node) for one in shown)
+    names = Counter(_name(one.node).casefold() for one in shown)
     for one in shown:
         name = _name(one.node)
-        if names[name] > 1:
+        if names[name.casefold()] > 1 and len(one.node.path) > 1:
             name = f"{name} ({one.node.path[0].lower()})"
         component = _component(one)
         yield entity(component, one.node.id, partial(_value, gateway, one, component, name))

@@ -1,7 +1,7 @@
 """Templates of Jinja by which Home Assistant reads values of plain JSON and writes orders.
 
-A name in a template is a literal in which every character that is no ASCII letter or digit is an escape: so no name can
-end the literal, or begin a statement.
+A name in a template is a literal in which every character is an escape but ASCII letters and digits, space, ``_`` and
+``-``: so no name can end the literal, or begin a statement.
 """
 
 from __future__ import annotations
@@ -63,5 +63,5 @@ def percent(name: str) -> str:
 
 
 def text(name: str) -> str:
-    """Home Assistant takes no state of more than 255 characters."""
-    return _member(name) + "{{ (v.get('value') | string)[:255] }}"
+    """Home Assistant takes no state of more than 255 characters, and shows an empty one as nothing at all."""
+    return _member(name) + "{{ (v.get('value') | string)[:255] or 'none' }}"
