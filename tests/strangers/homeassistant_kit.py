@@ -12,7 +12,6 @@ import subprocess
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -103,7 +102,7 @@ class House:
 
     def __init__(self, folder: Path, broker_port: int) -> None:
         self._folder = folder
-        self._command, self._environment = install(folder)
+        self.python, self.environment = install(folder)
         self._port = free_port()
         self._token = self._refresh = ""
         self.log = folder / "homeassistant.log"
@@ -138,10 +137,10 @@ class House:
     def start(self) -> None:
         with self.log.open("ab") as log:
             self._program = subprocess.Popen(
-                [*self._command, "-m", "homeassistant", "-c", self._folder / "config", "--skip-pip"],
+                [*self.python, "-m", "homeassistant", "-c", self._folder / "config", "--skip-pip"],
                 stdout=log,
                 stderr=log,
-                env=self._environment,
+                env=self.environment,
             )
         eventually(self._answers, "Home Assistant answers", _START_S)
 
@@ -154,9 +153,8 @@ class House:
             return False
         return True
 
-    def restart(self) -> None:
-        """An ordered end, and another start: it forgets the entities, and knows their settings."""
-        self.end()
+    def start_again(self) -> None:
+        """It has forgotten the entities, and knows their settings."""
         self.start()
         self._log_in()
 
@@ -203,7 +201,3 @@ class House:
         """Lines of its log about MQTT."""
         lines = self.log.read_text(errors="replace").splitlines()
         return [line for line in lines if "mqtt" in line.lower() or "template" in line.lower()]
-
-
-def without(mapping: Mapping[str, Any], *keys: str) -> dict[str, Any]:
-    return {key: value for key, value in mapping.items() if key not in keys}

@@ -23,7 +23,8 @@ from sparkplug_host import Host
 from dpstack.bridge.connector import Tell
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.client import MqttConnector
-from dpstack.bridge.mqtt.plant_node import NodeSetup
+from dpstack.bridge.mqtt.edge_node import EdgeNode
+from dpstack.bridge.mqtt.plant_node import NodeSetup, PlantNode
 from dpstack.bridge.orders import Orders
 from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.plant.tree import PlantTree
@@ -127,7 +128,15 @@ class Plant:
     """A tree with two slaves, fed by the test, and a connector on it."""
 
     def __init__(
-        self, folder: Path, broker: Broker, *, primary_host: str = "", orders: bool = True, store_mb: int = 0
+        self,
+        folder: Path,
+        broker: Broker,
+        *,
+        primary_host: str = "",
+        orders: bool = True,
+        store_mb: int = 0,
+        setup: NodeSetup | None = None,
+        make_node: type[PlantNode] = EdgeNode,
     ) -> None:
         self.told: list[str] = []
         self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
@@ -139,7 +148,8 @@ class Plant:
             self.tree,
             tell,
             broker=broker,
-            setup=NodeSetup(GROUP, NODE, primary_host, interval_s=0.05),
+            setup=setup or NodeSetup(GROUP, NODE, primary_host, interval_s=0.05),
+            make_node=make_node,
             folder=folder / "state",
             orders=Orders(self.tree, self.carry_out, ["valves.lamp", "valves.speed"]) if orders else None,
             store_mb=store_mb,
