@@ -62,6 +62,7 @@ def test_a_table_with_all_keys(tmp_path: Path) -> None:
         ('group = "plant"', "plant:12: [mqtt]: no url; add the key url"),
         (LEAST + 'nod = "x"', "plant:15: [mqtt]: unknown key 'nod'; did you mean 'node'?"),
         (LEAST + 'password = "abc"', "plant:15: [mqtt]: unknown key 'password'; did you mean 'password_env'?"),
+        (LEAST + 'discovery = "hass"', "plant:15: [mqtt]: unknown discovery 'hass'; it must be"),
         (LEAST + "interval_ms = 1", "plant:15: [mqtt]: interval_ms = 1 is outside 10..3600000"),
         (
             LEAST + 'allow_commands = "valves.lamp"',
@@ -95,6 +96,18 @@ def test_errors_of_reading_name_the_line(text: str, error: str) -> None:
         (
             LEAST + 'format = "json"\nprimary_host = "scada"',
             "plant:16: [mqtt]: primary_host: plain JSON knows none; take it out, or write format",
+        ),
+        (
+            LEAST + 'format = "json"\ndatatypes = "always"',
+            'plant:16: [mqtt]: datatypes: plain JSON has none; take it out, or write format = "sparkplug"',
+        ),
+        (
+            LEAST + 'discovery = "homeassistant"',
+            'plant:15: [mqtt]: discovery = "homeassistant": Home Assistant does not read Sparkplug; write format',
+        ),
+        (
+            LEAST + 'format = "json"\ndiscovery = "homeassistant"\ndiscovery_prefix = "a/#"',
+            "plant:17: [mqtt]: discovery_prefix 'a/#': MQTT does not permit this topic; take 'a/_'",
         ),
         (LEAST + 'cert = "c.pem"', "plant:12: [mqtt]: ca, cert and key need TLS; write mqtts:// in url"),
         (LEAST.replace("mqtt:", "mqtts:") + 'cert = "c"', "plant:15: [mqtt]: cert and key go together; give both"),

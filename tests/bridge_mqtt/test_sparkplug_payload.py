@@ -130,6 +130,16 @@ def test_data_say_the_quality_where_it_is_not_good_or_has_become_good(
     assert (found.name, found.datatype) == (None, None)
 
 
+def test_data_have_the_type_if_the_configuration_says_so() -> None:
+    kind = MetricKind("Inputs/level", 7, DataType.INT16)
+    sample = Sample(kind, Reading(-2, Reason.GOOD), NOW)
+    plain = "08fbd095ffbc31120f100718fbd095ffbc3150feffffff0f1801"
+    assert data([sample], 1, NOW).hex() == plain
+    typed = data([sample], 1, NOW, has_types=True).hex()
+    # field 4, the type: 2 is Int16
+    assert typed == plain.replace("120f", "1211").replace("50feff", "200250feff")
+
+
 def test_historical_values_say_so_and_all_are_in_the_order_of_time() -> None:
     samples = [
         Sample(kind(DataType.INT32), Reading(2, Reason.GOOD), NOW),

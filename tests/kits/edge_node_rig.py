@@ -43,15 +43,16 @@ class Rig:
         may: Callable[[str], bool] = all_orders,
         interval_s: float = 1.0,
         pause: Callable[[], float] = no_pause,
+        has_types: bool = False,
     ) -> None:
         self.folder = folder
-        self.setup = NodeSetup(GROUP, NODE, primary_host, interval_s)
+        self.setup = NodeSetup(GROUP, NODE, primary_host, interval_s, has_types=has_types)
         self.may = may
         self.pause = pause
         self.clock, self.offset = 1000.0, 1_700_000_000.0 - 1000.0
         self.stream_offset = self.offset
         self.stream = 0.0
-        self.host = Host(GROUP, NODE)
+        self.host = Host(GROUP, NODE, has_types=has_types)
         self.told: list[str] = []
         #: name, reason and time of each order that the node refused
         self.refused: list[tuple[str, str, str]] = []

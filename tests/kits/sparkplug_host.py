@@ -207,7 +207,8 @@ class Host:
     ``messages``: kind, device and payload of everything that came.
     """
 
-    def __init__(self, group: str, node: str) -> None:
+    def __init__(self, group: str, node: str, *, has_types: bool = False) -> None:
+        self.has_types = has_types
         self.group, self.id = group, node
         self.online = False
         self.number: int | None = None
@@ -333,9 +334,9 @@ class Host:
         assert payload.metrics
         for metric in payload.metrics:
             assert metric.name is None  # tck-id-payloads-alias-data-cmd-requirement
-            assert metric.datatype is None
             assert metric.alias is not None
             known = metrics[metric.alias]
+            assert metric.datatype == (known.datatype if self.has_types else None)
             value = metric.value(known.datatype)
             quality = _quality(metric)
             if metric.historical:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -16,8 +17,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from far_ends import eventually, free_port
-
-from tests.strangers.stranger_kit import environment
 
 #: the newest on 2026-11-28
 VERSION: Final = "2026.11.0"
@@ -91,7 +90,9 @@ def install(folder: Path) -> tuple[list[str | Path], dict[str, str]]:
     python = _unpack_python(folder)
     version = _run(*python, "-c", "import platform; print(platform.python_version())").strip()
     assert tuple(map(int, version.split("."))) >= tuple(map(int, _LEAST.split("."))), version
-    uv = environment(folder / "uv", _UV).parent / "uv"
+    alone = ("--quiet", "--disable-pip-version-check", "--no-deps", "--target", folder / "uv")
+    _run(sys.executable, "-m", "pip", "install", *alone, _UV)
+    uv = folder / "uv" / "bin" / "uv"
     words = ["--python-version", version, "--python-platform", "x86_64-manylinux_2_40", "--quiet"]
     _run(uv, "pip", "install", *words, "--target", folder / "site", f"homeassistant=={VERSION}", *_MORE, seconds=300)
     return python, os.environ | {"PYTHONPATH": str(folder / "site"), "PYTHONDONTWRITEBYTECODE": "1"}

@@ -81,11 +81,14 @@ const typed = (octets) => {
     return Payload.encode(payload).finish();
 };
 const plain = (key, value) => value && value.constructor && value.constructor.name === "Long" ? "" + value : value;
+const asIs = process.argv.includes("as-is");
 for (const line of require("fs").readFileSync(0, "utf8").trim().split("\\n")) {
     if (line.startsWith("{")) {
         console.log(Buffer.from(spb.encodePayload(JSON.parse(line))).toString("hex"));
     } else {
-        console.log(JSON.stringify(spb.decodePayload(typed(Buffer.from(line, "hex"))), plain));
+        const octets = Buffer.from(line, "hex");
+        const decoded = spb.decodePayload(asIs ? octets : typed(octets));
+        console.log(JSON.stringify(decoded, asIs ? undefined : plain));
     }
 }
 """
@@ -119,13 +122,15 @@ def asked(python: Path, program: str, lines: list[str]) -> list[str]:
     return told([python, "-I", "-c", program], lines)
 
 
-def asked_npm(folder: Path, lines: list[str]) -> list[Any]:
-    return [json.loads(line) for line in told(["node", "-e", PAYLOAD], lines, folder)]
+def asked_npm(folder: Path, lines: list[str], *, as_is: bool = False) -> list[Any]:
+    """``as_is``: as a program that hands each payload to the decoder, and shows what it returns."""
+    words = ["as-is"] if as_is else []
+    return [json.loads(line) for line in told(["node", "-e", PAYLOAD, *words], lines, folder)]
 
 
-def session(folder: Path, count: int) -> list[tuple[str, str, bytes]]:
+def session(folder: Path, count: int, *, has_types: bool = False) -> list[tuple[str, str, bytes]]:
     """Kind as pysparkplug names it, device and payload of the messages of a session: births, data, deaths."""
-    rig = Rig(folder)
+    rig = Rig(folder, has_types=has_types)
     rig.values["8"]["fields"]["count"] = count
     rig.give_plant()
     rig.join()
@@ -186,6 +191,39 @@ def test_npm_reads_a_session(npm: Path, tmp_path: Path) -> None:
     assert data[int(names["Inputs/limit"]["alias"])]["properties"]["Quality"]["value"] == 500
     (number,) = found[5]["metrics"]
     assert (number["name"], int(number["value"])) == ("bdSeq", 0)
+
+
+@pytest.mark.parametrize("has_types", [False, True])
+def test_npm_alone_reads_data_by_the_types_in_them(npm: Path, tmp_path: Path, has_types: bool) -> None:
+    """docs/reference/sparkplug.md, readers of others: without the key ``datatypes`` each value of data is null."""
+    messages = session(tmp_path, -3, has_types=has_types)
+    found = asked_npm(npm, [payload.hex() for *_, payload in messages], as_is=True)
+    aliases = {one["alias"]["low"]: one["name"] for one in found[2]["metrics"] if one.get("alias")}
+    data = {aliases[one["alias"]["low"]]: one["value"] for one in found[3]["metrics"]}
+    assert (data["Inputs/count"], data["Inputs/level"]) == ((-3, 12.5) if has_types else (None, None))
+    # a whole number of 64 bits is an object
+    exchanges = next(one for one in found[2]["metrics"] if one["name"] == "Statistics/exchanges")
+    assert (exchanges["type"], exchanges["value"]) == ("UInt64", {"low": 5, "high": 0, "unsigned": True})
+
+
+def test_pysparkplug_has_no_quality_and_the_wrapper_writes_state_below_a_group(
+    pysparkplug: Path, wrapper: Path
+) -> None:
+    """The rest of docs/reference/sparkplug.md, readers of others."""
+    fields = "import dataclasses, pysparkplug as s; print([one.name for one in dataclasses.fields(s.Metric)])"
+    (line,) = asked(pysparkplug, fields, [])
+    assert "value" in line
+    assert not any(word in line for word in ("propert", "quality"))
+    states = """
+from unittest import mock
+from mqtt_spb_wrapper import MqttSpbEntityScada
+host = MqttSpbEntityScada("hall 3", "scada")
+host._mqtt = mock.Mock()
+host.publish_birth()
+print(host._mqtt.publish.call_args)
+"""
+    (line,) = asked(wrapper, states, [])
+    assert "spBv1.0/hall 3/STATE/scada" in line
 
 
 def values_of_every_type() -> list[tuple[str, str, bytes]]:
