@@ -47,17 +47,16 @@ logger:
 def _run(*words: str | Path, seconds: float = _APT_S, **more: Any) -> str:
     done = subprocess.run(words, check=False, capture_output=True, text=True, timeout=seconds, **more)
     assert done.returncode == 0, f"{words[0]} ended with {done.returncode}: {done.stderr[-2000:]}"
-    return done.stdout
+    return str(done.stdout)
 
 
 def _mirror() -> str:
     """The mirror of Debian that this computer uses."""
     lines = _run("apt-get", "indextargets", "--format", "$(REPO_URI) $(ORIGIN) $(CODENAME)", "Created-By: Packages")
-    found = [
-        line.split()[0] for line in lines.splitlines() if line.split()[1:2] == ["Debian"] and "-" not in line[-12:]
-    ]
-    assert found, "no repository of Debian is configured"
-    return found[0]
+    for uri, origin, suite in (line.rsplit(" ", 2) for line in lines.splitlines()):
+        if origin == "Debian" and "-" not in suite:  # neither -updates nor -security
+            return uri
+    raise AssertionError("no repository of Debian is configured")
 
 
 def _unpack_python(folder: Path) -> list[str | Path]:
