@@ -160,6 +160,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("plant",),
     ("record",),
     ("bridge",),
+    ("bridge/homeassistant",),
     ("bridge/mqtt", "bridge/metrics", "bridge/opcua"),
     ("dp/master",),
     ("dp/acyclic",),

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.bridge.homeassistant import discovery, templates
+from dpstack.bridge.homeassistant import discovery, words
 from dpstack.bridge.homeassistant.discovery import topic_level
 from dpstack.bridge.mqtt.plant_node import NodeSetup
 from dpstack.errors import ConfigError
@@ -232,7 +232,7 @@ HOSTILE = st.text(max_size=30) | st.text("'\"\\{}%#+/ ", max_size=30)
 @examples(60)
 @given(HOSTILE)
 def test_no_name_ends_the_literal_in_a_template(name: str) -> None:
-    made = templates.literal(name)
+    made = words.literal(name)
     assert re.fullmatch(r"'(?:[A-Za-z0-9 _-]|\\u[0-9a-f]{4}|\\U[0-9a-f]{8})*'", made)
     assert ast.literal_eval(made) == name  # Jinja has the same escapes
 

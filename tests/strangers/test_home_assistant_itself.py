@@ -22,7 +22,7 @@ import pytest
 from far_ends import eventually
 from plant_files import plant_file
 
-from dpstack.bridge.homeassistant.units import known_units
+from dpstack.bridge.homeassistant.words import known_units
 from dpstack.bridge.mqtt.broker import Broker
 from dpstack.bridge.mqtt.json_node import JsonNode
 from dpstack.bridge.mqtt.plant_node import NodeSetup

@@ -2,6 +2,5 @@
 
 - ``discovery``: The discovery messages that a broker keeps: those to send, those of earlier runs to take away
 - ``entities``: Configurations of entities: nodes of the tree as sensors, switches and numbers; orders to drives
-- ``templates``: Templates of Jinja for values and orders, with names of strangers as literals
-- ``units``: Units of Home Assistant with device class and state class
+- ``words``: Templates of Jinja for values and orders, with names of strangers as literals; units with their classes
 """

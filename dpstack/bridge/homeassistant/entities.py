@@ -12,8 +12,8 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 from dpstack.bridge.connector import product_version
-from dpstack.bridge.homeassistant import templates
-from dpstack.bridge.homeassistant.units import Unit, unit_of
+from dpstack.bridge.homeassistant import words
+from dpstack.bridge.homeassistant.words import Unit, unit_of
 from dpstack.plant.nodes import Kind, Node
 from dpstack.plant.orders import HALTS, Operation
 from dpstack.plant.quality import BOOL, BYTES, TEXT
@@ -79,7 +79,7 @@ class Entity(NamedTuple):
 
 
 def entities(gateway: Gateway, device: Device) -> Iterator[Entity]:
-    """The entities of a device. Statistics are none: they change all the time, and nobody at home needs them."""
+    """The entities of a device. Statistics have none: they change all the time, and nobody at home needs them."""
     own = "bus" if device.address is None else f"slave/{device.address}"
 
     def entity(component: str, id_: str, make: Callable[[], Config]) -> Entity:
@@ -138,8 +138,8 @@ def _online(gateway: Gateway, device: Device) -> Config:
     config = {
         "name": "Online",
         "state_topic": device.online_topic,
-        "payload_on": templates.TRUE,
-        "payload_off": templates.FALSE,
+        "payload_on": words.TRUE,
+        "payload_off": words.FALSE,
         "device_class": "connectivity",
         "entity_category": _DIAGNOSTIC,
     }
@@ -147,10 +147,10 @@ def _online(gateway: Gateway, device: Device) -> Config:
 
 
 def _availability(gateway: Gateway, shown: Shown | None = None) -> Config:
-    said = {"payload_available": templates.TRUE, "payload_not_available": templates.FALSE}
+    said = {"payload_available": words.TRUE, "payload_not_available": words.FALSE}
     found = [{"topic": f"{gateway.base}/online", **said}]
     if shown is not None:
-        found.append({"topic": shown.topic, "value_template": templates.quality(shown.member), **said})
+        found.append({"topic": shown.topic, "value_template": words.quality(shown.member), **said})
     return {"availability": found, "availability_mode": "all"}
 
 
@@ -160,7 +160,7 @@ def _value(gateway: Gateway, shown: Shown, component: str, name: str) -> Config:
         "name": name,
         "state_topic": shown.topic,
         "json_attributes_topic": shown.topic,
-        "json_attributes_template": templates.attributes(shown.member),
+        "json_attributes_template": words.attributes(shown.member),
         **_availability(gateway, shown),
     }
     if node.kind not in (Kind.VALUE, Kind.DRIVE):
@@ -170,7 +170,7 @@ def _value(gateway: Gateway, shown: Shown, component: str, name: str) -> Config:
     if node.type == BOOL:
         config |= _flag(shown)
     elif node.type in (TEXT, BYTES):
-        config["value_template"] = templates.text(shown.member)
+        config["value_template"] = words.text(shown.member)
     else:
         config |= _number(shown, component)
     return config
@@ -178,12 +178,12 @@ def _value(gateway: Gateway, shown: Shown, component: str, name: str) -> Config:
 
 def _flag(shown: Shown) -> Config:
     config: Config = {
-        "value_template": templates.flag(shown.member),
-        "payload_on": templates.TRUE,
-        "payload_off": templates.FALSE,
+        "value_template": words.flag(shown.member),
+        "payload_on": words.TRUE,
+        "payload_off": words.FALSE,
     }
     if shown.order_topic:
-        return config | _order(shown.order_topic, templates.COMMAND)
+        return config | _order(shown.order_topic, words.COMMAND)
     return config | ({"device_class": "running"} if shown.node.keys == ("drive", "running") else {})
 
 
@@ -193,7 +193,7 @@ def _number(shown: Shown, component: str) -> Config:
     percent = node.kind is Kind.DRIVE and not node.unit
     unit = Unit("%") if percent else unit_of(node.unit)
     config: Config = {
-        "value_template": templates.percent(shown.member) if percent else templates.number(shown.member),
+        "value_template": words.percent(shown.member) if percent else words.number(shown.member),
     }
     if unit.unit:
         config["unit_of_measurement"] = unit.unit
@@ -204,7 +204,7 @@ def _number(shown: Shown, component: str) -> Config:
     return (
         config
         | _range(node, percent=percent)
-        | _order(shown.order_topic, templates.COMMAND_PERCENT if percent else templates.COMMAND)
+        | _order(shown.order_topic, words.COMMAND_PERCENT if percent else words.COMMAND)
     )
 
 
@@ -228,7 +228,7 @@ def _button(gateway: Gateway, device: Device, operation: Operation, topic: str) 
         "name": operation.replace("_", " ").capitalize(),
         "icon": _ICONS[operation],
         "command_topic": topic,
-        "command_template": templates.PRESS,
+        "command_template": words.PRESS,
         "retain": False,
         **_availability(gateway),
     }
@@ -236,8 +236,8 @@ def _button(gateway: Gateway, device: Device, operation: Operation, topic: str) 
         config["availability"].append(
             {
                 "topic": device.online_topic,
-                "payload_available": templates.TRUE,
-                "payload_not_available": templates.FALSE,
+                "payload_available": words.TRUE,
+                "payload_not_available": words.FALSE,
             }
         )
     return config
@@ -248,9 +248,9 @@ def _last_order(gateway: Gateway) -> Config:
     return {
         "name": "Last order",
         "state_topic": topic,
-        "value_template": templates.RESULT,
+        "value_template": words.RESULT,
         "json_attributes_topic": topic,
-        "json_attributes_template": templates.RESULT_ATTRIBUTES,
+        "json_attributes_template": words.RESULT_ATTRIBUTES,
         "entity_category": _DIAGNOSTIC,
         **_availability(gateway),
     }
