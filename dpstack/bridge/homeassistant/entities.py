@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 
-from dpstack.bridge.connector import product_version
 from dpstack.bridge.homeassistant import words
 from dpstack.bridge.homeassistant.words import Unit, unit_of
 from dpstack.plant.nodes import Kind, Node
@@ -27,6 +26,8 @@ _MOST: Final = 3.4028234e38
 _SMALLEST_STEP: Final = 0.001
 #: characters of a name: Home Assistant makes an id of 255 characters at most of those of device and entity
 _MOST_NAME: Final = 80
+#: all others are diagnostic: without statistics, and not in the middle of the page
+_PROCESS: Final = frozenset({Kind.VALUE, Kind.DRIVE})
 _DIAGNOSTIC: Final = "diagnostic"
 #: of a button: what it does, for the icon
 _ICONS: Final[Mapping[Operation, str]] = {
@@ -40,12 +41,14 @@ _ICONS: Final[Mapping[Operation, str]] = {
 
 class Gateway(NamedTuple):
     """Common to all entities of a gateway. ``base``: in front of all its topics, and its id; ``name``: of its device;
-    ``expiry_s``: s in which each of its topics is sent again; ``takes_orders``: some order is allowed."""
+    ``expiry_s``: s in which each of its topics is sent again; ``takes_orders``: some order is allowed; ``version``: of
+    dpstack."""
 
     base: str
     name: str
     expiry_s: int
     takes_orders: bool
+    version: str
 
 
 class Shown(NamedTuple):
@@ -129,7 +132,7 @@ def _with_device(gateway: Gateway, device: Device, id_: str, make: Callable[[], 
         "name": shortened(config["name"], _MOST_NAME),
         "unique_id": f"{gateway.base}/{id_}",
         "device": {key: value for key, value in about.items() if value},
-        "origin": {"name": "dpstack", "sw_version": product_version() or "unknown"},
+        "origin": {"name": "dpstack", "sw_version": gateway.version},
     }
 
 
@@ -146,12 +149,12 @@ def _online(gateway: Gateway, device: Device) -> Config:
     return config if device.address is None else config | _availability(gateway)
 
 
-def _availability(gateway: Gateway, shown: Shown | None = None) -> Config:
+def _availability(gateway: Gateway, *more: Config) -> Config:
+    """Available while each of these topics, and that of the gateway, says ``true``. No topic may stand twice: Home
+    Assistant looks at the last one only."""
     said = {"payload_available": words.TRUE, "payload_not_available": words.FALSE}
-    found = [{"topic": f"{gateway.base}/online", **said}]
-    if shown is not None:
-        found.append({"topic": shown.topic, "value_template": words.quality(shown.member), **said})
-    return {"availability": found, "availability_mode": "all"}
+    topics = ({"topic": f"{gateway.base}/online"}, *more)
+    return {"availability": [one | said for one in topics], "availability_mode": "all"}
 
 
 def _value(gateway: Gateway, shown: Shown, component: str, name: str) -> Config:
@@ -161,11 +164,11 @@ def _value(gateway: Gateway, shown: Shown, component: str, name: str) -> Config:
         "state_topic": shown.topic,
         "json_attributes_topic": shown.topic,
         "json_attributes_template": words.attributes(shown.member),
-        **_availability(gateway, shown),
+        **_availability(gateway, {"topic": shown.topic, "value_template": words.quality(shown.member)}),
     }
-    if node.kind not in (Kind.VALUE, Kind.DRIVE):
+    if node.kind not in _PROCESS:
         config["entity_category"] = _DIAGNOSTIC
-    if not shown.order_topic:
+    if component in ("sensor", "binary_sensor"):
         config["expire_after"] = gateway.expiry_s
     if node.type == BOOL:
         config |= _flag(shown)
@@ -200,7 +203,7 @@ def _number(shown: Shown, component: str) -> Config:
     if unit.device_class:
         config["device_class"] = unit.device_class
     if component == "sensor":
-        return config | {"state_class": unit.state_class}
+        return config | ({"state_class": unit.state_class} if node.kind in _PROCESS else {})
     return (
         config
         | _range(node, percent=percent)
@@ -224,23 +227,15 @@ def _order(topic: str, template: str) -> Config:
 
 def _button(gateway: Gateway, device: Device, operation: Operation, topic: str) -> Config:
     """A drive can be stopped whenever the gateway is there: the run keeps a halt for a drive that is away."""
-    config: Config = {
+    is_there = () if operation in HALTS else ({"topic": device.online_topic},)
+    return {
         "name": operation.replace("_", " ").capitalize(),
         "icon": _ICONS[operation],
         "command_topic": topic,
         "command_template": words.PRESS,
         "retain": False,
-        **_availability(gateway),
+        **_availability(gateway, *is_there),
     }
-    if operation not in HALTS:
-        config["availability"].append(
-            {
-                "topic": device.online_topic,
-                "payload_available": words.TRUE,
-                "payload_not_available": words.FALSE,
-            }
-        )
-    return config
 
 
 def _last_order(gateway: Gateway) -> Config:

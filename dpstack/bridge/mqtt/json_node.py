@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Final, NamedTuple
 
+from dpstack.bridge.connector import product_version
 from dpstack.bridge.homeassistant.discovery import MOST_ENTITIES, Discovery, Leave
 from dpstack.bridge.homeassistant.entities import Device, Entity, Gateway, Shown, entities
 from dpstack.bridge.mqtt.json_payload import condition_payload, read_order, result_payload, sent_time, values_payload
@@ -231,7 +232,8 @@ class JsonNode(PlantNode):
     def _entities(self) -> Iterator[Entity]:
         """The bus first: its slaves are connected through it."""
         tree = self._tree
-        gateway = Gateway(self._base, f"PROFIBUS {self._setup.node}", self._expiry_s, bool(self._orders))
+        name, version = f"PROFIBUS {self._setup.node}", product_version() or "unknown"
+        gateway = Gateway(self._base, name, self._expiry_s, bool(self._orders), version)
         topics = {order: f"{self._base}/slave/{folder}/set/{name}" for (folder, name), order in self._orders.items()}
         yield from entities(gateway, Device(None, "", {}, self._online_topic, self._shown(None, topics)))
         for address, described in tree.slaves.items():
