@@ -104,7 +104,7 @@ class House:
         self._folder = folder
         self.python, self.environment = install(folder)
         self._port = free_port()
-        self._token = self._refresh = ""
+        self._token = ""
         self.log = folder / "homeassistant.log"
         config = folder / "config"
         config.mkdir()
@@ -121,18 +121,13 @@ class House:
         user = {"client_id": _CLIENT, "name": "Owner", "username": "owner", "password": "house", "language": "en"}
         code = self.call("onboarding/users", user)["auth_code"]
         asked = urllib.parse.urlencode({"grant_type": "authorization_code", "code": code, "client_id": _CLIENT})
-        self._refresh = self._open("auth/token", asked.encode())["refresh_token"]
-        self._log_in()
+        self._token = self._open("auth/token", asked.encode())["access_token"]
         flow = self.call("config/config_entries/flow", {"handler": "mqtt"})
         # as the page sends it: nothing of the folded part was changed
         folded = {"set_client_cert": False, "set_ca_cert": "off"}
         settings = {"broker": "127.0.0.1", "port": broker_port, "other_settings": folded}
         made = self.call(f"config/config_entries/flow/{flow['flow_id']}", settings)
         assert made["type"] == "create_entry", made
-
-    def _log_in(self) -> None:
-        asked = {"grant_type": "refresh_token", "refresh_token": self._refresh, "client_id": _CLIENT}
-        self._token = self._open("auth/token", urllib.parse.urlencode(asked).encode())["access_token"]
 
     def start(self) -> None:
         with self.log.open("ab") as log:
@@ -153,10 +148,10 @@ class House:
             return False
         return True
 
-    def start_again(self) -> None:
-        """It has forgotten the entities, and knows their settings."""
-        self.start()
-        self._log_in()
+    def reload(self) -> None:
+        """MQTT ends and begins again: it has no entities, connects, and sends its birth message."""
+        (entry,) = self.call("config/config_entries/entry?domain=mqtt")
+        self.call(f"config/config_entries/entry/{entry['entry_id']}/reload", {})
 
     def end(self) -> None:
         assert self._program is not None
