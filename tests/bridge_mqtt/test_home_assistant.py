@@ -105,7 +105,7 @@ def test_orders_that_are_listed_have_the_time_and_are_not_retained() -> None:
     assert {one["retain"] for one in ordered.values()} == {False}
     lamp, setpoint = ordered["switch/slave__8__output__lamp"], ordered["number/slave__3__drive__setpoint"]
     assert (lamp["payload_on"], lamp["payload_off"], lamp["optimistic"]) == ("true", "false", False)
-    assert (setpoint["min"], setpoint["max"], setpoint["unit_of_measurement"]) == (-100, 100, "%")
+    assert (setpoint["min"], setpoint["max"], setpoint["unit_of_measurement"]) == (-1000, 1000, "%")
     # a drive that is away can be stopped, not started
     topics = {
         name: [one["topic"] for one in ordered[f"button/slave__3__order__{name}"]["availability"]]

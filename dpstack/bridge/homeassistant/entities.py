@@ -22,6 +22,7 @@ from dpstack.text import shortened
 Config = dict[str, Any]
 #: greatest number of four octets (IEEE 754): the range of a number that has none
 _MOST: Final = 3.4028234e38
+_MOST_PERCENT: Final = 1000
 #: the smallest step of a number that Home Assistant takes
 _SMALLEST_STEP: Final = 0.001
 #: characters of a name: Home Assistant makes an id of 255 characters at most of those of device and entity
@@ -212,9 +213,10 @@ def _number(shown: Shown, component: str) -> Config:
 
 
 def _range(node: Node, *, percent: bool) -> Config:
-    """Limits and step of a number. A whole number of the device has limits."""
+    """Limits and step of a number. A whole number of the device has limits. Home Assistant does not show a value outside
+    of them, but the one of before: so a set point has more room than drives have, which refuse what they cannot do."""
     if percent:
-        return {"min": -100, "max": 100, "step": 0.1, "mode": "box"}
+        return {"min": -_MOST_PERCENT, "max": _MOST_PERCENT, "step": 0.1, "mode": "box"}
     if node.low is None or node.high is None:
         return {"min": -_MOST, "max": _MOST, "step": _SMALLEST_STEP, "mode": "box"}
     return {"min": node.low, "max": node.high, "step": max(abs(node.scale), _SMALLEST_STEP), "mode": "box"}
