@@ -213,8 +213,9 @@ def _number(shown: Shown, component: str) -> Config:
 
 
 def _range(node: Node, *, percent: bool) -> Config:
-    """Limits and step of a number. A whole number of the device has limits. Home Assistant does not show a value outside
-    of them, but the one of before: so a set point has more room than drives have, which refuse what they cannot do."""
+    """Limits and step of a number. A whole number of the device has limits. Home Assistant does not show a value
+    outside of them, but the one of before: so a set point has more room than drives have, which refuse what they cannot
+    do."""
     if percent:
         return {"min": -_MOST_PERCENT, "max": _MOST_PERCENT, "step": 0.1, "mode": "box"}
     if node.low is None or node.high is None:
