@@ -161,7 +161,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("record",),
     ("bridge",),
     ("bridge/homeassistant",),
-    ("bridge/mqtt", "bridge/metrics", "bridge/opcua"),
+    ("bridge/mqtt", "bridge/metrics", "bridge/opcua", "bridge/epics"),
     ("dp/master",),
     ("dp/acyclic",),
     ("dp/plan",),

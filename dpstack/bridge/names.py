@@ -1,4 +1,4 @@
-"""Names of slaves and values as Sparkplug B, OPC UA and Prometheus permit them.
+"""Names of slaves and values as Sparkplug B, OPC UA, Prometheus and EPICS permit them.
 
 The rule is the same for all connectors: a character that the connector does not permit becomes ``_``, a name that is
 too long is cut, an empty one becomes ``_``. If two names would then be the same, the one with the lower key keeps
@@ -12,6 +12,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from string import ascii_letters, digits
 from typing import Final
 
 from dpstack.text import is_plain, printable
@@ -20,12 +21,15 @@ from dpstack.text import is_plain, printable
 @dataclass(frozen=True, slots=True)
 class NameRule:
     """The names of a connector. ``reserved``: characters that it does not permit, besides controls and surrogates;
-    ``most``: octets of UTF-8 at most. ``fold``: names that differ in case only are the same."""
+    ``only``: if given, it permits no others than these. ``most``: octets of UTF-8 at most. ``fold``: names that differ
+    in case only are the same. ``gap``: stands between a name and its key, if two would be the same."""
 
     connector: str
     reserved: str
     most: int
     fold: bool = False
+    only: str = ""
+    gap: str = " "
 
     def valid(self, text: str) -> str:
         """``text`` as a valid name."""
@@ -34,6 +38,8 @@ class NameRule:
         return _cut(made, self.most).rstrip() or "_"
 
     def permits(self, letter: str) -> bool:
+        if self.only:
+            return letter in self.only
         return is_plain(letter) and letter not in self.reserved and not _is_noncharacter(letter)
 
     def key(self, name: str) -> str:
@@ -51,6 +57,9 @@ MQTT_NAME: Final = NameRule("MQTT", "+/#", 120, fold=True)
 OPCUA_BROWSE: Final = NameRule("OPC UA", "/.<>:#!&", 200)
 #: the value of a label: every text in UTF-8
 PROMETHEUS_LABEL: Final = NameRule("Prometheus", "", 200)
+#: a part of the name of a record (EPICS Application Developer's Guide, "Database Definition"), but for ``:``, which
+#: separates the parts. A whole name that is too long is no name; it is not cut
+EPICS_PART: Final = NameRule("EPICS", "", 200, only=f"{ascii_letters}{digits}_-+[]<>;", gap="_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +80,9 @@ def unique_names(rule: NameRule, given: Iterable[tuple[str, str]]) -> Names:
         name = found = rule.valid(wanted)
         number = 1
         while rule.key(found) in taken:
-            tail = f" {rule.valid(key)}" if number == 1 else f" {rule.valid(key)} {number}"
-            tail = tail if len(tail.encode()) < rule.most // 2 else f" {number}"
+            own = f"{rule.gap}{rule.valid(key)}"
+            tail = own if number == 1 else f"{own}{rule.gap}{number}"
+            tail = tail if len(tail.encode()) < rule.most // 2 else f"{rule.gap}{number}"
             found = _cut(name, rule.most - len(tail.encode())) + tail
             number += 1
         taken.add(rule.key(found))

@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import Final
 
 from dpstack.plant.items import FieldPlant, Plant, SlavePlant
+from dpstack.plant.judge import STATES
 from dpstack.plant.orders import Argument, DriveOrder, Operation, SetOutputs
 from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, LIMITS, TEXT, TYPES, Value, base_type, clean, value_of
 
@@ -97,6 +98,8 @@ class Node:
     text: str = ""
     #: key of the value: of ``bus`` or of a slave in a snapshot, and further keys in it
     keys: tuple[str, ...] = ()
+    #: all values of a text that is a state; a newer version of the stream may have others
+    states: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +124,13 @@ SLAVE_COUNTERS: Final[Mapping[str, str]] = {
     "wrong": "answers of a kind that does not fit the request",
 }
 _ALARM_COUNTS: Final = ("raised", "acknowledged", "repeated", "refused", "too_many", "dropped", "not_enabled")
+#: states of a drive by their numbers, with those of dpstack.profile (tests compare them)
+DRIVE_STATES: Final = (
+    "offline", "unknown", "not_ready", "switch_on_inhibited", "ready_to_switch_on", "ready", "running", "stopping",
+    "quick_stop", "fault_reaction", "fault",
+)  # fmt: skip
+#: modes of a master
+MODES: Final = ("offline", "stop", "clear", "operate")
 #: quantities of a drive: name, type, unit, dead band, text
 _DRIVE: Final[Sequence[tuple[str, str, str, float, str]]] = (
     ("state", TEXT, "", 0, "state of the drive by the common names of dpstack"),
@@ -174,7 +184,10 @@ def bus_of(plant: Plant) -> Described:
 def _bus_nodes(*, fixed: bool) -> Iterator[Node]:
     def node(kind: Kind, path: tuple[str, ...], type_: str, *keys: str, unit: str = "", text: str = "") -> Node:
         id_, band = f"bus/{'/'.join(keys)}", 1 if unit else 0
-        return Node(id_, kind, Source.MASTER, path, type_, unit=unit, dead_band=band, text=text, keys=keys)
+        states = MODES if keys == ("mode",) else ()
+        return Node(
+            id_, kind, Source.MASTER, path, type_, unit=unit, dead_band=band, text=text, keys=keys, states=states
+        )
 
     yield node(Kind.BUS, ("Mode",), TEXT, "mode", text="offline, stop, clear or operate")
     yield node(Kind.BUS, ("In ring",), BOOL, "in_ring", text="the master is in the token ring")
@@ -227,9 +240,9 @@ def _name(given: object) -> str:
 
 def _own_nodes(own: str, address: int, *, read_only: bool, dpv1: bool) -> Iterator[Node]:
     def node(kind: Kind, path: tuple[str, ...], type_: str, *keys: str, unit: str = "", text: str = "") -> Node:
-        return Node(
-            f"{own}/{'/'.join(keys)}", kind, Source.MASTER, path, type_, address, unit=unit, text=text, keys=keys
-        )
+        states = tuple(STATES) if keys == ("state",) else ()
+        id_ = f"{own}/{'/'.join(keys)}"
+        return Node(id_, kind, Source.MASTER, path, type_, address, unit=unit, text=text, keys=keys, states=states)
 
     yield node(Kind.SLAVE, ("State",), TEXT, "state", text="state in which the master has the slave")
     yield node(Kind.SLAVE, ("Fault",), TEXT, "fault", text="why the slave is not in data exchange")
@@ -257,6 +270,7 @@ def _drive_nodes(own: str, address: int) -> Iterator[Node]:
             dead_band=band,
             text=text,
             keys=keys,
+            states=DRIVE_STATES if name == "state" else (),
         )
 
 

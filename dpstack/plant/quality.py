@@ -14,7 +14,7 @@ MOST_TEXT: Final = 1024
 #: the greatest number of four octets (IEEE 754); a connector could not encode a greater one
 _MOST_F32: Final = (2 - 2**-23) * 2.0**127
 #: octets of a value: more than a slave has
-_MOST_OCTETS: Final = 244
+MOST_OCTETS: Final = 244
 #: the value of a node; None without one
 Value = bool | int | float | str | bytes | None
 
@@ -229,8 +229,8 @@ def value_of(given: object, type_: str) -> Value:
 
 def _octets(given: object) -> bytes | None:
     if isinstance(given, bytes):
-        return given if len(given) <= _MOST_OCTETS else None
-    if not isinstance(given, str) or len(given) > 2 * _MOST_OCTETS:
+        return given if len(given) <= MOST_OCTETS else None
+    if not isinstance(given, str) or len(given) > 2 * MOST_OCTETS:
         return None
     try:
         return bytes.fromhex(given)

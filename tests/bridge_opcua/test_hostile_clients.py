@@ -21,6 +21,7 @@ from asyncua.ua import ua_binary
 from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
 from far_ends import until
 
+from dpstack.bridge import processor_share
 from dpstack.bridge.opcua import connection, decoding
 from dpstack.bridge.opcua import sessions as server
 from dpstack.bridge.opcua.decoding import READS, READS_BEFORE_SESSION, Octets, guard
@@ -268,9 +269,9 @@ async def test_requests_get_half_of_the_time_beyond_a_burst(monkeypatch: pytest.
         now[0] += seconds
         slept[0] += seconds
 
-    monkeypatch.setattr(server, "time", type("Time", (), {"monotonic": lambda: now[0]}))
-    monkeypatch.setattr(server, "asyncio", type("Asyncio", (), {"sleep": sleep}))
-    turns = server.ProcessorShare()
+    monkeypatch.setattr(processor_share, "time", type("Time", (), {"monotonic": lambda: now[0]}))
+    monkeypatch.setattr(processor_share, "asyncio", type("Asyncio", (), {"sleep": sleep}))
+    turns = processor_share.ProcessorShare()
     for _ in range(100):
         await turns.turn()
         now[0] += 0.01

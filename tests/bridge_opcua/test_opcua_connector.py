@@ -27,11 +27,12 @@ from dpstack.bridge.opcua.alarms import SERVER, Event, refresh
 from dpstack.bridge.opcua.certificate import utc_now
 from dpstack.bridge.opcua.connector import OpcUaConnector
 from dpstack.bridge.opcua.sessions import MOST_QUEUE
-from dpstack.bridge.opcua.space import DRIVE_STATES, Space
+from dpstack.bridge.opcua.space import Space
 from dpstack.bridge.opcua.subscriptions import Subscription
 from dpstack.bridge.orders import Orders
 from dpstack.errors import ConfigError, PortError
 from dpstack.plant.conditions import Condition, ConditionBook
+from dpstack.plant.nodes import DRIVE_STATES
 from dpstack.plant.orders import DriveOrder, SetOutputs
 from dpstack.profile.model.states import State
 from dpstack.trace import Severity

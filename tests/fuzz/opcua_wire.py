@@ -12,7 +12,8 @@ from asyncua.crypto.security_policies import SecurityPolicyNone
 from asyncua.ua.ua_binary import nodeid_to_binary, struct_to_binary
 
 from dpstack.bridge.opcua.connection import MOST_REQUEST, ClientConnection
-from dpstack.bridge.opcua.sessions import LimitedServer, ProcessorShare
+from dpstack.bridge.opcua.sessions import LimitedServer
+from dpstack.bridge.processor_share import ProcessorShare
 from tests.fuzz.memory_transport import MemoryTransport
 
 #: Part 6, 7.1.2.3: version, both buffers, no limit of messages and chunks; the text of an address

@@ -143,11 +143,33 @@ class OpcUaConfig(ConnectorConfig, frozen=True, kw_only=True):
     history_values: Annotated[int, Key(0, 1_000_000)] = 100_000
 
 
+class EpicsConfig(ConnectorConfig, frozen=True, kw_only=True):
+    """The keys of [epics], as docs/reference/configuration.md has them.
+
+    prefix: the begin of all [names](epics.md#names), as it is, for instance `"LAB:DP1:"`; no other program of the
+        network may have the same. Left out: it must be given
+    listen: address and port of Channel Access, TCP and UDP. Left out: `"127.0.0.1:5064"`, which this computer alone
+        reaches
+    allow_commands: the [orders](epics.md#orders) that anybody who reaches the port may give: `"valves.lamp"`,
+        `"hoist.start"`, `"hoist.*"`
+    command_max_age_s: an order that waits for its turn for longer is refused
+    beacons: the addresses (`"HOST"` or `"HOST:PORT"`) that get [beacons](epics.md#the-network); a server on this
+        computer alone sends them to this computer. Left out: no others
+    """
+
+    prefix: str
+    listen: Annotated[str, Key(read=read_listen)] = "127.0.0.1:5064"
+    allow_commands: Annotated[tuple[str, ...], Key(read=read_names)] = ()
+    command_max_age_s: Annotated[float, Key(0.1, 3600, "s")] = 2
+    beacons: Annotated[tuple[str, ...], Key(read=read_names)] = ()
+
+
 #: the class of each table by its name, which is that of its connector
 CONNECTORS: Final[dict[str, type[ConnectorConfig]]] = {
     "mqtt": MqttConfig,
     "metrics": MetricsConfig,
     "opcua": OpcUaConfig,
+    "epics": EpicsConfig,
 }
 
 

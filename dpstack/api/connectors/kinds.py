@@ -5,29 +5,31 @@ A connector is loaded only if a table asks for it. The steps of a further one st
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from platform import python_version
 from socket import gethostname
 from typing import Any, Final, NamedTuple
 
-from dpstack.api.config.connectors import MetricsConfig, MqttConfig, OpcUaConfig
+from dpstack.api.config.connectors import EpicsConfig, MetricsConfig, MqttConfig, OpcUaConfig
 from dpstack.bridge.connector import Connector, ConnectorState, Tell, product_version
 from dpstack.bridge.names import SPARKPLUG_ID
 from dpstack.bridge.orders import Orders
 from dpstack.errors import ConfigError
+from dpstack.plant.nodes import Described
 from dpstack.plant.tree import PlantTree
 
 
 class Parts(NamedTuple):
     """The parts of the gateway that a connector is made with. ``orders``: makes the gate of its orders, from its
     ``allow_commands`` and ``command_max_age_s``; raises ConfigError for a name that fits no order of the plant.
-    ``connectors``: the state of each connector; ``bus_pid``: the process id of the
-    bus process, None without one."""
+    ``slaves``: the slaves of the configuration, as the tree will have them, by address. ``connectors``: the state of
+    each connector; ``bus_pid``: the process id of the bus process, None without one."""
 
     tree: PlantTree
     tell: Tell
     orders: Callable[[Sequence[str], float], Orders]
+    slaves: Callable[[], Mapping[int, Described]]
     connectors: Callable[[], Sequence[ConnectorState]]
     bus_pid: Callable[[], int | None]
 
@@ -128,8 +130,29 @@ def _opcua(config: OpcUaConfig, parts: Parts) -> Connector:
     )
 
 
+def _epics(config: EpicsConfig, parts: Parts) -> Connector:
+    from dpstack.bridge.epics.connector import EpicsConnector  # these here, as most programs have no EPICS
+    from dpstack.bridge.epics.names import check_lengths, check_prefix, pvs_of
+    from dpstack.bridge.epics.server import beacon_address
+    from dpstack.plant.items import Plant
+    from dpstack.plant.nodes import bus_of
+    from dpstack.tcp_address import Listen
+
+    check_prefix(config.prefix)
+    check_lengths(pvs_of(config.prefix, bus_of(Plant(slaves={})).nodes, parts.slaves()))
+    return EpicsConnector(
+        parts.tree,
+        parts.tell,
+        Listen.parse(config.listen, "[epics] listen"),
+        config.prefix,
+        parts.orders(config.allow_commands, config.command_max_age_s),
+        beacons=[beacon_address(one) for one in config.beacons],
+    )
+
+
 KINDS: Final[dict[str, ConnectorKind]] = {
     "mqtt": ConnectorKind("dpstack.bridge.mqtt.client", ("aiomqtt", "google.protobuf"), _mqtt, 60),
     "metrics": ConnectorKind("dpstack.bridge.metrics.connector", ("prometheus_client",), _metrics, 20),
     "opcua": ConnectorKind("dpstack.bridge.opcua.connector", ("asyncua", "cryptography"), _opcua, 130),
+    "epics": ConnectorKind("dpstack.bridge.epics.connector", ("caproto",), _epics, 40),
 }

@@ -29,7 +29,7 @@ from dpstack.bridge.orders import Orders, check_allowed
 from dpstack.dp.master.commands import Alive
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.plant.items import Item, SlavePlant
-from dpstack.plant.nodes import slave_of
+from dpstack.plant.nodes import Described, slave_of
 from dpstack.plant.orders import DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.tree import PlantTree
 from dpstack.ports import posix
@@ -176,9 +176,8 @@ class Publishing:
         try:
             for name, kind in kinds.items():
                 tell = RemarkReporter(name, self._tell)
-                parts = Parts(
-                    self._tree, tell, partial(self._orders, name, tell), self._connector_states, self._bus_pid
-                )
+                orders = partial(self._orders, name, tell)
+                parts = Parts(self._tree, tell, orders, self._slaves, self._connector_states, self._bus_pid)
                 with self._blaming(name):
                     self._connectors.append(kind.make(self._tables[name], parts))
             for connector in self._connectors:
@@ -359,13 +358,12 @@ class Publishing:
 
     # --- orders ---------------------------------------------------------------------------------------------------
 
-    def _orders(self, name: str, tell: RemarkReporter, allow: Sequence[str], max_age_s: float) -> Orders:
-        bus = self._bus
-        plants = ((slave.address, convert(named_values(slave), SlavePlant)) for slave in bus.config.slaves)
-        check_allowed(
-            allow, (order.name for at, plant in plants for order in slave_of(at, plant, writable=True).orders)
-        )
+    def _slaves(self) -> dict[int, Described]:
+        plants = ((one.address, convert(named_values(one), SlavePlant)) for one in self._bus.config.slaves)
+        return {address: slave_of(address, plant, writable=True) for address, plant in plants}
 
+    def _orders(self, name: str, tell: RemarkReporter, allow: Sequence[str], max_age_s: float) -> Orders:
+        check_allowed(allow, (order.name for one in self._slaves().values() for order in one.orders))
         gate = Orders(
             self._tree,
             partial(self._carry_out, name),

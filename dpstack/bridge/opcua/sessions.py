@@ -10,7 +10,6 @@ import asyncio
 import hashlib
 import logging
 import secrets
-import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, Protocol
 
@@ -26,6 +25,7 @@ from dpstack.bridge.opcua.decoding import guard
 from dpstack.bridge.opcua.standard_nodes import add_standard_nodes
 from dpstack.bridge.opcua.subscriptions import Losses, WhereClause, bound, judged_filter
 from dpstack.bridge.opcua.users import Account, Users
+from dpstack.bridge.processor_share import ProcessorShare
 
 MOST_CONNECTIONS: Final = 32
 MOST_SESSIONS: Final = 16
@@ -50,10 +50,6 @@ _MOST_OCTETS: Final = 1 << 20
 #: nodes on the way of a path at a time; nodes of one request that are worked on until others have their turn
 _MOST_TARGETS: Final = 100
 _AT_ONCE: Final = 25
-#: s of processor that requests may take in a row; beyond that they get half of the time
-_IN_A_ROW: Final = 0.02
-#: s that one request counts at most: others run while it waits
-_LONGEST: Final = 0.1
 _S = ua.StatusCodes
 _BAD_ITEMS: Final = ua.StatusCode(_S.BadTooManyMonitoredItems)
 #: a part of a value, by an index range
@@ -68,36 +64,6 @@ class Services(Protocol):
     async def call(
         self, methods: Sequence[ua.CallMethodRequest], who: Account | None, session: LimitedSession
     ) -> list[ua.CallMethodResult]: ...
-
-
-class ProcessorShare:
-    """Requests get the processor for a short burst, beyond that half of the time: others have their turn."""
-
-    def __init__(self) -> None:
-        self._debt = 0.0
-        self._seen = 0.0
-
-    def spent(self, seconds: float) -> None:
-        # twice, as these seconds have passed themselves
-        self._debt = self._now() + 2 * min(seconds, _LONGEST)
-
-    def _now(self) -> float:
-        now = time.monotonic()
-        self._debt = max(0.0, self._debt - (now - self._seen))
-        self._seen = now
-        return self._debt
-
-    async def turn(self) -> None:
-        await asyncio.sleep(0)
-        while (debt := self._now()) > _IN_A_ROW:  # noqa: ASYNC110  time heals it
-            await asyncio.sleep(max(debt - _IN_A_ROW, 0.001))
-
-    async def pause(self, begun: float) -> float:
-        """Wait between two parts of a long work. ``begun``: when the last part began, by :func:`time.thread_time`;
-        returns when the next one does."""
-        self.spent(time.thread_time() - begun)
-        await self.turn()
-        return time.thread_time()
 
 
 class LimitedServer(InternalServer):

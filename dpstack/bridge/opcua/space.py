@@ -13,7 +13,7 @@ from asyncua.server.internal_server import InternalServer
 
 from dpstack.bridge.names import OPCUA_BROWSE, unique_names
 from dpstack.plant.items import DrivePlant, PlanPlant, Plant, SlavePlant
-from dpstack.plant.nodes import Described, Kind, Node, OfferedOrder, bus_of, slave_of
+from dpstack.plant.nodes import DRIVE_STATES, Described, Kind, Node, OfferedOrder, bus_of, slave_of
 from dpstack.plant.quality import BOOL, BYTES, TEXT, Reading
 
 NAMESPACE: Final = "urn:dpstack:plant"
@@ -24,11 +24,6 @@ VARIANTS: Final[Mapping[str, ua.VariantType]] = {
     "u8": _V.Byte, "u16": _V.UInt16, "u32": _V.UInt32, "u64": _V.UInt64,
     "i8": _V.SByte, "i16": _V.Int16, "i32": _V.Int32, "i64": _V.Int64,
 }  # fmt: skip
-#: states of a drive by their numbers, with those of dpstack.profile (tests compare them)
-DRIVE_STATES: Final = (
-    "offline", "unknown", "not_ready", "switch_on_inhibited", "ready_to_switch_on", "ready", "running", "stopping",
-    "quick_stop", "fault_reaction", "fault",
-)  # fmt: skip
 #: name of the method of each order of a drive
 METHODS: Final[Mapping[str, str]] = {
     "start": "Start", "stop": "Stop", "quick_stop": "QuickStop", "coast": "Coast", "acknowledge": "Acknowledge",
