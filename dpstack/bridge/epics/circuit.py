@@ -70,6 +70,14 @@ class _BrokenError(Exception):
     """The client does not keep to the protocol, or to a bound; its text says how."""
 
 
+def version_answer(request: Any) -> Any:
+    """The answer to a version. It has the number of the request, by which libca finds out how fast its searches are
+    answered; caproto answers each with the number 1."""
+    answer = ca.VersionResponse(_VERSION)
+    answer.header.data_type, answer.header.parameter1 = request.header.data_type, request.header.parameter1
+    return answer
+
+
 class Circuit:
     """``address``: of the client. ``port``: of this server. ``cut_off``: called with the reason if the client is cut
     off."""
@@ -171,12 +179,23 @@ class Circuit:
 
     async def _send_value(self, monitor: _Monitor) -> None:
         request = monitor.request
-        metadata, values = await monitor.variable.encoded(request.data_type)
-        values = values[: request.data_count] if request.data_count else values
+        metadata, values = await self._values(monitor.variable, request)
         count = request.data_count or monitor.variable.length(values)
         self._send(
             monitor.channel.subscribe(values, request.subscriptionid, request.data_type, count, 1, metadata=metadata)
         )
+
+    async def _values(self, variable: Variable, request: Any) -> tuple[Any, Any]:
+        """Metadata and as many values as ``request`` asks for, zeros behind those that there are; 0: those that there
+        are."""
+        count = request.data_count
+        if count > variable.count:
+            raise _BrokenError(f"it asked for {count} values of {variable.pv.name}, which has {variable.count}")
+        metadata, values = await variable.encoded(request.data_type)
+        if not count:
+            return metadata, values
+        missing = count - variable.length(values)
+        return metadata, [*values, *[0] * missing] if missing > 0 else values[:count]
 
     def _mark(self, number: int) -> None:
         self._news[number] = None
@@ -204,7 +223,7 @@ class Circuit:
             await self._share.pause(begun)
 
     async def _version(self, command: Any) -> Iterable[Any]:
-        return (ca.VersionResponse(_VERSION),)
+        return (version_answer(command),)
 
     async def _echo(self, command: Any) -> Iterable[Any]:
         return (ca.EchoResponse(),)
@@ -241,9 +260,7 @@ class Circuit:
         channel, variable = self._channel(command.sid)
         if puts := [task for task, put in self._puts.items() if put is variable]:
             await asyncio.wait(puts, timeout=PUT_S)  # `caput` reads right behind its put
-        metadata, values = await variable.encoded(command.data_type)
-        if command.data_count or self._core.protocol_version < 13:
-            values = values[: command.data_count]
+        metadata, values = await self._values(variable, command)
         is_notify = isinstance(command, ca.ReadNotifyRequest)
         count = variable.length(values)
         return (channel.read(values, command.ioid, command.data_type, count, 1, metadata=metadata, notify=is_notify),)
@@ -261,7 +278,7 @@ class Circuit:
         if len(self._monitors) >= MOST_CHANNELS:
             raise _BrokenError(f"it has more than {MOST_CHANNELS} monitors")
         channel, variable = self._channel(command.sid)
-        await variable.encoded(command.data_type)  # a type that it cannot have ends the connection here
+        await self._values(variable, command)  # a type or count that it cannot have ends the connection here
         number = command.subscriptionid
         monitor = self._monitors[number] = _Monitor(channel, variable, command)
         alarms_only = command.mask == ca.SubscriptionType.DBE_ALARM

@@ -135,6 +135,7 @@ class EpicsConnector(Connector):
             self._server.end()
         for one in self._sockets:
             one.close()
+        self._sockets.clear()
 
     # --- variables ------------------------------------------------------------------------------------------------
 
@@ -249,7 +250,8 @@ class EpicsConnector(Connector):
         if result.result != "done":
             status = ca.CAStatus.ECA_NOWTACCESS if result.kind is Refusal.NOT_ALLOWED else ca.CAStatus.ECA_PUTFAIL
             return Put(status, result.reason)
-        await self._settle(variable, before, given)
+        if not variable.pv.is_button:
+            await self._settle(variable, before, given)
         return None
 
     async def _give(self, name: str, value: Value, who: str, *, is_output: bool) -> OrderResult:

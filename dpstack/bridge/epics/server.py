@@ -18,7 +18,7 @@ from typing import Any, Final, cast
 
 import caproto as ca
 
-from dpstack.bridge.epics.circuit import Circuit, Plant
+from dpstack.bridge.epics.circuit import Circuit, Plant, version_answer
 from dpstack.bridge.epics.variables import Variable
 from dpstack.bridge.processor_share import ProcessorShare
 from dpstack.errors import ConfigError, PortError
@@ -63,7 +63,7 @@ class Server:
         self.port = int(sockets[0].getsockname()[1])
         self._plant = plant
         self._knows = knows
-        self._beacons = tuple(beacons)
+        self.beacons = tuple(beacons)
         self._cut_off = cut_off
         self._sockets = list(sockets)
         self._search_sockets: list[socket.socket] = []
@@ -97,7 +97,7 @@ class Server:
         for search in self._search_sockets:
             transport, _ = await loop.create_datagram_endpoint(lambda: _Searches(self), sock=search)
             self._searches.append(transport)
-        if self._beacons:
+        if self.beacons:
             self._beaconing = asyncio.create_task(self._send_beacons(), name="dpstack epics: beacons")
 
     async def flush(self) -> None:
@@ -132,7 +132,10 @@ class Server:
             for command in commands
             if isinstance(command, ca.SearchRequest) and self._knows(command.name)
         ]
-        return bytes(broadcaster.send(ca.VersionResponse(_VERSION), *found)) if found else b""
+        if not found:
+            return b""
+        versions = [version_answer(one) for one in commands if isinstance(one, ca.VersionRequest)]
+        return bytes(broadcaster.send(*versions[:1], *found))
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = writer.get_extra_info("peername")
@@ -154,6 +157,8 @@ class Server:
         self._of[address] += 1
         try:
             await circuit.run()
+        except asyncio.CancelledError:
+            return  # the end of the server: asyncio would report it as an error
         finally:
             del self._circuits[task]
             self._of -= Counter((address,))
@@ -165,7 +170,7 @@ class Server:
             out.setblocking(False)
             out.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             while True:
-                for host, port in self._beacons:
+                for host, port in self.beacons:
                     beacon = ca.Beacon(_VERSION, self.port, number, "0.0.0.0")
                     with contextlib.suppress(OSError):  # nobody listens, or the network is away
                         out.sendto(bytes(beacon), (host, port))
