@@ -15,6 +15,7 @@ import dpstack
 from dpstack.api.config.config import load_config, parse_config
 from dpstack.api.config.connectors import MqttConfig
 from dpstack.bridge.names import (
+    EPICS_PART,
     OPCUA_BROWSE,
     PROMETHEUS_LABEL,
     SPARKPLUG_ID,
@@ -60,6 +61,8 @@ def test_a_table_with_all_keys(tmp_path: Path) -> None:
     ("text", "error"),
     [
         ('group = "plant"', "plant:12: [mqtt]: no url; add the key url"),
+        (LEAST + "[epics]", "plant:15: [epics]: no prefix; add the key prefix"),
+        (LEAST + '[epics]\nprefix = "P:"\nlisten = "here"', "plant:17: [epics]: listen 'here' is not HOST:PORT"),
         (LEAST + 'nod = "x"', "plant:15: [mqtt]: unknown key 'nod'; did you mean 'node'?"),
         (LEAST + 'password = "abc"', "plant:15: [mqtt]: unknown key 'password'; did you mean 'password_env'?"),
         (LEAST + 'discovery = "hass"', "plant:15: [mqtt]: unknown discovery 'hass'; it must be"),
@@ -119,6 +122,22 @@ def test_errors_of_reading_name_the_line(text: str, error: str) -> None:
         (LEAST + "[opcua]", "plant:15: [opcua]: users_file: nobody may connect; give users_file, or anonymous"),
         (LEAST + '[opcua]\nusers_file = "none"', "plant:16: [opcua]: users_file none: there is no such file"),
         (LEAST + 'user = "anna"\npassword_env = "NO_SUCH"', "plant:16: [mqtt]: password_env: the environment has no"),
+        (
+            LEAST + '[epics]\nprefix = "LAB DP:"',
+            "plant:16: [epics]: prefix 'LAB DP:' is not the begin of an EPICS name;",
+        ),
+        (
+            LEAST + f'[epics]\nprefix = "{"P" * 38}:"',
+            f"plant:15: [epics]: {'P' * 38}:bus:stat:rotation_us:p50 has 63 characters, and an EPICS name at",
+        ),
+        (
+            LEAST + '[epics]\nprefix = "P:"\nbeacons = ["lab"]',
+            "plant:17: [epics]: beacons: 'lab' is not an address; write",
+        ),
+        (
+            LEAST + '[epics]\nprefix = "P:"\nallow_commands = ["valves.lmap"]',
+            "plant:17: [epics]: allow_commands: 'valves.lmap' fits no order",
+        ),
         (LEAST + 'allow_commands = ["valves.lmap"]', "plant:15: [mqtt]: allow_commands: 'valves.lmap' fits no order"),
     ],
 )
@@ -135,7 +154,7 @@ def test_errors_of_values_name_the_line_too(text: str, error: str) -> None:
     run()
 
 
-RULES = [OPCUA_BROWSE, PROMETHEUS_LABEL, SPARKPLUG_ID, SPARKPLUG_METRIC]
+RULES = [OPCUA_BROWSE, EPICS_PART, PROMETHEUS_LABEL, SPARKPLUG_ID, SPARKPLUG_METRIC]
 _texts = st.one_of(st.sampled_from(["Pump", "pump", "pump 2", "a/b", "a+b", "a_b", "", " "]), st.text(max_size=8))
 _given = st.dictionaries(st.sampled_from([str(address) for address in range(12)]), _texts)
 
@@ -151,6 +170,7 @@ def test_names_are_valid_different_and_independent_of_the_order(rule: NameRule, 
     for key, name in found.names.items():
         assert name == name.strip() != ""
         assert not set(name) & set(rule.reserved)
+        assert not rule.only or set(name) <= set(rule.only)
         assert len(name.encode()) <= rule.most
         assert "\0" not in name
         # the line has the key, by which a reader finds the slave
@@ -163,6 +183,7 @@ def test_rules_one_by_one() -> None:
     assert SPARKPLUG_ID.valid("e\u0301") == "\u00e9"
     assert SPARKPLUG_ID.valid("\u202e") == SPARKPLUG_ID.valid("") == "_"
     assert OPCUA_BROWSE.valid("1:level.raw") == "1_level_raw"
+    assert EPICS_PART.valid("Förder band:1.2") == "F_rder_band_1_2"
     assert len(SPARKPLUG_METRIC.valid("ä" * 500).encode()) == SPARKPLUG_METRIC.most
 
 

@@ -51,10 +51,14 @@ VALVES: Final[dict[str, Any]] = {
 HOIST: Final[dict[str, Any]] = {"name": "hoist", "drive": {"profile": "profidrive", "telegram": "PPO1"}}
 
 
+#: value, status, severity, time
+Timed = tuple[Any, ...]
+
+
 class Message(NamedTuple):
     command: int
     type: int
-    count: int
+    elements: int
     first: int
     second: int
     payload: bytes
@@ -63,7 +67,7 @@ class Message(NamedTuple):
 class Channel(NamedTuple):
     sid: int
     type: int
-    count: int
+    elements: int
     rights: int
 
 
@@ -102,7 +106,7 @@ class Client:
             return None
         rights = await self.answer(ACCESS)
         assert rights.first == made.first == self._number
-        return Channel(made.second, made.type, made.count, rights.second)
+        return Channel(made.second, made.type, made.elements, rights.second)
 
     async def found(self, name: str) -> Channel:
         made = await self.channel(name)
@@ -114,7 +118,7 @@ class Client:
         self.send(READ, type_=type_, count=0, first=channel.sid, second=7)
         return await self.answer(READ)
 
-    async def timed(self, name: str) -> tuple[Any, int, int, float]:
+    async def timed(self, name: str) -> Timed:
         """Value, status, severity, time of a variable."""
         channel = await self.found(name)
         self.send(READ, type_=TIME + channel.type, first=channel.sid, second=7)
@@ -131,7 +135,7 @@ class Client:
         payload = struct.pack(">fffHH", 0, 0, 0, mask, 0)
         self.send(EVENT_ADD, type_=TIME + channel.type, first=channel.sid, second=number, payload=payload)
 
-    async def update(self, type_: int) -> tuple[Any, int, int, float]:
+    async def update(self, type_: int) -> Timed:
         return timed(type_, await self.answer(EVENT_ADD))
 
 
@@ -141,7 +145,7 @@ def packed(type_: int, value: Any) -> bytes:
     return struct.pack(">" + {ENUM: "H", INT: "h", LONG: "i", DOUBLE: "d"}[type_], value)
 
 
-def timed(type_: int, message: Message) -> tuple[Any, int, int, float]:
+def timed(type_: int, message: Message) -> Timed:
     status, severity, seconds, nanoseconds = struct.unpack_from(">HHII", message.payload)
     rest = message.payload[12:]
     value: Any
@@ -152,7 +156,7 @@ def timed(type_: int, message: Message) -> tuple[Any, int, int, float]:
     elif type_ == LONG:
         value = struct.unpack_from(">i", rest)[0]
     elif type_ == CHAR:
-        value = rest[3 : 3 + message.count]
+        value = rest[3 : 3 + message.elements]
     else:
         value = struct.unpack_from(">xxxxd", rest)[0]
     return value, status, severity, EPOCH + seconds + nanoseconds / 1e9
@@ -232,7 +236,7 @@ class Rig:
         client.send(HOST, payload=b"lab7\0")
         client.send(USER, payload=b"anna\0")
         version = await client.next()
-        assert (version.command, version.count) == (VERSION, 13)
+        assert (version.command, version.elements) == (VERSION, 13)
         try:
             yield client
         finally:

@@ -59,7 +59,7 @@ async def test_values_have_type_unit_limits_alarm_and_the_time_of_the_value() ->
     rig = Rig()
     async with rig.serving(), rig.client() as client:
         level = await client.found("DP:valves:in:level")
-        assert (level.type, level.count, level.rights) == (DOUBLE, 1, 1)
+        assert (level.type, level.elements, level.rights) == (DOUBLE, 1, 1)
         # 0.1 s after the start, 1 ms old
         assert await client.timed("DP:valves:in:level") == (55.0, NO_ALARM, NO_ALARM, pytest.approx(STARTED + 0.099))
         about = (await client.read("DP:valves:in:level", CTRL_DOUBLE)).payload
@@ -88,7 +88,7 @@ async def test_alarms_follow_quality_and_states_and_a_number_stays_beside_its_al
     fine = rig.values["8"]
     async with rig.serving(), rig.client() as client:
 
-        async def level(change: dict[str, Any]) -> tuple[Any, int, int]:
+        async def level(change: dict[str, Any]) -> tuple[Any, ...]:
             rig.show("8", fine | change)
             await rig.connector.write_changes()
             return (await client.timed("DP:valves:in:level"))[:3]

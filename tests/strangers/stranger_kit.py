@@ -39,11 +39,11 @@ def run_program(
     return done
 
 
-def environment(folder: Path, requirement: str) -> Path:
-    """The interpreter of a new environment with ``requirement``."""
+def environment(folder: Path, *requirements: str) -> Path:
+    """The interpreter of a new environment with ``requirements``."""
     subprocess.run([sys.executable, "-m", "venv", folder], check=True, timeout=120)
     python = folder / "bin" / "python"
-    words: list[str | Path] = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", requirement]
+    words: list[str | Path] = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", *requirements]
     subprocess.run(words, check=True, timeout=300, stdout=subprocess.DEVNULL)
     return python
 

@@ -64,7 +64,7 @@ def digits_of(node: Node) -> int:
     else:
         return _DIGITS
     exponents = [Decimal(repr(float(step))).normalize().as_tuple().exponent for step in steps if step]
-    return min(max((-one for one in exponents if isinstance(one, int)), default=0), _MOST_DIGITS)
+    return min(max(0, *(-one for one in exponents if isinstance(one, int))), _MOST_DIGITS)
 
 
 def states_of(pv: Pv) -> tuple[str, ...]:

