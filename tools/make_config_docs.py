@@ -61,8 +61,9 @@ def sentences(table: type) -> dict[str, str]:
 
 
 def _relative(link: re.Match[str]) -> str:
-    """The path of the linked page, as seen from TARGET."""
-    (page,) = TARGET.parent.parent.glob(f"*/{link[0]}")
+    """The path of the linked page, as seen from TARGET; of several that of the reference."""
+    own = TARGET.parent / link[0]
+    (page,) = (own,) if own.exists() else TARGET.parent.parent.glob(f"*/{link[0]}")
     return os.path.relpath(page, TARGET.parent)
 
 

@@ -441,7 +441,7 @@ def test_tables_of_connectors_are_read_with_the_configuration() -> None:
         "probe = 7": "config:1: [probe] must be a table; write [probe] on a line of its own",
         "[prob]": "config:4: unknown table or key 'prob'; did you mean 'probe'?",
         "[xyz]": "config:4: unknown table or key 'xyz'; a configuration has [bus], [[slave]], [mqtt], [metrics], "
-        "[opcua], [probe]",
+        "[opcua], [epics], [probe]",
     }.items():
         with pytest.raises(ConfigError) as caught:
             parse_config(plant + text if text[0] == "[" else text + "\n" + plant)

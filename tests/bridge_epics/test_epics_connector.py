@@ -38,6 +38,7 @@ from tests.bridge_epics.ca_client import (
     NO_ALARM,
     NOT_FOUND,
     NOWTACCESS,
+    PUT_ACKS,
     PUTFAIL,
     READ,
     READ_ALARM,
@@ -208,11 +209,17 @@ async def test_a_refused_put_is_an_error_with_its_reason_and_is_reported() -> No
             (PUTFAIL, "the run refuses 4000"),
         ]
         assert (await client.timed("DP:valves:out:flow"))[0] == 7
+        lamp = await client.found("DP:valves:out:lamp")
+        client.send(WRITE_NOTIFY, type_=PUT_ACKS, count=1, first=lamp.sid, second=9, payload=b"\0\1")
+        assert reason(await client.answer(ERROR)) == (
+            PUTFAIL,
+            "it takes a plain value; alarms cannot be acknowledged here",
+        )
         rig.show("8", rig.values["8"] | {"state": "fault"})
         refused = await client.put("DP:valves:out:lamp", ENUM, 1)
         assert reason(refused) == (PUTFAIL, "the slave is not in data exchange")
     assert rig.given == []
-    assert len(rig.refused) == 9
+    assert len(rig.refused) == 10
     # neither of the names is proved
     assert rig.refused[0].text == (
         "epics (127.0.0.1, which says it is 'anna'): order valves.horn refused: it is not in allow_commands"

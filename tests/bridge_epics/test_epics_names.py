@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import pytest
 from caproto import AlarmSeverity, AlarmStatus
 
 from dpstack.bridge.epics import alarms
-from dpstack.bridge.epics.names import check_lengths, check_prefix, pvs_of
+from dpstack.bridge.epics.names import PvNames, check_lengths, check_prefix, pvs_of
 from dpstack.bridge.epics.server import beacon_address
 from dpstack.bridge.epics.variables import cut, digits_of, states_of
+from dpstack.bridge.orders import is_allowed
 from dpstack.errors import ConfigError
 from dpstack.plant.items import DrivePlant, FieldPlant, Plant, SlavePlant
 from dpstack.plant.judge import STATES
-from dpstack.plant.nodes import DRIVE_STATES, Kind, bus_of, slave_of
+from dpstack.plant.nodes import DRIVE_STATES, Described, Kind, Node, bus_of, slave_of
 from dpstack.plant.quality import Reading, Reason
 
 BUS = bus_of(Plant(slaves={})).nodes
@@ -24,10 +27,14 @@ VALVES = SlavePlant(
 HOIST = SlavePlant(name="hoist", drive=DrivePlant())
 
 
+def _pvs_of(prefix: str, bus: Sequence[Node], slaves: Mapping[int, Described], *allow: str) -> PvNames:
+    return pvs_of(prefix, bus, slaves, lambda order: is_allowed(allow, order.name))
+
+
 def test_names_have_prefix_slave_group_and_value_and_each_changed_one_is_reported() -> None:
     slaves = {8: slave_of(8, VALVES, writable=True), 9: slave_of(9, HOIST, writable=True)}
     slaves[10] = slave_of(10, SlavePlant(name="bus"), writable=True)
-    found = pvs_of("LAB:", BUS, slaves)
+    found = _pvs_of("LAB:", BUS, slaves, "hoist.*")
     assert {
         "LAB:bus:mode", "LAB:bus:in_ring", "LAB:bus:stat:token_us:p99", "LAB:F_ll_1:state", "LAB:F_ll_1:in:level_raw",
         "LAB:F_ll_1:out:lamp", "LAB:F_ll_1:stat:exchanges", "LAB:hoist:drive:speed", "LAB:hoist:cmd:quick_stop",
@@ -45,16 +52,18 @@ def test_names_have_prefix_slave_group_and_value_and_each_changed_one_is_reporte
     assert order is not None
     assert order.name == "hoist.speed"
     assert states_of(found.pvs["LAB:hoist:cmd:stop"]) == ("idle", "stop")
+    found = _pvs_of("LAB:", BUS, slaves, "hoist.stop")
+    assert [name for name in found.pvs if ":cmd:" in name] == ["LAB:hoist:cmd:stop"]
 
 
 def test_a_name_that_is_too_long_is_one_line_and_is_not_cut() -> None:
     name = "e" * 40
     slaves = {8: slave_of(8, SlavePlant(name="s" * 10, inputs=[FieldPlant(name=name, at="u8@0")]), writable=True)}
-    fits = pvs_of("P" * 5 + ":", BUS, slaves)
+    fits = _pvs_of("P" * 5 + ":", BUS, slaves)
     assert "PPPPP:ssssssssss:in:" + name in fits.pvs
     assert len("PPPPP:ssssssssss:in:" + name) == 60
     check_lengths(fits)
-    too_long = pvs_of("P" * 6 + ":", BUS, slaves)
+    too_long = _pvs_of("P" * 6 + ":", BUS, slaves)
     with pytest.raises(ConfigError) as caught:
         check_lengths(too_long)
     assert str(caught.value) == (

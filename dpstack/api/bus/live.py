@@ -13,6 +13,8 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from time import time
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec import convert
+
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.picture import SlavePicture
@@ -26,7 +28,8 @@ from dpstack.dp.process_data import Field
 from dpstack.dp.slot_map import Direction
 from dpstack.drivers.snapshots import Counters
 from dpstack.errors import UsageError
-from dpstack.plant.items import Item, all_of
+from dpstack.plant.items import Item, SlavePlant, all_of
+from dpstack.plant.nodes import Described, slave_of
 from dpstack.plant.pending import Pending
 from dpstack.plant.state import end_of
 from dpstack.stats import Histogram
@@ -437,6 +440,12 @@ def named_values(config: SlaveConfig) -> dict[str, object]:
         "outputs": [_field(config, field, Direction.OUTPUT) for field in config.output_fields.fields.values()],
         "drive": None if config.profile is None else {},
     }
+
+
+def described_slaves(slaves: Iterable[SlaveConfig]) -> dict[int, Described]:
+    """The nodes and orders that connectors will have of ``slaves``, by address, if the run takes orders."""
+    plants = {one.address: {**named_values(one), "dpv1": one.params.dpv1 is not None} for one in slaves}
+    return {at: slave_of(at, convert(plant, SlavePlant), writable=True) for at, plant in plants.items()}
 
 
 def _ident(slave: Slave) -> str | None:

@@ -129,9 +129,9 @@ class BusConfig(Struct, frozen=True, kw_only=True):
     application_watchdog_ms: the longest time between two calls of `bus.alive()` by your program, see
         [below](#is-the-program-alive): 10 or more; 0 switches this watchdog off. `dpstack run` and `dpstack drive`
         refuse the key
-    on_connector_loss: what becomes of outputs and drives that a connector (MQTT, OPC UA) has ordered when it ends by a
-        fault or hangs, see [below](#a-connector-that-is-lost): `"safe"`: outputs get their safe values, drives stop;
-        `"keep"`: they stay as ordered
+    on_connector_loss: what becomes of outputs and drives that a connector (MQTT, OPC UA, EPICS) has ordered when it
+        ends by a fault or hangs, see [below](#a-connector-that-is-lost): `"safe"`: outputs get their safe values,
+        drives stop; `"keep"`: they stay as ordered
     auto_clear: go to Clear when a slave had no data exchange for `data_control_time_ms`, and report which slave and
         why. `operate()` waits until all slaves are in data exchange. The master does not go back to Operate by itself
     data_control_time_ms: the Data_Control_Time

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from platform import python_version
 from socket import gethostname
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from dpstack.api.config.connectors import EpicsConfig, MetricsConfig, MqttConfig, OpcUaConfig
 from dpstack.bridge.connector import Connector, ConnectorState, Tell, product_version
@@ -18,6 +18,9 @@ from dpstack.bridge.orders import Orders
 from dpstack.errors import ConfigError
 from dpstack.plant.nodes import Described
 from dpstack.plant.tree import PlantTree
+
+if TYPE_CHECKING:
+    from dpstack.bridge.epics.names import PvNames
 
 
 class Parts(NamedTuple):
@@ -29,7 +32,7 @@ class Parts(NamedTuple):
     tree: PlantTree
     tell: Tell
     orders: Callable[[Sequence[str], float], Orders]
-    slaves: Callable[[], Mapping[int, Described]]
+    slaves: Mapping[int, Described]
     connectors: Callable[[], Sequence[ConnectorState]]
     bus_pid: Callable[[], int | None]
 
@@ -130,16 +133,27 @@ def _opcua(config: OpcUaConfig, parts: Parts) -> Connector:
     )
 
 
-def _epics(config: EpicsConfig, parts: Parts) -> Connector:
-    from dpstack.bridge.epics.connector import EpicsConnector  # these here, as most programs have no EPICS
+def epics_names(config: EpicsConfig, slaves: Mapping[int, Described], *, fixed: bool = True) -> PvNames:
+    """The process variables that ``config`` gives a plant with ``slaves``. ``fixed``: its bus has a fixed cycle.
+    Raises ConfigError for an invalid name."""
     from dpstack.bridge.epics.names import check_lengths, check_prefix, pvs_of
-    from dpstack.bridge.epics.server import beacon_address
-    from dpstack.plant.items import Plant
+    from dpstack.bridge.orders import is_allowed
+    from dpstack.plant.items import PlanPlant, Plant
     from dpstack.plant.nodes import bus_of
-    from dpstack.tcp_address import Listen
 
     check_prefix(config.prefix)
-    check_lengths(pvs_of(config.prefix, bus_of(Plant(slaves={})).nodes, parts.slaves()))
+    bus = bus_of(Plant(slaves={}, plan=PlanPlant(cycle_us=1 if fixed else None))).nodes
+    found = pvs_of(config.prefix, bus, slaves, lambda order: is_allowed(config.allow_commands, order.name))
+    check_lengths(found)
+    return found
+
+
+def _epics(config: EpicsConfig, parts: Parts) -> Connector:
+    from dpstack.bridge.epics.connector import EpicsConnector  # these here, as most programs have no EPICS
+    from dpstack.bridge.epics.server import beacon_address
+    from dpstack.tcp_address import Listen
+
+    epics_names(config, parts.slaves)
     return EpicsConnector(
         parts.tree,
         parts.tell,
@@ -154,5 +168,5 @@ KINDS: Final[dict[str, ConnectorKind]] = {
     "mqtt": ConnectorKind("dpstack.bridge.mqtt.client", ("aiomqtt", "google.protobuf"), _mqtt, 60),
     "metrics": ConnectorKind("dpstack.bridge.metrics.connector", ("prometheus_client",), _metrics, 20),
     "opcua": ConnectorKind("dpstack.bridge.opcua.connector", ("asyncua", "cryptography"), _opcua, 130),
-    "epics": ConnectorKind("dpstack.bridge.epics.connector", ("caproto",), _epics, 40),
+    "epics": ConnectorKind("dpstack.bridge.epics.connector", ("caproto",), _epics, 10),
 }

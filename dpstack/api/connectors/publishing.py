@@ -14,11 +14,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from msgspec import convert
-
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.driver_choice import PROCESS
-from dpstack.api.bus.live import LiveStream, named_values
+from dpstack.api.bus.live import LiveStream, described_slaves
 from dpstack.api.config.connectors import KEEP, ConnectorConfig, loss_text, read_connectors
 from dpstack.api.connectors.kinds import KINDS, ConnectorKind, Parts
 from dpstack.api.connectors.outside import OutsideOrders
@@ -28,8 +26,7 @@ from dpstack.bridge.gateway import END_S, TICK_S, Gateway
 from dpstack.bridge.orders import Orders, check_allowed
 from dpstack.dp.master.commands import Alive
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
-from dpstack.plant.items import Item, SlavePlant
-from dpstack.plant.nodes import Described, slave_of
+from dpstack.plant.items import Item
 from dpstack.plant.orders import DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.tree import PlantTree
 from dpstack.ports import posix
@@ -107,6 +104,8 @@ class Publishing:
         self._source = source or bus.config.source
         self._hurried = hurried or (lambda: False)
         self._tree = PlantTree()
+        #: as the tree will have them
+        self._slaves = described_slaves(bus.config.slaves)
         self._connectors: list[Connector] = []
         self._stream: LiveStream | None = None
         self._gateway: Gateway | None = None
@@ -358,12 +357,8 @@ class Publishing:
 
     # --- orders ---------------------------------------------------------------------------------------------------
 
-    def _slaves(self) -> dict[int, Described]:
-        plants = ((one.address, convert(named_values(one), SlavePlant)) for one in self._bus.config.slaves)
-        return {address: slave_of(address, plant, writable=True) for address, plant in plants}
-
     def _orders(self, name: str, tell: RemarkReporter, allow: Sequence[str], max_age_s: float) -> Orders:
-        check_allowed(allow, (order.name for one in self._slaves().values() for order in one.orders))
+        check_allowed(allow, (order.name for one in self._slaves.values() for order in one.orders))
         gate = Orders(
             self._tree,
             partial(self._carry_out, name),

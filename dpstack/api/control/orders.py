@@ -1,9 +1,9 @@
 """Orders to a running bus, typed (:mod:`dpstack.plant.orders`): they are carried out here and nowhere else.
 
-Connectors (MQTT, OPC UA) hand them over as they are; the control socket makes them of texts. With ``now`` an order is
-from outside: somebody who may not see the bus (MQTT, OPC UA, the page) gets a refusal for outputs that cannot reach
-their slave at this moment, as an output that waits would act at any time later. The API and `dpstack ctl` may prepare
-values.
+Connectors (MQTT, OPC UA, EPICS) hand them over as they are; the control socket makes them of texts. With ``now`` an
+order is from outside: somebody who may not see the bus (a connector, the page) gets a refusal for outputs that cannot
+reach their slave at this moment, as an output that waits would act at any time later. The API and `dpstack ctl` may
+prepare values.
 """
 
 from __future__ import annotations

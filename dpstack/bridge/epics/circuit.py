@@ -342,7 +342,7 @@ class Circuit:
         # Channel Access proves neither the name of the user nor that of the computer
         who = f"{self.address}, which says it is {self._user!r}" if self._user else self.address
         if not self._plant.may_put(variable):
-            reason = "it is not in allow_commands" if variable.pv.order else "it can only be read"
+            reason = "it is not in allow_commands" if variable.pv.node.order else "it can only be read"
             self._plant.refuse(variable, reason, who)
             return Put(ca.CAStatus.ECA_NOWTACCESS, reason)
         try:

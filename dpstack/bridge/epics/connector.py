@@ -160,7 +160,8 @@ class EpicsConnector(Connector):
     def _build(self) -> None:
         nodes = [(node, reading) for slave in (None, *self.tree.slaves) for node, reading in self.tree.readings(slave)]
         self._readings = {node.id: reading for node, reading in nodes}
-        found = pvs_of(self._prefix, [node for node, _ in self.tree.readings(None)], self.tree.slaves)
+        bus = [node for node, _ in self.tree.readings(None)]
+        found = pvs_of(self._prefix, bus, self.tree.slaves, self._orders.takes)
         self._pvs = dict(found.pvs)
         for name in found.too_long:
             self._tell_once(f"{name} is left out: it has {len(name)} characters, which is too long for EPICS")
@@ -273,7 +274,7 @@ class EpicsConnector(Connector):
             await variable.show(self._readings[id_], self.wall)
 
     def refuse(self, variable: Variable, reason: str, who: str) -> None:
-        order = variable.pv.order
+        order = variable.pv.order or variable.pv.node.order
         self._orders.refuse(variable.pv.name if order is None else order.name, reason, by=who)
 
 

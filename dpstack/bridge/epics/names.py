@@ -7,7 +7,7 @@ of the configuration; it is not cut, as nobody would find it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from dpstack.bridge.names import EPICS_PART, unique_names
@@ -59,15 +59,18 @@ def check_prefix(prefix: str) -> None:
         )
 
 
-def pvs_of(prefix: str, bus: Sequence[Node], slaves: Mapping[int, Described]) -> PvNames:
-    """All process variables, those of ``slaves`` by address."""
+def pvs_of(
+    prefix: str, bus: Sequence[Node], slaves: Mapping[int, Described], takes: Callable[[OfferedOrder], bool]
+) -> PvNames:
+    """All process variables, those of ``slaves`` by address. ``takes``: whether an order may be given; an order of a
+    drive that may not has none."""
     found = unique_names(EPICS_PART, [("bus", "bus"), *((f"slave {at}", one.name) for at, one in slaves.items())])
     changed = list(found.changed)
     pvs: dict[str, Pv] = {}
     too_long: list[str] = []
-    parts: list[Pv] = list(_of_branch("bus", bus, (), changed))
+    parts: list[Pv] = list(_of_branch("bus", bus, (), changed, takes))
     for address, one in slaves.items():
-        parts += _of_branch(found.names[f"slave {address}"], one.nodes, one.orders, changed)
+        parts += _of_branch(found.names[f"slave {address}"], one.nodes, one.orders, changed, takes)
     for part in parts:
         name = prefix + part.name
         if len(name) > MOST_NAME:
@@ -88,7 +91,13 @@ def check_lengths(names: PvNames) -> None:
         )
 
 
-def _of_branch(own: str, nodes: Sequence[Node], orders: Iterable[OfferedOrder], changed: list[str]) -> Iterator[Pv]:
+def _of_branch(
+    own: str,
+    nodes: Sequence[Node],
+    orders: Iterable[OfferedOrder],
+    changed: list[str],
+    takes: Callable[[OfferedOrder], bool],
+) -> Iterator[Pv]:
     groups: dict[tuple[str, ...], list[tuple[str, str]]] = {}
     for node in nodes:
         groups.setdefault(node.path[:-1], []).append((node.id, _label(node)))
@@ -100,9 +109,10 @@ def _of_branch(own: str, nodes: Sequence[Node], orders: Iterable[OfferedOrder], 
     drive = {node.keys[-1]: node for node in nodes if node.kind is Kind.DRIVE}
     for node in nodes:
         folder = [GROUPS.get(part, EPICS_PART.valid(part)) for part in node.path[:-1]]
-        yield Pv(":".join((own, *folder, names[node.id])), node, node.order)
+        order = node.order if node.order is not None and takes(node.order) else None
+        yield Pv(":".join((own, *folder, names[node.id])), node, order)
     for order in orders:
-        if order.operation is not None:
+        if order.operation is not None and takes(order):
             shown = drive[_SHOWS.get(order.operation, "state")]
             yield Pv(f"{own}:{ORDERS}:{order.operation}", shown, order)
 

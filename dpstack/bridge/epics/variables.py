@@ -21,7 +21,7 @@ from caproto import (
     ChannelInteger,
     ChannelString,
     ChannelType,
-    native_type,
+    native_types,
 )
 
 from dpstack.bridge.epics.alarms import Alarm, of_reading
@@ -139,7 +139,9 @@ class Variable:
         """The value that a put of ``data`` means, of the type of its order. Raises ValueError."""
         order = self.pv.order
         assert order is not None, "it can only be read"
-        values = _plain(data, native_type(type_))
+        if type_ not in native_types:  # an alarm handler acknowledges in this way
+            raise ValueError("it takes a plain value; alarms cannot be acknowledged here")
+        values = _plain(data, type_)
         if order.type == BYTES:
             if isinstance(values, str):
                 raise ValueError("octets are a list of numbers")
@@ -189,7 +191,7 @@ class Variable:
         if node.type in _LONGS:
             return ChannelInteger(value=0, **about)
         digits = 0 if node.type in ("u32", "u64", "i64") else digits_of(node)
-        made = ChannelFloat if node.type == "f32" and node.order is None else ChannelDouble
+        made = ChannelFloat if node.type == "f32" and order is None else ChannelDouble
         return made(value=math.nan, precision=digits, **about)
 
     def _value(self, reading: Reading) -> Any:

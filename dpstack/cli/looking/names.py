@@ -1,4 +1,4 @@
-"""``dpstack names``: the I/O list of a configuration, written as CSV and taken back."""
+"""``dpstack names``: the I/O list of a configuration, written as CSV and taken back; its names in EPICS."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def add_to(parser: Parser) -> None:
     parser.epilog = (
         "examples: dpstack names plant.toml\n"
         "          dpstack names plant.toml --csv plant.csv\n"
-        "          dpstack names plant.toml --from plant.csv"
+        "          dpstack names plant.toml --from plant.csv\n"
+        "          dpstack names plant.toml --epics"
     )
     parser.value("config", "CONFIG", "configuration file")
     parser.value(
@@ -37,16 +38,21 @@ def add_to(parser: Parser) -> None:
     )
     parser.flag("--semicolons", "with --csv: semicolons between the cells, and decimal commas")
     parser.value("--from", "FILE", "take the names of a list (CSV) into CONFIG", dest="take")
+    parser.flag("--epics", "the names of the process variables of [epics], one a line")
     parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:
+    if args.epics and (args.take is not None or args.csv is not None):
+        raise UsageError("names: --epics prints other names than --csv and --from: leave one of them out")
     if args.take is not None and (args.csv is not None or args.semicolons):
         raise UsageError("names writes a list with --csv or takes one with --from: leave one of them out")
     if args.semicolons and args.csv is None:
         raise UsageError("names: --semicolons belongs to --csv: add --csv, or leave --semicolons out")
     if args.take is not None:
         return _take(args)
+    if args.epics:
+        return _epics(args)
     rows = list(io_rows(_config(args.config)[1]))
     if args.csv is not None:
         text = csv_text(rows, semicolons=args.semicolons)
@@ -68,6 +74,34 @@ def execute(args: argparse.Namespace) -> int:
             columns,
             [["" if row.cells[column] is None else row.cells[column] for column in columns] for row in rows],
         )
+    return 0
+
+
+def _epics(args: argparse.Namespace) -> int:
+    from dpstack.api.bus.live import described_slaves  # these here, as they load a bus
+    from dpstack.api.config.connectors import EpicsConfig
+    from dpstack.api.connectors.kinds import epics_names
+
+    config = _config(args.config)[1]
+    table = config.connectors.get("epics")
+    if not isinstance(table, EpicsConfig):
+        raise ConfigError(f"{args.config}: there is no table [epics]; add it, with the key prefix")
+    slaves = described_slaves(config.slaves)
+    pvs = epics_names(table, slaves, fixed=bool(config.bus.cycle_ns)).pvs.values()
+    if args.json:
+        shown = [
+            {
+                "name": pv.name,
+                "slave": pv.node.slave,
+                "unit": pv.node.unit or None,
+                "order": None if pv.order is None else pv.order.name,
+            }
+            for pv in pvs
+        ]
+        output.json_line({"epics": shown})
+    else:
+        for pv in pvs:
+            output.line(pv.name)
     return 0
 
 

@@ -158,3 +158,19 @@ def test_a_link_is_not_written_through(plant: Path, tmp_path: Path, cli: Cli) ->
     err = cli.err("names", str(tmp_path / "link.toml"), "--from", str(tmp_path / "l.csv"))
     assert "link.toml: is a link; name the file itself" in err
     assert plant.read_bytes() == PLANT.encode()
+
+
+def test_the_process_variables_of_epics(plant: Path, cli: Cli) -> None:
+    err = cli.err("names", str(plant), "--epics")
+    assert err == f"dpstack: {plant}: there is no table [epics]; add it, with the key prefix\n"
+    table = '\n[epics]\nprefix = "LAB:"\nallow_commands = ["rack.*"]\n'
+    plant.write_bytes(PLANT.encode() + table.encode())
+    lines = cli.out("names", str(plant), "--epics").splitlines()
+    assert {"LAB:bus:mode", "LAB:rack:state", "LAB:rack:in:level"} <= set(lines)
+    assert not any("late_us" in line for line in lines)  # of a fixed cycle
+    found = {one["name"]: one for one in cli.json("names", str(plant), "--epics")["epics"]}
+    assert list(found) == lines
+    assert found["LAB:rack:in:level"] == {"name": "LAB:rack:in:level", "slave": 8, "unit": "°C", "order": None}
+    with_long = table.replace("LAB:", "L" * 40)
+    plant.write_bytes(PLANT.encode() + with_long.encode())
+    assert "characters, and an EPICS name at most 60" in cli.err("names", str(plant), "--epics")

@@ -248,6 +248,7 @@ NAMES = [
     ["import", "GSD", "--out", f"/nowhere/{EVIL}"],
     ["import", "GSD", "--encoding", EVIL],
     ["names", EVIL],
+    ["names", EVIL, "--epics"],
     ["names", "CONFIG", "--from", EVIL],
     ["names", "CONFIG", "--csv", f"/nowhere/{EVIL}"],
     ["plot", EVIL],
