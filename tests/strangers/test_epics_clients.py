@@ -149,6 +149,9 @@ def test_the_session_of_the_page_to_the_letter(start: Starter, programs: Path, t
     for words in re.findall(r"^\$ (.*)$", session, re.MULTILINE):
         shown += f"$ {words}\n{tools(*shlex.split(words))}\n"
     assert shown == session
+    script = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0] + "\n\nlook()\n"
+    said = tools("python", "-c", script)
+    assert "25.6 mm true" in said  # a simulated slave shows its outputs as inputs
     names = start("names", str(config), "--epics")
     assert names.end() == 0
     assert len(names.out.splitlines()) > 40
