@@ -13,6 +13,7 @@ from rack_kit import LINE_BREAK, device, rack
 from sparkplug_host import Host
 
 import dpstack
+from dpstack.bridge.epics.alarms import of_reading
 from dpstack.bridge.metrics.collector import Collector
 from dpstack.bridge.metrics.connector import rendered
 from dpstack.bridge.mqtt.edge_node import EdgeNode
@@ -75,6 +76,7 @@ class Connectors:
             "sparkplug": (metric.value, *words),
             "opcua": (value.Value.Value, value.StatusCode.value, reading.text),
             "metrics": (scraped.of("dpstack_slave_value").get(series), rank),
+            "epics": (reading.value, *of_reading(node, reading)),
         }
 
 
@@ -85,7 +87,13 @@ async def test_connectors_show_a_broken_wire_each_in_its_way() -> None:
         following = asyncio.ensure_future(connectors.follow())
         slave["setpoint"] = 77  # its inputs mirror the outputs: the level
         await asyncio.sleep(0.3)
-        good = {"json": (77, "good", ""), "sparkplug": (77, 192, "good", ""), "opcua": (77, 0, ""), "metrics": (77, 3)}
+        good = {
+            "json": (77, "good", ""),
+            "sparkplug": (77, 192, "good", ""),
+            "opcua": (77, 0, ""),
+            "metrics": (77, 3),
+            "epics": (77, 0, 0),
+        }
         assert await connectors.shown("level") == good
         device(served).diag = UserDiag.of(identifier_block([2], 5))
         await asyncio.sleep(0.3)
@@ -95,6 +103,7 @@ async def test_connectors_show_a_broken_wire_each_in_its_way() -> None:
             "sparkplug": (77, 500, "uncertain", text),
             "opcua": (77, 0x40950000, text),
             "metrics": (77, 2),
+            "epics": (77, 15, 1),  # SOFT, MINOR
         }
         device(served).diag = UserDiag.of(LINE_BREAK)
         slave["setpoint"] = 3276
@@ -105,6 +114,7 @@ async def test_connectors_show_a_broken_wire_each_in_its_way() -> None:
             "sparkplug": (3276, 0, "bad", text),
             "opcua": (3276, 0x808C0000, text),
             "metrics": (None, 0),
+            "epics": (3276, 1, 3),  # READ, INVALID
         }
         assert (await connectors.shown("flow"))["json"] == (0, "good", "")
         # the slave is gone: the old value is the one of before
@@ -114,6 +124,7 @@ async def test_connectors_show_a_broken_wire_each_in_its_way() -> None:
         assert found["json"][:2] == (77, "stale")
         assert found["opcua"][:2] == (77, 0x408F0000)
         assert found["metrics"] == (None, 1)
+        assert found["epics"] == (77, 9, 3)  # COMM, INVALID
         device(served).diag = UserDiag()
         slave["setpoint"] = 77
         await slave.activate()
