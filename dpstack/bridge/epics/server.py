@@ -1,8 +1,8 @@
 """Sockets of Channel Access: searches over UDP, beacons, connections over TCP.
 
 caproto's own server was tried and left: if the port is taken it listens on another one without a word; it sends
-beacons to 255.255.255.255 unless the environment forbids it; it keeps every name that anybody searches with a field; a
-client that does not read stops the updates of all others. Its protocol core has no sockets, and is used here.
+beacons to 255.255.255.255 unless the environment forbids it; EPICS_CA_NAME_SERVERS does not find it; its clients have
+no bounds. Its protocol core has no sockets, and is used here.
 """
 
 from __future__ import annotations
