@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from far_ends import free_port, until
 
-from dpstack.bridge.epics import circuit, server
+from dpstack.bridge.epics import circuit, connector, server
 from dpstack.bridge.epics.connector import EpicsConnector
 from dpstack.errors import ConfigError, PortError
 from dpstack.plant.orders import DriveOrder, SetOutputs
@@ -311,7 +311,7 @@ async def test_a_client_that_does_not_read_holds_up_nobody_and_is_cut_off(monkey
         await well.update(CHAR)
         sid = (await deaf.found("DP:hoist:drive:faults.VAL$")).sid
         deaf.reader._transport.pause_reading()  # type: ignore[attr-defined]
-        for number in range(2000):
+        for number in range(300):
             deaf.send(
                 EVENT_ADD,
                 type_=TIME + CHAR,
@@ -361,6 +361,20 @@ async def test_one_address_has_a_bounded_number_of_connections(monkeypatch: pyte
         assert await reader.read() == b""
         writer.close()
         assert (await first.timed("DP:valves:in:level"))[0] == 55.0
+
+
+async def test_variables_that_nobody_uses_make_room_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connector, "MOST_VARIABLES", 2)
+    rig = Rig()
+    async with rig.serving(), rig.client() as client:
+        level = await client.found("DP:valves:in:level")
+        lamp = await client.found("DP:valves:out:lamp")
+        assert await client.channel("DP:bus:mode") is None
+        client.send(CLEAR, first=lamp.sid, second=2)
+        await client.answer(CLEAR)
+        assert (await client.timed("DP:bus:mode"))[0] == 3
+        await client.monitor(level, 1)
+        assert (await client.update(DOUBLE))[0] == 55.0
 
 
 async def test_a_port_that_is_taken_and_an_address_that_is_none_are_one_line() -> None:

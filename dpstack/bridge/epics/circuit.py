@@ -48,8 +48,11 @@ class Put(NamedTuple):
 class Plant(Protocol):
     """The variables of a server, and the run behind them."""
 
+    def knows(self, name: str) -> bool:
+        """Whether there is a variable ``name``, which may have a field."""
+
     async def find(self, name: str) -> Variable | None:
-        """The variable ``name``, with its field; None without one."""
+        """The variable ``name``, with its field; None without one, or if there is no room for it."""
 
     def may_put(self, variable: Variable) -> bool: ...
 
@@ -107,8 +110,9 @@ class Circuit:
         self._puts: dict[asyncio.Task[None], Variable] = {}
 
     @property
-    def channels(self) -> int:
-        return len(self._variables)
+    def variables(self) -> Iterable[Variable]:
+        """Those that the client has channels of."""
+        return self._variables.values()
 
     async def run(self) -> None:
         """Serve the client until it has gone, breaks a rule, or this is cancelled."""
@@ -236,7 +240,7 @@ class Circuit:
         return ()
 
     async def _search(self, command: Any) -> Iterable[Any]:
-        if await self._plant.find(command.name) is not None:
+        if self._plant.knows(command.name):
             return (ca.SearchResponse(self._port, None, command.cid, _VERSION),)
         return (ca.NotFoundResponse(_VERSION, command.cid),) if command.reply == ca.DO_REPLY else ()
 
@@ -280,6 +284,7 @@ class Circuit:
         channel, variable = self._channel(command.sid)
         await self._values(variable, command)  # a type or count that it cannot have ends the connection here
         number = command.subscriptionid
+        self._forget_monitor(number)  # the client has given its number away again
         monitor = self._monitors[number] = _Monitor(channel, variable, command)
         alarms_only = command.mask == ca.SubscriptionType.DBE_ALARM
         if command.mask != ca.SubscriptionType.DBE_PROPERTY:  # nothing of that changes while the variable is there

@@ -87,7 +87,7 @@ class EpicsConnector(Connector):
             raise ConfigError(f"listen {self._listen.host!r} has no address of IPv4; Channel Access has no other")
         local = is_local(self._sockets)
         beacons = [*self._beacons, *([("127.0.0.1", BEACON_PORT)] if local else [])]
-        self._server = Server(self, self._sockets, knows=self._knows, beacons=beacons, cut_off=self._cut_off)
+        self._server = Server(self, self._sockets, beacons=beacons, cut_off=self._cut_off)
         self._server.bind()
         where = f"Channel Access on {join(self._listen.host, self.port)}, names begin with {self._prefix}"
         if local:
@@ -196,7 +196,7 @@ class EpicsConnector(Connector):
             return None
         return pv, "" if field == "VAL" else field
 
-    def _knows(self, name: str) -> bool:
+    def knows(self, name: str) -> bool:
         return self._parse(name) is not None
 
     async def find(self, name: str) -> Variable | None:
@@ -206,12 +206,21 @@ class EpicsConnector(Connector):
         key = found[0].name, found[1]
         variable = self._variables.get(key)
         if variable is None:
-            if len(self._variables) >= MOST_VARIABLES:
+            if len(self._variables) >= MOST_VARIABLES and not self._made_room():
                 return None
             variable = self._variables[key] = Variable(*found)
             self._of_node.setdefault(variable.pv.node.id, []).append(variable)
             await variable.show(self._readings[variable.pv.node.id], self.wall)
         return variable
+
+    def _made_room(self) -> bool:
+        """Forget variables that no client has a channel of. Returns whether there were any."""
+        assert self._server is not None
+        used = {id(variable) for circuit in self._server.circuits for variable in circuit.variables}
+        unused = [(key, variable) for key, variable in self._variables.items() if id(variable) not in used]
+        for key, variable in unused:
+            self._forget(key, variable)
+        return bool(unused)
 
     def _tell_once(self, text: str) -> None:
         if text not in self._told and len(self._told) < 1000:

@@ -56,13 +56,12 @@ class Server:
     a client and the reason if it is cut off."""
 
     def __init__(
-        self, plant: Plant, sockets: Sequence[socket.socket], *, knows: Callable[[str], bool],
+        self, plant: Plant, sockets: Sequence[socket.socket], *,
         beacons: Sequence[tuple[str, int]] = (), cut_off: Callable[[str, str], object],
     ) -> None:  # fmt: skip
         self.share = ProcessorShare()
         self.port = int(sockets[0].getsockname()[1])
         self._plant = plant
-        self._knows = knows
         self.beacons = tuple(beacons)
         self._cut_off = cut_off
         self._sockets = list(sockets)
@@ -130,7 +129,7 @@ class Server:
         found = [
             ca.SearchResponse(self.port, None, command.cid, _VERSION)
             for command in commands
-            if isinstance(command, ca.SearchRequest) and self._knows(command.name)
+            if isinstance(command, ca.SearchRequest) and self._plant.knows(command.name)
         ]
         if not found:
             return b""
