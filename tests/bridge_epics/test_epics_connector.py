@@ -36,6 +36,7 @@ from tests.bridge_epics.ca_client import (
     MAJOR,
     MINOR,
     NO_ALARM,
+    NOCONVERT,
     NOT_FOUND,
     NOWTACCESS,
     PUT_ACKS,
@@ -80,6 +81,12 @@ async def test_values_have_type_unit_limits_alarm_and_the_time_of_the_value() ->
         assert [(await client.timed(f"DP:valves:in:level.{field}"))[0] for field in ("EGU", "DESC", "AMSG", "VAL")] == [
             "mbar abs", "level of slave 8", "", 55.0,
         ]  # fmt: skip
+        # a text as a number: an error, and the connection goes on
+        text = await client.found("DP:valves:in:level.DESC")
+        client.send(READ, type_=DOUBLE, first=text.sid, second=7)
+        assert reason(await client.answer(ERROR))[0] == NOCONVERT
+        client.send(EVENT_ADD, type_=DOUBLE, first=text.sid, second=8, payload=struct.pack(">fffHH", 0, 0, 0, 5, 0))
+        assert reason(await client.answer(ERROR))[0] == NOCONVERT
         for name in ("DP:valves:in:other", "valves:in:level", "DP:valves:in:level.HIHI", "DP:valves:in:level.VAL$"):
             assert await client.channel(name) is None
 
@@ -269,6 +276,17 @@ async def test_a_slave_that_is_removed_ends_its_channels_alone() -> None:
         assert gone.first == 2
         assert await client.channel("DP:hoist:drive:speed") is None
         assert (await client.timed("DP:valves:in:level"))[0] == 55.0
+
+
+async def test_a_text_that_is_a_number_no_more_ends_its_channel() -> None:
+    rig = Rig()
+    async with rig.serving(), rig.client() as client:
+        fault = await client.found("DP:valves:fault")
+        client.send(EVENT_ADD, type_=DOUBLE, first=fault.sid, second=8, payload=struct.pack(">fffHH", 0, 0, 0, 5, 0))
+        assert (await client.answer(EVENT_ADD)).payload == bytes(8)
+        rig.show("8", rig.values["8"] | {"state": "fault", "fault": {"text": "no answer", "kind": "silent"}})
+        assert (await client.answer(SERVER_DISCONN)).first == 1
+        assert (await client.timed("DP:valves:fault"))[0] == "no answer"
 
 
 async def test_searches_are_answered_for_known_names_only_by_udp_and_tcp() -> None:

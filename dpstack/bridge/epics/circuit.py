@@ -38,8 +38,8 @@ _MOST_REASON: Final = 200
 _VERSION: Final = ca.DEFAULT_PROTOCOL_VERSION
 
 
-class Put(NamedTuple):
-    """A put that is refused; ``status``: that of Channel Access, ``reason``: in words."""
+class Refused(NamedTuple):
+    """A request that is refused; ``status``: that of Channel Access, ``reason``: in words."""
 
     status: Any
     reason: str
@@ -56,7 +56,7 @@ class Plant(Protocol):
 
     def may_put(self, variable: Variable) -> bool: ...
 
-    async def put(self, variable: Variable, value: Value, who: str) -> Put | None:
+    async def put(self, variable: Variable, value: Value, who: str) -> Refused | None:
         """Give the order of ``variable``; the reason if it is refused."""
 
     def refuse(self, variable: Variable, reason: str, who: str) -> None:
@@ -67,6 +67,16 @@ class _Monitor(NamedTuple):
     channel: Any
     variable: Variable
     request: Any
+
+
+#: of caproto, which has no number for a text
+_CONVERSION: Final = (ca.CaprotoError, ValueError, TypeError)
+
+
+def _not_as(variable: Variable, command: Any, error: Exception) -> Refused:
+    """The answer to a read of a text as a number, for instance."""
+    type_ = ca.ChannelType(command.data_type)  # an unknown one ends the connection
+    return Refused(ca.CAStatus.ECA_NOCONVERT, f"it cannot be read as {type_.name} ({type(error).__name__})")
 
 
 class _BrokenError(Exception):
@@ -183,7 +193,12 @@ class Circuit:
 
     async def _send_value(self, monitor: _Monitor) -> None:
         request = monitor.request
-        metadata, values = await self._values(monitor.variable, request)
+        try:
+            metadata, values = await self._values(monitor.variable, request)
+        except _CONVERSION:  # an empty text is 0 as a number, its next value is none: the old one would look good
+            self._forget(monitor.channel.sid)
+            self._send(monitor.channel.disconnect())
+            return
         count = request.data_count or monitor.variable.length(values)
         self._send(
             monitor.channel.subscribe(values, request.subscriptionid, request.data_type, count, 1, metadata=metadata)
@@ -264,17 +279,21 @@ class Circuit:
         channel, variable = self._channel(command.sid)
         if puts := [task for task, put in self._puts.items() if put is variable]:
             await asyncio.wait(puts, timeout=PUT_S)  # `caput` reads right behind its put
-        metadata, values = await self._values(variable, command)
+        try:
+            metadata, values = await self._values(variable, command)
+        except _CONVERSION as error:
+            return (self._refusal(command, channel, _not_as(variable, command, error)),)
         is_notify = isinstance(command, ca.ReadNotifyRequest)
         count = variable.length(values)
         return (channel.read(values, command.ioid, command.data_type, count, 1, metadata=metadata, notify=is_notify),)
 
     async def _write(self, command: Any) -> Iterable[Any]:
+        channel, variable = self._channel(command.sid)
         if len(self._puts) >= MOST_PUTS:
-            return (self._refusal(command, Put(ca.CAStatus.ECA_PUTFAIL, "too many puts wait")),)
-        task = asyncio.create_task(self._put(command), name="dpstack epics: a put")
-        self._puts[task] = self._channel(command.sid)[1]
-        task.add_done_callback(self._puts.pop)
+            return (self._refusal(command, channel, Refused(ca.CAStatus.ECA_PUTFAIL, "too many puts wait")),)
+        task = asyncio.create_task(self._put(command, channel, variable), name="dpstack epics: a put")
+        self._puts[task] = variable
+        task.add_done_callback(self._end_put)
         await asyncio.sleep(0)  # it comes before the requests behind it
         return ()
 
@@ -282,8 +301,12 @@ class Circuit:
         if len(self._monitors) >= MOST_CHANNELS:
             raise _BrokenError(f"it has more than {MOST_CHANNELS} monitors")
         channel, variable = self._channel(command.sid)
-        await self._values(variable, command)  # a type or count that it cannot have ends the connection here
         number = command.subscriptionid
+        try:
+            await self._values(variable, command)
+        except _CONVERSION as error:
+            self._core.event_add_commands.pop(number, None)
+            return (self._error(command, channel, _not_as(variable, command, error)),)
         self._forget_monitor(number)  # the client has given its number away again
         monitor = self._monitors[number] = _Monitor(channel, variable, command)
         alarms_only = command.mask == ca.SubscriptionType.DBE_ALARM
@@ -333,33 +356,40 @@ class Circuit:
 
     # --- puts -----------------------------------------------------------------------------------------------------
 
-    async def _put(self, command: Any) -> None:
-        channel, variable = self._channel(command.sid)
+    def _end_put(self, task: asyncio.Task[None]) -> None:
+        del self._puts[task]
+        if not task.cancelled() and (error := task.exception()) is not None:  # its answer has no place any more
+            self._report(error)
+            self._writer.transport.abort()
+
+    async def _put(self, command: Any, channel: Any, variable: Variable) -> None:
         refused = await self._judge(variable, command)
         if self._core.channels_sid.get(command.sid) is not channel:
             return  # it was closed meanwhile
         if refused is not None:
-            self._send(self._refusal(command, refused))
+            self._send(self._refusal(command, channel, refused))
         elif isinstance(command, ca.WriteNotifyRequest):
             self._send(channel.write(command.ioid, command.data_type, command.data_count, 1))
 
-    async def _judge(self, variable: Variable, command: Any) -> Put | None:
+    async def _judge(self, variable: Variable, command: Any) -> Refused | None:
         # Channel Access proves neither the name of the user nor that of the computer
         who = f"{self.address}, which says it is {self._user!r}" if self._user else self.address
         if not self._plant.may_put(variable):
             reason = "it is not in allow_commands" if variable.pv.node.order else "it can only be read"
             self._plant.refuse(variable, reason, who)
-            return Put(ca.CAStatus.ECA_NOWTACCESS, reason)
+            return Refused(ca.CAStatus.ECA_NOWTACCESS, reason)
         try:
             value = variable.given(command.data, command.data_type)
         except (ValueError, TypeError, OverflowError) as error:
             self._plant.refuse(variable, str(error), who)
-            return Put(ca.CAStatus.ECA_PUTFAIL, str(error))
+            return Refused(ca.CAStatus.ECA_PUTFAIL, str(error))
         return await self._plant.put(variable, value, who)
 
-    def _refusal(self, command: Any, refused: Put) -> Any:
-        channel, _ = self._channel(command.sid)
+    def _refusal(self, command: Any, channel: Any, refused: Refused) -> Any:
         self._core._ioids.pop(command.ioid, None)  # caproto waits for another answer
+        return self._error(command, channel, refused)
+
+    def _error(self, command: Any, channel: Any, refused: Refused) -> Any:
         return ca.ErrorResponse(command, channel.cid, refused.status, cut(refused.reason, _MOST_REASON))
 
     # --- channels -------------------------------------------------------------------------------------------------

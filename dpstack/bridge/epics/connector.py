@@ -13,7 +13,7 @@ from typing import ClassVar, Final
 import caproto as ca
 
 from dpstack.bridge.connector import Connector, Tell
-from dpstack.bridge.epics.circuit import Put
+from dpstack.bridge.epics.circuit import Refused
 from dpstack.bridge.epics.names import Pv, pvs_of
 from dpstack.bridge.epics.server import BEACON_PORT, Server
 from dpstack.bridge.epics.variables import FIELDS, MOST_UNIT, Variable, cut
@@ -250,7 +250,7 @@ class EpicsConnector(Connector):
             and self._orders.takes(order)
         )  # fmt: skip
 
-    async def put(self, variable: Variable, value: Value, who: str) -> Put | None:
+    async def put(self, variable: Variable, value: Value, who: str) -> Refused | None:
         order = variable.pv.order
         assert order is not None
         if variable.pv.is_button:
@@ -262,7 +262,7 @@ class EpicsConnector(Connector):
         result = await self._give(order.name, given, who, is_output=bool(order.output))
         if result.result != "done":
             status = ca.CAStatus.ECA_NOWTACCESS if result.kind is Refusal.NOT_ALLOWED else ca.CAStatus.ECA_PUTFAIL
-            return Put(status, result.reason)
+            return Refused(status, result.reason)
         if not variable.pv.is_button:
             await self._settle(variable, before, given)
         return None
