@@ -12,7 +12,7 @@ import shlex
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -85,13 +85,6 @@ class Tools:
         )  # fmt: skip
         return (done.stdout + done.stderr).strip()
 
-    def client(self, library: str, *names: str) -> subprocess.Popen[str]:
-        words: Sequence[str | Path] = [self.folder / "python", CLIENT, library, *names]
-        return subprocess.Popen(
-            words, env=self.environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            text=True, bufsize=1,
-        )  # fmt: skip
-
 
 def plant_of(folder: Path) -> tuple[Path, int]:
     port = free_port()
@@ -161,47 +154,67 @@ def test_the_session_of_the_page_to_the_letter(start: Starter, programs: Path, t
     assert found.count("\n") + 1 == len(names.out.splitlines())
 
 
-@pytest.mark.parametrize("library", ["aioca", "pyepics"])
 def test_monitors_of_others_see_alarms_times_the_end_and_the_return(
-    library: str, start: Starter, programs: Path, tmp_path: Path
+    start: Starter, programs: Path, tmp_path: Path
 ) -> None:
     config, port = plant_of(tmp_path)
     tools = Tools(programs, port)
     first = start("run", str(config), "--json")
     eventually(lambda: tools("caget", "-t", "LAB:valves:state") == "data_exchange")
     level, state = "LAB:valves:in:level", "LAB:fan:drive:state"
-    with tools.client(library, level, state) as client, contextlib.ExitStack() as at_the_end:
-        at_the_end.callback(client.kill)
-        assert client.stdout is not None
-        lines = client.stdout
+    with contextlib.ExitStack() as at_the_end:
+        monitors = [Monitor(tools, library, level, state) for library in ("aioca", "pyepics")]
+        for one in monitors:
+            at_the_end.callback(one.end)
 
-        def until(found: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-            while line := lines.readline():
-                given: dict[str, Any] = json.loads(line)
-                if found(given):
-                    return given
-            raise AssertionError("the client has ended")
+        def each(name: str, **wanted: object) -> list[dict[str, Any]]:
+            return [one.until(name, wanted) for one in monitors]
 
-        good = until(lambda one: one["name"] == level and one.get("severity") == 0)
-        assert abs(good["time"] - time.time()) < 60
+        good = each(level, severity=0)
+        assert all(abs(one["time"] - time.time()) < 60 for one in good)
         ctl(start, first, "trip", "fan", "OC1")
-        tripped = until(lambda one: one["name"] == state and one.get("severity") == 2)
-        assert (tripped["value"], tripped["status"]) == (10, 7)  # fault: STATE, MAJOR
+        assert [(one["value"], one["status"]) for one in each(state, severity=2)] == [
+            (10, 7)
+        ] * 2  # fault: STATE, MAJOR
         ctl(start, first, "power-off", "valves")
-        stale = until(lambda one: one["name"] == level and one.get("severity") == 3)
-        assert (stale["value"], stale["status"]) == (good["value"], 9)  # COMM, INVALID
-        assert abs(stale["time"] - good["time"]) < 60
+        stale = each(level, severity=3)
+        assert [(one["value"], one["status"]) for one in stale] == [(good[0]["value"], 9)] * 2  # COMM, INVALID
+        # the time of the value
+        assert all(one["time"] < time.time() for one in stale)
         ctl(start, first, "power-on", "valves")
-        until(lambda one: one["name"] == level and one.get("severity") == 0)
+        each(level, severity=0)
         first.process.send_signal(signal.SIGTERM)
         # before the connection ends the last value is INVALID: nothing dead looks good
-        assert until(lambda one: one["name"] == level)["severity"] == 3
-        until(lambda one: one["name"] == level and not one["connected"])
+        assert [one["severity"] for one in each(level)] == [3, 3]
+        each(level, connected=False)
         first.process.wait(30)
         second = start("run", str(config), "--json")
-        until(lambda one: one["name"] == level and one.get("severity") == 0)
+        each(level, severity=0)
         second.process.kill()
-        assert until(lambda one: one["name"] == level)["connected"] is False
+        assert [one["connected"] for one in each(level)] == [False, False]
+
+
+class Monitor:
+    """A client with ``library`` that monitors ``names``."""
+
+    def __init__(self, tools: Tools, library: str, *names: str) -> None:
+        words = [str(tools.folder / "python"), str(CLIENT), library, *names]
+        self._process = subprocess.Popen(
+            words, env=tools.environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+
+    def until(self, name: str, wanted: dict[str, object]) -> dict[str, Any]:
+        """The next line about ``name`` that has what is wanted."""
+        assert self._process.stdout is not None
+        while line := self._process.stdout.readline():
+            given: dict[str, Any] = json.loads(line)
+            if given["name"] == name and wanted.items() <= given.items():
+                return given
+        raise AssertionError("the client has ended")
+
+    def end(self) -> None:
+        with self._process:
+            self._process.kill()
 
 
 def ctl(start: Starter, run: Program, *words: str) -> None:
