@@ -195,7 +195,7 @@ class Circuit:
         request = monitor.request
         try:
             metadata, values = await self._values(monitor.variable, request)
-        except _CONVERSION:  # an empty text is 0 as a number, its next value is none: the old one would look good
+        except _CONVERSION:  # a text was empty, which is 0, and is no number now: the old value would look good
             self._forget(monitor.channel.sid)
             self._send(monitor.channel.disconnect())
             return
