@@ -48,11 +48,12 @@ class Cutter:
     arrive together in one chunk get times without gaps between them, counted back from its arrival. The times of
     transmissions are those plus ``epoch_ns``; they never run backwards, whatever the arrival times do. Octets that the
     port has marked as damaged (:class:`MarkedOctets`) stay at their place: the transmission is damaged, a note says
-    where. At most 1279 octets are held from one call to the next.
+    where (``marked``: by whom). At most 1279 octets are held from one call to the next.
     """
 
-    def __init__(self, baud: int, stall_ns: int, epoch_ns: int = 0) -> None:
+    def __init__(self, baud: int, stall_ns: int, epoch_ns: int = 0, marked: str = "by mark of the port") -> None:
         self.baud = baud
+        self._marked_by = marked
         self.stall_ns = stall_ns
         self._epoch_ns = epoch_ns
         self._held = bytearray()
@@ -167,7 +168,7 @@ class Cutter:
         checked = not one.damage and one.octets[0] in _CHECKED
         if packets and checked:  # its check sequence shows that the damaged octet is another one
             return one._replace(note=PACKET_NOTE)
-        note = f"damaged by mark of the port: {_places(places)}"
+        note = f"damaged {self._marked_by}: {_places(places)}"
         if packets:
             note += f"; {PACKET_NOTE}"
         return one._replace(note=note, damage=one.damage | Damage.PARITY_OR_FRAMING)

@@ -9,20 +9,20 @@ from msgspec import Struct
 
 from dpstack.units import NS_PER_MS, NS_PER_US, bits_to_ns
 
-#: kinds of sources: the machine of a running program of ours; a UART or USB adapter; a pty or socket; a file that does
-#: not say what wrote it
-TAP, ADAPTER, HOST, FILE = "tap", "adapter", "host", "file"
+#: kinds of sources: the machine of a running program of ours; a UART or USB adapter; a pty or socket; the samples of a
+#: logic analyser; a file that does not say what wrote it
+TAP, ADAPTER, HOST, WAVEFORM, FILE = "tap", "adapter", "host", "waveform", "file"
 
 #: Full-speed USB delivers once a millisecond; a computer with load wakes a program as late.
 _DELIVERY_NS: Final = NS_PER_MS
 #: A UART with a FIFO delivers the last octets of a telegram after four characters of silence (16550 data sheet).
 _FIFO_BITS: Final = 44
-_TEXT: Final = re.compile(r"times by (tap|adapter|host|file), resolution (\d{1,9}(?:\.\d{1,3})?) us")
+_TEXT: Final = re.compile(r"times by (tap|adapter|host|waveform|file), resolution (\d{1,9}(?:\.\d{1,3})?) us")
 
 
 class LineTiming(Struct, frozen=True):
-    """``source``: "tap", "adapter", "host" or "file". ``resolution_ns``: the error of the distance of two times, None
-    if nobody knows it."""
+    """``source``: "tap", "adapter", "host", "waveform" or "file". ``resolution_ns``: the error of the distance of two
+    times, None if nobody knows it."""
 
     source: str
     resolution_ns: int | None

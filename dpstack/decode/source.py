@@ -1,7 +1,9 @@
-"""Where transmissions to be explained come from: a pcapng file, octets as hex digits, a text file with such lines."""
+"""Where transmissions to be explained come from: a pcapng file, a waveform of a logic analyser, octets as hex digits, a
+text file with such lines."""
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Iterator
 from typing import BinaryIO, Final
@@ -18,6 +20,13 @@ _BETWEEN: Final = re.compile(r"0x|[\s,;:-]+", re.IGNORECASE)
 _MOST_LINE: Final = 1 << 20
 _DAMAGED: Final = int(sum(Damage))
 _PCAPNG: Final = b"\n\r\r\n"
+#: how a waveform begins: a zip archive, comments or headings of a CSV file, definitions of a VCD file
+_WAVEFORM: Final = re.compile(
+    rb"PK\x03\x04|<SAL|\$[a-z]|;|META|"
+    rb"(?:\xef\xbb\xbf)?(?:\"?name\"?,|Time ?[\[(,]|(?:milli|micro|nano|pico)seconds,|logic\b)"
+)
+#: if a file begins with these only, the whole line shows what it is
+_LETTERS: Final = b'abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ\xef\xbb\xbf"'
 _NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 
 
@@ -33,22 +42,55 @@ def from_hex(text: str) -> bytes:
 
 
 def read_transmissions(
-    file: BinaryIO, name: str, on_interface: Callable[[Interface], None] = lambda interface: None
+    file: BinaryIO,
+    name: str,
+    on_interface: Callable[[Interface], None] = lambda interface: None,
+    *,
+    baud: int = 0,
+    channel: str = "",
+    on_remark: Callable[[str], None] = lambda text: None,
 ) -> Iterator[Transmission]:
-    """The transmissions in a pcapng ``file``, or in a text file with hex digits, a transmission a line.
+    """The transmissions in a pcapng ``file``, in a waveform of a logic analyser (.sr, VCD, CSV), or in a text file with
+    hex digits, a transmission a line.
 
     ``on_interface`` gets the interface of a pcapng file before its first transmission, and again if another one
-    follows.
+    follows; of a waveform its channel. ``baud`` in bit/s and ``channel`` (its name): where the bus is in a waveform;
+    0 and empty: find it. ``on_remark`` gets lines about a waveform: where the bus was found, what was left out.
 
     Raises CaptureFileError, after what could be read, for what cannot; a line of text that is no hex digits likewise.
     """
     head = file.read(4)
     if head == _PCAPNG:
         yield from _captured(Reader(_Again(head, file), name), on_interface)
+        return
+    if not head.strip(_LETTERS):
+        head += file.readline(_MOST_LINE)
+    if _WAVEFORM.match(head):
+        from dpstack.capture.waveforms.reader import read_waveform  # with the modules for archives
+
+        with _seekable(head, file) as whole:
+            yield from read_waveform(
+                whole, name, baud=baud, channel=channel, on_interface=on_interface, on_remark=on_remark
+            )
     elif head.isascii() and b"\0" not in head:
         yield from _lines(_Again(head, file), name)
     else:
         yield from _captured(Reader(_Again(head, file), name), on_interface)  # which says what it is instead
+
+
+@contextlib.contextmanager
+def _seekable(head: bytes, file: BinaryIO) -> Iterator[BinaryIO]:
+    """``file`` from its begin on, from which ``head`` was read: a pipe goes to a temporary file first."""
+    if file.seekable():
+        yield file
+        return
+    import shutil
+    import tempfile
+
+    with tempfile.TemporaryFile() as whole:
+        whole.write(head)
+        shutil.copyfileobj(file, whole)
+        yield whole
 
 
 class _Again:

@@ -54,6 +54,7 @@ _SOURCES: Final = {
     "tap": "the octets of a dpstack program that holds the port; telegrams that it sends have exact times",
     "host": "a pty or a socket: the octets come from another process, not from a wire",
     "adapter": "a serial adapter",
+    "waveform": "the samples of a logic analyser",
     "file": "a capture file that does not say how it was timed",
 }
 #: what the report says that it cannot see

@@ -15,6 +15,8 @@ from dpstack.monitor.verdict import Verdict
 from dpstack.monitor.verdicts import Heard, judge
 from dpstack.units import NS_PER_MS, NS_PER_S
 
+#: 1980-01-01: no clock of a capture is older
+_CLOCK_NS: Final = 315_532_800 * NS_PER_S
 #: what no listener at the octets can see, for people
 UNSEEN: Final = (
     "voltage levels, edges and reflections (an oscilloscope shows them)",
@@ -53,8 +55,9 @@ def summary(heard: Heard) -> dict[str, object]:
 
 
 def time_text(ns: int) -> str | None:
-    """``ns`` since 1970 as JSON lines have it, in ms; None for 0 and for times that no calendar has."""
-    if not ns:
+    """``ns`` since 1970 as JSON lines have it, in ms; None for times before 1980, which count from the begin of a
+    waveform, and for those that no calendar has."""
+    if ns < _CLOCK_NS:
         return None
     millis = ns // NS_PER_MS
     try:

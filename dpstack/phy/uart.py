@@ -83,6 +83,11 @@ class Receiver:
         """The end in ns of the current character if the line stays mark; NEVER without one."""
         return self._edge_ns + bits_to_ns(BITS_PER_CHAR, self.baud) if self._sampled else NEVER
 
+    @property
+    def begun_ns(self) -> int | None:
+        """The start edge of a character that is not complete yet, in ns; None without one."""
+        return None if self._sampled is None else self._edge_ns
+
     def idle(self, now: int) -> list[Character]:
         """The characters complete at ``now`` (at most one); the line has been mark since the last transmission."""
         if self._sampled and self.due <= now:

@@ -6,10 +6,12 @@ import argparse
 import os
 from collections.abc import Callable, Iterator
 
+from dpstack.api.config.bus import AUTO
 from dpstack.capture.cutter import split
 from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Transmission
-from dpstack.cli.listening.source_file import STDIN, is_growing, transmissions_of
+from dpstack.cli import options
+from dpstack.cli.listening.source_file import STDIN, add_line, is_growing, transmissions_of
 from dpstack.cli.listening.telegram_lines import add_names_and_filter, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
@@ -25,8 +27,16 @@ def add_to(parser: Parser) -> None:
         'examples: dpstack decode bus.pcapng; dpstack decode "68 05 05 68 83 82 6D 3C 3E EC 16"; '
         "dpstack decode bus.pcapng --filter 'station 5 and (retry or error)'"
     )
-    what = "a pcapng file, or a text file of hex digits; octets; or - for standard input"
+    what = "a file: pcapng, of a logic analyser (.sr, VCD, CSV), or of hex digits; octets; or - for standard input"
     parser.add_argument("source", metavar="FILE|HEX|-", nargs="+", help=what)
+    parser.value(
+        "--baud",
+        "B|auto",
+        "rate in a logic analyser's file (default: finds it)",
+        type=options.baud_or_auto,
+        default=AUTO,
+    )
+    add_line(parser)
     add_names_and_filter(parser)
     parser.run_by(execute)
 
@@ -36,7 +46,7 @@ def execute(args: argparse.Namespace) -> int:
     bad = 0
     at_once = len(args.source) == 1 and is_growing(args.source[0])  # somebody may be watching
     buses = _Buses(names_of(args))
-    explained = map(buses.explain, _transmissions(args.source, buses.choose))
+    explained = map(buses.explain, _transmissions(args, buses.choose))
     for one in explained if args.filter is None else one_later(explained):
         bad += one.error is not None
         if args.filter is None or args.filter(one):
@@ -66,10 +76,11 @@ class _Buses:
         return self._explainer.add(sent, self._number)
 
 
-def _transmissions(source: list[str], on_interface: Callable[[Interface], None]) -> Iterator[Transmission]:
+def _transmissions(args: argparse.Namespace, on_interface: Callable[[Interface], None]) -> Iterator[Transmission]:
+    source: list[str] = args.source
     name = source[0]
     if len(source) == 1 and (name == STDIN or os.path.lexists(name) or os.sep in name):  # a file goes before hex digits
-        yield from transmissions_of(name, on_interface)
+        yield from transmissions_of(name, on_interface, baud=args.baud, channel=args.channel)
     else:
         text = " ".join(source)
         try:

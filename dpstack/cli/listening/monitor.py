@@ -14,7 +14,7 @@ from dpstack.capture.timing import FILE, LineTiming
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
 from dpstack.cli.listening.monitor_view import event_line, show_summary, write_report
-from dpstack.cli.listening.source_file import transmissions_of
+from dpstack.cli.listening.source_file import add_line, transmissions_of
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import CaptureFileError, UsageError
@@ -33,11 +33,14 @@ def add_to(parser: Parser) -> None:
         "examples: dpstack monitor --port /dev/ttyUSB0; dpstack monitor bus.pcapng --gsd plant/gsd; "
         "dpstack monitor --port /dev/ttyUSB0 --config plant.toml --seconds 600 --json"
     )
-    parser.value("file", "FILE", "a capture file (pcapng), in place of --port", nargs="?")
+    parser.value(
+        "file", "FILE", "a capture file (pcapng, or of a logic analyser: .sr, VCD, CSV), in place of --port", nargs="?"
+    )
     parser.value("--port", "P", "the port; also one that a run, sim or segment holds")
     parser.value(
         "--baud", "B|auto", 'rate in bit/s; "auto" (default): finds it', type=options.baud_or_auto, default=AUTO
     )
+    add_line(parser)
     parser.value("--config", "CONFIG", "configuration file: names of the slaves, their GSD files, T_SL")
     parser.value("--gsd", "DIR", "folder of GSD files: models and diagnosis texts by ident number")
     parser.value("--thresholds", "FILE", "TOML file with other thresholds, see docs/how-to/monitor.md")
@@ -92,6 +95,7 @@ class _FromFile:
         self._name: str = args.file
         self._json: bool = args.json
         self._baud = 0 if args.baud == AUTO else args.baud
+        self._channel: str = args.channel
         self._limit_ns = None if args.seconds is None else int(args.seconds * NS_PER_S)
         self._monitor = monitor
         self._started = False
@@ -122,7 +126,7 @@ class _FromFile:
         monitor = self._monitor
         add = monitor.add if self._report is None else self._report.add
         end = None
-        for one in transmissions_of(self._name, self._interface):
+        for one in transmissions_of(self._name, self._interface, baud=self._baud, channel=self._channel):
             if self._other_port:
                 continue
             if not one.baud:

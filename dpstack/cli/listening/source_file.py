@@ -8,8 +8,11 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import BinaryIO, Final
 
+from dpstack.api.config.bus import AUTO
 from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Transmission
+from dpstack.cli.parser import Parser
+from dpstack.cli.terminal import output
 from dpstack.decode.source import read_transmissions
 from dpstack.errors import CaptureFileError, UsageError
 
@@ -25,17 +28,30 @@ def is_growing(name: str) -> bool:
         return False
 
 
+def add_line(parser: Parser) -> None:
+    """The option ``--channel`` of a waveform."""
+    parser.value(
+        "--channel", "NAME", "the channel of a logic analyser's file with the bus (default: finds it)", default=""
+    )
+
+
 def transmissions_of(
-    name: str, on_interface: Callable[[Interface], None] = lambda interface: None
+    name: str,
+    on_interface: Callable[[Interface], None] = lambda interface: None,
+    *,
+    baud: int | str = AUTO,
+    channel: str = "",
 ) -> Iterator[Transmission]:
-    """The transmissions in the file ``name``, or in standard input, see :func:`read_transmissions`.
+    """The transmissions in the file ``name``, or in standard input, see :func:`read_transmissions`. Remarks about a
+    waveform go to standard error.
 
     Raises UsageError if it cannot be opened; a device is refused, because opening a port switches its lines.
     """
     to_close = None if name == STDIN else _opened(name)
     try:
         file, title = (sys.stdin.buffer, "standard input") if to_close is None else (to_close, name)
-        yield from read_transmissions(file, title, on_interface)
+        rate = 0 if isinstance(baud, str) else baud
+        yield from read_transmissions(file, title, on_interface, baud=rate, channel=channel, on_remark=output.warn)
     except OSError as error:
         raise CaptureFileError(f"{name}: cannot be read to its end ({error.strerror})") from None
     finally:
