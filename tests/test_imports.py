@@ -148,6 +148,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("toml",),
     ("fdl",),
     ("capture",),
+    ("capture/waveforms",),
     ("fdl/active", "fdl/passive"),
     ("dp/pdu",),
     ("dpv1/pdu",),

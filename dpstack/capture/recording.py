@@ -7,7 +7,7 @@ from typing import Final
 from msgspec import Struct
 
 from dpstack.capture.pcapng import USER0, Writable, Writer
-from dpstack.capture.timing import timing_of
+from dpstack.capture.timing import LineTiming, timing_of
 from dpstack.capture.transmission import Transmission, damage_text
 from dpstack.units import baud_text
 
@@ -17,7 +17,8 @@ _MOST_CAUSES: Final = 8
 
 class PortAbout(Struct, frozen=True):
     """The description of a port in the file. ``source``: see :mod:`dpstack.capture.timing`; ``exact``: its octets have
-    the times of a simulated wire; ``paced``: octets take their time on a wire; ``more``: another remark.
+    the times of a simulated wire; ``paced``: octets take their time on a wire; ``more``: another remark; ``timing``: of
+    a file, whatever its source.
     """
 
     name: str
@@ -25,10 +26,11 @@ class PortAbout(Struct, frozen=True):
     paced: bool
     exact: bool = False
     more: str = ""
+    timing: LineTiming | None = None
 
     def text(self, baud: int) -> str:
         """One line for readers of the file: rate, parity, origin and resolution of the times."""
-        timing = timing_of(self.source, baud, exact=self.exact).text
+        timing = (self.timing or timing_of(self.source, baud, exact=self.exact)).text
         pace = "" if self.paced else "; no wire gives the octets their time"
         more = f"; {self.more}" if self.more else ""
         return f"{self.name}, {baud_text(baud)}, 8 data bits, even parity; {timing}{pace}{more}"
@@ -100,6 +102,8 @@ class Recording:
             self._statistics(interface, t_ns, gap)
         self._written[interface] += 1
         cause = f"damaged: {damage_text(one.damage)}" if one.damage else ""
+        if cause in one.note:  # copied from another file
+            cause = ""
         text = "; ".join(part for part in (gap, remark, cause, one.note) if part)
         self._writer.packet(interface, t_ns, one.octets, one.damage, text)
 

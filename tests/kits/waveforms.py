@@ -39,8 +39,7 @@ def line(telegrams: Iterable[bytes], gap: int = 37) -> list[int]:
 
 def sampled(levels: list[int], baud: int, rate: int) -> bytes:
     """One octet (0 or 1) for each sample at ``rate`` samples/s."""
-    step = Fraction(baud, rate)
-    return bytes(levels[int(number * step)] for number in range(int(len(levels) / step)))
+    return bytes(levels[number * baud // rate] for number in range(len(levels) * rate // baud))
 
 
 def times(levels: list[int], baud: int, rate: int) -> list[tuple[Fraction, int]]:

@@ -7,7 +7,6 @@ start_time,duration,data,error`` with the error ``parity`` or ``framing``. The t
 from __future__ import annotations
 
 import csv
-import io
 import re
 from collections.abc import Iterator
 from itertools import islice, pairwise
@@ -21,6 +20,8 @@ from dpstack.units import BAUD_RATES, BITS_PER_CHAR, NS_PER_S, chars_to_ns
 _LOGIC_1: Final = ["Time [s]", "Value", "Parity Error", "Framing Error"]
 _LOGIC_2: Final = {"name", "type", "start_time", "data"}
 _HEX: Final = re.compile(r"0x([0-9A-F]{1,2})$", re.IGNORECASE)
+#: octets of a line
+_MOST_LINE: Final = 1 << 16
 #: characters from which the rate is found
 _FIRST: Final = 2000
 #: the rate found differs from the one of the distances by this factor at most: stop bits may be longer
@@ -108,16 +109,14 @@ class CharacterTable:
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         self._file.seek(0)
-        text = io.TextIOWrapper(self._file, encoding="utf-8-sig", errors="replace", newline="")
+        lines = iter(lambda: self._file.readline(_MOST_LINE), b"")
+        reader = csv.reader(line.decode(errors="replace").lstrip("\ufeff") for line in lines)
         try:
-            reader = csv.reader(text)
             for row in reader:
                 if row:
                     yield reader.line_num, row
         except csv.Error as error:
-            raise CaptureFileError(f"{self.name}: {error}") from None
-        finally:
-            text.detach()
+            raise self._wrong(reader.line_num, str(error)) from None
 
     def _wrong(self, line: int, text: str) -> CaptureFileError:
         return CaptureFileError(f"{self.name}: line {line}: {text}")

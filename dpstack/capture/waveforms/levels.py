@@ -20,6 +20,14 @@ MOST_RATE: Final = NS_PER_S
 KEPT: Final = -1
 #: samples of a short pulse at least, where the rate is a matter of choice
 _FINE: Final = 16
+#: samples/s that analysers offer, slowest first
+_USUAL_RATES: Final = tuple(
+    round(10**decade * one)
+    for decade in range(4, 9)
+    for one in (1, 1.2, 1.25, 1.6, 2, 2.4, 2.5, 3, 3.125, 3.2, 4, 4.8, 5, 6, 6.25, 8)
+)
+#: ticks of a period at least: each time is wrong by half a tick
+_LEAST_PERIOD: Final = 4
 #: channels of one file
 MOST_CHANNELS: Final = 1024
 #: bits at the slowest rate after which a level that stays is left out of the pieces
@@ -82,13 +90,15 @@ def parse_rate(text: str) -> int:
 
 
 def pieces_of(changes: Iterable[Change], rate: int) -> Iterator[Piece]:
-    """Pieces at ``rate`` from ``changes``, whose samples must not run backwards, up to the last one."""
+    """Pieces at ``rate`` from ``changes``, whose samples must not run backwards, up to the last one. If that is a real
+    change, the end of the capture is unknown: the levels stay for a while."""
     longest = _LONG_BITS * rate // BAUD_RATES[0] + 1
     runs: dict[int, _Runs] = {}
-    at = 0
+    at = last = 0
     for at, channel, level in changes:
         if level == KEPT:
             continue
+        last = at
         run = runs.get(channel)
         if run is None:
             run = runs[channel] = _Runs(channel, at, longest)
@@ -96,7 +106,7 @@ def pieces_of(changes: Iterable[Change], rate: int) -> Iterator[Piece]:
             yield piece
         run.level = level
     for run in runs.values():
-        yield run.reach(at) or run.take()
+        yield run.reach(at if at > last else at + longest) or run.take()
 
 
 class _Runs:
@@ -130,34 +140,21 @@ class _Runs:
 
 def estimated_rate(ticks: Sequence[int], tick_ns: float) -> tuple[int, int]:
     """Samples/s, and the period of the samples in ns, for a file that has only the times of changes, in ascending
-    ``ticks``: their distances are multiples of the period, rounded to ticks; without such a period it is a tick.
+    ``ticks``: the slowest usual rate whose samples, rounded to ticks, they are.
 
     All changes of a simulated line stand at multiples of a bit. So that a bit is not read with one sample, the rate
     may be a multiple of the one that was found."""
     pulses = sorted(b - a for a, b in pairwise(ticks) if b > a)
     distances = sorted(set(pulses))
-    period, error = (float(distances[0]), 1.0) if distances else (1.0, 1.0)
-    exact = math.gcd(*distances)
-    if exact > 1:
-        period, error, distances = float(exact), 0.0, []
-    number = 0
-    while number < len(distances):
-        distance = distances[number]
-        number += 1
-        count = round(distance / period)
-        slack = 1 + count * error  # of a distance: two rounded times; of a multiple of the period: its error each time
-        if slack > period / 3:
-            continue
-        rest = abs(distance - count * period)
-        if rest > slack:
-            period, error, number = rest, slack, 0
-        elif error > 1 / count:
-            period, error = distance / count, 1 / count
-    if 3 * error >= period:
-        period = 1
-    rate = NS_PER_S / (period * tick_ns)
-    round_rate = float(f"{rate:.3g}")
-    rate = round_rate if abs(round_rate - rate) < rate / 1000 else rate
+    per_second = NS_PER_S / tick_ns
+    rate = min(MOST_RATE, per_second / max(1, math.gcd(*distances)))
+    for usual in _USUAL_RATES if distances else ():
+        period = per_second / usual
+        if usual >= rate or period < _LEAST_PERIOD:
+            break
+        if all(abs(distance - round(distance / period) * period) <= 1.001 for distance in distances):
+            rate = usual
+            break
     pulse_ns = pulses[len(pulses) // 10] * tick_ns if pulses else NS_PER_S
     fine = math.ceil(_FINE * NS_PER_S / (pulse_ns * rate))
     return max(1, round(min(MOST_RATE, rate * fine))), math.ceil(NS_PER_S / rate)

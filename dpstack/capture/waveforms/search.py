@@ -187,21 +187,27 @@ def _given(waveform: Waveform, excerpts: list[_Excerpt], baud: int, chosen: bool
         hint = "" if fits else f"; {seen}: that is about {_about(about)}"
         remark = f"no telegram of PROFIBUS at {baud_text(baud)}{hint}"
         return Line(busiest.channel, busiest.idle_is_low(), baud, remark=remark)
-    if 0 < pulse < LEAST_SAMPLES:
-        raise _too_slow(waveform, pulse, f"in the shortest pulses of {name!r}")
+    samples = pulse / waveform.rate * _sampled(waveform)
+    if 0 < samples < LEAST_SAMPLES:
+        raise _too_slow(waveform, samples, f"in the shortest pulses of {name!r}")
     least = waveform.rate // LEAST_SAMPLES
     slow = f" (rates above {baud_text(least)} need more samples)" if least < BAUD_RATES[-1] and waveform.stated else ""
     raise waveform.wrong(
         f"no telegram of PROFIBUS on {some_of([repr(waveform.channels[one.channel]) for one in excerpts], 8)}{slow}; "
-        f"{seen}: about {_about(about)}; choose with --channel and --baud to see the characters all the same"
+        f"{seen}: about {_about(about)}; to see the characters all the same name --channel and --baud"
     )
 
 
+def _sampled(waveform: Waveform) -> float:
+    """Samples/s of the analyser, as far as the file shows them."""
+    return NS_PER_S / waveform.period_ns if waveform.period_ns else waveform.rate
+
+
 def _too_slow(waveform: Waveform, samples: float, where: str) -> CaptureFileError:
-    need = _GOOD_SAMPLES * waveform.rate / samples
+    sampled = _sampled(waveform)
     return waveform.wrong(
-        f"{rate_text(waveform.rate)} are {samples:g} samples a bit {where}, at least {LEAST_SAMPLES} are needed; "
-        f"record with {rate_text(need)} or more"
+        f"{rate_text(sampled)} are {samples:.3g} samples a bit {where}, at least {LEAST_SAMPLES} are needed; "
+        f"record with {rate_text(_GOOD_SAMPLES * sampled / samples)} or more"
     )
 
 

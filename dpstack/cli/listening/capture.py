@@ -14,11 +14,13 @@ from dpstack.api.bus.events_json import PortLost, event_json
 from dpstack.api.config.bus import AUTO
 from dpstack.api.listen.capture_file import STDOUT, CaptureFile, Ring
 from dpstack.api.listen.listening import BaudFound, ListenedLine, OctetsLost
-from dpstack.capture.pcapng import PROFIBUS_DL, USER0
+from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Interface
 from dpstack.capture.recording import Gaps, PortAbout, Recording
+from dpstack.capture.timing import FILE, LineTiming
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
 from dpstack.cli.listening.port_listener import PortListener, start_json, start_text
+from dpstack.cli.listening.source_file import add_channel, bus_in
 from dpstack.cli.listening.telegram_lines import add_names_and_filter, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
@@ -31,7 +33,7 @@ from dpstack.monitor.evidence import finding
 from dpstack.monitor.triggers import Triggers, Window, parse_trigger
 from dpstack.text import decimal, iso_time, some_of
 from dpstack.trace import Event
-from dpstack.units import ns_to_s, s_to_ns
+from dpstack.units import NEVER, baud_text, ns_to_s, s_to_ns
 
 #: pause between two writes to the file, in s
 _FLUSH_S: Final = 0.1
@@ -44,6 +46,8 @@ _OCTETS_ONLY: Final = (
 )
 #: pause between two looks at the counters of the port, in s
 _WATCH_S: Final = 1.0
+#: transmissions of a file between two turns of the loop: 1 MB of blocks at most
+_TURN: Final = 1000
 #: memory of an explained telegram in octets, about
 _EXPLAINED: Final = 2_000
 _files = options.number(decimal, 2, 100_000, "number of files from 2 on")
@@ -54,9 +58,14 @@ _period = options.number(float, 0, 3600, "number of seconds, below 3600")
 def add_to(parser: Parser) -> None:
     parser.epilog = (
         "examples: dpstack capture --port /dev/ttyUSB0; dpstack capture --port /dev/ttyUSB0 --write bus.pcapng "
-        "--seconds 60; dpstack capture --port /dev/ttyUSB0 --filter 'station 5 and retry'"
+        "--seconds 60; dpstack capture --port /dev/ttyUSB0 --filter 'station 5 and retry'; "
+        "dpstack capture --from bus.sr --write bus.pcapng"
     )
-    parser.value("--port", "P", "the port; also one that a run, sim or segment holds", required=True)
+    parser.value("--port", "P", "the port; also one that a run, sim or segment holds")
+    parser.value(
+        "--from", "FILE", "a file in place of the port: of a logic analyser (.sr, VCD, CSV), or pcapng", dest="source"
+    )
+    add_channel(parser)
     parser.value(
         "--baud", "B|auto", 'rate in bit/s; "auto" (default): finds it', type=options.baud_or_auto, default=AUTO
     )
@@ -89,6 +98,10 @@ def add_to(parser: Parser) -> None:
 
 def _check(args: argparse.Namespace) -> None:
     """Raises UsageError for options that do not go together."""
+    if (args.port is None) == (args.source is None):
+        raise UsageError("capture: give either --port, for instance --port /dev/ttyUSB0, or --from FILE")
+    if args.channel and args.source is None:
+        raise UsageError("--channel is of a file: it needs --from FILE")
     if (args.ring is None) != (args.size is None):
         raise UsageError("--ring and --size belong together: number of files, and size of each in MB")
     if args.ring is not None and args.write in (None, STDOUT):
@@ -104,7 +117,8 @@ def execute(args: argparse.Namespace) -> int:
     _check(args)
     if args.linktype == PROFIBUS_DL:
         output.warn(_OCTETS_ONLY)
-    return run_unhurried(_Capture(args).run(), json=args.json)
+    capture = _Capture(args) if args.source is None else _FileCapture(args)
+    return run_unhurried(capture.run(), json=args.json)
 
 
 class _Capture(PortListener):
@@ -130,7 +144,7 @@ class _Capture(PortListener):
         self._unjudged: tuple[Transmission, Explained, str] | None = None
         self._kept = 0
         self._too_slow = 0  # transmissions since the last flush that the disk was too slow for
-        self._began = monotonic_ns()
+        self._began = self._now()
 
     async def run(self) -> int:
         failure: DpError | None = None
@@ -161,7 +175,7 @@ class _Capture(PortListener):
 
     def _interrupted(self, reason: str) -> None:
         self._lost(reason)
-        self._say(monotonic_ns(), "notice", "waiting until a program holds the port again")
+        self._say(self._now(), "notice", "waiting until a program holds the port again")
 
     async def _watch_port(self) -> None:
         while True:
@@ -169,7 +183,7 @@ class _Capture(PortListener):
             self._look_at_port(_WATCH_S)
 
     def _lost(self, text: str) -> None:
-        self._gap(monotonic_ns(), text)
+        self._gap(self._now(), text)
 
     async def _write(self, file: CaptureFile) -> None:
         while True:
@@ -177,11 +191,11 @@ class _Capture(PortListener):
             await file.flush()
             if self._too_slow and file.has_room:
                 count, self._too_slow = self._too_slow, 0
-                self._gap(monotonic_ns(), f"the disk was too slow: {count} transmissions were not written", count)
+                self._gap(self._now(), f"the disk was too slow: {count} transmissions were not written", count)
 
     # --- what is heard ---
     def _is_back(self, line: ListenedLine, text: str) -> None:
-        self._say(monotonic_ns(), "port", text, lost=False)
+        self._say(self._now(), "port", text, lost=False)
 
     def _started(self, line: ListenedLine) -> None:
         self._about = PortAbout(line.port, line.source, line.paced, line.exact, line.damaged)
@@ -214,7 +228,7 @@ class _Capture(PortListener):
         size = len(one.octets) + (0 if explained is None else _EXPLAINED)
         keep = self._window.add(one.t_ns or 0, size, heard, reason)
         if self._window.count != count:
-            self._say(monotonic_ns(), "trigger", f"trigger {count + 1}: {reason}", number=count + 1)
+            self._say(self._now(), "trigger", f"trigger {count + 1}: {reason}", number=count + 1)
         for kept in keep:
             self._keep(kept.item, kept.remark)
 
@@ -277,6 +291,14 @@ class _Capture(PortListener):
         else:
             output.line(text, style)
 
+    def _now(self) -> int:
+        """The time of what is heard now, in ns, as ``t`` of the lines counts it."""
+        return monotonic_ns()
+
+    def _end_ns(self) -> int:
+        """The time of the end, in ns since 1970 as the transmissions have it."""
+        return time_ns()
+
     def _seconds(self, t_ns: int) -> float:
         return ns_to_s(t_ns - self._began)
 
@@ -288,7 +310,7 @@ class _Capture(PortListener):
             self._gaps.add(f"the disk was too slow: {self._too_slow} transmissions were not written", self._too_slow)
         try:
             if self._recording is not None:
-                self._recording.close(time_ns())
+                self._recording.close(self._end_ns())
             await self._file.flush(last=True)
         except CaptureFileError as error:
             return error
@@ -300,7 +322,7 @@ class _Capture(PortListener):
         if line is None:
             return
         baud = counters.baud or line.baud
-        seconds = self._seconds(monotonic_ns())
+        seconds = self._seconds(self._now())
         found = finding(counters)
         windows = None if self._window is None else self._window.count
         files = [] if self._file is None else [str(path) for path in self._file.paths]
@@ -339,6 +361,49 @@ class _Capture(PortListener):
         if self._file is not None and whole:
             places = some_of(files) if files else self._file.name
             self._print(f"{self._kept} transmissions kept in {places}" if self._kept else "nothing was kept")
+
+
+class _FileCapture(_Capture):
+    """A file in place of a port. All times are those of the file."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._t_ns = 0
+        super().__init__(args)
+
+    async def _work(self) -> None:
+        args, file = self._args, self._file
+        limit_ns = NEVER if args.seconds is None else s_to_ns(args.seconds)
+        for number, one in enumerate(bus_in(args.source, self._interface, baud=args.baud, channel=args.channel)):
+            self._t_ns = one.t_ns or 0
+            if not number:
+                self._begin_file(one)
+            if self._t_ns - self._began >= limit_ns:
+                break
+            self._on_transmission(one)
+            if number % _TURN == 0:
+                await asyncio.sleep(0)  # Ctrl-C
+                if file is not None:
+                    await file.flush()
+        if self._line is None:
+            output.warn(f"{args.source}: no transmissions")
+
+    def _interface(self, interface: Interface) -> None:
+        timing = LineTiming.parse(interface.description)
+        self._about = PortAbout(interface.name, timing.source, paced=True, timing=timing)
+
+    def _begin_file(self, first: Transmission) -> None:
+        about = self._about or PortAbout(self._args.source, FILE, paced=True, timing=LineTiming(FILE, None))
+        self._about, self._began = about, self._t_ns
+        self._line = ListenedLine(self._args.source, about.source, None, first.baud, paced=True)
+        if self._json and not self._quiet:
+            output.json_line({**start_json(self._line), "paced": True})
+        else:
+            self._print(f"reading {self._args.source}, {about.name}, {baud_text(first.baud)}", "bold")
+
+    def _now(self) -> int:
+        return self._t_ns
+
+    _end_ns = _now
 
 
 class _Heard(NamedTuple):

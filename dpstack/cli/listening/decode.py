@@ -11,7 +11,7 @@ from dpstack.capture.cutter import split
 from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
-from dpstack.cli.listening.source_file import STDIN, add_line, is_growing, transmissions_of
+from dpstack.cli.listening.source_file import STDIN, add_channel, is_growing, transmissions_of
 from dpstack.cli.listening.telegram_lines import add_names_and_filter, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
@@ -36,7 +36,7 @@ def add_to(parser: Parser) -> None:
         type=options.baud_or_auto,
         default=AUTO,
     )
-    add_line(parser)
+    add_channel(parser)
     add_names_and_filter(parser)
     parser.run_by(execute)
 

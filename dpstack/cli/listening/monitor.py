@@ -14,7 +14,7 @@ from dpstack.capture.timing import FILE, LineTiming
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
 from dpstack.cli.listening.monitor_view import event_line, show_summary, write_report
-from dpstack.cli.listening.source_file import add_line, transmissions_of
+from dpstack.cli.listening.source_file import add_channel, bus_in
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import CaptureFileError, UsageError
@@ -40,7 +40,7 @@ def add_to(parser: Parser) -> None:
     parser.value(
         "--baud", "B|auto", 'rate in bit/s; "auto" (default): finds it', type=options.baud_or_auto, default=AUTO
     )
-    add_line(parser)
+    add_channel(parser)
     parser.value("--config", "CONFIG", "configuration file: names of the slaves, their GSD files, T_SL")
     parser.value("--gsd", "DIR", "folder of GSD files: models and diagnosis texts by ident number")
     parser.value("--thresholds", "FILE", "TOML file with other thresholds, see docs/how-to/monitor.md")
@@ -94,14 +94,12 @@ class _FromFile:
         self._report = report
         self._name: str = args.file
         self._json: bool = args.json
-        self._baud = 0 if args.baud == AUTO else args.baud
+        self._baud: int | str = args.baud
         self._channel: str = args.channel
         self._limit_ns = None if args.seconds is None else int(args.seconds * NS_PER_S)
         self._monitor = monitor
         self._started = False
         self._port: str | None = None
-        self._other_port = False
-        self._left_out: set[str] = set()
         monitor.on_event = self._show
 
     def run(self) -> int:
@@ -126,11 +124,7 @@ class _FromFile:
         monitor = self._monitor
         add = monitor.add if self._report is None else self._report.add
         end = None
-        for one in transmissions_of(self._name, self._interface, baud=self._baud, channel=self._channel):
-            if self._other_port:
-                continue
-            if not one.baud:
-                one = one._replace(baud=self._baud or self._without_rate())
+        for one in bus_in(self._name, self._interface, baud=self._baud, channel=self._channel):
             if not self._started:
                 self._start(one)
             if one.note:
@@ -162,21 +156,9 @@ class _FromFile:
         elif not one.damage:
             monitor.remark(t_ns, one.note)
 
-    def _without_rate(self) -> int:
-        raise UsageError(
-            f"{self._name}: the file does not say the rate of its bus; give it, for instance --baud 500000"
-        )
-
     def _interface(self, interface: Interface) -> None:
-        """The next transmissions are of this port: those of the first one are judged."""
-        if self._port is None:
-            self._port = interface.name
-        self._other_port = interface.name != self._port
-        if not self._other_port:
-            self._monitor.timing = LineTiming.parse(interface.description)
-        elif interface.name not in self._left_out:
-            self._left_out.add(interface.name)
-            output.warn(f"{self._name}: only the port {self._port!r} is judged; left out: {interface.name!r}")
+        self._port = interface.name
+        self._monitor.timing = LineTiming.parse(interface.description)
 
     def _show(self, happening: Happening) -> None:
         if self._json:

@@ -28,7 +28,7 @@ def is_growing(name: str) -> bool:
         return False
 
 
-def add_line(parser: Parser) -> None:
+def add_channel(parser: Parser) -> None:
     """The option ``--channel`` of a waveform."""
     parser.value(
         "--channel", "NAME", "the channel of a logic analyser's file with the bus (default: finds it)", default=""
@@ -57,6 +57,40 @@ def transmissions_of(
     finally:
         if to_close is not None:
             to_close.close()
+
+
+def bus_in(
+    name: str, on_interface: Callable[[Interface], None], *, baud: int | str = AUTO, channel: str = ""
+) -> Iterator[Transmission]:
+    """The transmissions of one bus in the file ``name``: those of its first port. ``baud``: the rate if the file does
+    not say it.
+
+    Raises UsageError if neither does, and as :func:`transmissions_of`.
+    """
+    port: str | None = None
+    elsewhere = False
+    left_out: set[str] = set()
+
+    def choose(interface: Interface) -> None:
+        nonlocal port, elsewhere
+        if port is None:
+            port = interface.name
+        elsewhere = interface.name != port
+        if not elsewhere:
+            on_interface(interface)
+        elif interface.name not in left_out:
+            left_out.add(interface.name)
+            output.warn(f"{name}: only the port {port!r} is read; left out: {interface.name!r}")
+
+    for one in transmissions_of(name, choose, baud=baud, channel=channel):
+        if elsewhere:
+            continue
+        if one.baud:
+            yield one
+        elif isinstance(baud, str):
+            raise UsageError(f"{name}: the file does not say the rate of its bus; give it, for instance --baud 500000")
+        else:
+            yield one._replace(baud=baud)
 
 
 def _opened(name: str) -> BinaryIO:

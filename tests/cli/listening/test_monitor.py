@@ -250,7 +250,7 @@ def test_a_file_of_two_ports_is_judged_by_the_first(cli: Cli, tmp_path: Path) ->
         for number in range(6):
             writer.packet(ports[number % 2], EPOCH + number * MS, bytes((0xDC, number % 2, number % 2)))
     out, err = cli("monitor", str(path), "--json")
-    assert err == f"dpstack: {path}: only the port 'left' is judged; left out: 'right'\n"
+    assert err == f"dpstack: {path}: only the port 'left' is read; left out: 'right'\n"
     summary = json.loads(out.splitlines()[-1])
     assert (summary["telegrams"], list(summary["masters"])) == (3, ["0"])
 
