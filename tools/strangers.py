@@ -29,6 +29,7 @@ PROGRAMS: Final[Mapping[str, str]] = {
     "mergecap": "wireshark-common",
     "chromium": "chromium",
     "chromedriver": "chromium-driver",
+    "sigrok-cli": "sigrok-cli",
     "cc": "gcc",
     "lua5.4": "lua5.4",
     "pdfinfo": "poppler-utils",

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from fractions import Fraction
 
 import pytest
+from waveforms import TELEGRAMS, line, sampled, session, times
 
 from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Damage, Transmission
@@ -14,7 +15,6 @@ from dpstack.capture.waveforms.levels import estimated_rate
 from dpstack.decode.source import read_transmissions
 from dpstack.errors import CaptureFileError, UsageError
 from dpstack.units import NS_PER_S
-from tests.kits.waveforms import TELEGRAMS, line, sampled, session, times
 
 BUS = line(TELEGRAMS * 3)
 SAMPLES = sampled(BUS, 500_000, 4_000_000)
@@ -233,9 +233,7 @@ def test_a_capture_that_begins_and_ends_within_a_telegram() -> None:
         (b"name,type,start_time,duration,ack\n", {}, "bus: line 1: not the headings of an async serial analyser"),
     ],
 )
-def test_a_bad_file_gets_one_line_that_says_what_to_do(
-    octets: bytes, how: dict[str, object], message: str | None
-) -> None:
+def test_a_bad_file_gets_one_line_that_says_what_to_do(octets: bytes, how: dict[str, object], message: str) -> None:
     with pytest.raises(CaptureFileError) as caught:
         Read(octets, **how)
     assert str(caught.value).startswith(message)

@@ -29,6 +29,7 @@ One end alone, the other in literal octets:
 
 - ``octet_slave``: DP slave as a function of octets, and SD1 and SD2 by hand. ``octet_wire``: a line to one slave of
   dpstack. On it: ``octet_class2`` (master of class 2), ``simulated_kit`` (slaves of a configuration).
+- ``waveforms``: levels of a line bit by bit, and files of logic analysers.
 - ``slave_kit``: requests to the DP slave as telegrams, a device that records its calls; on it ``slave_alarm_kit``.
 - ``foreign_master``: a master that is not ours in a world.
 - ``support_responder``: slaves of octets as a program, also for the benchmarks; ``recordings``: octets of real

@@ -19,7 +19,7 @@ from dpstack.capture.waveforms.tables import LevelTable
 from dpstack.capture.waveforms.vcd import ValueChanges
 from dpstack.errors import CaptureFileError
 from dpstack.phy.uart import Character
-from dpstack.text import some_of
+from dpstack.text import printable, some_of
 from dpstack.units import NS_PER_S, baud_text
 
 _CHARACTERS: Final = re.compile(rb'(?:\xef\xbb\xbf)?(?:Time \[s\],Value,|"?name"?,"?type"?,)')
@@ -41,7 +41,7 @@ def read_waveform(
     """
 
     def remark(text: str) -> None:
-        on_remark(f"{name}: {text}")
+        on_remark(printable(f"{name}: {text}"))
 
     file.seek(0)
     if _CHARACTERS.match(file.read(64)):
@@ -115,5 +115,6 @@ def _transmissions(
 
 def _interface(channel: str, baud: int, resolution_ns: int) -> Interface:
     timing = LineTiming(WAVEFORM, resolution_ns)
+    channel = printable(channel)
     description = f"channel {channel} of a logic analyser, {baud_text(baud)}, 8 data bits, even parity; {timing.text}"
     return Interface(name=channel, bits_per_s=baud, description=description, unit=9)

@@ -42,6 +42,8 @@ _LONG_UNITS_NS: Final = {
     "nanoseconds": 1.0,
     "picoseconds": 1e-3,
 }
+#: times and values, no headings
+_VALUE: Final = re.compile(r"X|[-+]?\d[-+.:\dTZe]*|", re.IGNORECASE)
 #: ns of a tick at least
 _LEAST_TICK: Final = 1e-3
 _LEVELS: Final = {b"0": 0, b"1": 1, b"X": KEPT, b"x": KEPT}
@@ -146,7 +148,9 @@ class LevelTable(Waveform):
                 elif found := _NAMED.search(text):
                     self._named = [name.strip() for name in found[1].split(",")]
             elif row.strip():
-                if heading or not re.search(r"[A-Za-z]{2}", text):
+                cells = [cell.strip(' "') for cell in re.split("[,\t]", text)]
+                values = all(map(_VALUE.fullmatch, cells)) and cells != self._named  # a channel may be called 0
+                if heading or values:
                     return heading, row, at, number
                 heading = row
             at = end + 1
