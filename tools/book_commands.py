@@ -195,7 +195,7 @@ class Stage:
 
 
 def _reads_a_file(words: list[str]) -> bool:
-    return any(word.endswith(".pcapng") for word in words if words[words.index(word) - 1] != "--write")
+    return any(word.endswith((".pcapng", ".sr")) for word in words if words[words.index(word) - 1] != "--write")
 
 
 def _exit_code(words: list[str]) -> object:

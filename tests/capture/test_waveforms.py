@@ -198,9 +198,9 @@ def test_a_capture_that_begins_and_ends_within_a_telegram() -> None:
             "--channel and --baud",
         ),
         (
-            session(bytes(1000), "4 MHz", ["D0", "D1"]),
+            session(bytes(1000), "4 MHz", ["left", "right"]),
             {},
-            "bus: no level ever changes (D0, D1); is the receiver's output connected, was the bus running?",
+            "bus: no level ever changes (left, right); is the receiver's output connected, was the bus running?",
         ),
         (session(b"", "4 MHz", []), {}, "bus: the session has no channels"),
         (session(SAMPLES, "fast"), {}, "bus: samplerate 'fast': a rate up to 1 GHz is needed"),

@@ -13,7 +13,7 @@ from dpstack.phy.uart import Character, Receiver
 from dpstack.units import BITS_PER_CHAR, bits_to_ns, chars_to_ns, ns_to_bits
 
 _INVERT: Final = bytes.maketrans(b"01", b"10")
-#: bits of silence between two characters of one piece; within a telegram there are none
+#: bits of silence that end a piece: the characters of a telegram follow each other without any
 _GAP_BITS: Final = 2
 #: octets of one piece
 _MOST_OCTETS: Final = 4096

@@ -16,7 +16,7 @@ from dpstack.units import BAUD_RATES, NS_PER_S
 PIECE: Final = 1 << 18
 #: samples/s at most: times are whole nanoseconds
 MOST_RATE: Final = NS_PER_S
-#: the level of a :class:`Change` that is none
+#: in place of a level: the one before
 KEPT: Final = -1
 #: samples of a short pulse at least, where the rate is a matter of choice
 _FINE: Final = 16
