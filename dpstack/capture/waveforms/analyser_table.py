@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from itertools import islice, pairwise
 from typing import BinaryIO, Final
 
+from dpstack.capture.waveforms.levels import before_damage
 from dpstack.errors import CaptureFileError, UsageError
 from dpstack.phy.uart import Character
 from dpstack.text import some_of
@@ -42,7 +43,8 @@ class CharacterTable:
         if not self._is_logic_1 and not set(self._titles) >= _LOGIC_2:
             raise self._wrong(1, f"not the headings of an async serial analyser: {some_of(self._titles, 6)}")
         self.channel = channel
-        names = list(dict.fromkeys(one[0] for one in islice(self._raw(), _FIRST)))
+        first = before_damage(islice(self._raw(), _FIRST))
+        names = list(dict.fromkeys(name for name, *_ in first))
         if not names:
             raise CaptureFileError(f"{name}: the table has no characters")
         if channel and channel not in names:
@@ -50,7 +52,10 @@ class CharacterTable:
         self.channel = channel or names[0]
         if len(names) > 1 and not channel:
             self.remarks.append(f"other analysers are left out: {some_of(names[1:])}; choose with --channel")
-        self.begin_ns, self.resolution_ns, starts = self._look()
+        starts = [start_ns for name, start_ns, *_ in first if name == self.channel]
+        self.begin_ns = starts[0]
+        digits = next((n for n in (9, 8, 7, 6) if any(start % 10 ** (10 - n) for start in starts)), 6)
+        self.resolution_ns = 10 ** (9 - digits)
         self.baud = baud or self._find(starts)
 
     def characters(self) -> Iterator[Character]:
@@ -59,11 +64,6 @@ class CharacterTable:
             if name == self.channel:
                 at_ns = start_ns - shift_ns + length_ns
                 yield Character(at_ns, octet, "parity" in errors, "framing" in errors)
-
-    def _look(self) -> tuple[int, int, list[int]]:
-        starts = [start for name, start, _, _ in islice(self._raw(), _FIRST) if name == self.channel]
-        digits = next((n for n in (9, 8, 7, 6) if any(start % 10 ** (9 - n) for start in starts)), 6)
-        return starts[0], 10 ** (9 - digits), starts
 
     def _find(self, starts: list[int]) -> int:
         distances = sorted(b - a for a, b in pairwise(starts) if b > a)

@@ -7,11 +7,12 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
-from typing import BinaryIO, Final, NamedTuple
+from typing import BinaryIO, Final, NamedTuple, TypeVar
 
 from dpstack.errors import CaptureFileError
 from dpstack.units import BAUD_RATES, NS_PER_S
 
+T = TypeVar("T")
 #: samples of a piece, about
 PIECE: Final = 1 << 18
 #: samples/s at most: times are whole nanoseconds
@@ -95,18 +96,35 @@ def pieces_of(changes: Iterable[Change], rate: int) -> Iterator[Piece]:
     longest = _LONG_BITS * rate // BAUD_RATES[0] + 1
     runs: dict[int, _Runs] = {}
     at = last = 0
-    for at, channel, level in changes:
-        if level == KEPT:
-            continue
-        last = at
-        run = runs.get(channel)
-        if run is None:
-            run = runs[channel] = _Runs(channel, at, longest)
-        elif run.level != level and (piece := run.reach(at)) is not None:
-            yield piece
-        run.level = level
+    failure: CaptureFileError | None = None
+    try:
+        for at, channel, level in changes:
+            if level == KEPT:
+                continue
+            last = at
+            run = runs.get(channel)
+            if run is None:
+                run = runs[channel] = _Runs(channel, at, longest)
+            elif run.level != level and (piece := run.reach(at)) is not None:
+                yield piece
+            run.level = level
+    except CaptureFileError as error:
+        failure = error
     for run in runs.values():
         yield run.reach(at if at > last else at + longest) or run.take()
+    if failure is not None:
+        raise failure
+
+
+def before_damage(items: Iterable[T]) -> list[T]:
+    """``items`` up to a damage of their file. Raises CaptureFileError if there are none before it."""
+    found: list[T] = []
+    try:
+        found.extend(items)
+    except CaptureFileError:
+        if not found:
+            raise
+    return found
 
 
 class _Runs:

@@ -118,17 +118,23 @@ def _excerpts(waveform: Waveform, channels: Sequence[int]) -> Iterator[list[_Exc
     """Excerpts of the channels in which something changes, one after the other through the file."""
     count = octets = 0
     excerpts = {channel: _Excerpt(channel) for channel in channels}
-    for piece in waveform.pieces(channels):
-        excerpt = excerpts[piece.channel]
-        octets += excerpt.add(piece)
-        if excerpt.changes >= _ENOUGH or octets >= _MOST_OCTETS:
-            yield [one for one in excerpts.values() if one.changes]
-            count += 1
-            if count == _MOST_EXCERPTS:
-                return
-            octets = 0
-            excerpts = {channel: _Excerpt(channel) for channel in channels}
+    failure: CaptureFileError | None = None
+    try:
+        for piece in waveform.pieces(channels):
+            excerpt = excerpts[piece.channel]
+            octets += excerpt.add(piece)
+            if excerpt.changes >= _ENOUGH or octets >= _MOST_OCTETS:
+                yield [one for one in excerpts.values() if one.changes]
+                count += 1
+                if count == _MOST_EXCERPTS:
+                    return
+                octets = 0
+                excerpts = {channel: _Excerpt(channel) for channel in channels}
+    except CaptureFileError as error:
+        failure = error
     yield [one for one in excerpts.values() if one.changes]
+    if failure is not None:
+        raise failure
 
 
 def _read(waveform: Waveform, excerpt: _Excerpt, baud: int) -> _Score | None:

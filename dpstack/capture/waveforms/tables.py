@@ -20,6 +20,7 @@ from dpstack.capture.waveforms.levels import (
     Change,
     Piece,
     Waveform,
+    before_damage,
     estimated_rate,
     parse_rate,
     pieces_of,
@@ -119,7 +120,7 @@ class LevelTable(Waveform):
         self._ticks: Callable[[bytes], int] = _Decimal(unit_ns / self._tick_ns)
         if b":" in text:
             self._tick_ns, self._ticks = 1.0, _Iso()
-        ticks = [change.at for change in islice(self._changes([0], self._ticks), _ESTIMATED)]
+        ticks = [one.at for one in before_damage(islice(self._changes([0], self._ticks), _ESTIMATED))]
         self._first = ticks[0] if ticks else 0
         self.begin_ns = round(self._first * self._tick_ns)
         self.stated = 0 < self.rate <= MOST_RATE
@@ -175,14 +176,14 @@ class LevelTable(Waveform):
                 block += more
             rows = len(block) // width
             whole = rows * width
-            if block[whole:].strip():
-                raise self._bad("the file ends within a row", self._line + start + rows)
             for channel in channels:
                 levels = block[2 * self._columns[channel] : whole : width]
                 if levels.strip(b"01") or levels.translate(None, b"01") or block.count(b"\n") != rows:
                     raise self._bad("a row has another form than the first one", self._line + start)
                 yield Piece(channel, start, levels)
             start += rows
+            if block[whole:].strip():
+                raise self._bad("the file ends within a row", self._line + start)
 
     def _changes(self, channels: Sequence[int], ticks: Callable[[bytes], int] | None) -> Iterator[Change]:
         """A change for each channel that changes in a row, with its time in ticks; the last row once more."""

@@ -15,6 +15,7 @@ from dpstack.capture.waveforms.levels import (
     Change,
     Piece,
     Waveform,
+    before_damage,
     estimated_rate,
     parse_rate,
     pieces_of,
@@ -84,7 +85,7 @@ class ValueChanges(Waveform):
 
     def _look(self) -> list[int]:
         """The times of the first changes."""
-        return [change.at for change in islice(self._changes(range(len(self.channels))), _ESTIMATED)]
+        return [one.at for one in before_damage(islice(self._changes(range(len(self.channels))), _ESTIMATED))]
 
     def pieces(self, channels: Sequence[int]) -> Iterator[Piece]:
         per_tick = self._tick_ns * self.rate / NS_PER_S
