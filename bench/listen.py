@@ -11,6 +11,7 @@ import argparse
 import os
 import tempfile
 import time
+import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from functools import partial
@@ -42,6 +43,7 @@ from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.monitor.counters import Counters
 from dpstack.params import BusParams
+from dpstack.phy.uart import waveform
 from dpstack.sim.world import World
 from dpstack.trace import WireEntry
 from dpstack.units import NS_PER_MS, NS_PER_S, chars_to_ns
@@ -56,6 +58,8 @@ _EVENT_NS: Final = 5 * NS_PER_MS
 _FAULT: Final = bytes((0x81, 0xC1, 0x21))
 #: octets of the record; its index is its length
 _RECORD: Final = 64
+#: samples of a bit in a waveform
+_SAMPLES: Final = 8
 #: an adapter on USB delivers the octets of so much time together
 _BATCH_NS: Final = NS_PER_MS
 #: at most so many times the codec's decode of the same telegrams
@@ -130,7 +134,9 @@ class Work:
     def __init__(self, heard: list[Transmission], folder: Path) -> None:
         self.heard = heard
         self.path = folder / "bus.pcapng"
+        self.session = folder / "bus.sr"
         self.write()
+        self.record()
         single, batches = chunks(heard), chunks(heard, _BATCH_NS)
         self.tasks: dict[str, Callable[[], object]] = {
             "writing pcapng": self.write,
@@ -139,6 +145,7 @@ class Work:
             "reading pcapng and counting": self.read_and_count,
             "monitor FILE": partial(self.command, "monitor", str(self.path), "--json"),
             "decode --json FILE": partial(self.command, "decode", str(self.path), "--json"),
+            "reading a waveform": self.read_waveform,
             "cutting, a telegram a chunk": partial(self.cut, single),
             "cutting, chunks of 1 ms": partial(self.cut, batches),
         }
@@ -161,6 +168,22 @@ class Work:
 
     def read(self) -> int:
         with self.path.open("rb") as file:
+            return sum(1 for _ in read_transmissions(file, "bench"))
+
+    def record(self) -> None:
+        """The bus as a logic analyser records it, in a session file of sigrok."""
+        silence = b"1" * (_SAMPLES * 100)
+        parts = [waveform(one.octets) for one in self.heard]
+        rows = [bytes(level for level in part for _ in range(_SAMPLES)) for part in parts]
+        samples = silence + silence.join(rows) + silence
+        with zipfile.ZipFile(self.session, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("version", "2")
+            rate = f"samplerate={_SAMPLES * _BAUD} Hz"
+            archive.writestr("metadata", f"[device 1]\ncapturefile=logic-1\n{rate}\nprobe1=D0\nunitsize=1\n")
+            archive.writestr("logic-1-1", samples)
+
+    def read_waveform(self) -> int:
+        with self.session.open("rb") as file:
             return sum(1 for _ in read_transmissions(file, "bench"))
 
     def count(self) -> Counters:

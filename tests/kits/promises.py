@@ -254,6 +254,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "api/config/test_toml_limits.py::test_any_text_is_read_or_refused",
         "gsd/test_hostile.py::test_any_octets",
         "capture/test_pcapng.py::test_any_octets_end_with_a_line_or_an_end",
+        "capture/test_waveforms.py::test_a_bad_file_gets_one_line_that_says_what_to_do",
         "record/test_recordings_read.py::test_files_that_are_no_recordings",
     ),
     "F9": (

@@ -94,6 +94,7 @@ def pieces_of(changes: Iterable[Change], rate: int) -> Iterator[Piece]:
     """Pieces at ``rate`` from ``changes``, whose samples must not run backwards, up to the last one. If that is a real
     change, the end of the capture is unknown: the levels stay for a while."""
     longest = _LONG_BITS * rate // BAUD_RATES[0] + 1
+    levels = b"0" * longest, b"1" * longest
     runs: dict[int, _Runs] = {}
     at = last = 0
     failure: CaptureFileError | None = None
@@ -104,7 +105,7 @@ def pieces_of(changes: Iterable[Change], rate: int) -> Iterator[Piece]:
             last = at
             run = runs.get(channel)
             if run is None:
-                run = runs[channel] = _Runs(channel, at, longest)
+                run = runs[channel] = _Runs(channel, at, levels)
             elif run.level != level and (piece := run.reach(at)) is not None:
                 yield piece
             run.level = level
@@ -130,11 +131,10 @@ def before_damage(items: Iterable[T]) -> list[T]:
 class _Runs:
     """Collects the runs of one channel. ``level``: the present one."""
 
-    def __init__(self, channel: int, start: int, longest: int) -> None:
+    def __init__(self, channel: int, start: int, levels: tuple[bytes, bytes]) -> None:
         self._channel = channel
         self._start = self._since = start
-        self._longest = longest
-        self._levels = (b"0" * longest, b"1" * longest)
+        self._levels = levels
         self._parts: list[bytes] = []
         self._size = 0
         self.level = 0
@@ -145,7 +145,7 @@ class _Runs:
         self._since = at
         self._parts.append(self._levels[self.level][:count])
         self._size += count
-        if count <= self._longest and self._size < PIECE:
+        if count <= len(self._levels[0]) and self._size < PIECE:
             return None
         return self.take()
 
