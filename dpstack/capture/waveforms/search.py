@@ -105,6 +105,11 @@ def find_line(waveform: Waveform, baud: int = 0, channel: str = "") -> Line:
             best = max(scores)
             others = tuple(waveform.channels[-one.first] for one in scores if one is not best)
             return Line(-best.first, not best.upright, best.baud, others)
+    if not last:
+        names = some_of([waveform.channels[number] for number in channels], 8)
+        raise waveform.wrong(
+            f"no level ever changes ({names}); is the receiver's output connected, was the bus running?"
+        )
     return _given(waveform, last, baud, bool(channel))
 
 
@@ -179,11 +184,6 @@ def _telegram_octets(waveform: Waveform, excerpt: _Excerpt, baud: int, upright: 
 
 def _given(waveform: Waveform, excerpts: list[_Excerpt], baud: int, chosen: bool) -> Line:
     """Nothing was found: the line that the user named with channel and rate, if they are not against all reason."""
-    if not excerpts:
-        names = some_of(waveform.channels, 8)
-        raise waveform.wrong(
-            f"no level ever changes ({names}); is the receiver's output connected, was the bus running?"
-        )
     busiest = max(excerpts, key=lambda one: one.changes)
     name, pulse = waveform.channels[busiest.channel], busiest.pulse()
     about = pulse and waveform.rate / pulse

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 
 from dpstack.api.config.bus import AUTO
 from dpstack.capture.cutter import split
@@ -46,13 +47,14 @@ def execute(args: argparse.Namespace) -> int:
     bad = 0
     at_once = len(args.source) == 1 and is_growing(args.source[0])  # somebody may be watching
     buses = _Buses(names_of(args))
-    explained = map(buses.explain, _transmissions(args, buses.choose))
-    for one in explained if args.filter is None else one_later(explained):
-        bad += one.error is not None
-        if args.filter is None or args.filter(one):
-            show(one, json=args.json, flush=at_once)
-            if output.lost.error is not None:
-                break
+    with contextlib.closing(_transmissions(args, buses.choose)) as transmissions:
+        explained = map(buses.explain, transmissions)
+        for one in explained if args.filter is None else one_later(explained):
+            bad += one.error is not None
+            if args.filter is None or args.filter(one):
+                show(one, json=args.json, flush=at_once)
+                if output.lost.error is not None:
+                    break
     output.flush()
     return 1 if bad else 0
 
@@ -76,7 +78,7 @@ class _Buses:
         return self._explainer.add(sent, self._number)
 
 
-def _transmissions(args: argparse.Namespace, on_interface: Callable[[Interface], None]) -> Iterator[Transmission]:
+def _transmissions(args: argparse.Namespace, on_interface: Callable[[Interface], None]) -> Generator[Transmission]:
     source: list[str] = args.source
     name = source[0]
     if len(source) == 1 and (name == STDIN or os.path.lexists(name) or os.sep in name):  # a file goes before hex digits
