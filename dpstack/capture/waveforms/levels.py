@@ -118,7 +118,7 @@ def pieces_of(changes: Iterable[Change], rate: int) -> Iterator[Piece]:
 
 
 def before_damage(items: Iterable[T]) -> list[T]:
-    """``items`` up to a damage of their file. Raises CaptureFileError if there are none before it."""
+    """``items`` up to a damage of their file. Raises CaptureFileError if nothing stands before it."""
     found: list[T] = []
     try:
         found.extend(items)
