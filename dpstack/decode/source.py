@@ -20,13 +20,14 @@ _BETWEEN: Final = re.compile(r"0x|[\s,;:-]+", re.IGNORECASE)
 _MOST_LINE: Final = 1 << 20
 _DAMAGED: Final = int(sum(Damage))
 _PCAPNG: Final = b"\n\r\r\n"
-#: how a waveform begins: a zip archive, comments or headings of a CSV file, definitions of a VCD file
+#: the first line of a waveform: a zip archive, definitions of a VCD file, comments or headings of a CSV file
 _WAVEFORM: Final = re.compile(
-    rb"PK\x03\x04|<SAL|\$[a-z]|;|META|"
-    rb"(?:\xef\xbb\xbf)?(?:\"?name\"?,|Time ?[\[(,]|(?:milli|micro|nano|pico)seconds,|logic\b)"
+    rb"PK\x03\x04|<SAL|\$(?:date|version|comment|timescale|scope|var)\b|"
+    rb"; ?(?:CSV|Channels|Sample ?rate)\b|META samplerate|(?:\xef\xbb\xbf)?"
+    rb"(?:\"?name\"?,\"?type\"?,|Time(?: ?[\[(]\w+[\])])? ?,|(?:milli|micro|nano|pico)seconds,|logic\b)"
 )
-#: if a file begins with these only, the whole line shows what it is
-_LETTERS: Final = b'abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ\xef\xbb\xbf"'
+#: if a file begins with these only, its first line shows what it is
+_LETTERS: Final = b'abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ\xef\xbb\xbf"$; '
 _NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 
 
