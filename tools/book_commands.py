@@ -159,7 +159,7 @@ class Stage:
             with contextlib.ExitStack() as around:
                 if target:
                     around.enter_context(contextlib.redirect_stdout(around.enter_context(Path(target).open("w"))))
-                if not self._programs:
+                if not self._programs and not _reads_a_file(words):  # a file is written by a thread
                     around.enter_context(virtual_time())
                 assert _exit_code(words) == 0, line
 
