@@ -19,6 +19,7 @@ from dpstack.api.files import read_file
 from dpstack.api.gsd_info import ENDINGS, bundled, read_gsd
 from dpstack.errors import ConfigError, GsdError, UsageError
 from dpstack.gsd.model import Device
+from dpstack.gsd.search import Found, Query
 from dpstack.gsd.text import MAX_OCTETS, decode
 
 #: files that are listed, and entries of folders that are looked at
@@ -29,7 +30,8 @@ _KEPT: Final = 16
 _MOST_BAD: Final = 200
 #: the lines that name a device; they stand outside of all blocks, near the beginning
 _HEAD: Final = re.compile(
-    r'^[ \t]*(Ident_Number|Vendor_Name|Model_Name)[ \t]*=[ \t]*(?:"([^"\n]*)"|(0x[0-9a-f]{1,4}|[0-9]{1,5})\b)',
+    r"^[ \t]*(Ident_Number|Vendor_Name|Model_Name|OrderNumber)[ \t]*=[ \t]*"
+    r'(?:"([^"\n]*)"|(0x[0-9a-f]{1,4}|[0-9]{1,5})\b)',
     re.IGNORECASE | re.MULTILINE,
 )
 
@@ -45,6 +47,7 @@ class GsdEntry:
     ident: int | None
     vendor: str
     model: str
+    order_number: str = ""
 
     def as_dict(self) -> dict[str, object]:
         ident = None if self.ident is None else f"0x{self.ident:04X}"
@@ -111,6 +114,35 @@ class GsdFolder:
     def with_ident(self, ident: int) -> Iterator[GsdEntry]:
         """The entries with that ident number."""
         return (entry for entry in self._entries.values() if entry.ident == ident)
+
+    def search(self, words: Iterable[str]) -> list[tuple[GsdEntry, Found]]:
+        """The devices in which every one of ``words`` is found, the best ones first: see
+        :mod:`dpstack.gsd.search`. Files that turn out to be unusable are listed in :attr:`bad`.
+
+        Raises UsageError if no word has a letter or digit.
+        """
+        query = Query(words)
+        if not query:
+            raise UsageError("no word to look for; give a vendor, model, order number, ident number or module")
+        found = []
+        for entry in self.entries:
+            try:
+                if not self._may_have(entry, query):
+                    continue
+                device = self.device(entry.key)
+            except (OSError, ConfigError) as error:
+                self._note(entry.key, getattr(error, "strerror", None) or str(error))
+                continue
+            match = query.search(device, Path(entry.key).name)
+            if match is not None:
+                found.append((entry, match))
+        return sorted(found, key=lambda one: (-one[1].score, by_language(one[0])))
+
+    def _may_have(self, entry: GsdEntry, query: Query) -> bool:
+        if entry.path is None:
+            return True
+        text, _ = decode(read_file(entry.path, MAX_OCTETS))
+        return query.may_be_in(text, entry.ident, entry.order_number, entry.path.name)
 
     def has(self, name: str) -> bool:
         """Whether ``name`` in a configuration means one of the files or of the bundled devices."""
@@ -186,11 +218,12 @@ class GsdFolder:
         except (OSError, ValueError) as error:
             return getattr(error, "strerror", None) or str(error)
         text, _ = decode(octets)
-        head = {match[1].lower(): match[2] or match[3] for match in _HEAD.finditer(text)}
+        head: dict[str, str] = {match[1].lower(): match[2] or match[3] for match in _HEAD.finditer(text)}
         if len(octets) <= MAX_OCTETS and re.fullmatch("0[xX][0-9a-fA-F]+|[0-9]+", head.get("ident_number") or ""):
             number = head["ident_number"]
             ident = int(number, 16 if number[:2].lower() == "0x" else 10)
             vendor, model = head.get("vendor_name") or "", head.get("model_name") or ""
+            order_number = head.get("ordernumber") or ""
         else:
             try:
                 device = read_gsd(path).device  # the parser reads what the search does not, and knows the reason
@@ -198,8 +231,17 @@ class GsdFolder:
                 return str(error).removeprefix(f"{path}:").strip()
             if device.ident is None:
                 return "it has no Ident_Number"
-            ident, vendor, model = device.ident, device.vendor, device.model
-        return GsdEntry(key=Path(key).as_posix(), path=path, ident=ident, vendor=vendor, model=model)
+            ident, vendor, model, order_number = device.ident, device.vendor, device.model, device.order_number
+        return GsdEntry(
+            key=Path(key).as_posix(), path=path, ident=ident, vendor=vendor, model=model, order_number=order_number
+        )
+
+
+def by_language(entry: GsdEntry) -> tuple[str, int, str]:
+    """For sorting: by name, of one name the file without a language (.gsd) and the English one (.gse) first."""
+    path = Path(entry.key)
+    ending = path.suffix.lower()
+    return path.with_suffix("").as_posix().casefold(), (".gsd", ".gse", ending).index(ending), ending
 
 
 def _mark(path: Path) -> tuple[str, int, int]:

@@ -21,7 +21,7 @@ from dpstack.gsd.dpv1_keywords import alarm_kinds
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, Parameter, PrmBlock
 from dpstack.gsd.parser import load_gsd, parse_gsd
-from dpstack.gsd.prm import Reading, UserPrm
+from dpstack.gsd.prm import Reading, UserPrm, module_octets
 from dpstack.gsd.text import MAX_OCTETS
 from dpstack.sim import io_station
 from dpstack.text import nearest
@@ -225,8 +225,7 @@ def module_lengths(module: Module) -> tuple[int | None, int | None]:
 def module_prm(file: GsdFile, module: Module) -> bytes:
     """The module's part of the user parameters with its defaults, in no slot; empty if they fit no Set_Prm."""
     try:
-        # without the device's own parameters: UserPrm would compute them again for every module
-        return UserPrm(Device(parameters=file.device.parameters), (module,), in_slots=False).octets()
+        return module_octets(file.device, module)
     except ConfigError:
         return b""
 

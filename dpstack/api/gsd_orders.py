@@ -8,21 +8,26 @@ from pathlib import PurePath
 from typing import Final
 
 from dpstack.api.files import read_file
-from dpstack.api.gsd_folder import GsdEntry, GsdFolder
+from dpstack.api.gsd_folder import GsdEntry, GsdFolder, by_language
 from dpstack.errors import ConfigError
+from dpstack.gsd.search import order_number_fits
 from dpstack.gsd.text import MAX_OCTETS, decode
 from dpstack.importers.step7_slaves import Found, bare_order
 
-#: 6ES7 153-2BA00-0XB0, also with placeholders for some characters: 6ES7 314-6C***-0AB0, 3RK3141-xCD10
-_ORDER: Final = re.compile(r"\b\d[A-Z]{2}\d ?[\w*?]{3}-[\w*?]{5}(?:-[\w*?]{4})?")
+#: 6ES7 153-2BA00-0XB0, also with placeholders for some characters: 6ES7 314-6C***-0AB0, 6ES7 132-0BL0.-0XB0
+_ORDER: Final = re.compile(r"\b\d[A-Z]{2}\d ?[\w*?.]{3}-[\w*?.]{5}(?:-[\w*?.]{4})?")
 _MODULES: Final = re.compile(r"^[ \t]*Module[ \t]*=", re.IGNORECASE | re.MULTILINE)
-_PLACEHOLDERS: Final = "*?x"
 #: the part of an order number that names the device; the rest is the version
 _DEVICE: Final = len("6ES71532BA00") + 1
 
 
 class FolderFinder:
-    """The files of ``folder`` for an importer. A damaged file is skipped."""
+    """The files of ``folder`` for an importer. A damaged file is skipped.
+
+    A project names a device by its whole order number. A GSD file often has another version of it, or placeholders, and
+    lists further numbers in comments: all numbers in front of its modules count, first the whole number, then the part
+    that names the device.
+    """
 
     def __init__(self, folder: GsdFolder) -> None:
         self._folder = folder
@@ -37,17 +42,21 @@ class FolderFinder:
         return self._read((*exact, *alike, *([] if ident is None else self._folder.with_ident(ident))))
 
     def with_order(self, number: str) -> list[Found]:
-        """The files that name ``number`` in front of their modules: the whole number, else without its version."""
+        """The files that name ``number``, the best one first.
+
+        Fewer placeholders are a better fit; of files in several languages the one without a language and the English
+        one come first.
+        """
         wanted = bare_order(number)
         known = self._all_orders()
         for length in (len(wanted), _DEVICE):
-            found = [
-                entry
-                for entry in self._folder.entries
-                if any(_same(order[:length], wanted[:length]) for order in known.get(entry.key, ()))
-            ]
+            fits = {
+                key: max((order_number_fits(order[:length], wanted[:length]) for order in orders), default=0)
+                for key, orders in known.items()
+            }
+            found = [entry for entry in self._folder.entries if fits.get(entry.key)]
             if found:
-                return self._read(found)
+                return self._read(sorted(found, key=lambda entry: (-fits[entry.key], by_language(entry))))
         return []
 
     def _all_orders(self) -> dict[str, frozenset[str]]:
@@ -72,11 +81,3 @@ class FolderFinder:
                 except ConfigError:
                     continue
         return list(found.values())
-
-
-def _same(order: str, wanted: str) -> bool:
-    """Whether ``wanted`` is ``order``, in which some characters may be placeholders."""
-    return len(order) == len(wanted) and all(
-        theirs in _PLACEHOLDERS or ours in "?" or theirs.upper() == ours
-        for theirs, ours in zip(order, wanted, strict=True)
-    )

@@ -7,6 +7,8 @@ Order of work: text, lexer, parser with blocks, joining with settings; the resul
 - ``check``: Checks of a whole GSD file: defaults against constants, slots without modules, PROFIsafe, missing modules
 - ``configuration``: Configuration of a slave: from modules in slots to the identifier octets of Chk_Cfg, within all
   limits of the GSD
+- ``device_comparison``: Comparison of two devices by their GSD files: the wire first, modules to choose from, texts,
+  parameters, the rest
 - ``diag_texts``: Look-up of the diagnosis texts of a GSD file by the octets and error types of a received diagnosis
 - ``dpv1_keywords``: The DP-V1 keywords of a GSD file
 - ``identifiers``: Identifier octets of Chk_Cfg and Get_Cfg: parser of the I/O configuration of a slave, general and
@@ -24,6 +26,8 @@ Order of work: text, lexer, parser with blocks, joining with settings; the resul
 - ``parser``: Parser of GSD files: octets in, the model and diagnostics out
 - ``prm``: User parameters (User_Prm_Data): from names and values to octets of Set_Prm behind the seven fixed ones,
   and back
+- ``search``: Search in GSD files by words: ident number, order number, model, vendor, names of modules, name of the
+  file
 - ``settings``: From the settings of a GSD file (``keyword = value``) to the fields of Device, DpV1 and Isochronous
 - ``text``: From the octets of a file to its logical lines: decoding, line ends, continuations
 """

@@ -356,6 +356,12 @@ def containing(part: str, names: Sequence[str]) -> list[str]:
     return found or [name for name in names if whole and all(word in folded(name) for word in whole.split())]
 
 
+def module_octets(device: Device, module: Module) -> bytes:
+    """The user parameters of ``module`` with its defaults, in no slot. Raises GsdError if they fit no Set_Prm."""
+    # without the device's own parameters, which would be computed again for every module
+    return UserPrm(Device(parameters=device.parameters), (module,), in_slots=False).octets()
+
+
 def _nearest_names(key: str, fields: Iterable[PrmField]) -> str:
     names = list(dict.fromkeys(field.parameter.name for field in fields))
     if not names:

@@ -184,6 +184,12 @@ _FIELDS: Final = {
     },
     **_RENAMED,
 }
+#: the keywords whose values are fields of Device or DpV1
+FIELD_KEYWORDS: Final = frozenset(_FIELDS).union(
+    (f"{rate}_supp" for rate in RATES),
+    (f"maxtsdr_{rate}" for rate in RATES),
+    (f"{alarm.lower()}_{ending}" for alarm in ALARM_KEYWORDS.values() for ending in ("supp", "required")),
+)
 _UNUSED_NUMBERS: Final = """
 revision_number protocol_ident fms_supp redundancy repeater_ctrl_sig diag_update_delay alarm_type_mode_supp
 subscriber_supp dxb_max_link_count dxb_max_data_length dxb_subscribertable_block_location
@@ -205,12 +211,10 @@ max_master_output_len max_master_data_len dpv1_master dpv1_conformance_class mas
 master_sync_mode_supp master_fail_safe_supp uart_family uart_family_supp slave_max_sapc0 dpv1_data_types
 """
 #: the keywords of the GSD specification (PNO order 2.122), apart from those that only a block has
-KEYWORDS: Final = frozenset(_FIELDS).union(
+KEYWORDS: Final = FIELD_KEYWORDS.union(
     _CHECKED,
     _OTHERS.split(),
-    (f"{rate}_supp" for rate in RATES),
-    (f"{t}_{rate}" for rate in RATES for t in ("maxtsdr", "trdy", "tqui", "tset", "tsdi", "transmission_delay")),
-    (f"{alarm.lower()}_{ending}" for alarm in ALARM_KEYWORDS.values() for ending in ("supp", "required")),
+    (f"{t}_{rate}" for rate in RATES for t in ("trdy", "tqui", "tset", "tsdi", "transmission_delay")),
 )
 
 

@@ -33,6 +33,7 @@ _BY_METAVAR: Final[dict[object, str]] = {
     "FILE|HEX|-": _FILE,
     ("CERT", "KEY"): _FILE,
     "DIR": _FOLDER,
+    "WORDS [DIR]": _FOLDER,
 }
 #: the words of the rates besides the rates
 _RATE_WORDS: Final = {"B": (), "B|auto": ("auto",), "B|all": ("all",)}

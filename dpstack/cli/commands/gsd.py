@@ -88,6 +88,17 @@ def add_to(parser: Parser) -> None:
     copier.value("drive", "DRIVE", "name of the drive, or io-station")
     copier.value("file", "FILE", "where to; a new file")
     copier.run_by(copy, json=False)
+    # in the room of commands that look at things, above this one
+    command(
+        "find",
+        "GSD files by words (vendor, model, order number, ident number, module), the best ones first",
+        "find siemens 8DI gsd/",
+    ).module = "dpstack.cli.looking.gsd_find"
+    command(
+        "diff",
+        "two GSD files: what differs on the wire, then modules, texts, parameters; exit code 1 where they differ",
+        "diff old.gsd new.gsd",
+    ).module = "dpstack.cli.looking.gsd_diff"
     writer = command(
         "write",
         "write a GSD file for a slave of your own, so that the tool of a PLC knows it; loads (runs) the module",

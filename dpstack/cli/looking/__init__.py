@@ -3,6 +3,8 @@
 - ``diag``: ``dpstack diag``: diagnosis, configuration, inputs and outputs of any station
 - ``fleet``: ``dpstack fleet``: all segments of a broker
 - ``fleet_view``: Its table on a terminal, and its lines elsewhere
+- ``gsd_diff``: ``dpstack gsd diff``: two GSD files compared
+- ``gsd_find``: ``dpstack gsd find``: GSD files by words
 - ``import``: ``dpstack import``: a configuration from the project of another engineering tool
 - ``names``: ``dpstack names``: the I/O list of a configuration
 - ``plot``: ``dpstack plot``: a recording drawn
