@@ -8,6 +8,7 @@ All text leaves the program through :func:`printable` or :func:`json_text`. The 
 from __future__ import annotations
 
 import json
+import re
 import unicodedata
 from collections.abc import Iterable
 from datetime import UTC, datetime
@@ -19,6 +20,12 @@ _OF_NUMBERS: Final = "0123456789."
 _SEPARATORS: Final = (",", ":")
 #: json.dumps makes an encoder a call
 _to_json: Final = json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False, check_circular=False).encode
+#: a piece of text in octets of a device: ASCII, and the letters of Latin-1
+_PIECE: Final = re.compile(rb"[\x20-\x7e\xc0-\xff]{4,}")
+_LETTER: Final = re.compile(rb"[A-Za-z]")
+_IN_WORDS: Final = re.compile(rb"[A-Za-z0-9 ]")
+#: from this many octets on, a block of nothing but characters is shown without its octets in hex
+_SURELY_TEXT: Final = 8
 _SHORT: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
@@ -103,6 +110,30 @@ def runs_of(numbers: Iterable[int]) -> list[tuple[int, int]]:
         else:
             runs.append((number, number))
     return runs
+
+
+def readable(octets: bytes) -> str:
+    """The text that a device put into ``octets``, as one printable line; empty if they hold none.
+
+    A piece has four characters or more, two of them letters of ASCII, and most of them such letters, digits and blanks.
+    """
+    pieces = (piece for piece in _PIECE.findall(octets) if _is_text(piece))
+    return " ... ".join(printable(piece.decode("latin-1").strip()) for piece in pieces)
+
+
+def _is_text(piece: bytes) -> bool:
+    return len(_LETTER.findall(piece)) >= 2 and 2 * len(_IN_WORDS.findall(piece)) > len(piece)
+
+
+def octets_in_words(octets: bytes) -> str:
+    """Octets of a device for people: in hex; text in them in quotes before that, and alone if there is nothing else."""
+    text = readable(octets)
+    if not text:
+        return octets.hex(" ")
+    rest = octets.rstrip(b"\0 ").lstrip(b" ")
+    if len(rest) >= _SURELY_TEXT and rest == text.encode("latin-1", "replace"):
+        return f'"{text}"'
+    return f'"{text}" ({octets.hex(" ")})'
 
 
 def times_text(count: int) -> str:

@@ -16,7 +16,7 @@ from dpstack.api.streams import SlaveFlapping, call_on_event
 from dpstack.dp.master.events import DriveEvent, SlaveRemark
 from dpstack.drivers.runtime import PortLost
 from dpstack.errors import ConfigError, DriveTimeout, NoInputs, PortError, SlaveFault
-from dpstack.text import json_text, printable, shortened, traceback_text
+from dpstack.text import json_text, octets_in_words, printable, shortened, traceback_text
 from dpstack.toml.reading import quoted
 from dpstack.trace import Event, Notice
 
@@ -160,3 +160,28 @@ def test_no_sentence_begins_with_a_bus_address() -> None:
     ]
     assert len(sources) > 300
     assert found == []
+
+
+@pytest.mark.parametrize(
+    ("octets", "shown"),
+    [
+        (b"Overtemp motor 3", '"Overtemp motor 3"'),
+        (b"Sicherung \xfcber 5A\0\0", '"Sicherung über 5A"'),
+        (b"\x01\x02Fuse F1\x00", '"Fuse F1" (01 02 46 75 73 65 20 46 31 00)'),
+        (b"low\x01pump oil\x02empty", '"pump oil ... empty" (6c 6f 77 01 70 75 6d 70 20 6f 69 6c 02 65 6d 70 74 79)'),
+        # few characters may be a number: its octets stay
+        (b"ABCD", '"ABCD" (41 42 43 44)'),
+        (b"\x00AB\x00", "00 41 42 00"),
+        (b"E-42", "45 2d 34 32"),
+        (b"", ""),
+    ],
+)
+def test_text_in_octets_of_a_device(octets: bytes, shown: str) -> None:
+    assert octets_in_words(octets) == shown
+
+
+@given(st.binary(max_size=244))
+def test_octets_in_words_never_have_what_a_terminal_obeys(octets: bytes) -> None:
+    shown = octets_in_words(octets)
+    assert shown == printable(shown)
+    assert not set(shown) & {"\x1b", "\x9b", "\x7f", "\n"}

@@ -53,6 +53,7 @@ from dpstack.fdl.telegram import (
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
 from dpstack.gsd.identifiers import parse_identifiers
 from dpstack.params import DPV1_STATUS_LEN
+from dpstack.text import readable
 from dpstack.units import ns_to_s
 
 Fields = dict[str, object]
@@ -239,6 +240,8 @@ def _block_fields(block: Block) -> Fields:
 def _device_block(block: DeviceBlock) -> Fields:
     """Without parameters of DP-V1 the same octets may be the maker's own: ``alarm`` says what they are with them."""
     found: Fields = {"kind": "device", "data": block.data.hex()}
+    if characters := readable(block.data):
+        found["characters"] = characters
     try:
         message = parse_block(block.octets)
     except PduError:

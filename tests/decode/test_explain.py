@@ -413,6 +413,7 @@ def _telegram(sap: int, master: int, unit: str, *, request: bool) -> bytes:
         (60, 62, "<-", DIAG + "05 82 00 00 30 04 83 01 02", "module status: slot 3 no module; DXB link status, slot 1"),
         # of the maker, and of modules: slots count from 1, as the texts of a running bus do
         (60, 62, "<-", DIAG + "03 AA BB 42 02", "device: aa bb; slots with a diagnosis: 2"),
+        (60, 62, "<-", DIAG + "09 00 46 75 73 65 20 46 31", 'device: "Fuse F1" (00 46 75 73 65 20 46 31)'),
         (60, 62, "<-", DIAG + "82 41 66", "slot 3, input channel 1 (4 bits): line break"),
         (60, 62, "<-", "00 0C", "cannot be read (Slave_Diag has 2 octets"),
         (60, 62, "->", "AA", ""),

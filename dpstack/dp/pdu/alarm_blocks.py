@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from dpstack.dp.pdu.layouts import MAX_SLOT, OCTET, REST, Layout, bits, flags
 from dpstack.errors import PduError
-from dpstack.text import NamedInt
+from dpstack.text import NamedInt, octets_in_words
 
 # Source: AUMA AC 01.2 manual p46 and AC(V) 01.2 manual p48 (table 34), after PNO 2.212. VIPA's IM 253-2DP50 counts
 # Data_Exchange as bit 4 (System 200V manual p3-54), in a status of its own type 0: that one is not read here.
@@ -187,7 +187,7 @@ class Alarm(Struct, frozen=True):
     @property
     def full_text(self) -> str:
         """:attr:`text` with its data, and whether the user has to acknowledge it too."""
-        text = self.text + _hex(self.data)
+        text = self.text + _data_text(self.data)
         return f"{text}, wants to be acknowledged by the user too" if self.add_ack else text
 
     def build(self) -> bytes:
@@ -237,7 +237,7 @@ class Status(Struct, frozen=True):
     def full_text(self) -> str:
         """:attr:`text` with its data, if they are not in it."""
         decoded = self.type == StatusType.MODULES or self.redundancy is not None
-        return self.text if decoded else self.text + _hex(self.data)
+        return self.text if decoded else self.text + _data_text(self.data)
 
     @property
     def redundancy(self) -> Redundancy | None:
@@ -356,5 +356,5 @@ def status_name(number: int) -> str:
     return _STATUSES.get(number, reserved)
 
 
-def _hex(data: bytes) -> str:
-    return f", data {data.hex(' ')}" if data else ""
+def _data_text(data: bytes) -> str:
+    return f", data {octets_in_words(data)}" if data else ""

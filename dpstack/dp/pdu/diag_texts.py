@@ -9,6 +9,7 @@ from dpstack.dp.pdu.diag_blocks import FIRST_SLOT, Block, ChannelBlock, DeviceBl
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import PduError
 from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.text import octets_in_words, readable
 
 
 def block_texts(diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: bool = False) -> tuple[str, ...]:
@@ -52,10 +53,9 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messa
                 known = ()  # the standard says what its bits mean
     if said and messages:
         yield said
-    if known:
-        yield from (_explained(own.text, own.help) for own in known)
-    elif not said and any(block.data):
-        yield f"device: {block.data.hex(' ')}"
+    yield from (_explained(own.text, own.help) for own in known)
+    if not said and (readable(block.data) if known else any(block.data)):
+        yield f"device: {octets_in_words(block.data)}"
 
 
 def _lines(block: Block, texts: DiagTexts | None, dpv1: bool, messages: bool) -> Iterator[str]:

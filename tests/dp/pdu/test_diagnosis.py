@@ -13,8 +13,12 @@ from support import present
 
 from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, SetBy
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock, split_blocks
+from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.errors import PduError
+from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.gsd.model import Device, DiagText
+from dpstack.gsd.model import Diagnosis as GsdDiagnosis
 
 #: the attribute of each bit that a slave sets
 ATTRIBUTES = {
@@ -183,3 +187,33 @@ def test_any_octets(octets: bytes) -> None:
     assert octets[6:].startswith(joined)
     assert diagnosis.ext_finding is not None or joined == octets[6:]
     assert len(diagnosis.texts) == len(diagnosis.flags)
+
+
+FUSE = "08 0C 00 02 12 34 0A 01 46 75 73 65 20 46 31 20"  # a block of 10 octets: 01, "Fuse F1 "
+
+
+def test_text_of_a_device_is_shown_as_text_in_every_place() -> None:
+    said = 'device: "Fuse F1" (01 46 75 73 65 20 46 31 20)'
+    assert block_texts(parse(FUSE)) == (said,)
+    assert conspicuous_text(parse(FUSE), exchanging=True) == f"ext_diag; {said}"
+    alarm = "08 0C 00 02 12 34 0C 01 02 09 70 75 6D 70 20 6F 69 6C"
+    assert block_texts(parse(alarm), dpv1=True) == (
+        'diagnosis alarm, slot 2, appears, slot disturbed, data "pump oil"',
+    )
+
+
+def test_text_of_a_device_stands_beside_the_texts_of_its_gsd_file() -> None:
+    bit = DiagText("bit", 0, 0, 1, "fuse blown", "replace it")
+    texts = DiagTexts(Device(diagnosis=GsdDiagnosis((bit,))))
+    assert block_texts(parse(FUSE), texts) == (
+        "fuse blown (replace it)",
+        'device: "Fuse F1" (01 46 75 73 65 20 46 31 20)',
+    )
+    assert block_texts(parse("08 0C 00 02 12 34 02 01"), texts) == ("fuse blown (replace it)",)
+
+
+def test_escape_sequences_of_a_device_stay_octets() -> None:
+    """A title for the terminal: what a terminal would obey is no character of the text."""
+    assert block_texts(parse("08 0C 00 02 12 34 0B 1B 5D 30 3B 6F 77 6E 65 64 07")) == (
+        'device: "]0;owned" (1b 5d 30 3b 6f 77 6e 65 64 07)',
+    )
