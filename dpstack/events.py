@@ -42,7 +42,6 @@ from dpstack.dp.master.events import SlaveState as SlaveState
 from dpstack.dp.master.events import SlaveStateChanged as SlaveStateChanged
 from dpstack.dp.master.events import Stalled as Stalled
 from dpstack.dp.master.scanner import Found as Found
-from dpstack.dp.master.scanner import SlaveView as SlaveView
 from dpstack.dp.master.scanner import StationSeen as StationSeen
 from dpstack.dp.pdu.alarm_blocks import Alarm as Alarm
 from dpstack.dp.pdu.alarm_blocks import AlarmType as AlarmType
@@ -50,6 +49,7 @@ from dpstack.dp.pdu.alarm_blocks import Specifier as Specifier
 from dpstack.dp.pdu.alarm_blocks import Status as Status
 from dpstack.dp.pdu.alarm_blocks import StatusType as StatusType
 from dpstack.dp.pdu.diagnosis import Diagnosis as Diagnosis
+from dpstack.dp.pdu.diagnosis import SlaveView as SlaveView
 from dpstack.dpv1.master.orders import AlarmRaised as AlarmRaised
 from dpstack.dpv1.master.orders import ConnectionOver as ConnectionOver
 from dpstack.dpv1.master.orders import StatusTold as StatusTold

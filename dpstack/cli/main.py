@@ -39,7 +39,7 @@ _COMMANDS = {
     "baud": "finds the baud rate of a bus by listening only",
     "capture": "listens to a bus and keeps the telegrams in a pcapng file, or explains them; never sends",
     "monitor": "judges a bus by listening, live or from a capture file: stations, masters, verdicts with reasons",
-    "decode": "explains telegrams to the bit: of a capture, of a logic analyser's file, or octets in hex",
+    "decode": "explains telegrams to the bit: of captures, logic analysers' files, hex digits, pasted logs; diagnoses",
     "plot": "a recording of `run --record` drawn over wall clock, in a window or as SVG, PNG, PDF",
     "web": "the page in the browser: joins the run that holds the port, else reads only",
     "fleet": "all segments of an MQTT broker at a glance: verdict, lost slaves, silent gateways; only --rebirth sends",
@@ -48,7 +48,7 @@ _COMMANDS = {
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
     "drives": "the drives and devices that are known here, and the packages that bring them",
     "device": "device files: check one, list and show them, begin one from a GSD file",
-    "gsd": "GSD files: show, check, configure",
+    "gsd": "GSD files: show, check, find, diff, configure, write",
     "completion": "the completion script for bash, zsh or fish",
 }
 #: the commands whose modules stand in another room than ``commands``

@@ -3,23 +3,27 @@ text file with such lines."""
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import re
 from collections.abc import Callable, Iterator
 from typing import BinaryIO, Final
 
-from dpstack.capture.cutter import split
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Interface, Reader
 from dpstack.capture.transmission import Damage, Transmission
-from dpstack.errors import CaptureFileError, UsageError
-from dpstack.fdl.codec import decode
+from dpstack.decode.log_text import LogReader, Unread
+from dpstack.errors import CaptureFileError
+from dpstack.fdl.telegram import Kind
 
-#: what may stand between hex digits
-_BETWEEN: Final = re.compile(r"0x|[\s,;:-]+", re.IGNORECASE)
 #: octets of one line of text; a PROFIBUS telegram has 255 at most
 _MOST_LINE: Final = 1 << 20
 _DAMAGED: Final = int(sum(Damage))
+#: first octets of telegrams
+_STARTS: Final = frozenset(bytes((kind,)) for kind in Kind)
 _PCAPNG: Final = b"\n\r\r\n"
+_UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+#: controls that stand in no text
+_NO_TEXT: Final = frozenset(range(0x20)).difference(b"\t\n\r\f\b\x1b")
 #: the first line of a waveform: a zip archive, definitions of a VCD file, comments or headings of a CSV file
 _WAVEFORM: Final = re.compile(
     rb"PK\x03\x04|<SAL|\$(?:date|version|comment|timescale|scope|var)\b|"
@@ -31,34 +35,25 @@ _LETTERS: Final = b'abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ\xef\xbb
 _NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 
 
-def from_hex(text: str) -> bytes:
-    """Octets from hex digits; blanks, commas, colons, dashes and 0x may stand between. Raises UsageError."""
-    digits = _BETWEEN.sub("", text)
-    try:
-        return bytes.fromhex(digits)
-    except ValueError:
-        wrong = re.search(r"[^0-9A-Fa-f]", digits)
-        why = f"{wrong[0]!r} is no hex digit" if wrong else "an octet has two hex digits, one is missing"
-        raise UsageError(f"{why}; octets are written as in 68 05 05 68") from None
-
-
 def read_transmissions(
     file: BinaryIO,
     name: str,
     on_interface: Callable[[Interface], None] = lambda interface: None,
     *,
+    on_unread: Callable[[Unread], None] | None = None,
     baud: int = 0,
     channel: str = "",
     on_remark: Callable[[str], None] = lambda text: None,
 ) -> Iterator[Transmission]:
-    """The transmissions in a pcapng ``file``, in a waveform of a logic analyser (.sr, VCD, CSV), or in a text file with
-    hex digits, a transmission a line.
+    """The transmissions in a pcapng ``file``, in a waveform of a logic analyser (.sr, VCD, CSV), or in a text file: hex
+    digits, a transmission a line, or lines of a log (:mod:`dpstack.decode.log_text`).
 
     ``on_interface`` gets the interface of a pcapng file before its first transmission, and again if another one
-    follows; of a waveform its channel. ``baud`` in bit/s and ``channel`` (its name): where the bus is in a waveform;
-    0 and empty: find it. ``on_remark`` gets lines about a waveform: where the bus was found, what was left out.
+    follows; of a waveform its channel. ``on_unread`` gets each line of a text without octets; None: such a line raises
+    CaptureFileError. ``baud`` in bit/s and ``channel`` (its name): where the bus is in a waveform; 0 and empty: find
+    it. ``on_remark`` gets lines about a waveform: where the bus was found, what was left out.
 
-    Raises CaptureFileError, after what could be read, for what cannot; a line of text that is no hex digits likewise.
+    Raises CaptureFileError, after what could be read, for what cannot.
     """
     head = file.read(4)
     if head == _PCAPNG:
@@ -73,10 +68,19 @@ def read_transmissions(
             yield from read_waveform(
                 whole, name, baud=baud, channel=channel, on_interface=on_interface, on_remark=on_remark
             )
-    elif head.isascii() and b"\0" not in head:
-        yield from _lines(_Again(head, file), name)
+    elif _is_text(head):
+        yield from _lines(_Again(head, file), head, name, on_unread)
+    elif head[:1] in _STARTS:
+        raise CaptureFileError(f"{name}: octets, not their hex digits: xxd FILE | dpstack decode - explains them")
     else:
         yield from _captured(Reader(_Again(head, file), name), on_interface)  # which says what it is instead
+
+
+def _is_text(head: bytes) -> bool:
+    if head[:2] in _UTF_16:
+        return True
+    text = head.decode("utf-8", "replace").rstrip("\ufffd")  # the last character may be cut
+    return (bool(text) or not head) and "\ufffd" not in text and not _NO_TEXT.intersection(head)
 
 
 @contextlib.contextmanager
@@ -123,26 +127,35 @@ def _captured(reader: Reader, on_interface: Callable[[Interface], None]) -> Iter
         raise CaptureFileError(f"{reader.name}: the file ends within a block: {reader.cut}")
 
 
-def _lines(file: _Again, name: str) -> Iterator[Transmission]:
-    rest, number = b"", 0
+def _lines(file: _Again, head: bytes, name: str, on_unread: Callable[[Unread], None] | None) -> Iterator[Transmission]:
+    unread = 0
+
+    def report(line: Unread) -> None:
+        nonlocal unread
+        unread += 1
+        if on_unread is None:
+            raise CaptureFileError(f"{name}: line {line.number}: {line.reason or 'no octets'}")
+        on_unread(line)
+
+    reader = LogReader(report)
+    decoder = codecs.getincrementaldecoder("utf-16" if head[:2] in _UTF_16 else "utf-8")(errors="replace")
+    rest, number, found = "", 0, 0
     while True:
-        more = file.read(1 << 16)
-        *lines, rest = (rest + more).split(b"\n")
-        if not more:
-            lines, rest = [rest], b""
+        octets = file.read(1 << 16)
+        *lines, rest = (rest + decoder.decode(octets, not octets)).split("\n")
+        if not octets:
+            lines, rest = [rest], ""
+        number += len(lines)
         if len(rest) > _MOST_LINE:
             raise CaptureFileError(f"{name}: line {number + 1} has more than {_MOST_LINE} characters")
         for line in lines:
-            number += 1
-            text = line.decode("ascii", errors="replace").partition("#")[0]
-            try:
-                octets = from_hex(text)
-            except UsageError as error:
-                raise CaptureFileError(f"{name}: line {number}: {error}") from None
-            if decode(octets) is not None:
-                yield Transmission(octets)
-                continue
-            for one in split(octets):
-                yield Transmission(one)
-        if not more:
-            return
+            for one in reader.add(line):
+                found += 1
+                yield one
+        if not octets:
+            break
+    for one in reader.end():
+        found += 1
+        yield one
+    if unread and not found:
+        raise CaptureFileError(f"{name}: no octets in its lines; they are written as in 68 05 05 68")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final, Generic, NamedTuple, TypeVar
 
 from dpstack.capture.transmission import Damage, Transmission
-from dpstack.decode.source import from_hex
+from dpstack.decode.log_text import from_hex
 from dpstack.errors import UsageError
 from dpstack.fdl.codec import decode
 from dpstack.monitor.counters import Change, Counters

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.dp.master.scanner import Found
+from dpstack.dp.pdu.diagnosis import SlaveView
 from dpstack.fdl.telegram import StationType
 from dpstack.text import printable
 from dpstack.why.causes import Cause

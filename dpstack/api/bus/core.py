@@ -29,7 +29,8 @@ from dpstack.dp.master.events import (
     SlaveState,
     SlaveStateChanged,
 )
-from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, SurveyOrder, view_of
+from dpstack.dp.master.scanner import Found, ScanDone, SurveyOrder
+from dpstack.dp.pdu.diagnosis import SlaveView, view_of
 from dpstack.dp.process_image import DRIVE
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms

@@ -10,7 +10,8 @@ from msgspec import Struct
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.config.channel_names import name_lines, slot_remarks
-from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.dp.master.scanner import Found
+from dpstack.dp.pdu.diagnosis import SlaveView
 from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.telegram import MAX_DATA, StationType

@@ -6,13 +6,14 @@ those that come with dpstack.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Final
 
 from dpstack.api.config.config import Config
 from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.gsd_folder import GsdFolder
 from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
 from dpstack.decode.fields import Fields
 from dpstack.decode.names import DriveWords, ModuleName, Names, SlaveNames
@@ -31,13 +32,16 @@ from dpstack.sim import io_station
 _KEPT: Final = 256
 
 
-def decode_names(config: Config | None = None, gsd: Iterable[str] = ()) -> Names:
+def decode_names(
+    config: Config | None = None, gsd: Iterable[str] = (), on_skipped: Callable[[str], None] = lambda text: None
+) -> Names:
     """Names of the slaves in ``config``, and of others by the GSD files ``gsd`` (files, or folders of them).
 
-    Raises ConfigError if a GSD file cannot be read.
+    ``on_skipped`` gets one line for each file of a folder that cannot be used. Raises ConfigError if a file that is
+    named cannot be read, and for a folder without GSD files.
     """
     slaves = {} if config is None else {slave.address: _configured(slave) for slave in config.slaves}
-    return Names(slaves, _Recogniser(_devices(gsd)).names, _record)
+    return Names(slaves, _Recogniser(_GsdFiles(gsd, on_skipped)).names, _record)
 
 
 def _configured(slave: SlaveConfig) -> SlaveNames:
@@ -82,29 +86,47 @@ def _user_prm(device: Device, modules: Sequence[Module | None]) -> UserPrm | Non
         return None
 
 
-def _devices(gsd: Iterable[str]) -> dict[int, tuple[str, Device]]:
-    """The devices of GSD files by ident number, with the name of the file; of two with the same number the first."""
-    found: dict[int, tuple[str, Device]] = {}
-    for given in gsd:
-        path = Path(given)
-        files = gsd_files(path) if path.is_dir() else [path]
-        for file in files:
-            try:
-                device = read_gsd(file).device
-            except GsdError as error:
-                if len(files) == 1:
-                    raise
-                raise ConfigError(f"{error}; take the file out of {given}, or name single files") from None
-            if device.ident is not None:
-                found.setdefault(device.ident, (file.name, device))
-    return found
+class _GsdFiles:
+    """The GSD files of the user by ident number; of several with the same number the first. Those of a folder are read
+    when they are needed."""
+
+    def __init__(self, gsd: Iterable[str], on_skipped: Callable[[str], None]) -> None:
+        self._devices: dict[int, tuple[str, Device]] = {}
+        self._folders: list[GsdFolder] = []
+        self._on_skipped = on_skipped
+        for given in gsd:
+            path = Path(given)
+            if path.is_dir():
+                gsd_files(path)  # which raises if it has none
+                folder = GsdFolder(path)
+                self._folders.append(folder)
+                for name, reason in folder.bad:
+                    on_skipped(f"left out: {name}: {reason}")
+            else:
+                device = read_gsd(path).device
+                if device.ident is not None:
+                    self._devices.setdefault(device.ident, (path.name, device))
+
+    def find(self, ident: int) -> tuple[str, Device] | None:
+        """The device with the ident number, and the name of its file."""
+        if ident in self._devices:
+            return self._devices[ident]
+        for folder in self._folders:
+            for entry in folder.with_ident(ident):
+                if entry.path is None:
+                    continue
+                try:
+                    return entry.path.name, folder.device(entry.key)
+                except ConfigError as error:
+                    self._on_skipped(f"left out: {error}")
+        return None
 
 
 class _Recogniser:
     """Slaves by their ident number: in the user's GSD files, then in those that come with dpstack."""
 
-    def __init__(self, devices: Mapping[int, tuple[str, Device]]) -> None:
-        self._devices = devices
+    def __init__(self, files: _GsdFiles) -> None:
+        self._files = files
         self._bundled: dict[int, str] | None = None
         self._kept = lru_cache(_KEPT)(self._find)
 
@@ -114,7 +136,7 @@ class _Recogniser:
 
     def _find(self, ident: int, config: bytes) -> SlaveNames | None:
         drive = partial(_drive, ident, config)
-        known = self._devices.get(ident) or self._bundled_device(ident)
+        known = self._files.find(ident) or self._bundled_device(ident)
         if known is None:
             return SlaveNames(ident=ident, source="a drive of its ident number", drive=drive) if drive() else None
         source, device = known

@@ -17,11 +17,11 @@ from dpstack.argcheck import Sealed, instance, plain_function
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, DriveCommand, Mode, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, SlaveState
-from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.dp.master.scanner import Found
 from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.pdu.alarm_blocks import Status
 from dpstack.dp.pdu.diag_texts import conspicuous_text
-from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.diagnosis import Diagnosis, SlaveView
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.process_data import Field, ReadValues, Value
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns

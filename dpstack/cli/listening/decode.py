@@ -12,13 +12,20 @@ from dpstack.capture.cutter import split
 from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
-from dpstack.cli.listening.source_file import STDIN, add_channel, is_growing, transmissions_of
+from dpstack.cli.listening.source_file import (
+    STDIN,
+    UnreadLines,
+    add_channel,
+    is_growing,
+    text_of,
+    transmissions_of,
+)
 from dpstack.cli.listening.telegram_lines import add_names_and_filter, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.decode.filter import one_later
+from dpstack.decode.log_text import LogReader, Unread, from_hex, padded
 from dpstack.decode.names import Names
-from dpstack.decode.source import from_hex
 from dpstack.decode.telegram import Explained, Explainer
 from dpstack.errors import UsageError
 
@@ -26,10 +33,18 @@ from dpstack.errors import UsageError
 def add_to(parser: Parser) -> None:
     parser.epilog = (
         'examples: dpstack decode bus.pcapng; dpstack decode "68 05 05 68 83 82 6D 3C 3E EC 16"; '
-        "dpstack decode bus.pcapng --filter 'station 5 and (retry or error)'"
+        "dpstack decode bus.pcapng --filter 'station 5 and (retry or error)'; "
+        "dpstack decode --diagnosis 08 0C 00 02 80 E0 43 02 00"
     )
-    what = "a file: pcapng, of a logic analyser (.sr, VCD, CSV), or of hex digits; octets; or - for standard input"
+    what = (
+        "a file: pcapng, of a logic analyser (.sr, VCD, CSV), of hex digits or lines of a log; octets; or - for "
+        "standard input"
+    )
     parser.add_argument("source", metavar="FILE|HEX|-", nargs="+", help=what)
+    parser.flag(
+        "--diagnosis", "the octets are a diagnosis without its telegram, station status 1 first: as SFC 13 gives it"
+    )
+    parser.value("--address", "ADDRESS", "with --diagnosis and --config: address or name of the slave that it is of")
     parser.value(
         "--baud",
         "B|auto",
@@ -44,10 +59,17 @@ def add_to(parser: Parser) -> None:
 
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 if a transmission is no telegram, or the file cannot be read to its end."""
+    if args.diagnosis:
+        from dpstack.cli.listening import diagnosis  # here, as telegrams need none of it
+
+        return diagnosis.execute(args, text_of(args.source[0]) if _is_file(args.source) else " ".join(args.source))
+    if args.address is not None:
+        raise UsageError("--address says of which slave a diagnosis is: it needs --diagnosis")
     bad = 0
+    unread = UnreadLines(shown=not args.json and args.filter is None)
     at_once = len(args.source) == 1 and is_growing(args.source[0])  # somebody may be watching
     buses = _Buses(names_of(args))
-    with contextlib.closing(_transmissions(args, buses.choose)) as transmissions:
+    with contextlib.closing(_transmissions(args, buses.choose, unread.add)) as transmissions:
         explained = map(buses.explain, transmissions)
         for one in explained if args.filter is None else one_later(explained):
             bad += one.error is not None
@@ -56,7 +78,12 @@ def execute(args: argparse.Namespace) -> int:
                 if output.lost.error is not None:
                     break
     output.flush()
-    return 1 if bad else 0
+    if bad and not _is_file(args.source):
+        from dpstack.decode.diagnosis import may_be_diagnosis
+
+        if may_be_diagnosis(" ".join(args.source)):
+            output.warn("octets of a diagnosis without its telegram are explained by dpstack decode --diagnosis")
+    return 1 if unread.report() or bad else 0
 
 
 class _Buses:
@@ -78,17 +105,40 @@ class _Buses:
         return self._explainer.add(sent, self._number)
 
 
-def _transmissions(args: argparse.Namespace, on_interface: Callable[[Interface], None]) -> Generator[Transmission]:
-    source: list[str] = args.source
+def _is_file(source: list[str]) -> bool:
+    """A file goes before hex digits. A path that is not there is one, if it is no pasted line."""
     name = source[0]
-    if len(source) == 1 and (name == STDIN or os.path.lexists(name) or os.sep in name):  # a file goes before hex digits
-        yield from transmissions_of(name, on_interface, baud=args.baud, channel=args.channel)
-    else:
-        text = " ".join(source)
-        try:
-            octets = from_hex(text)
-        except UsageError as error:
-            raise UsageError(f"{text!r} is no file here, and {error}") from None
-        if not octets:
-            raise UsageError("no octets to decode; give a file, octets such as 68 05 05 68, or -")
+    is_path = os.sep in name and not any(map(str.isspace, name))
+    return len(source) == 1 and (name == STDIN or os.path.lexists(name) or is_path)
+
+
+def _transmissions(
+    args: argparse.Namespace, on_interface: Callable[[Interface], None], on_unread: Callable[[Unread], None]
+) -> Generator[Transmission]:
+    source: list[str] = args.source
+    if _is_file(source):
+        yield from transmissions_of(source[0], on_interface, on_unread=on_unread, baud=args.baud, channel=args.channel)
+        return
+    text = " ".join(source)
+    octets = _pasted(text)
+    if octets is not None:
         yield from map(Transmission, split(octets))
+        return
+    reader = LogReader(on_unread)
+    for line in text.splitlines():
+        yield from reader.add(line)
+    yield from reader.end()
+
+
+def _pasted(text: str) -> bytes | None:
+    """The octets of hex digits on the command line; None for lines of a log with octets. Raises UsageError."""
+    try:
+        octets = from_hex(padded(text))
+    except UsageError as error:
+        reader = LogReader(lambda line: None)
+        if any(True for line in text.splitlines() for _ in reader.add(line)) or any(reader.end()):
+            return None
+        raise UsageError(f"{text!r} is no file here, and {error}") from None
+    if not octets:
+        raise UsageError("no octets to decode; give a file, octets such as 68 05 05 68, or -")
+    return octets

@@ -14,7 +14,7 @@ from dpstack.capture.timing import FILE, LineTiming
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
 from dpstack.cli.listening.monitor_view import event_line, show_summary, write_report
-from dpstack.cli.listening.source_file import add_channel, bus_in
+from dpstack.cli.listening.source_file import UnreadLines, add_channel, bus_in
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import CaptureFileError, UsageError
@@ -100,6 +100,7 @@ class _FromFile:
         self._monitor = monitor
         self._started = False
         self._port: str | None = None
+        self._unread = UnreadLines(shown=False)
         monitor.on_event = self._show
 
     def run(self) -> int:
@@ -108,6 +109,7 @@ class _FromFile:
             self._read()
         except CaptureFileError as error:
             damage = error
+        self._unread.report()
         summary = self._monitor.summary()
         if damage is not None and not summary["telegrams"]:
             raise damage
@@ -124,10 +126,12 @@ class _FromFile:
         monitor = self._monitor
         add = monitor.add if self._report is None else self._report.add
         end = None
-        for one in bus_in(self._name, self._interface, baud=self._baud, channel=self._channel):
+        for one in bus_in(
+            self._name, self._interface, baud=self._baud, channel=self._channel, on_unread=self._unread.add
+        ):
             if not self._started:
                 self._start(one)
-            if one.note:
+            if one.note and one.t_ns is not None:  # without a time it is what stands before octets in a log
                 self._remark(one)
             add(one)
             if self._limit_ns is not None:

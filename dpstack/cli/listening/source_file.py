@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import stat
 import sys
@@ -13,8 +14,10 @@ from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Transmission
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
+from dpstack.decode.log_text import Unread
 from dpstack.decode.source import read_transmissions
 from dpstack.errors import CaptureFileError, UsageError
+from dpstack.text import runs_of, shortened
 
 #: standard input
 STDIN: Final = "-"
@@ -39,6 +42,7 @@ def transmissions_of(
     name: str,
     on_interface: Callable[[Interface], None] = lambda interface: None,
     *,
+    on_unread: Callable[[Unread], None] | None = None,
     baud: int | str = AUTO,
     channel: str = "",
 ) -> Iterator[Transmission]:
@@ -51,7 +55,9 @@ def transmissions_of(
     try:
         file, title = (sys.stdin.buffer, "standard input") if to_close is None else (to_close, name)
         rate = 0 if isinstance(baud, str) else baud
-        yield from read_transmissions(file, title, on_interface, baud=rate, channel=channel, on_remark=output.warn)
+        yield from read_transmissions(
+            file, title, on_interface, on_unread=on_unread, baud=rate, channel=channel, on_remark=output.warn
+        )
     except OSError as error:
         raise CaptureFileError(f"{name}: cannot be read to its end ({error.strerror})") from None
     finally:
@@ -60,7 +66,12 @@ def transmissions_of(
 
 
 def bus_in(
-    name: str, on_interface: Callable[[Interface], None], *, baud: int | str = AUTO, channel: str = ""
+    name: str,
+    on_interface: Callable[[Interface], None],
+    *,
+    on_unread: Callable[[Unread], None] | None = None,
+    baud: int | str = AUTO,
+    channel: str = "",
 ) -> Iterator[Transmission]:
     """The transmissions of one bus in the file ``name``: those of its first port. ``baud``: the rate if the file does
     not say it.
@@ -82,7 +93,7 @@ def bus_in(
             left_out.add(interface.name)
             output.warn(f"{name}: only the port {port!r} is read; left out: {interface.name!r}")
 
-    for one in transmissions_of(name, choose, baud=baud, channel=channel):
+    for one in transmissions_of(name, choose, on_unread=on_unread, baud=baud, channel=channel):
         if elsewhere:
             continue
         if one.baud:
@@ -105,3 +116,49 @@ def _opened(name: str) -> BinaryIO:
         raise UsageError(f"{name}: {error}; name a capture file") from None
     except OSError as error:
         raise UsageError(f"{name}: cannot be read ({error.strerror}); name a capture file") from None
+
+
+#: octets of a pasted text that is no capture
+_MOST_TEXT: Final = 1 << 20
+#: lines that were not understood and are named one by one
+_NAMED: Final = 20
+
+
+def text_of(name: str) -> str:
+    """The text in the file ``name``, or in standard input. Raises UsageError if it cannot be read."""
+    if name == STDIN:
+        octets = sys.stdin.buffer.read(_MOST_TEXT)
+    else:
+        with _opened(name) as file:
+            octets = file.read(_MOST_TEXT)
+    return octets.decode("utf-16" if octets[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8", "replace")
+
+
+class UnreadLines:
+    """Lines of a log without octets: each is shown at its place (``shown``), and all are counted at the end."""
+
+    def __init__(self, *, shown: bool) -> None:
+        self._shown = shown
+        self._words: list[int] = []
+        self._wrong: list[Unread] = []
+
+    def add(self, line: Unread) -> None:
+        if line.reason:
+            self._wrong.append(line)
+        else:
+            self._words.append(line.number)
+        if self._shown:
+            output.line(f"        line {line.number}: {line.text}", "dim")
+
+    def report(self) -> bool:
+        """Say which lines they are, on standard error. True if one seems to have octets that were not understood."""
+        if self._words:
+            count = len(self._words)
+            numbers = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in runs_of(self._words))
+            output.warn(f"{count} line{'s' * (count > 1)} without octets: {numbers}")
+        for line in self._wrong[:_NAMED]:
+            output.warn(f"line {line.number} was not understood: {line.reason}: {shortened(line.text, 200)}")
+        if len(self._wrong) > _NAMED:
+            rest = ", ".join(str(line.number) for line in self._wrong[_NAMED:])
+            output.warn(f"{len(self._wrong) - _NAMED} more lines were not understood: {rest}")
+        return bool(self._wrong)

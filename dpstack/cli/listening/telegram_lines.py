@@ -41,7 +41,7 @@ def names_of(args: argparse.Namespace) -> Names:
     from dpstack.api.config.config import load_config
     from dpstack.api.listen.names import decode_names
 
-    return decode_names(None if args.config is None else load_config(args.config), args.gsd)
+    return decode_names(None if args.config is None else load_config(args.config), args.gsd, output.warn)
 
 
 def _recognise(ident: int, config: bytes) -> SlaveNames | None:

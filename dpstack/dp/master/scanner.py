@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection
-from enum import Enum
 from typing import Final
 
 from msgspec import Struct, structs
 
 from dpstack.dp.master.verdicts import foreign_owner
-from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.diagnosis import Diagnosis, SlaveView, view_of
 from dpstack.dp.services import positive
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import AttachUser
@@ -31,27 +30,6 @@ from dpstack.trace import Event
 #: three first requests and the probe with FCV = 1 that finds slaves which know nothing else
 #: (docs/reference/protocol.md#slaves-that-know-only-fcv-1)
 _ATTEMPTS: Final = 4
-
-
-class SlaveView(Enum):
-    """State of a slave as its diagnosis shows it; the values are those of ``scan --json``."""
-
-    WAIT_PRM = "wait_prm"
-    WAIT_CFG = "wait_cfg"
-    DATA_EXCHANGE = "data_exchange"
-    UNKNOWN = "unknown"
-
-
-def view_of(diagnosis: Diagnosis | None) -> SlaveView:
-    """The state behind a diagnosis: Prm_Req, Station_Not_Ready, a master's address
-    (docs/reference/protocol.md#slave_diag)."""
-    if diagnosis is None:
-        return SlaveView.UNKNOWN
-    if diagnosis.prm_req:
-        return SlaveView.WAIT_PRM
-    if diagnosis.not_ready:
-        return SlaveView.WAIT_CFG
-    return SlaveView.UNKNOWN if diagnosis.master is None else SlaveView.DATA_EXCHANGE
 
 
 class Found(Struct, frozen=True, kw_only=True):

@@ -6,6 +6,7 @@ docs/reference/protocol.md#how-real-devices-deviate.
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import Final
 
 from msgspec import Struct
@@ -142,3 +143,24 @@ class Diagnosis(Struct, frozen=True):
     sync = _Bit("sync_mode")
     #: Ext_Diag_Overflow: there is more diagnosis than fits
     overflow = _Bit("ext_diag_overflow")
+
+
+class SlaveView(Enum):
+    """State of a slave as its diagnosis shows it; the values are those of ``scan --json``."""
+
+    WAIT_PRM = "wait_prm"
+    WAIT_CFG = "wait_cfg"
+    DATA_EXCHANGE = "data_exchange"
+    UNKNOWN = "unknown"
+
+
+def view_of(diagnosis: Diagnosis | None) -> SlaveView:
+    """The state behind a diagnosis: Prm_Req, Station_Not_Ready, a master's address
+    (docs/reference/protocol.md#slave_diag)."""
+    if diagnosis is None:
+        return SlaveView.UNKNOWN
+    if diagnosis.prm_req:
+        return SlaveView.WAIT_PRM
+    if diagnosis.not_ready:
+        return SlaveView.WAIT_CFG
+    return SlaveView.UNKNOWN if diagnosis.master is None else SlaveView.DATA_EXCHANGE

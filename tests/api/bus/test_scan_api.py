@@ -14,7 +14,8 @@ from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.commissioning.live_list import LiveListResult, config_skeleton, scan_port
 from dpstack.api.config.config import make_config, parse_config
-from dpstack.dp.master.scanner import Found, SlaveView, StationSeen
+from dpstack.dp.master.scanner import Found, StationSeen
+from dpstack.dp.pdu.diagnosis import SlaveView
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.telegram import StationType

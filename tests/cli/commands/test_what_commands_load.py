@@ -103,7 +103,7 @@ def test_captures_are_explained_and_judged_without_ports_drives_and_an_event_loo
     with path.open("wb") as file:
         writer = Writer(file, "a test")
         writer.packet(writer.interface("p", 500_000, ""), 1_790_000_000_000_000_000, b"\xdc\2\2")
-    for args, most in ((["decode", "DC", "02", "02"], 72), (["decode", str(path)], 72), (["monitor", str(path)], 65)):
+    for args, most in ((["decode", "DC", "02", "02"], 73), (["decode", str(path)], 73), (["monitor", str(path)], 65)):
         ours, heavy = loaded(_PROGRAM, *args)
         assert len(ours) <= most
         assert heavy == {"msgspec"}

@@ -85,6 +85,41 @@ def test_text_from_standard_input(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> 
     assert [one["service"] for one in _json(cli, "-")] == ["FDL_Status", "Slave_Diag", "Slave_Diag"]
 
 
+LOG = """DPM1: Requesting Slave_Diag from slave 2...
+PHY-serial: TX   68 05 05 68 83 82 6D 3C 3E EC 16
+PHY-serial: RX   E5
+DPM1: \x1b[2Jevil
+"""
+
+
+def test_a_log_is_explained_with_its_lines_of_words(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(LOG)
+    out, err = cli("decode", str(tmp_path / "a.log"))
+    assert out == (
+        "        line 1: DPM1: Requesting Slave_Diag from slave 2...\n"
+        "     1  68 05 05 68 83 82 6d 3c 3e ec 16\n"
+        "        Slave_Diag request 2 -> 3 (SRD high, FCV=0 FCB=1); PHY-serial: TX\n"
+        "     2  e5\n"
+        "        SC 3 -> 2, acknowledges Slave_Diag; PHY-serial: RX\n"
+        "        line 4: DPM1: \\x1b[2Jevil\n"
+    )
+    assert err == "dpstack: 2 lines without octets: 1, 4\n"
+
+
+def test_a_log_as_json_and_with_a_filter_keeps_standard_output_to_telegrams(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(LOG)
+    assert len(_json(cli, str(tmp_path / "a.log"))) == 2
+    out, err = cli("decode", str(tmp_path / "a.log"), "--filter", "kind == SC")
+    assert "line" not in out
+    assert err == "dpstack: 2 lines without octets: 1, 4\n"
+
+
+def test_a_pasted_line_is_explained_as_an_argument(cli: Cli) -> None:
+    assert "FDL_Status request 2 -> 5" in cli.out("decode", "2021/10/04 TX: 10 05 02 49 50 16")
+    assert "FDL_Status request 2 -> 5" in cli.out("decode", "PHY-serial:", "TX", "10", "05", "02", "49", "50", "16")
+    assert "'nothing/here' is" not in cli.err("decode", "nothing/here")
+
+
 def test_an_acknowledgement_in_a_damaged_telegram_is_none(cli: Cli) -> None:
     broken = DIAG.replace("EC", "E5")
     first, second = _json(cli, f"{broken} DC 02 02", code=1)
@@ -125,7 +160,10 @@ def test_a_wrong_filter_ends_with_2(capsys: Out) -> None:
     ("octets", "text"),
     [
         (b"\x89PNG", "this is no pcapng file"),
-        (b"68 05\nhello\n", "line 2: 'h' is no hex digit"),
+        (b"68 05\nhello\n", "1 line without octets: 2\n"),
+        (b"hello\n", "no octets in its lines; they are written as in 68 05 05 68"),
+        (b"E5\n68 O5 05 68 83 82\n", "line 2 was not understood: 'O5' is no octet: 68 O5 05 68 83 82\n"),
+        (b"\x68\x05\x05\x68", "octets, not their hex digits: xxd FILE | dpstack decode -"),
         (b"1" * (1 << 21), "line 1 has more than 1048576 characters"),
     ],
 )
@@ -263,6 +301,21 @@ def test_modules_and_texts_of_a_gsd_file_of_the_user(cli: Cli) -> None:
     assert "fuse blown (replace F1); slot 2 (8 DO)" in str(diag["text"])
 
 
+def test_a_folder_with_a_broken_gsd_file_is_used_all_the_same(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "a.gsd").write_bytes(b"\x89PNG")
+    terminal = Path(__file__).parents[3] / "examples/terminal.gsd"
+    (tmp_path / "b.gsd").write_bytes(terminal.read_bytes())
+    diag = sd2(2, 9, DL, 62, 60, bytes.fromhex("08 0C 00 02 1A 2B 02 01")).hex()
+    out, err = cli("decode", "--gsd", str(tmp_path), diag)
+    assert "fuse blown (replace F1)" in out
+    assert err.startswith(f"dpstack: left out: {tmp_path}/a.gsd: ")
+
+
+def test_a_diagnosis_without_its_telegram_gets_a_hint(cli: Cli) -> None:
+    assert "explained by dpstack decode --diagnosis" in cli.err("decode", "08 0C 00 02 80 6A 42 02", code=1)
+    assert cli.err("decode", "08 08 00 02 80 6A 42 02", code=1) == ""
+
+
 def test_a_reader_that_goes_away_ends_the_decoding(tmp_path: Path) -> None:
     """``| head``: a process, because standard output itself is lost."""
     file = tmp_path / "bus.txt"
@@ -293,7 +346,7 @@ def test_two_ports_in_one_file_are_two_buses(cli: Cli, tmp_path: Path) -> None:
 
 PAGE = (Path(__file__).parents[3] / "docs" / "how-to" / "decode.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"<!-- decode -->\n```text\n\$ dpstack (decode .*?)\n(.*?)```", PAGE, re.DOTALL)
-((NAME, TOML),) = re.findall(r"<!-- file: (\S+) -->\n```toml\n(.*?)```", PAGE, re.DOTALL)
+FILES = dict(re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", PAGE, re.DOTALL))
 
 
 @pytest.mark.parametrize(("command", "printed"), EXAMPLES)
@@ -304,7 +357,8 @@ def test_an_example_prints_what_the_page_says(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    (tmp_path / NAME).write_text(TOML, encoding="utf-8")
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     code = main(shlex.split(command))
     assert capsys.readouterr().out == printed

@@ -255,6 +255,15 @@ def test_a_file_of_two_ports_is_judged_by_the_first(cli: Cli, tmp_path: Path) ->
     assert (summary["telegrams"], list(summary["masters"])) == (3, ["0"])
 
 
+def test_a_pasted_log_is_judged_and_its_other_lines_are_counted(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text("DPM1: hello\nTX: 10 03 02 49 4E 16\nRX: 10 02 03 00 05 16\n")
+    out, err = cli("monitor", str(tmp_path / "a.log"), "--baud", "500000", "--json")
+    *events, summary = map(json.loads, out.splitlines())
+    assert summary["telegrams"] == 2
+    assert not [event for event in events if "TX" in str(event)]
+    assert "dpstack: 1 line without octets: 1\n" in err
+
+
 def test_gaps_and_remarks_of_a_capture(cli: Cli, tmp_path: Path) -> None:
     path = tmp_path / "gap.pcapng"
     with path.open("wb") as file:

@@ -129,6 +129,14 @@ def test_a_gsd_file_for_people(reader: str, gsd: Path, capsys: pytest.CaptureFix
     assert r"broken \x1b]0;owned" in checked
 
 
+def test_gsd_files_found_and_compared(reader: str, gsd: Path, config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, found, _ = run(capsys, "gsd", "find", "8DI", str(gsd.parent))
+    assert (code, found.count(r"8 DI \x1b]0;owned")) == (0, 2)
+    code, changes, _ = run(capsys, "gsd", "diff", "io-station", str(gsd))
+    assert code == 1
+    assert r"8 DI \x1b]0;owned" in changes
+
+
 def test_a_gsd_file_as_json_has_the_same_values(gsd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, shown, _ = run(capsys, "gsd", "show", str(gsd), "--json")
     told = json.loads(shown)
@@ -307,10 +315,14 @@ NAMES = [
     ["web", "--replay", EVIL],
     ["decode", EVIL],
     ["decode", "E5", "--filter", EVIL],
+    ["decode", "--diagnosis", f"0 0C {EVIL}"],
+    ["decode", "--diagnosis", "00 0C 00 02 12 34", "--address", EVIL],
     ["wireshark", EVIL],
     ["doctor", "--port", f"/nowhere/{EVIL}"],
     ["ports", EVIL],
     ["demo", "--baud", EVIL],
+    ["gsd", "find", EVIL, "/proc/self/fd"],
+    ["gsd", "diff", "GSD", EVIL],
     ["gsd", "show", EVIL],
     ["gsd", "check", EVIL],
     ["gsd", "copy", EVIL, "x"],

@@ -33,9 +33,9 @@ from dpstack.cli.main import main
 from dpstack.cli.terminal import drawing, output
 from dpstack.cli.terminal.report import Reporter
 from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveStateChanged
-from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.dp.master.scanner import Found
 from dpstack.dp.pdu.diag_texts import conspicuous_text
-from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.diagnosis import Diagnosis, SlaveView
 from dpstack.fdl.telegram import StationType
 from dpstack.ports.adapters import AdapterInfo
 

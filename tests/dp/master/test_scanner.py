@@ -13,8 +13,8 @@ from support import MS, KeepsEvents, S, WorldFactory, instance, present
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveStateChanged
 from dpstack.dp.master.master import Master
-from dpstack.dp.master.scanner import Found, ScanDone, Scanner, SlaveView, StationSeen, SurveyOrder, view_of
-from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.master.scanner import Found, ScanDone, Scanner, StationSeen, SurveyOrder
+from dpstack.dp.pdu.diagnosis import Diagnosis, SlaveView, view_of
 from dpstack.dp.services import reading_only
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave_params import SlaveParams
