@@ -30,6 +30,8 @@ _WAVEFORM: Final = re.compile(
     rb"; ?(?:CSV|Channels|Sample ?rate)\b|META samplerate|(?:\xef\xbb\xbf)?"
     rb"(?:\"?name\"?,\"?type\"?,|Time(?: ?[\[(]\w+[\])])? ?,|(?:milli|micro|nano|pico)seconds,|logic\b)"
 )
+#: the second line of a log in columns, whose heading may be that of a waveform (Time,Dir,Data)
+_OF_LOG: Final = re.compile(rb"(?i)[\s,;\"](?:[TR]X|->|<-)[\s,;:\"]|\b(?:[0-9A-F]{2} ){2}[0-9A-F]{2}\b")
 #: if a file begins with these only, its first line shows what it is
 _LETTERS: Final = b'abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ\xef\xbb\xbf"$; '
 _NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
@@ -61,7 +63,11 @@ def read_transmissions(
         return
     if not head.strip(_LETTERS):
         head += file.readline(_MOST_LINE)
-    if _WAVEFORM.match(head):
+    second = b""
+    if head.endswith(b"\n") and _WAVEFORM.match(head):
+        second = file.readline(_MOST_LINE)
+        head += second
+    if _WAVEFORM.match(head) and not _OF_LOG.search(second):
         from dpstack.capture.waveforms.reader import read_waveform  # with the modules for archives
 
         with _seekable(head, file) as whole:

@@ -196,3 +196,16 @@ def test_any_lines_end_in_octets_or_a_report(lines: list[str]) -> None:
     found += reader.end()
     assert all(one.octets for one in found)
     assert all(line.text for line in unread)
+
+
+@pytest.mark.parametrize(
+    ("text", "octets"),
+    [
+        ("Time,Dir,Data\n0.001,TX,10 02 63 49 AE 16\n0.002,RX,E5\n", [STATUS, SC]),
+        ("Time [s],Data\n0.001,10 02 63 49 AE 16\n", [STATUS]),
+    ],
+)
+def test_a_heading_that_a_logic_analyser_could_have_written(text: str, octets: list[bytes]) -> None:
+    found, unread, _ = read(text)
+    assert found == octets
+    assert [one.number for one in unread] == [1]
