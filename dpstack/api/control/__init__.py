@@ -14,6 +14,8 @@ the requests of one connection one after the other.
 - ``drive_orders``: Orders to a drive (``speed``, ``stop``, ``read`` ...): words, parser, execution, answers in JSON
 - ``errors``: Errors over the control socket: an error in the program raises the same error in its client
 - ``handlers``: The control server of a run, and the handlers of its commands
+- ``known_stations``: The stations of a running bus as its master knows them already: live list and readings without a
+  telegram
 - ``live_items``: The command ``live`` of a running master: its live stream for a client of the control socket
 - ``orders``: Typed orders to a running bus: carried out, or refused if they are from outside and reach no slave now
 - ``record_orders``: Orders to the records of a slave (``read``, ``write`` ...): words, parser, execution, answers

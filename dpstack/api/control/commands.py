@@ -98,6 +98,8 @@ SEGMENT: Final = (
 )
 #: first argument of an order that is refused if it cannot reach the slave at this moment
 NOW: Final = "now"
+#: last argument of a question that the run answers from its own knowledge: no telegram is sent for it
+UNASKED: Final = "unasked"
 RUN: Final = (
     Spec("outputs", f"[{NOW}] SLAVE=HEX...", "output octets of slaves without a drive plugin", "9=00FF"),
     Spec("set", f"[{NOW}] SLAVE.FIELD=VALUE...", "named outputs, and no other bits", "8.limit=on 8.level=1200"),
@@ -108,14 +110,24 @@ RUN: Final = (
     Spec("order", "SLAVE ORDER [NAME=VALUE]...", "gives a device that is no drive an order", "5 preset value=1000"),
     Spec("acyclic", "SLAVE ORDER [ARG]...", "records of a slave, as `dpstack acyclic` does", "8 read 1 47"),
     Spec("class2", "SLAVE ORDER [ARG]...", "the same over a class 2 connection (MS2)", "8 read 1 47"),
-    Spec("diag", "ADDRESS", "diagnosis, configuration, inputs and outputs of any station, read as class 2", "8"),
+    Spec(
+        "diag",
+        f"ADDRESS [{UNASKED}]",
+        "diagnosis, configuration, inputs and outputs of any station, read as class 2",
+        "8",
+    ),
     Spec("stats", "", "counters and rotation times up to now", ""),
     Spec(
         "rounds", "AFTER VALUE...", "values of each round after a round, for the oscilloscope of the page", "0 8.level"
     ),
-    Spec("why", "SLAVE", "why a slave is not in data exchange, as `dpstack why` does", "valves"),
+    Spec("why", f"SLAVE [{UNASKED}]", "why a slave is not in data exchange, as `dpstack why` does", "valves"),
     Spec("refused", "ORIGIN ORDER REASON", "notes an order that a page has refused itself", "page operate unconfirmed"),
-    Spec("scan", "", "the live list 0..126 beside data exchange, with the identifier octets of each slave", ""),
+    Spec(
+        "scan",
+        f"[{UNASKED}]",
+        "the live list 0..126 beside data exchange, with the identifier octets of each slave",
+        "",
+    ),
 )
 
 #: commands by kind of program; a ``run`` on the port "virtual" also has SLAVES

@@ -18,7 +18,7 @@ from dpstack.api.bus.picture import drive_dict, picture_of
 from dpstack.api.bus.statistics import clear_since
 from dpstack.api.control import arguments
 from dpstack.api.control.arguments import PTY, address_of
-from dpstack.api.control.commands import KINDS, NOW, SLAVES
+from dpstack.api.control.commands import KINDS, NOW, SLAVES, UNASKED
 from dpstack.api.control.control_server import ControlServer, Handler, LongCommand, Send, kept_alive
 from dpstack.api.control.orders import carry_out, octets_of, put_out
 from dpstack.api.control.tap_feed import TapFeed
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 #: addresses that a scan asks in one go; its progress counts them
 _SCAN_PART: Final = 16
+_KNOWN: Final = "dpstack.api.control.known_stations"
 
 
 def control_run(
@@ -67,7 +68,7 @@ def control_run(
         "order": _by_need("drive_orders", "device_order", bus),
         "acyclic": _by_need("record_orders", "acyclic_order", bus),
         "class2": _by_need("record_orders", "acyclic_order", bus, class2=True),
-        "diag": lambda args: _diag(bus, args[0]),
+        "diag": lambda args: _diag(bus, args[0], ask=_is_asking(args[1:])),
         "stats": lambda _: bus.stats.summary(),
         "scan": ScanOrder(bus),
         "rounds": _rounds(bus),
@@ -222,8 +223,17 @@ def _split_now(args: Sequence[str]) -> tuple[bool, Sequence[str]]:
     return (True, args[1:]) if args[0] == NOW and len(args) > 1 else (False, args)
 
 
-def _diag(bus: Bus, where: str) -> LongCommand:
+def _is_asking(args: Sequence[str]) -> bool:
+    """False for the word :data:`UNASKED`. Raises UsageError for another one."""
+    if args and args[0] != UNASKED:
+        raise UsageError(f"{args[0]!r}: the only word here is {UNASKED}, which sends no telegram")
+    return not args
+
+
+def _diag(bus: Bus, where: str, *, ask: bool) -> LongCommand:
     """The report on a station, given by address 0..126 or by the name of a slave; ``reading``: its octets.
+
+    Without ``ask`` it is a slave of the configuration, as the master knows it already.
 
     Raises UsageError for this master itself, BusError while it searches its baud rate.
     """
@@ -240,7 +250,13 @@ def _diag(bus: Bus, where: str) -> LongCommand:
         await load_beside("dpstack.api.slave.station_report")
         from dpstack.api.slave.station_report import KnownDevices, read_station, station_report
 
-        reading = await read_station(bus.class2, address, own, "run", bus.snapshot.las)
+        if ask:
+            reading = await read_station(bus.class2, address, own, "run", bus.snapshot.las)
+        else:
+            await load_beside(_KNOWN)
+            from dpstack.api.control.known_stations import known_reading
+
+            reading = known_reading(bus, address)
         config = None if known is None else known.config
         devices = KnownDevices(slave.config for slave in bus.slaves)
         return {**station_report(reading, config, devices), "reading": structs.asdict(reading)}
@@ -256,10 +272,10 @@ _STATION: Final = "ADDRESS: write the address of a station, 0..126, or the name 
 
 def _why(bus: Bus, args: list[str]) -> LongCommand:
     """The story of a slave. A scan of the bus may take some seconds."""
-    slave = _slave_of(bus, args[0])
+    slave, ask = _slave_of(bus, args[0]), _is_asking(args[1:])
 
     async def tell() -> dict[str, object]:
-        return (await bus.why(slave)).as_dict()
+        return (await bus.why(slave, ask=ask, scan=ask)).as_dict()
 
     return lambda send: kept_alive(tell(), lambda: {"state": slave.state.value}, send)
 
@@ -278,15 +294,22 @@ class ScanOrder:
         self._bus = bus
         self._under_way = False
 
-    def __call__(self, _args: list[str]) -> LongCommand:
+    def __call__(self, args: list[str]) -> LongCommand:
         """Items have ``progress``: ["addresses", number asked, 127]. The result is that of ``scan --json``, and each
         station also has ``config`` (identifier octets in hex, or null) and ``name`` (in the configuration, or null).
 
-        Slaves do not change, and data exchange goes on: the master asks in the time that a token hold leaves.
+        Slaves do not change, and data exchange goes on: the master asks in the time that a token hold leaves. With the
+        word :data:`UNASKED` nobody is asked: :func:`~dpstack.api.control.known_stations.known_stations`.
         """
         if self._bus.searching:
             raise BusError(f"{SEARCHING}: a scan is possible once it is found")
-        return self._carry_out
+        return self._carry_out if _is_asking(args) else self._known
+
+    async def _known(self, _send: Send) -> dict[str, Any]:
+        await load_beside(_KNOWN)
+        from dpstack.api.control.known_stations import known_stations
+
+        return known_stations(self._bus)
 
     async def _carry_out(self, send: Send) -> dict[str, Any]:
         if self._under_way:

@@ -12,7 +12,7 @@ import msgspec
 
 from dpstack.api.config.config import Config
 from dpstack.api.control.client import ControlClient, checked, find_any_run, find_run
-from dpstack.api.control.commands import ParsedCommand
+from dpstack.api.control.commands import UNASKED, ParsedCommand
 from dpstack.api.control.drive_orders import PARAMETERS, READ_MANY
 from dpstack.api.control.errors import failure
 from dpstack.api.control.record_orders import COMMANDS, OnProgress
@@ -121,6 +121,26 @@ class StationAnswer(TypedDict):
     reading: StationReading
 
 
+class ListedStation(TypedDict):
+    """A station of a :class:`StationsAnswer`."""
+
+    address: Annotated[int, msgspec.Meta(ge=0, le=126)]
+    type: str
+    ident: str | None
+    state: str | None
+    master: int | None
+    name: str | None
+
+
+class StationsAnswer(TypedDict):
+    """``scan`` of a run."""
+
+    baud: int
+    address: int
+    stations: list[ListedStation]
+    notes: list[str]
+
+
 class WhyStep(TypedDict):
     """A step of a :class:`WhyAnswer`."""
 
@@ -210,9 +230,12 @@ async def through_run(
     return ({PARAMETERS: []} if order.word == PARAMETERS else {}) | answer | {"order": order.word}
 
 
-async def reading_through_run(port: str, config: Config | None, station: str) -> StationReading | None:
+async def reading_through_run(
+    port: str, config: Config | None, station: str, *, ask: bool = True
+) -> StationReading | None:
     """Have the run on ``port`` with the file of ``config`` (None: whatever file it has) read ``station``, an address or
-    name; None if no run answers for the port. Raises as :func:`through_run`.
+    name; None if no run answers for the port. Without ``ask`` the run tells what it knows already of a slave of its
+    own, and sends no telegram. Raises as :func:`through_run`.
     """
     if config is None:
         client = await asyncio.to_thread(find_any_run, port)
@@ -221,19 +244,33 @@ async def reading_through_run(port: str, config: Config | None, station: str) ->
     if client is None:
         return None
     with client:
-        answer = await _asked(client, "diag", station, kind=StationAnswer)
+        answer = await _asked(client, "diag", station, *_words(ask), kind=StationAnswer)
     return msgspec.convert(answer["reading"], StationReading)
 
 
-async def why_through_run(config: Config, slave: int) -> dict[str, Any] | None:
+async def why_through_run(config: Config, slave: int, *, ask: bool = True) -> dict[str, Any] | None:
     """The story of ``slave`` by the run with the port and the file of ``config``; None if no run answers
-    for the port. Raises as :func:`through_run`.
+    for the port. Without ``ask`` the run sends no telegram for it. Raises as :func:`through_run`.
     """
     client = await asyncio.to_thread(find_run, config.port, config.file)
     if client is None:
         return None
     with client:
-        return await _asked(client, "why", str(slave), kind=WhyAnswer)
+        return await _asked(client, "why", str(slave), *_words(ask), kind=WhyAnswer)
+
+
+async def stations_through_run(config: Config) -> dict[str, Any] | None:
+    """The stations that the run with the port and the file of ``config`` knows already, for which it sends no telegram;
+    None if no run answers for the port. Raises as :func:`through_run`."""
+    client = await asyncio.to_thread(find_run, config.port, config.file)
+    if client is None:
+        return None
+    with client:
+        return await _asked(client, "scan", UNASKED, kind=StationsAnswer)
+
+
+def _words(ask: bool) -> tuple[str, ...]:
+    return () if ask else (UNASKED,)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal, TypedDict
 
 from msgspec import Meta, Struct
 
@@ -44,22 +44,38 @@ _NO_ANSWER: Final = (
     "does not answer: check power, cable, address switch and the baud rate; `dpstack scan` lists those who answer"
 )
 _NO_SLAVE: Final = "answers, and refuses Slave_Diag ({status}): it may be a master, or no DP slave"
+#: ``status`` of a reading without a diagnosis for which nobody sent a telegram: the station may be healthy
+UNASKED: Final = "unasked"
 
 
 Hex = Annotated[str, Meta(pattern=r"^(?:[0-9a-fA-F]{2})*$")]
+
+
+class ServiceOctets(TypedDict):
+    """The octets of a :class:`StationReading`, by the keys of :data:`SERVICES`."""
+
+    diagnosis: str | None
+    config: str | None
+    inputs: str | None
+    outputs: str | None
+
+
+def no_octets() -> ServiceOctets:
+    return {"diagnosis": None, "config": None, "inputs": None, "outputs": None}
 
 
 class StationReading(Struct, frozen=True):
     """The octets that the station at ``address`` gave, in hex; None if it gave none, then ``errors`` has the reason
     by the name of the service. In the JSON of ``diag``.
 
-    ``own``: address of the master that asked; ``source``: "run" or "class2". ``status`` is "" if the diagnosis was
-    read or nobody answered; otherwise the negative answer to Slave_Diag ("RS", "UE" ...), "unreadable", or "master" for
-    a station of the token ring.
+    ``own``: address of the master that asked, None if nobody did; ``source``: "run", "class2" or "heard". ``status`` is
+    "" if the diagnosis was read or nobody answered; otherwise the negative answer to Slave_Diag ("RS", "UE" ...),
+    "unreadable", "master" for a station of the token ring, or :data:`UNASKED`. ``state`` and ``master``: of a station
+    without a diagnosis here, as its other telegrams show them.
     """
 
     address: Annotated[int, Meta(ge=0, le=126)]
-    own: int
+    own: int | None
     source: str
     status: str
     diagnosis: Hex | None
@@ -67,6 +83,8 @@ class StationReading(Struct, frozen=True):
     inputs: Hex | None
     outputs: Hex | None
     errors: Mapping[str, str]
+    state: str | None = None
+    master: int | None = None
 
 
 async def read_station(
@@ -76,7 +94,7 @@ async def read_station(
 
     ``masters``: the stations in the token ring. Raises UsageError, BusError.
     """
-    found: dict[str, str | None] = dict.fromkeys(SERVICES)
+    found = no_octets()
     errors: dict[str, str] = {}
     status = ""
     try:
@@ -90,7 +108,7 @@ async def read_station(
             status = "unreadable"
         return StationReading(address, own, source, status, **found, errors={SERVICES["diagnosis"]: str(error)})
     found["diagnosis"] = diagnosis.build().hex()
-    wanted: dict[str, Callable[[], Any]] = {"config": lambda: class2.config(address)}
+    wanted: dict[Literal["config", "inputs", "outputs"], Callable[[], Any]] = {"config": lambda: class2.config(address)}
     if view_of(diagnosis) is SlaveView.DATA_EXCHANGE:
         wanted |= {"inputs": lambda: class2.inputs(address), "outputs": lambda: class2.outputs(address)}
     for name, read in wanted.items():
@@ -161,6 +179,8 @@ def station_report(
         "own": reading.own,
         "answers": diagnosis is not None or bool(reading.status),
     }
+    if diagnosis is None and reading.status == UNASKED:
+        return _unasked(reading, slave, head)
     if diagnosis is None:
         finding = _NO_ANSWER
         if reading.status == "unreadable":
@@ -210,8 +230,26 @@ def station_report(
     }
 
 
+def _unasked(reading: StationReading, slave: SlaveConfig | None, head: Mapping[str, Any]) -> dict[str, Any]:
+    """The report on a station whose diagnosis is not known, because nobody asked for it: not healthy, not ill."""
+    config = None if reading.config is None else Configuration.of(bytes.fromhex(reading.config))
+    return {
+        **head,
+        "answers": None if reading.state is None else True,
+        "healthy": None,
+        "findings": [f"its diagnosis is not known: {next(iter(reading.errors.values()), 'nobody asked for it')}"],
+        **dict.fromkeys(("ident", "vendor", "model", "diagnosis")),
+        "state": reading.state,
+        "master": reading.master,
+        "config": None if config is None else _config_dict(config, _modules(config, slave, None), None),
+        "inputs": _data(reading.inputs, slave, Direction.INPUT, None),
+        "outputs": _data(reading.outputs, slave, Direction.OUTPUT, None),
+        "errors": {**reading.errors},
+    }
+
+
 def _data(
-    octets: str | None, slave: SlaveConfig | None, direction: Direction, diagnosis: Diagnosis
+    octets: str | None, slave: SlaveConfig | None, direction: Direction, diagnosis: Diagnosis | None
 ) -> dict[str, Any] | None:
     """Octets and named values of one direction, with the quality of those that are not good by the diagnosis."""
     if octets is None:
