@@ -1,4 +1,4 @@
-"""Evidence about one slave: plain frozen data, from a running master or from a class 2 look at the bus."""
+"""Evidence about one slave: plain frozen data, from a running master, a class 2 look at the bus, or a listener."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from dpstack.gsd.model import Device, Module
 
 RUN = "run"
 CLASS2 = "class2"
+HEARD = "heard"
 
 
 @dataclass(frozen=True, slots=True)

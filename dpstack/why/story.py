@@ -12,7 +12,7 @@ from dpstack.dp.pdu.diagnosis import SlaveView
 from dpstack.fdl.telegram import StationType
 from dpstack.text import printable
 from dpstack.why.causes import Cause
-from dpstack.why.evidence import RUN, Evidence
+from dpstack.why.evidence import CLASS2, HEARD, RUN, Evidence
 from dpstack.why.facts import Facts
 from dpstack.why.judge import Finding, judge
 from dpstack.why.steps import as_dict, words
@@ -63,7 +63,7 @@ class Story:
     slave: str
     #: station address, 0..126
     address: int
-    #: "run", or "class2" if another station looked
+    #: "run", "class2" if another station looked, "heard" if nobody was asked
     source: str
     #: state of the slave, as the JSON lines have it
     state: str
@@ -120,7 +120,7 @@ def story_lines(story: Mapping[str, Any], width: int = 80, *, steps: bool = True
     asked = _SOURCES.get(str(story["source"]), str(story["source"]))
     add(f"slave {story['address']} ({story['slave']}): {story['state']}, seen by {asked}")
     if steps and story["steps"]:
-        add("last bring-up:" if story["source"] == RUN else "asked:")
+        add("asked:" if story["source"] == CLASS2 else "last bring-up:")
         for step in story["steps"]:
             add(f"{step['t']:.3f} s  {step['text']}", "  ", "    ")
     for number, one in enumerate(story["causes"], 1):
@@ -134,7 +134,7 @@ def story_lines(story: Mapping[str, Any], width: int = 80, *, steps: bool = True
     return lines
 
 
-_SOURCES = {"run": "its own master", "class2": "a class 2 master beside it"}
+_SOURCES = {RUN: "its own master", CLASS2: "a class 2 master beside it", HEARD: "a listener, who asked nobody"}
 
 
 def glance(found: Found) -> str:

@@ -17,10 +17,9 @@ from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.errors import DpError, GsdError
+from dpstack.errors import DpError
 from dpstack.fdl.interface import StationStats
 from dpstack.fdl.livelist import ALL_ADDRESSES
-from dpstack.gsd.prm import UserPrm
 from dpstack.params import MAX_STATION
 from dpstack.units import NS_PER_S
 from dpstack.why.evidence import CLASS2, RUN, Evidence, LineCounters, Neighbour, Ring
@@ -160,10 +159,6 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
     link = counters.link
     texts, device = setup.texts, slave.config.device
     modules = () if texts is None else texts.modules
-    expected = slave.config.known.user_prm if slave.config.has_plugin else None
-    if device is not None:
-        with contextlib.suppress(GsdError):
-            expected = UserPrm(device, modules).octets()
     bad = counters.decoder.by_cause()
     bad |= {f"uart_{cause}": count for cause, count in counters.damage.items() if count}
     neighbours = [
@@ -195,7 +190,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
         exchanged_ns=view.image(setup).input_time,
         device=device,
         modules=modules,
-        expected_prm=expected,
+        expected_prm=slave.config.expected_user_prm,
         rates=slave.config.baud_rates,
         unknown=frozenset(bus.gap_slaves - {one.address for one in bus.slaves}),
         read_only=view.read_only,

@@ -5,6 +5,7 @@ Its keys ``inputs`` and ``outputs`` name its process data.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +32,7 @@ from dpstack.api.config.slave_source import (
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale, with_status
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
 from dpstack.dp.slot_map import Direction, SlotMap
-from dpstack.errors import ConfigError, UsageError
+from dpstack.errors import ConfigError, GsdError, UsageError
 from dpstack.gsd.dpv1_keywords import NO_GSD, DpV1
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION, UNADDRESSED
@@ -374,6 +375,17 @@ class SlaveConfig:
     def has_plugin(self) -> bool:
         """Whether plugins of its drives or of its device make its outputs."""
         return self.has_drive or self.device_profile is not None
+
+    @property
+    def expected_user_prm(self) -> bytes | None:
+        """The user parameters that its GSD file gives for its modules, or its plugin; None without either."""
+        if self.device is not None:
+            from dpstack.gsd.prm import UserPrm  # here, as only diagnoses compare with it
+
+            texts = self.params.texts
+            with contextlib.suppress(GsdError):
+                return UserPrm(self.device, () if texts is None else texts.modules).octets()
+        return self.known.user_prm if self.has_plugin else None
 
     @property
     def fields(self) -> tuple[tuple[Direction, FieldMap], ...]:

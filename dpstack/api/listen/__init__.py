@@ -2,6 +2,8 @@
 
 - ``capture_file``: The pcapng file of a capture: a new file, a ring of files, or standard output, written in whole
   blocks
+- ``heard_bus``: A bus as a listener hears it: its monitor, and of each slave the last octets and bring-ups, for reports
+  and stories
 - ``inventory``: I&M0 of the DP-V1 slaves of a bus that runs, read once from each beside data exchange
 - ``listening``: The transmissions of a line, from an own port or from the tap of a running program
 - ``names``: Names and texts for explained telegrams: of a configuration, of GSD files, of drives
