@@ -4,6 +4,7 @@
 - ``capture``: ``dpstack capture``: listens and keeps what it hears in a pcapng file, or explains it on the screen
 - ``decode``: ``dpstack decode``: explains every telegram of a capture, or of octets in hex, to the bit
 - ``diagnosis``: ``dpstack decode --diagnosis``: a diagnosis without its telegram, in words
+- ``judged_file``: A capture file judged by a monitor: its first port, its gaps and remarks
 - ``monitor``: ``dpstack monitor``: judges a bus by listening, live or from a capture file
 - ``monitor_live``: The monitor at a port: listens, shows the bus as it is, and judges it at the end
 - ``monitor_view``: The monitored bus on a screen: a live list that is redrawn, lines of events, tables at the end

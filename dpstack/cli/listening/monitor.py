@@ -8,13 +8,12 @@ from time import time_ns
 from typing import TYPE_CHECKING
 
 from dpstack.api.config.bus import AUTO
-from dpstack.capture.pcapng import Interface
-from dpstack.capture.recording import GAP
 from dpstack.capture.timing import FILE, LineTiming
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
+from dpstack.cli.listening.judged_file import JudgedFile
 from dpstack.cli.listening.monitor_view import event_line, show_summary, write_report
-from dpstack.cli.listening.source_file import UnreadLines, add_channel, bus_in
+from dpstack.cli.listening.source_file import UnreadLines, add_channel
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import CaptureFileError, UsageError
@@ -22,7 +21,7 @@ from dpstack.monitor.devices import Devices
 from dpstack.monitor.monitor import Happening, Monitor
 from dpstack.monitor.summary import time_text
 from dpstack.monitor.verdict import CRITICAL
-from dpstack.units import NS_PER_S, baud_text
+from dpstack.units import baud_text
 
 if TYPE_CHECKING:
     from dpstack.api.listen.report_file import ReportFile
@@ -94,19 +93,24 @@ class _FromFile:
         self._report = report
         self._name: str = args.file
         self._json: bool = args.json
-        self._baud: int | str = args.baud
-        self._channel: str = args.channel
-        self._limit_ns = None if args.seconds is None else int(args.seconds * NS_PER_S)
+        self._seconds: float | None = args.seconds
         self._monitor = monitor
-        self._started = False
-        self._port: str | None = None
         self._unread = UnreadLines(shown=False)
+        self._file = JudgedFile(
+            args.file,
+            monitor,
+            baud=args.baud,
+            channel=args.channel,
+            on_unread=self._unread.add,
+            add=None if report is None else report.add,
+            on_start=self._start,
+        )
         monitor.on_event = self._show
 
     def run(self) -> int:
         damage = None
         try:
-            self._read()
+            self._file.read(self._seconds)
         except CaptureFileError as error:
             damage = error
         self._unread.report()
@@ -122,47 +126,15 @@ class _FromFile:
             output.warn(str(damage))
         return 1 if damage is not None or summary["verdict"] == CRITICAL else 0
 
-    def _read(self) -> None:
-        monitor = self._monitor
-        add = monitor.add if self._report is None else self._report.add
-        end = None
-        for one in bus_in(
-            self._name, self._interface, baud=self._baud, channel=self._channel, on_unread=self._unread.add
-        ):
-            if not self._started:
-                self._start(one)
-            if one.note and one.t_ns is not None:  # without a time it is what stands before octets in a log
-                self._remark(one)
-            add(one)
-            if self._limit_ns is not None:
-                if end is None:
-                    end = (one.t_ns or 0) + self._limit_ns
-                elif (one.t_ns or 0) >= end:
-                    return
-
     def _start(self, first: Transmission) -> None:
         """The start line, with the time of the first transmission."""
-        self._started = True
-        time, source = time_text(first.t_ns or 0), self._monitor.timing.source
+        time, source, port = time_text(first.t_ns or 0), self._monitor.timing.source, self._file.port
         if self._json:
-            start = {"event": "start", "time": time, "file": self._name, "port": self._port, "baud": first.baud}
+            start = {"event": "start", "time": time, "file": self._name, "port": port, "baud": first.baud}
             output.json_line({**start, "source": source})
         else:
-            port = f", port {self._port}" if self._port else ""
-            output.line(f"{self._name}{port}, {baud_text(first.baud)}, from {time or 'an unknown time'}", "bold")
-
-    def _remark(self, one: Transmission) -> None:
-        """The comment of a transmission: a gap before it, as ``dpstack capture`` writes it, or a remark."""
-        monitor, t_ns = self._monitor, one.t_ns or 0
-        _, gap, cause = f"; {one.note}".partition(f"; {GAP}")
-        if gap:
-            monitor.gap(t_ns, cause.partition("; damaged: ")[0], since_ns=monitor.counters.ended_ns)
-        elif not one.damage:
-            monitor.remark(t_ns, one.note)
-
-    def _interface(self, interface: Interface) -> None:
-        self._port = interface.name
-        self._monitor.timing = LineTiming.parse(interface.description)
+            where = f", port {port}" if port else ""
+            output.line(f"{self._name}{where}, {baud_text(first.baud)}, from {time or 'an unknown time'}", "bold")
 
     def _show(self, happening: Happening) -> None:
         if self._json:

@@ -45,9 +45,10 @@ def transmissions_of(
     on_unread: Callable[[Unread], None] | None = None,
     baud: int | str = AUTO,
     channel: str = "",
+    on_remark: Callable[[str], None] = output.warn,
 ) -> Iterator[Transmission]:
     """The transmissions in the file ``name``, or in standard input, see :func:`read_transmissions`. Remarks about a
-    waveform go to standard error.
+    waveform go to ``on_remark``.
 
     Raises UsageError if it cannot be opened; a device is refused, because opening a port switches its lines.
     """
@@ -56,7 +57,7 @@ def transmissions_of(
         file, title = (sys.stdin.buffer, "standard input") if to_close is None else (to_close, name)
         rate = 0 if isinstance(baud, str) else baud
         yield from read_transmissions(
-            file, title, on_interface, on_unread=on_unread, baud=rate, channel=channel, on_remark=output.warn
+            file, title, on_interface, on_unread=on_unread, baud=rate, channel=channel, on_remark=on_remark
         )
     except OSError as error:
         raise CaptureFileError(f"{name}: cannot be read to its end ({error.strerror})") from None
@@ -72,9 +73,10 @@ def bus_in(
     on_unread: Callable[[Unread], None] | None = None,
     baud: int | str = AUTO,
     channel: str = "",
+    on_remark: Callable[[str], None] = output.warn,
 ) -> Iterator[Transmission]:
     """The transmissions of one bus in the file ``name``: those of its first port. ``baud``: the rate if the file does
-    not say it.
+    not say it. ``on_remark`` gets the names of other ports, and remarks about a waveform.
 
     Raises UsageError if neither does, and as :func:`transmissions_of`.
     """
@@ -91,9 +93,9 @@ def bus_in(
             on_interface(interface)
         elif interface.name not in left_out:
             left_out.add(interface.name)
-            output.warn(f"{name}: only the port {port!r} is read; left out: {interface.name!r}")
+            on_remark(f"{name}: only the port {port!r} is read; left out: {interface.name!r}")
 
-    for one in transmissions_of(name, choose, on_unread=on_unread, baud=baud, channel=channel):
+    for one in transmissions_of(name, choose, on_unread=on_unread, baud=baud, channel=channel, on_remark=on_remark):
         if elsewhere:
             continue
         if one.baud:
