@@ -200,6 +200,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cli",),
     ("cli/commands", "cli/devices", "cli/listening"),
     ("cli/looking",),
+    ("cli/assistants",),
 )
 #: profile sees only these modules of dp: its public slave application and image types, and records.
 PROFILE_MAY_OF_DP = {

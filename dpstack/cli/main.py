@@ -43,6 +43,7 @@ _COMMANDS = {
     "plot": "a recording of `run --record` drawn over wall clock, in a window or as SVG, PNG, PDF",
     "web": "the page in the browser: joins the run that holds the port, else reads only",
     "fleet": "all segments of an MQTT broker at a glance: verdict, lost slaves, silent gateways; only --rebirth sends",
+    "mcp": "read-only tools for assistants over standard input and output; nothing is sent to a bus",
     "wireshark": "dissector and extcap program for the Wireshark that is there: install, remove, where",
     "ports": "serial adapters with their lasting path, chip and holder",
     "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
@@ -53,6 +54,7 @@ _COMMANDS = {
 }
 #: the commands whose modules stand in another room than ``commands``
 _ROOMS = {
+    "assistants": ("mcp",),
     "devices": ("device", "drives"),
     "listening": ("baud", "capture", "decode", "monitor", "wireshark"),
     "looking": ("diag", "fleet", "import", "names", "plot", "sheet", "web", "why"),

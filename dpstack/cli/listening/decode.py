@@ -68,7 +68,7 @@ def execute(args: argparse.Namespace) -> int:
     bad = 0
     unread = UnreadLines(shown=not args.json and args.filter is None)
     at_once = len(args.source) == 1 and is_growing(args.source[0])  # somebody may be watching
-    buses = _Buses(names_of(args))
+    buses = Buses(names_of(args))
     with contextlib.closing(_transmissions(args, buses.choose, unread.add)) as transmissions:
         explained = map(buses.explain, transmissions)
         for one in explained if args.filter is None else one_later(explained):
@@ -86,7 +86,7 @@ def execute(args: argparse.Namespace) -> int:
     return 1 if unread.report() or bad else 0
 
 
-class _Buses:
+class Buses:
     """The buses in one file: each port has its own course and stations, the numbers of telegrams are those of the
     file."""
 
