@@ -1,5 +1,6 @@
 """The program ``dpstack``: its commands, options and terminal output.
 
+- ``assistants/``: Read-only tools for assistants: ``dpstack mcp``
 - ``commands/``: The commands of the program, one module for each
 - ``devices/``: The commands about kinds of drives and devices, and the files that describe them
 - ``listening/``: The commands that only listen, or explain what was heard

@@ -23,6 +23,8 @@ from typing import Final
 import pytest
 from programs import plant_of
 
+from dpstack.cli.assistants import docs_search
+
 pytestmark = pytest.mark.strangers
 
 ROOT: Final = Path(__file__).resolve().parents[2]
@@ -105,7 +107,11 @@ def test_every_file_of_the_packages_is_in_both(distributions: list[Path]) -> Non
     assert set(names) <= packed
     assert {name.removeprefix("drives/") for name in names} <= installed
     assert {"dpstack/service/setup_adapter.sh", "dpstack/service/99-dpstack.rules"} <= installed
-    assert not [name for name in packed | installed if name.startswith(("tests/", "bench/", "docs/"))]
+    assert not [name for name in packed | installed if name.startswith(("tests/", "bench/", "docs/development"))]
+    pages = tracked(*(f"docs/{name}" for name in docs_search.SHIPPED))
+    assert {name for name in pages if name.endswith(".md")} <= packed
+    shipped = {name.partition("/data/share/dpstack/")[2] for name in installed if name.endswith(".md")}
+    assert {name for name in pages if name.endswith(".md")} == shipped - {""}
 
 
 def test_the_containerfile_copies_what_a_build_needs(wheel: Path, tmp_path: Path) -> None:
@@ -161,6 +167,11 @@ def test_the_wheel_in_a_clean_environment(minor: int, wheel: Path, tmp_path: Pat
     lines = run([python, "-W", "error", "-P", "-m", "dpstack", "run", plant, "--seconds", "1", "--json"], tmp_path)
     summary = json.loads(lines.splitlines()[-1])
     assert [slave["state"] for slave in summary["slaves"].values()] == ["data_exchange"] * 3
+    # the pages of `dpstack mcp` are found where the wheel has put them
+    search = "from dpstack.cli.assistants.docs_search import SearchDocs, docs_folder, search_docs"
+    found_pages = "print(len(search_docs(SearchDocs(words='termination')).passages), docs_folder())"
+    pages = run([python, "-W", "error", "-P", "-c", f"{search}; {found_pages}"], tmp_path)
+    assert pages.split() == ["6", str(environment.resolve() / "share/dpstack/docs")]
     # the script of the set-up is where the program looks for it
     run([program, "doctor", "--fix", "--yes"], tmp_path, DESTDIR=str(tmp_path / "root"))
     unit = (tmp_path / "root/etc/systemd/system/dpstack@.service").read_text(encoding="utf-8")

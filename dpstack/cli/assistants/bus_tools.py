@@ -15,7 +15,6 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta, Struct
 
 from dpstack.api.config.config import Config, load_config
-from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.client import find_run
 from dpstack.api.control.remote import reading_through_run, stations_through_run, why_through_run
 from dpstack.api.listen.heard_bus import HeardBus
@@ -24,11 +23,11 @@ from dpstack.api.slave.station_report import KnownDevices, StationReading, stati
 from dpstack.capture.timing import ADAPTER
 from dpstack.cli.assistants import answers
 from dpstack.cli.assistants.foreign import Foreign, quote, quote_all, quote_or_none
+from dpstack.cli.commands.on_bus import slave_of
 from dpstack.cli.listening.monitor_live import CONVERTER, MonitoredPort
+from dpstack.cli.looking.diag import station_address
 from dpstack.errors import PortError, UsageError
 from dpstack.monitor.monitor import Monitor
-from dpstack.params import UNADDRESSED
-from dpstack.text import brief, decimal
 from dpstack.why.story import HEALTHY, Story
 
 #: of listening, in s
@@ -94,7 +93,7 @@ class BusTools:
 
     async def why(self, given: Why) -> answers.WhyAnswer:
         config = await self._config()
-        slaves = config.slaves if given.slave is None else (_slave_of(config, given.slave),)
+        slaves = config.slaves if given.slave is None else (slave_of(config, given.slave),)
         whole = given.slave is not None
         stories: list[Mapping[str, Any]] = []
         for slave in slaves:
@@ -111,7 +110,7 @@ class BusTools:
     async def diag(self, given: Diag) -> answers.DiagAnswer:
         config = await self._config()
         slave = config.find(given.station)
-        address = slave.address if slave is not None else _address(given.station, config)
+        address = slave.address if slave is not None else station_address(given.station, config)
         skipped: list[str] = []
         seconds = 0.0
         remarks: list[Foreign] = []
@@ -163,22 +162,6 @@ def _port_of(config: Config) -> str:
         )
     with client:
         return str(client.help().get("name", config.port))
-
-
-def _slave_of(config: Config, name: str) -> SlaveConfig:
-    slave = config.find(name)
-    if slave is None:
-        known = ", ".join(f"{one.address} ({one.name})" for one in config.slaves) or "none"
-        raise UsageError(f"no slave {brief(name)} in this configuration; there are: {known}")
-    return slave
-
-
-def _address(station: str, config: Config) -> int:
-    address = decimal(station)
-    if address is None or address > UNADDRESSED:
-        _slave_of(config, station)
-        raise UsageError(f"{brief(station)} is no station: give its address, 0..126, or the name of a slave")
-    return address
 
 
 # --- answers ----------------------------------------------------------------------------------------------------------

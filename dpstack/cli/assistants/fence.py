@@ -15,6 +15,7 @@ import sysconfig
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import urlsplit
 
 import dpstack
 from dpstack.cli.assistants.docs_search import docs_folder
@@ -37,13 +38,14 @@ _CLOSED: Final = "is outside the folders that `dpstack mcp` may read"
 
 
 class Fence:
-    """``port``: the one port that may be opened; a URL: connections to other computers are possible. ``sockets``: the
+    """``port``: the one port that may be opened; of a URL, connections to its TCP port are possible. ``sockets``: the
     folder of control sockets."""
 
     def __init__(self, folders: Folders, port: str | None, sockets: str) -> None:
         self._folders = folders
-        self._is_url = port is not None and "://" in port
-        self._port = None if port is None or self._is_url else os.path.realpath(port)
+        is_url = port is not None and "://" in port
+        self._tcp_port = urlsplit(port).port if port is not None and is_url else None
+        self._port = None if port is None or is_url else os.path.realpath(port)
         self._sockets = os.path.realpath(sockets)
         self._libraries = tuple(sorted({os.path.realpath(one) for one in _library_folders()}))
 
@@ -61,7 +63,7 @@ class Fence:
             raise PermissionError(13, f"{event}: `dpstack mcp` only reads")
         elif event == "socket.connect":
             self._connect(args[1])
-        elif event == "socket.getaddrinfo" and not self._is_url:
+        elif event == "socket.getaddrinfo" and self._tcp_port is None:
             raise PermissionError(13, "`dpstack mcp` connects to no other computer")
         elif event == "os.remove" and not str(args[0]).endswith(".sock"):  # that of a program that has ended
             raise PermissionError(13, f"{event}: `dpstack mcp` only reads", str(args[0]))
@@ -86,7 +88,7 @@ class Fence:
             folder = os.path.dirname(os.path.realpath(os.fsdecode(address)))
             if folder == self._sockets or os.fsdecode(address).startswith("/proc/self/fd/"):
                 return
-        elif self._is_url:
+        elif isinstance(address, tuple) and self._tcp_port is not None and self._tcp_port in address[1:2]:
             return
         raise PermissionError(13, "`dpstack mcp` connects to running programs of dpstack only")
 

@@ -28,7 +28,7 @@ class Listed(NamedTuple):
 
 
 class Folders:
-    """The named folders, ``given`` as the user wrote them. Raises UsageError for one that is none.
+    """The named folders, ``given`` as the user wrote them. Raises UsageError for a path that is no folder.
 
     A name that leads out of them is refused before anything is looked at; one that leads out over a link, before it is
     opened. Hidden files and folders are left out. The message is the same for files outside that exist and that do not.
@@ -74,11 +74,14 @@ class Folders:
             return None
         for root in self.roots:
             path = Path(os.path.normpath(root / name))
-            folder = Path(os.path.realpath(path.parent))
-            if _is_below(path, root) and path.suffix.lower() in endings and folder.is_dir():
-                real = folder / path.name
-                if self.contains(real) and not os.path.lexists(real):
-                    return real
+            if not _is_below(path, root) or path.suffix.lower() not in endings:
+                continue
+            try:
+                real = Path(os.path.realpath(path.parent, strict=True)) / path.name
+            except (OSError, ValueError):
+                continue
+            if self.contains(real) and not os.path.lexists(real):
+                return real
         return None
 
     def contains(self, path: str | Path) -> bool:

@@ -41,7 +41,7 @@ def execute(args: argparse.Namespace) -> int:
     """Exit code 1 if there is a finding, or no answer."""
     config, station = _target(args)
     slave = None if config is None else config.find(station)
-    address = slave.address if slave is not None else _address(station, config)
+    address = slave.address if slave is not None else station_address(station, config)
     devices = KnownDevices(() if config is None else config.slaves, args.gsd, output.warn)
     reading = run_to_result(_Request(args, config, address).read(), "the station was read")
     report = station_report(reading, slave, devices)
@@ -63,7 +63,8 @@ def _target(args: argparse.Namespace) -> tuple[Config | None, str]:
     return None, station
 
 
-def _address(station: str, config: Config | None) -> int:
+def station_address(station: str, config: Config | None) -> int:
+    """The address of a station that no slave of ``config`` is. Raises UsageError."""
     try:
         return options.slave_address(station)
     except argparse.ArgumentTypeError:
