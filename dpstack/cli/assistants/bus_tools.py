@@ -158,7 +158,8 @@ def _port_of(config: Config) -> str:
     client = find_run(config.port, config.file)
     if client is None:
         raise PortError(
-            'no run on port "virtual" has this configuration: start it, for instance dpstack run plant.toml'
+            'no run on port "virtual" with this configuration answers: start it, for instance dpstack run plant.toml; '
+            "or is it stopped?"
         )
     with client:
         return str(client.help().get("name", config.port))

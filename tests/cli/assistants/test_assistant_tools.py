@@ -160,7 +160,7 @@ def test_an_error_of_the_run_is_one_clean_line(box: Toolbox, plant: Path, tool: 
 
 
 def test_without_a_run_or_configuration_it_says_what_to_do(box: Toolbox, tmp_path: Path) -> None:
-    with pytest.raises(DpError, match='no run on port "virtual" has this configuration: start it'):
+    with pytest.raises(DpError, match='no run on port "virtual" with this configuration answers: start it'):
         ask(box, "scan")
     with pytest.raises(UsageError, match=r"started without CONFIG and has no bus: dpstack mcp plant.toml"):
         ask(Toolbox(None, Folders([tmp_path])), "why")
@@ -296,7 +296,11 @@ def test_every_string_of_every_schema_is_foreign_or_of_a_fixed_form(box: Toolbox
         ("scan", {"seconds": 31}, r"scan: Expected `float` <= 30.0 - at `\$.seconds`"),
         ("scan", {"seconds": 0}, r"scan: Expected `float` > 0.0 - at `\$.seconds`"),
         ("why", {"slave": "nobody"}, r"no slave 'nobody' in this configuration; there are: 8 \(valves\)"),
-        ("diag", {"station": "127"}, r"'127' is no station: give its address, 0..126; the configuration has valves .8."),
+        (
+            "diag",
+            {"station": "127"},
+            r"'127' is no station: give its address, 0..126; the configuration has valves .8.",
+        ),
         ("diag", {}, "diag: Object missing required field `station`"),
         ("decode", {}, "decode: give either octets or a file"),
         ("decode", {"octets": "68", "file": "a.txt"}, "decode: give either octets or a file"),
