@@ -2,7 +2,7 @@
 
 The tools name no file outside the folders, start no program and write nothing. The fence refuses it all the same,
 whoever tries: a configuration in the folder that names a GSD file elsewhere, a package, a defect. It cannot be taken
-down again in the process.
+down again in the process. It sees the paths that Python code opens, not those of compiled packages (Parquet files).
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Fence:
 
 
 def _is_in(path: str, folder: str) -> bool:
-    return path == folder or path.startswith(folder.rstrip("/") + "/")
+    return path == folder or path.startswith(folder.rstrip(os.sep) + os.sep)
 
 
 def _library_folders() -> Iterable[str]:

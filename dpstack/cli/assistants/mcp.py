@@ -55,6 +55,7 @@ def execute(args: argparse.Namespace) -> int:
 def _find_runtime_directory() -> None:
     """Assistants start servers with few variables of the environment: without XDG_RUNTIME_DIR no run of a login session
     would be found."""
-    usual = f"/run/user/{os.geteuid()}"
-    if "XDG_RUNTIME_DIR" not in os.environ and os.path.isdir(usual) and os.stat(usual).st_uid == os.geteuid():
+    user = os.geteuid() if hasattr(os, "geteuid") else None
+    usual = f"/run/user/{user}"
+    if "XDG_RUNTIME_DIR" not in os.environ and os.path.isdir(usual) and os.stat(usual).st_uid == user:
         os.environ["XDG_RUNTIME_DIR"] = usual
