@@ -5,6 +5,7 @@ Each reads what the command of its name reads, up to :data:`MOST_OCTETS` and for
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
@@ -24,10 +25,11 @@ from dpstack.cli.assistants import answers
 from dpstack.cli.assistants.bus_tools import monitor_answer, numbers, value_of
 from dpstack.cli.assistants.folders import Folders
 from dpstack.cli.assistants.foreign import quote, quote_all, quote_or_none
-from dpstack.cli.listening.decode import Buses, transmissions_of_hex
+from dpstack.cli.listening.decode import Buses
 from dpstack.cli.listening.judged_file import JudgedFile
 from dpstack.cli.listening.source_file import transmissions_of
 from dpstack.decode.filter import one_later, parse_filter
+from dpstack.decode.source import read_transmissions
 from dpstack.decode.telegram import Explained
 from dpstack.errors import CaptureFileError, UsageError
 from dpstack.monitor.monitor import Monitor
@@ -125,7 +127,7 @@ class FileTools:
         if given.file is not None:
             source: Iterator[Transmission] = transmissions_of(str(self._capture(given.file)), buses.choose)
         else:
-            source = transmissions_of_hex(given.octets or "")
+            source = read_transmissions(io.BytesIO((given.octets or "").encode()), "octets")
         match = parse_filter(given.filter) if given.filter else None
         explained: Iterator[Explained] = map(buses.explain, source)
         found: list[answers.Telegram] = []
