@@ -45,7 +45,7 @@ async def wire_of(questions: list[tuple[str, ...]], *, silent: bool) -> list[Wir
         return list(present(bus.world).log)
 
 
-@pytest.mark.parametrize("silent", [False, True], ids=["healthy", "silent"])
+@pytest.mark.parametrize("silent", [pytest.param(False, marks=pytest.mark.soak, id="healthy"), True])
 def test_the_wire_is_the_same_with_and_without_the_questions(silent: bool) -> None:
     without = dpstack.run_virtual(wire_of([], silent=silent))
     assert len(without) == 400

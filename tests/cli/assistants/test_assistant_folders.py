@@ -122,7 +122,7 @@ PARTS = st.sampled_from(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(PARTS, max_size=8), st.sampled_from(["/", "", "//", "/./"]))
 def test_any_name_gives_a_file_within_or_an_error(tree: Path, folders: Folders, parts: list[str], between: str) -> None:
     name = between.join(parts).replace("TREE", str(tree))
