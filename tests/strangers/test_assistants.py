@@ -150,7 +150,7 @@ async def test_a_line_of_others_is_listened_to_and_not_an_octet_is_sent(folder: 
     plant = plant_file(folder, slave, port=line.path)
     try:
         async with session(plant) as client:
-            found = await ask(client, "scan", seconds=2)
+            found = await ask(client, "scan", seconds=1)
             assert (found["source"], [one["address"] for one in found["stations"]]) == ("heard", [2, 3])
             assert found["stations"][1] | {"name": None} == {
                 "address": 3,
@@ -160,11 +160,11 @@ async def test_a_line_of_others_is_listened_to_and_not_an_octet_is_sent(folder: 
                 "master": None,
                 "name": None,
             }
-            station = await ask(client, "diag", station="pump", seconds=2)
+            station = await ask(client, "diag", station="pump", seconds=1)
             assert (station["diagnosis"]["octets"], station["state"]) == ("020500ff1234", "wait_prm")
-            story = (await ask(client, "why", slave="pump", seconds=2))["stories"][0]
+            story = (await ask(client, "why", slave="pump", seconds=1))["stories"][0]
             assert story["healthy"] is False
-            assert (await ask(client, "monitor", seconds=2))["telegrams"] > 50
+            assert (await ask(client, "monitor", seconds=1))["telegrams"] > 50
     finally:
         line.end()
     assert line.rounds > 100

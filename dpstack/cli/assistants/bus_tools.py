@@ -35,6 +35,7 @@ LONGEST_S: Final = 30.0
 USUAL_S: Final = 5.0
 Seconds = Annotated[float, Meta(gt=0, le=LONGEST_S, description="how long to listen if no run answers, in s")]
 _EVENTS: Final = 50
+_INTEGERS: Final = 2**63
 _NOTHING: Final = dict.fromkeys(("ident", "state", "master", "name"))
 #: keys of a station that the answer has as the summary does
 _SAME: Final = (
@@ -300,7 +301,9 @@ def _octets(data: Mapping[str, Any] | None) -> answers.Octets | None:
 
 
 def value_of(found: object) -> answers.Value:
-    """``found`` with its text as data."""
+    """``found`` with its text as data; whole numbers of more than 64 bits, which a file may have, as floats."""
+    if isinstance(found, int) and not isinstance(found, bool) and not -_INTEGERS <= found < _INTEGERS:
+        return float(found)
     return found if found is None or isinstance(found, (bool, int, float)) else quote(found)
 
 

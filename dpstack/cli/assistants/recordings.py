@@ -49,9 +49,10 @@ class _Figures:
         self.values += 1
         self.last = value
         if isinstance(value, (int, float)) and not isinstance(value, bool):
-            self.total += value
-            self.low = value if self.low is None else min(self.low, value)
-            self.high = value if self.high is None else max(self.high, value)
+            number = float(value)
+            self.total += number
+            self.low = number if self.low is None else min(self.low, number)
+            self.high = number if self.high is None else max(self.high, number)
 
     def answer(self, column: Column) -> answers.RecordedColumn:
         return answers.RecordedColumn(

@@ -383,6 +383,15 @@ def test_a_recording_by_names_and_time(box: Toolbox, tmp_path: Path) -> None:
         ask(box, "recording", file="day.csv", begin="noon")
 
 
+def test_strange_numbers_of_a_recording(box: Toolbox, tmp_path: Path) -> None:
+    cells = ["1" + "0" * 30, "-9223372036854775809", "1e308", "1e308", "", "nan", "9223372036854775807"]
+    rows = "".join(f"2026-01-31T12:00:0{n}Z,{n},{cell}\n" for n, cell in enumerate(cells))
+    (tmp_path / "day.csv").write_text("time,t,tank.level\n" + rows)
+    found = ask(box, "recording", file="day.csv")
+    assert [row["values"][0] for row in found["rows"]][:5] == [1e30, -(2.0**63), 1e308, 1e308, None]
+    assert (found["columns"][0]["max"], found["columns"][0]["mean"]) == (1e308, None)  # their sum is no number
+
+
 def test_a_part_of_a_recording_that_leads_out_is_refused(tmp_path: Path) -> None:
     outside = tmp_path / "outside.csv"
     outside.write_text("time,t,a\n2026-01-31T12:00:00Z,0,1\n")
