@@ -56,6 +56,8 @@ class HeardSlave:
     outputs: bytes = b""
     exchanged_ns: int = 0
     entered_ns: int = 0
+    #: the master that asked last
+    asker: int | None = None
 
     def leave(self, state: SlaveState, now: int) -> None:
         """Go to ``state``, from data exchange or another one."""
@@ -98,6 +100,7 @@ class HeardBus:
         if request.fc & FC_FUNCTION not in _EXCHANGES or (sap is not None and sap not in _BRING_UP):
             return
         slave = self._slaves.setdefault(request.da, HeardSlave())
+        slave.asker = request.sa
         self._follow(slave, request.da, now)
         if sap is None:
             self._exchanged(slave, request, outcome, now)
@@ -196,7 +199,9 @@ class HeardBus:
         """Why ``slave`` of ``config`` is, or is not, in data exchange with its master."""
         heard, counters = self._slaves.get(slave.address, HeardSlave()), self.monitor.counters
         begun, now, setup = self.monitor.begun_ns, counters.ended_ns, slave.params
-        own = config.bus.address
+        # the slaves of a configuration that is read only have another master, the PLC for instance
+        other = heard.asker if config.bus.read_only else None
+        own = config.bus.address if other is None else other
         master = counters.masters.get(own)
         modules = () if setup.texts is None else setup.texts.modules
         params = config.params(counters.baud or config.baud)

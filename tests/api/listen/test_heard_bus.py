@@ -146,6 +146,17 @@ def test_a_story_of_a_refused_configuration(line: Line) -> None:
     assert story.lines()[0] == "slave 8 (valves): fault, seen by a listener, who asked nobody"
 
 
+def test_beside_a_plc_the_master_of_the_slave_is_the_plc(line: Line) -> None:
+    """A configuration that is read only has an address that no station has; the PLC here is master 2."""
+    line.bring_up()
+    line.exchange()
+    slaves = (slave_config(VALVES),)
+    beside = make_config("/dev/ttyX", 500_000, 7, where="test", slaves=slaves, bus={"read_only": True})
+    assert line.heard.story(beside, slaves[0]).first.cause == "healthy"
+    of_seven = make_config("/dev/ttyX", 500_000, 7, where="test", slaves=slaves)
+    assert line.heard.story(of_seven, slaves[0]).first.cause != "healthy"
+
+
 def test_nothing_heard_is_no_story_of_a_slave() -> None:
     """A bus that stands still: the master is missing, and of the slave nothing is known."""
     story = HeardBus(begun_ns=EPOCH).story(config(), config().slaves[0])
