@@ -5,6 +5,7 @@ orders: what the tools answer, and that nobody sends a telegram for them."""
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import re
@@ -169,6 +170,18 @@ async def test_a_line_of_others_is_listened_to_and_not_an_octet_is_sent(folder: 
         line.end()
     assert line.rounds > 100
     assert line.heard == b""
+
+
+async def test_a_port_that_another_program_holds(folder: Path) -> None:
+    line = SpeakingPty(b"")
+    plant = plant_file(folder, RAW, port=line.path)
+    try:
+        with open(line.path, "rb") as port:  # noqa: ASYNC230  no loop waits for it
+            fcntl.flock(port, fcntl.LOCK_EX)
+            async with session(plant) as client:
+                assert f"{line.path} is held by" in await refused(client, "scan", seconds=1)
+    finally:
+        line.end()
 
 
 async def test_a_silent_line(folder: Path) -> None:

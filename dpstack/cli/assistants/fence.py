@@ -23,6 +23,8 @@ from dpstack.cli.assistants.folders import Folders
 
 #: a handle of a folder, by which control sockets are found; its names are no contents
 _FOLDER: Final = getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_PATH", 0)
+#: other systems have no port that is opened for reading only
+_LISTENS_BY_WRITING: Final = sys.platform != "linux"
 _WRITING: Final = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 #: never needed here
 _REFUSED: Final = re.compile(
@@ -38,8 +40,8 @@ _CLOSED: Final = "is outside the folders that `dpstack mcp` may read"
 
 
 class Fence:
-    """``port``: the one port that may be opened; of a URL, connections to its TCP port are possible. ``sockets``: the
-    folder of control sockets."""
+    """``port``: the one port that may be opened, for reading only; of a URL, connections to its TCP port are possible.
+    ``sockets``: the folder of control sockets."""
 
     def __init__(self, folders: Folders, port: str | None, sockets: str) -> None:
         self._folders = folders
@@ -72,7 +74,7 @@ class Fence:
         if not isinstance(path, (str, bytes, os.PathLike)):
             return  # a descriptor, which was opened before
         real = os.path.realpath(os.fsdecode(path))
-        if real == self._port or real == os.devnull:
+        if real == os.devnull or (real == self._port and (not flags & _WRITING or _LISTENS_BY_WRITING)):
             return
         if not flags & _WRITING and (flags & _FOLDER or self._may_be_read(real)):
             return
