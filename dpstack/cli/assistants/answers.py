@@ -281,6 +281,7 @@ class DecodeAnswer(Answer, kw_only=True):
     telegrams: Annotated[list[Telegram], Meta(max_length=MOST)]
     next: Count | None
     stopped: Foreign | None
+    remarks: list[Foreign]
 
 
 class PlannedSlave(Struct, kw_only=True):

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Final
 from msgspec import Meta, Struct
 
 from dpstack.api.bus.compose import plan_bus
+from dpstack.api.config.bus import AUTO
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.gsd_info import ENDINGS, bundled, gsd_dict, read_gsd
 from dpstack.api.listen.names import decode_names
@@ -41,21 +42,23 @@ from dpstack.units import BAUD_RATES
 MOST_OCTETS: Final = 64_000_000
 #: time that a tool may work on a file, in s
 LONGEST_S: Final = 20.0
-#: files that `decode` and `monitor` read: pcapng, and text with hex digits
-CAPTURES: Final = frozenset((".pcapng", ".txt", ".hex", ".log"))
+#: files that `decode` and `monitor` read: pcapng, text with hex digits, files of logic analysers
+_CAPTURES: Final = frozenset((".pcapng", ".txt", ".hex", ".log", ".sr", ".vcd"))
+CAPTURES: Final = _CAPTURES | {".csv"}
 PLANTS: Final = frozenset((".toml",))
 RECORDINGS: Final = frozenset(SUFFIXES)
 _KINDS: Final[dict[str, frozenset[str]]] = {
     "configuration": PLANTS,
     "gsd": ENDINGS,
-    "capture": CAPTURES,
+    "capture": _CAPTURES,  # a CSV file may also be one: it is listed as a recording
     "recording": RECORDINGS,
 }
 _FIELDS: Final = 60
 _HEX: Final = 1000
 
 FileName = Annotated[str, Meta(max_length=1000, description="a file of the list that `files` gives")]
-_Baud = Annotated[int, Meta(ge=BAUD_RATES[0], le=BAUD_RATES[-1], description="in bit/s")]
+Baud = Annotated[int, Meta(ge=BAUD_RATES[0], le=BAUD_RATES[-1], description="in bit/s")]
+Channel = Annotated[str, Meta(max_length=100, description="of a logic analyser's file; empty: it is found")]
 _From = Annotated[int, Meta(ge=0, description="leave out so many")]
 
 
@@ -72,13 +75,15 @@ class Decode(Struct, kw_only=True, forbid_unknown_fields=True):
     filter: Annotated[
         str, Meta(max_length=500, description="as `dpstack decode --filter`, e.g. station 5 and error")
     ] = ""
+    baud: Baud | None = None
+    channel: Channel = ""
     begin: Annotated[int, Meta(ge=1, description="number of the first transmission")] = 1
     limit: answers.Page = 30
 
 
 class PlanFile(Struct, kw_only=True, forbid_unknown_fields=True):
     file: Annotated[str, Meta(max_length=1000, description="left out: CONFIG")] | None = None
-    baud: _Baud | None = None
+    baud: Baud | None = None
 
 
 class GsdShow(Struct, kw_only=True, forbid_unknown_fields=True):
@@ -124,8 +129,15 @@ class FileTools:
         if (given.octets is None) == (given.file is None):
             raise UsageError("decode: give either octets or a file")
         buses = Buses(decode_names(self._config()))
+        remarks: list[str] = []
         if given.file is not None:
-            source: Iterator[Transmission] = transmissions_of(str(self._capture(given.file)), buses.choose)
+            source: Iterator[Transmission] = transmissions_of(
+                str(self._capture(given.file)),
+                buses.choose,
+                baud=given.baud or AUTO,
+                channel=given.channel,
+                on_remark=remarks.append,
+            )
         else:
             source = read_transmissions(io.BytesIO((given.octets or "").encode()), "octets")
         match = parse_filter(given.filter) if given.filter else None
@@ -154,9 +166,10 @@ class FileTools:
             telegrams=found,
             next=following,
             stopped=quote_or_none(stopped),
+            remarks=quote_all(remarks),
         )
 
-    def monitor(self, name: str, baud: int | None) -> answers.MonitorAnswer:
+    def monitor(self, name: str, baud: int | None, channel: str) -> answers.MonitorAnswer:
         path = self._capture(name)
         config = self._config()
         monitor = Monitor(LineTiming(FILE, None), devices=load_devices(config, None))
@@ -168,8 +181,7 @@ class FileTools:
             if monotonic() > until:
                 raise _TimeIsUpError
 
-        judged = JudgedFile(str(path), monitor, baud=baud or 0, add=add, on_left_out=remarks.append)
-        remarks = [f"only the port {judged.port} is judged; left out: {port}" for port in remarks]
+        judged = JudgedFile(str(path), monitor, baud=baud or AUTO, channel=channel, add=add, on_remark=remarks.append)
         try:
             judged.read()
         except _TimeIsUpError:

@@ -9,10 +9,10 @@ import asyncio
 import functools
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from dpstack.cli.assistants import answers, bus_tools, docs_search, file_tools, recordings
 from dpstack.cli.assistants.folders import Folders
@@ -33,7 +33,8 @@ class MonitorBus(Struct, kw_only=True, forbid_unknown_fields=True):
     """Without a file: of the bus of CONFIG."""
 
     file: file_tools.FileName | None = None
-    baud: Annotated[int, Meta(description="of a file that does not say its rate, in bit/s")] | None = None
+    baud: file_tools.Baud | None = None
+    channel: file_tools.Channel = ""
     seconds: bus_tools.Seconds = bus_tools.USUAL_S
 
 
@@ -188,7 +189,7 @@ class Toolbox:
     async def _monitor(self, given: MonitorBus) -> answers.MonitorAnswer:
         if given.file is None:
             return await self._bus.monitor(given.seconds)
-        return await asyncio.to_thread(self._files.monitor, given.file, given.baud)
+        return await asyncio.to_thread(self._files.monitor, given.file, given.baud, given.channel)
 
 
 def _in_thread(work: Callable[[_G], answers.Answer]) -> Callable[[_G], Awaitable[answers.Answer]]:

@@ -307,7 +307,11 @@ def test_every_string_of_every_schema_is_foreign_or_of_a_fixed_form(box: Toolbox
         ("decode", {"octets": "6G"}, "'G' is no hex digit"),
         ("decode", {"octets": "E5", "limit": 201}, "Expected `int` <= 200"),
         ("decode", {"octets": "E5", "filter": "station"}, "filter"),
-        ("decode", {"file": "plant.toml"}, "this tool reads files that end in .hex, .log, .pcapng, .txt"),
+        (
+            "decode",
+            {"file": "plant.toml"},
+            "this tool reads files that end in .csv, .hex, .log, .pcapng, .sr, .txt, .vcd",
+        ),
         ("monitor", {"file": "../bus.pcapng"}, "is not in the folders of this server"),
         ("plan", {"file": "nothing.toml"}, "is not in the folders of this server"),
         ("gsd_show", {"file": "/etc/hostname"}, "is not in the folders of this server"),
