@@ -9,7 +9,8 @@ from dpstack.api.bus.picture import picture_of
 from dpstack.api.slave.station_report import UNASKED, StationReading, no_octets
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.scanner import Found, SlaveView, view_of
+from dpstack.dp.master.scanner import Found
+from dpstack.dp.pdu.diagnosis import SlaveView, view_of
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import StationType
 

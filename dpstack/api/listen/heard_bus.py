@@ -16,8 +16,8 @@ from dpstack.capture.transmission import Transmission
 from dpstack.decode.telegram import Explained, Explainer
 from dpstack.dp.master.bring_ups import DATA_EXCHANGE, BringUps
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.scanner import Found, SlaveView, view_of
-from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.master.scanner import Found
+from dpstack.dp.pdu.diagnosis import Diagnosis, SlaveView, view_of
 from dpstack.dp.services import EMPTY_STATUS, SERVICE_NAMES
 from dpstack.fdl.interface import Failure, StationStats
 from dpstack.fdl.telegram import (

@@ -363,6 +363,34 @@ class GsdAnswer(Answer, kw_only=True):
     diagnostics: Annotated[list[GsdRemark], Meta(max_length=50)]
 
 
+class FoundText(Struct, kw_only=True):
+    """A text in which a word was found; ``reference``: the number of a module."""
+
+    field: Word
+    text: Foreign
+    reference: int | None
+
+
+class FoundDevice(Struct, kw_only=True):
+    """``file``: as ``gsd_show`` takes it; ``also``: files of the same device in other languages."""
+
+    file: Foreign
+    also: list[Foreign]
+    ident: Ident | None
+    vendor: Foreign
+    model: Foreign
+    order_number: Foreign | None
+    found_in: Annotated[list[FoundText], Meta(max_length=10)]
+
+
+class GsdFindAnswer(Answer, kw_only=True):
+    """``left_out``: further devices that fit."""
+
+    devices: Annotated[list[FoundDevice], Meta(max_length=MOST)]
+    left_out: Count
+    remarks: list[Foreign]
+
+
 class File(Struct, kw_only=True):
     """``name``: as the other tools take it; ``size`` in octets."""
 

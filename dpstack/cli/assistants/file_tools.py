@@ -6,7 +6,7 @@ Each reads what the command of its name reads, up to :data:`MOST_OCTETS` and for
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from time import monotonic
@@ -17,6 +17,7 @@ from msgspec import Meta, Struct
 from dpstack.api.bus.compose import plan_bus
 from dpstack.api.config.bus import AUTO
 from dpstack.api.config.config import Config, load_config
+from dpstack.api.gsd_folder import GsdFolder
 from dpstack.api.gsd_info import ENDINGS, bundled, gsd_dict, read_gsd
 from dpstack.api.listen.names import decode_names
 from dpstack.api.listen.plant_files import load_devices
@@ -29,7 +30,9 @@ from dpstack.cli.assistants.foreign import quote, quote_all, quote_or_none
 from dpstack.cli.listening.decode import Buses
 from dpstack.cli.listening.judged_file import JudgedFile
 from dpstack.cli.listening.source_file import transmissions_of
+from dpstack.cli.looking.gsd_find import without_languages
 from dpstack.decode.filter import one_later, parse_filter
+from dpstack.decode.log_text import Unread
 from dpstack.decode.source import read_transmissions
 from dpstack.decode.telegram import Explained
 from dpstack.errors import CaptureFileError, UsageError
@@ -54,6 +57,7 @@ _KINDS: Final[dict[str, frozenset[str]]] = {
     "recording": RECORDINGS,
 }
 _FIELDS: Final = 60
+_REMARKS: Final = 100
 _HEX: Final = 1000
 
 FileName = Annotated[str, Meta(max_length=1000, description="a file of the list that `files` gives")]
@@ -92,6 +96,14 @@ class GsdShow(Struct, kw_only=True, forbid_unknown_fields=True):
     ]
     offset: _From = 0
     limit: answers.Page = 40
+
+
+class GsdFind(Struct, kw_only=True, forbid_unknown_fields=True):
+    words: Annotated[
+        str,
+        Meta(min_length=1, max_length=200, description="all must fit: vendor, model, order or ident number, module"),
+    ]
+    limit: answers.Page = 20
 
 
 class FileTools:
@@ -137,9 +149,12 @@ class FileTools:
                 baud=given.baud or AUTO,
                 channel=given.channel,
                 on_remark=remarks.append,
+                on_unread=_remark_into(remarks),
             )
         else:
-            source = read_transmissions(io.BytesIO((given.octets or "").encode()), "octets")
+            source = read_transmissions(
+                io.BytesIO((given.octets or "").encode()), "octets", on_unread=_remark_into(remarks)
+            )
         match = parse_filter(given.filter) if given.filter else None
         explained: Iterator[Explained] = map(buses.explain, source)
         found: list[answers.Telegram] = []
@@ -181,7 +196,15 @@ class FileTools:
             if monotonic() > until:
                 raise _TimeIsUpError
 
-        judged = JudgedFile(str(path), monitor, baud=baud or AUTO, channel=channel, add=add, on_remark=remarks.append)
+        judged = JudgedFile(
+            str(path),
+            monitor,
+            on_unread=_remark_into(remarks),
+            baud=baud or AUTO,
+            channel=channel,
+            add=add,
+            on_remark=remarks.append,
+        )
         try:
             judged.read()
         except _TimeIsUpError:
@@ -268,9 +291,33 @@ class FileTools:
             ],
         )
 
+    def gsd_find(self, given: GsdFind) -> answers.GsdFindAnswer:
+        found: list[answers.FoundDevice] = []
+        remarks: list[str] = []
+        for number, root in enumerate(self._folders.roots):
+            folder = GsdFolder(root)
+            for hit in without_languages(folder.search(given.words.split())):
+                path = hit.entry.path
+                if not number if path is None else self._folders.contains(path.resolve()):
+                    found.append(_found_device(hit.as_dict()))
+            remarks += [f"left out: {path}: {reason}" for path, reason in folder.bad]
+        return answers.GsdFindAnswer(
+            devices=found[: given.limit], left_out=max(0, len(found) - given.limit), remarks=quote_all(remarks, 20)
+        )
+
 
 class _TimeIsUpError(Exception):
     """The file takes longer than :data:`LONGEST_S`."""
+
+
+def _remark_into(remarks: list[str]) -> Callable[[Unread], None]:
+    """Lines of a log without octets as remarks: those that seem to have some."""
+
+    def note(line: Unread) -> None:
+        if line.reason and len(remarks) < _REMARKS:
+            remarks.append(f"line {line.number}: {line.reason}")
+
+    return note
 
 
 def check_size(path: Path, name: str) -> None:
@@ -315,6 +362,21 @@ def _flat(value: object, place: str = "") -> Iterator[tuple[str, object]]:
             yield from _flat(inner, f"{place}[{number}]")
     else:
         yield place, value
+
+
+def _found_device(one: Mapping[str, Any]) -> answers.FoundDevice:
+    return answers.FoundDevice(
+        file=quote(one["file"]),
+        also=quote_all(one["also"], 10),
+        ident=one["ident"],
+        vendor=quote(one["vendor"]),
+        model=quote(one["model"]),
+        order_number=quote_or_none(one["order_number"]),
+        found_in=[
+            answers.FoundText(field=match["field"], text=quote(match["text"]), reference=match["reference"])
+            for match in one["matches"][:10]
+        ],
+    )
 
 
 def _parameter(one: Mapping[str, Any]) -> answers.GsdParameter:

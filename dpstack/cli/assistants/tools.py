@@ -135,6 +135,13 @@ class Toolbox:
             _in_thread(files.gsd_show),
         )
         yield Tool(
+            "gsd_find",
+            "GSD files of the folders, and those of dpstack, by words: vendor, model, order or ident number, module.",
+            file_tools.GsdFind,
+            answers.GsdFindAnswer,
+            _in_thread(files.gsd_find),
+        )
+        yield Tool(
             "files",
             "The files in the folders of this server that the other tools read: configurations, GSD files, captures, "
             "recordings.",

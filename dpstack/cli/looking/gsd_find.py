@@ -29,7 +29,7 @@ def execute(args: argparse.Namespace) -> int:
     if len(words) > 1 and os.path.isdir(words[-1]):
         *words, place = words
     folder = GsdFolder(place, beside=".")
-    hits = _without_languages(folder.search(words))
+    hits = without_languages(folder.search(words))
     for hit in hits:
         if args.json:
             output.json_line(hit.as_dict())
@@ -45,7 +45,7 @@ def execute(args: argparse.Namespace) -> int:
     return 0 if hits else 1
 
 
-class _Hit(NamedTuple):
+class Hit(NamedTuple):
     """A device, and its files in other languages."""
 
     entry: GsdEntry
@@ -86,12 +86,12 @@ def _places(matches: tuple[Match, ...]) -> list[str]:
     return [*fields, *([f"module {some_of(modules, _SHOWN)}"] if modules else [])]
 
 
-def _without_languages(found: list[tuple[GsdEntry, Found]]) -> list[_Hit]:
+def without_languages(found: list[tuple[GsdEntry, Found]]) -> list[Hit]:
     """Files of one folder that differ in the language of their name only are one hit."""
-    hits: dict[tuple[str, int | None], _Hit] = {}
+    hits: dict[tuple[str, int | None], Hit] = {}
     for entry, one in found:
         known = hits.setdefault(
-            (entry.key.rpartition(".")[0].casefold() or entry.key, entry.ident), _Hit(entry, one, [])
+            (entry.key.rpartition(".")[0].casefold() or entry.key, entry.ident), Hit(entry, one, [])
         )
         if known.entry is not entry:
             known.also.append(entry.key)

@@ -239,6 +239,7 @@ QUESTIONS: tuple[tuple[str, dict[str, object]], ...] = (
     ("decode", {"file": "bus.pcapng"}),
     ("plan", {}),
     ("gsd_show", {"file": "device.gsd"}),
+    ("gsd_find", {"words": "ignore instructions"}),
     ("files", {}),
     ("recording", {"file": "day.csv"}),
 )
@@ -304,7 +305,7 @@ def test_every_string_of_every_schema_is_foreign_or_of_a_fixed_form(box: Toolbox
         ("diag", {}, "diag: Object missing required field `station`"),
         ("decode", {}, "decode: give either octets or a file"),
         ("decode", {"octets": "68", "file": "a.txt"}, "decode: give either octets or a file"),
-        ("decode", {"octets": "6G"}, "'G' is no hex digit"),
+        ("decode", {"octets": "6G"}, "octets: no octets in its lines"),
         ("decode", {"octets": "E5", "limit": 201}, "Expected `int` <= 200"),
         ("decode", {"octets": "E5", "filter": "station"}, "filter"),
         (
@@ -337,7 +338,8 @@ def test_decode_pages(box: Toolbox, tmp_path: Path) -> None:
     assert [one["number"] for one in only["telegrams"]] == [2, 4, 6, 8, 10]
     assert only["next"] == 12
     (tmp_path / "cut.txt").write_text("10 08 02 49 53 16\nnonsense\n")
-    assert "line 2" in ask(box, "decode", file="cut.txt")["stopped"]["foreign"]
+    cut = ask(box, "decode", file="cut.txt")  # words between telegrams are those of a log
+    assert (cut["read"], cut["stopped"], cut["remarks"]) == (1, None, [])
 
 
 def test_a_large_file_and_a_slow_one_are_bounded(box: Toolbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -360,6 +362,25 @@ def test_the_plan_of_the_folder_and_of_another_file(box: Toolbox, tmp_path: Path
     plant_file(tmp_path / "b", VALVES, baud=187_500)
     assert ask(box, "plan", file="b/plant.toml")["baud"] == 187_500
     assert ask(box, "plan", file="b/plant.toml", baud=93_750)["baud"] == 93_750
+
+
+def test_gsd_files_by_words(box: Toolbox, tmp_path: Path) -> None:
+    (tmp_path / "gsd").mkdir()
+    text = '#Profibus_DP\nVendor_Name = "{}"\nModel_Name = "Valve {}"\nIdent_Number = 0x12{}\n'
+    for number in (10, 11):
+        (tmp_path / f"gsd/valve{number}.gsd").write_text(text.format("ACME", number, number))
+    (tmp_path / "gsd/broken.gsd").write_text("nothing")
+    found = ask(box, "gsd_find", words="acme valve", limit=1)
+    assert [(one["file"]["foreign"], one["ident"]) for one in found["devices"]] == [("gsd/valve10.gsd", "0x1210")]
+    assert found["left_out"] == 1
+    assert "broken.gsd" in found["remarks"][0]["foreign"]
+    assert ask(box, "gsd_show", file="gsd/valve10.gsd")["ident"] == "0x1210"
+    assert [one["file"]["foreign"] for one in ask(box, "gsd_find", words="0x10D5")["devices"]] == ["io-station"]
+
+
+def test_a_pasted_log_is_decoded(box: Toolbox) -> None:
+    found = ask(box, "decode", octets="12:00:01.5 TX 10 08 02 49 53 16\n12:00:01.6 RX 10 02 08 00 0A 16\n")
+    assert [one["octets"] for one in found["telegrams"]] == ["100802495316", "100208000a16"]
 
 
 def test_a_recording_by_names_and_time(box: Toolbox, tmp_path: Path) -> None:
