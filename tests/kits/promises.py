@@ -228,6 +228,25 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         _LOSS + "test_a_bus_process_goes_to_clear_while_the_program_hangs",
         "bridge/test_orders.py::test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come",
     ),
+    "A1": (
+        "cli/assistants/test_assistant_fence.py::test_only_reading_within_the_folders_the_port_and_control_sockets_are_left",
+        "cli/assistants/test_assistant_tools.py::test_the_run_is_asked_for_what_it_knows_and_for_nothing_else",
+        "api/control/test_unasked.py::test_the_wire_is_the_same_with_and_without_the_questions",
+    ),
+    "A2": (
+        "cli/assistants/test_assistant_folders.py::test_what_is_refused_in_one_line",
+        "cli/assistants/test_assistant_folders.py::test_any_name_gives_a_file_within_or_an_error",
+        "cli/assistants/test_assistant_tools.py::test_a_part_of_a_recording_that_leads_out_is_refused",
+    ),
+    "A3": (
+        "cli/assistants/test_assistant_tools.py::test_texts_of_others_stand_in_foreign_only",
+        "cli/assistants/test_assistant_tools.py::test_every_string_of_every_schema_is_foreign_or_of_a_fixed_form",
+    ),
+    "A4": (
+        "cli/assistants/test_assistant_tools.py::test_a_large_file_and_a_slow_one_are_bounded",
+        "cli/assistants/test_assistant_tools.py::test_an_answer_that_does_not_fit_its_type_is_not_sent",
+        "cli/assistants/test_assistant_tools.py::test_decode_pages",
+    ),
     "F1": (
         _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",
         "api/slave_side/test_inputs_over_time.py::test_code_needs_a_word_for_it",
@@ -255,6 +274,7 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "gsd/test_hostile.py::test_any_octets",
         "capture/test_pcapng.py::test_any_octets_end_with_a_line_or_an_end",
         "capture/test_waveforms.py::test_a_bad_file_gets_one_line_that_says_what_to_do",
+        "decode/test_log_text.py::test_any_lines_end_in_octets_or_a_report",
         "record/test_recordings_read.py::test_files_that_are_no_recordings",
     ),
     "F9": (
