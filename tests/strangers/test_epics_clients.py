@@ -194,6 +194,39 @@ def test_monitors_of_others_see_alarms_times_the_end_and_the_return(
         assert [one["connected"] for one in each(level)] == [False, False]
 
 
+def test_a_monitor_of_others_sees_that_the_bus_process_is_stopped_and_killed(
+    start: Starter, programs: Path, tmp_path: Path
+) -> None:
+    config, port = plant_of(tmp_path)
+    bus = tmp_path / "bus"
+    text = config.read_text(encoding="utf-8").replace('"virtual"', f'"{bus / "0"}"\ndriver = "process"')
+    config.write_text(text, encoding="utf-8")
+    start("segment", "--dir", str(bus), "--stations", "2", "--json").wait_for("ports")
+    start("sim", str(config), "--port", str(bus / "1")).wait_for("simulating")
+    tools = Tools(programs, port)
+    run = start("run", str(config), "--json")
+    eventually(lambda: tools("caget", "-t", "LAB:valves:state") == "data_exchange")
+    [process] = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split()
+    level = "LAB:valves:in:level"
+    with contextlib.ExitStack() as at_the_end:
+        monitor = Monitor(tools, "aioca", level)
+        at_the_end.callback(monitor.end)
+        good = monitor.until(level, {"severity": 0})
+        os.kill(int(process), signal.SIGSTOP)
+        silent = monitor.until(level, {"severity": 3})
+        assert (silent["value"], silent["status"]) == (good["value"], 9)  # COMM
+        assert tools("caget", "-t", f"{level}.AMSG").startswith("the bus does not run")
+        os.kill(int(process), signal.SIGCONT)
+        monitor.until(level, {"severity": 0})
+        os.kill(int(process), signal.SIGKILL)
+        dead = [monitor.until(level, {})]
+        while dead[-1]["connected"]:
+            dead.append(monitor.until(level, {}))
+        # the last value is INVALID before the connection ends
+        assert (dead[-2]["severity"], dead[-2]["status"]) == (3, 9)
+        assert run.end() == 1
+
+
 class Monitor:
     """A client with ``library`` that monitors ``names``."""
 
