@@ -13,7 +13,7 @@ from plant_files import plant_text
 
 import dpstack
 from dpstack.api.config.config import load_config, parse_config
-from dpstack.api.config.connectors import MqttConfig
+from dpstack.api.config.connectors import EpicsConfig, MqttConfig
 from dpstack.bridge.names import (
     EPICS_PART,
     OPCUA_BROWSE,
@@ -194,3 +194,9 @@ def test_the_lower_key_keeps_the_name() -> None:
         "'pump' (10) is called 'pump 10': another one has this name",
         "'pump 10' (11) is called 'pump 10 11': another one has this name",
     )
+
+
+def test_epics_is_for_this_computer_without_listen() -> None:
+    epics = parse_config(PLANT + LEAST + '[epics]\nprefix = "P:"\n', "plant").connectors["epics"]
+    assert isinstance(epics, EpicsConfig)
+    assert (epics.listen, epics.beacons, epics.allow_commands) == ("127.0.0.1:5064", (), ())

@@ -20,6 +20,9 @@ _SERVER: Final = "web/test_web_server.py::"
 _OPCUA: Final = "bridge_opcua/test_opcua_connector.py::"
 _FLEET: Final = "bridge_mqtt/"
 _JSON: Final = "bridge_mqtt/test_json_node.py::"
+_EPICS: Final = "bridge_epics/test_epics_connector.py::"
+_HOUSE: Final = "bridge_mqtt/test_home_assistant.py::"
+_IMPORT: Final = "cli/looking/test_import_command.py::"
 _LOSS: Final = "bridge/test_connector_loss.py::"
 _CODE: Final = "security/test_no_code.py::"
 #: for each promise the tests that show it, below tests/
@@ -50,6 +53,12 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
     "W8": (
         "profile/channel/test_stored_writes.py::test_a_hundred_writes_at_once_then_one_a_minute",
         "profile/channel/test_stored_writes.py::test_each_drive_spares_its_eeprom",
+    ),
+    "W9": (
+        "api/bus/test_refuse_master.py::test_a_bus_with_it_is_refused_with_file_and_reason",
+        "api/bus/test_refuse_master.py::test_it_is_not_added_to_a_running_bus",
+        "api/bus/test_refuse_master.py::test_a_read_only_bus_takes_it_and_never_parameterises_it",
+        _IMPORT + "test_run_drive_and_acyclic_refuse_slaves_with_f_modules",
     ),
     "P1": ("security/test_listeners.py::test_no_command_listens_on_a_network",),
     "P2": (
@@ -228,6 +237,35 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         _LOSS + "test_a_bus_process_goes_to_clear_while_the_program_hangs",
         "bridge/test_orders.py::test_the_age_is_judged_when_it_comes_and_when_its_turn_has_come",
     ),
+    "G18": (
+        "bridge/test_connector_tables.py::test_epics_is_for_this_computer_without_listen",
+        _EPICS + "test_beacons_go_where_the_user_says_and_else_to_this_computer_alone",
+    ),
+    "G19": (
+        _EPICS + "test_puts_give_typed_orders_and_a_read_behind_one_sees_its_value",
+        _EPICS + "test_a_refused_put_is_an_error_with_its_reason_and_is_reported",
+        _EPICS + "test_a_run_that_only_reads_gives_no_rights",
+    ),
+    "G20": (
+        _EPICS + "test_a_client_that_does_not_read_holds_up_nobody_and_is_cut_off",
+        _EPICS + "test_octets_that_are_no_message_end_their_connection_alone",
+        _EPICS + "test_one_address_has_a_bounded_number_of_connections",
+        _EPICS + "test_variables_that_nobody_uses_make_room_for_others",
+    ),
+    "G21": (
+        _EPICS + "test_alarms_follow_quality_and_states_and_a_number_stays_beside_its_alarm",
+        _EPICS + "test_the_end_of_the_bus_is_invalid_and_then_the_connection_ends",
+        _EPICS + "test_a_fault_of_the_connector_ends_all_connections",
+        _EPICS + "test_a_slave_that_is_removed_ends_its_channels_alone",
+    ),
+    "G22": (
+        _HOUSE + "test_without_allow_commands_nothing_can_be_ordered",
+        _HOUSE + "test_orders_that_are_listed_have_the_time_and_are_not_retained",
+        _HOUSE + "test_no_name_ends_the_literal_in_a_template",
+        _HOUSE + "test_messages_of_earlier_runs_are_taken_away_and_no_others",
+        _HOUSE + "test_more_entities_than_there_is_room_for_are_reported",
+        _HOUSE + "test_home_assistant_that_begins_gets_all_messages_again_at_most_every_10_s",
+    ),
     "A1": (
         "cli/assistants/test_assistant_fence.py::test_only_reading_within_the_folders_the_port_and_control_sockets_are_left",
         "cli/assistants/test_assistant_tools.py::test_the_run_is_asked_for_what_it_knows_and_for_nothing_else",
@@ -309,6 +347,19 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "devices/test_bad_files.py::test_a_pipe_is_not_opened",
         "devices/test_bad_files.py::test_a_chain_of_bases_has_an_end",
         "devices/test_bad_files.py::test_a_mistake_has_its_line_and_a_remedy",
+    ),
+    "F15": (
+        _CODE + "test_crafted_files_run_nothing_and_lead_nowhere",
+        _IMPORT + "test_into_a_new_file_with_remarks_on_standard_error",
+        _IMPORT + "test_what_is_no_export_is_one_line",
+        _IMPORT + "test_a_file_that_was_cut_is_imported_and_ends_with_1",
+        _IMPORT + "test_500_slaves",
+        "importers/test_step7_cfg.py::test_another_code_page_is_given_by_hand",
+    ),
+    "F16": (
+        "importers/test_step7_plant.py::test_the_bus_as_in_the_export_and_read_only",
+        "importers/test_step7_plant.py::test_the_address_is_one_that_no_station_has_and_that_the_masters_look_for",
+        "cli/terminal/test_hostile_text.py::test_texts_of_an_export",
     ),
     "E1": (
         "profile/test_registry.py::test_known_drives_in_spite_of_broken_packages",

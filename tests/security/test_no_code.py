@@ -1,5 +1,5 @@
-"""No file runs code: crafted configurations, GSD files, captures, recordings, scenarios and lists are read by every
-command that reads them, in a process that reports each import, each program and each file that is opened; and the
+"""No file runs code: crafted configurations, exports, GSD files, captures, recordings, scenarios and lists are read by
+every command that reads them, in a process that reports each import, each program and each file that is opened; and the
 places in the source that could load code, start programs or open sockets are those that are listed here.
 """
 
@@ -73,6 +73,11 @@ FILES: dict[str, bytes | str] = {
     "code.list": f'format = 1\ndrive = "evil:DRIVE"\nname = "{CODE[:9]}"\naddress = 3\nparameters = []\n',
     "function.scenario": '[[step]]\nat = 0.0\nslave = "a"\ndo = "set"\nfunction = "evil:inputs"\n',
     "pickle.scenario": PICKLE,
+    "pickle.cfg": PICKLE,
+    "crafted.cfg": 'FILEVERSION "3.2"\r\n#STEP7_VERSION $(touch exploded)\r\nSTATION S7300 , "evil:DRIVE"\r\nBEGIN \r\n'
+    '  COMMENT "`touch exploded`"\r\nEND \r\nDPSUBSYSTEM 1, "x"\r\nBEGIN \r\nEND \r\n'
+    'DPSUBSYSTEM 1, DPADDRESS 9, "../evil.py", "$(touch exploded)"\r\nBEGIN \r\n  PNO_IDENT_NO "4660"\r\nEND \r\n'
+    'DPSUBSYSTEM 1, DPADDRESS 9, SLOT 1, "evil:DRIVE", "x"\r\nBEGIN \r\n  SLAVE_CFG_DATA "01 00 20"\r\nEND \r\n',
     "evil.py": "open('exploded', 'w')\n",
     "matplotlibrc": "backend: module://evil\ntext.usetex: True\n",
     "sitecustomize.py": "open('exploded', 'w')\n",
@@ -84,6 +89,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ".pcapng": ("decode {}", "monitor {}"),
     ".csv": ("plot {} --json",),
     ".jsonl": ("plot {} --json",),
+    ".cfg": ("import {}",),
     ".scenario": ("sim plain.toml --port pty --scenario {}",),
     "function.toml": ("sim {} --port pty",),
     "recording.toml": ("sim {} --port pty",),
@@ -99,7 +105,7 @@ QUICK: tuple[str, ...] = (
     "pickle.pcapng",
     "code.csv",
 )
-QUICK += ("function.scenario", "evil.py")
+QUICK += ("function.scenario", "evil.py", "crafted.cfg")
 #: reports events of the interpreter once it is armed: by then the commands' own modules are loaded
 PROGRAM = r"""
 import contextlib, io, json, os, sys
@@ -176,6 +182,7 @@ def test_crafted_files_run_nothing_and_lead_nowhere(chosen: str, tmp_path: Path)
     assert {path for path in outside if not path.startswith(str(tmp_path))} <= {"/etc/passwd", "/etc/hostname"}
     refused = {words.split()[-1] for words, code, _ in found["ends"] if code == 2}
     assert refused >= {"drive_place.toml", "pickle.toml", "evil.py", "pickle.list"}
+    assert {code for words, code, _ in found["ends"] if words == "import crafted.cfg"} == {0}
     assert any("--allow-code" in told for words, _, told in found["ends"] if words.startswith("sim function.toml"))
     assert not [
         told for _, code, told in found["ends"] if "Traceback" in told or "root:" in told or code not in (0, 1, 2)
@@ -234,6 +241,14 @@ def sources() -> dict[str, str]:
             r"create_connection\(|sock_connect\(|rfc2217\.Serial|urllib\.request|http\.client|import requests"
             r"|ClientSession|aiomqtt\.Client\(|(?<!class )LimitedClient\(",
             {"ports/tcp.py", "ports/rfc2217.py", "bridge/mqtt/connection.py"},
+        ),
+        (
+            "datagrams",
+            r"sendto\(|sendmsg\(",
+            {
+                "bridge/epics/server.py",  # answers to searches, beacons
+                "service/notify.py",  # systemd, over a Unix socket
+            },
         ),
     ],
 )

@@ -152,7 +152,9 @@ def test_wrong_use_is_one_line(args: list[str], why: str, tmp_path: Path, capsys
 
 def test_nothing_else_listens_on_a_network() -> None:
     """Sockets that wait for connections: those of the page and of the connectors, and the Unix socket for commands."""
-    waiting = re.compile(r"create_server\(|start_server\(|SockSite|TCPSite|socketserver|AF_INET|listening\.listen\(")
+    waiting = re.compile(
+        r"create_server\(|start_server\(|create_datagram_endpoint\(|SockSite|TCPSite|socketserver|AF_INET|listening\.listen\("
+    )
     root = Path(dpstack.__file__).parent
     found = {
         path.relative_to(root).as_posix()
@@ -161,6 +163,8 @@ def test_nothing_else_listens_on_a_network() -> None:
     }
     assert found == {
         "api/control/control_server.py",
+        "bridge/epics/connector.py",
+        "bridge/epics/server.py",
         "bridge/metrics/http_server.py",
         "bridge/opcua/connection.py",
         "tcp_address.py",
