@@ -1,4 +1,5 @@
-"""One plant, read at the same time through eight doors: API, ctl, recording, MQTT, OPC UA, metrics, page, screen.
+"""One plant, read at the same time through ten doors: API, ctl, recording, MQTT, templates of Home Assistant, EPICS,
+OPC UA, metrics, page, screen.
 
 A simulated rack on ptys stands still with a broken wire, an exceeded limit and a good value; each door is read until it
 agrees, in a bounded number of looks. The table of docs/reference/quality.md says what each door carries.
@@ -27,7 +28,8 @@ from programs import Starter
 
 from tests.strangers.browser_kit import Browser
 from tests.strangers.mosquitto_kit import Mosquitto
-from tests.strangers.stranger_kit import npm_folder
+from tests.strangers.stranger_kit import environment, npm_folder
+from tests.strangers.test_epics_clients import VERSIONS, Tools
 from tests.strangers.test_live_screen import Terminal
 from tests.strangers.test_node_opcua import VERSION
 
@@ -63,6 +65,16 @@ PLANT: Final[dict[str, tuple[float | bool, str, str]]] = {
     "heat": (45.6, "uncertain", LIMIT),
     "valve": (False, "good", ""),
 }
+#: status and severity of EPICS
+ALARMS: Final = {"good": ("NO_ALARM", "NO_ALARM"), "bad": ("READ", "INVALID"), "uncertain": ("HWLIMIT", "MINOR")}
+#: reads pairs of template and payload as JSON, and renders them with Jinja, which Home Assistant does
+RENDER: Final = """
+import json, sys
+from jinja2 import Environment
+made = Environment()
+pairs = json.load(sys.stdin)
+print(json.dumps([made.from_string(text).render(value_json=json.loads(payload)) for text, payload in pairs]))
+"""
 #: as a reader gets it who sees no quality beside it
 PLAIN: Final = {name: None if quality == "bad" else number for name, (number, quality, _) in PLANT.items()}
 
@@ -72,6 +84,12 @@ def node_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = npm_folder(tmp_path_factory.mktemp("npm"), f"node-opcua-client@{VERSION}")
     shutil.copy(HERE / "node_opcua_read.js", made)
     return made
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the programs of EPICS base, with a Python that has Jinja."""
+    return environment(tmp_path_factory.mktemp("epics"), VERSIONS[0], "jinja2==3.1.6").parent
 
 
 @pytest.fixture
@@ -113,14 +131,16 @@ def agrees(door: str, look: Callable[[], Any], wanted: Any) -> str:
     return f"{door}: {found!r}\nwanted: {wanted!r}"
 
 
-def test_the_same_plant_through_eight_doors(
-    start: Starter, terminal: Terminal, mosquitto: Mosquitto, node_folder: Path, browser: Browser, tmp_path: Path
-) -> None:
-    bus, opcua, metrics = tmp_path / "bus", free_port(), free_port()
+def test_the_same_plant_through_ten_doors(
+    start: Starter, terminal: Terminal, mosquitto: Mosquitto, node_folder: Path, programs: Path, browser: Browser,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    bus, opcua, metrics, epics = tmp_path / "bus", free_port(), free_port(), free_port()
     tables: dict[str, dict[str, Any]] = {
         "mqtt": {"url": f"mqtt://127.0.0.1:{mosquitto.port}", "group": "g", "node": "n", "format": "json",
-                 "interval_ms": 100},
+                 "interval_ms": 100, "discovery": "homeassistant"},
         "opcua": {"listen": f"127.0.0.1:{opcua}", "anonymous": "read"},
+        "epics": {"prefix": "P:", "listen": f"127.0.0.1:{epics}"},
         "metrics": {"listen": f"127.0.0.1:{metrics}", "values": True},
     }  # fmt: skip
     config = plant_file(tmp_path, RACK, port=str(bus / "0"), baud=500_000, gap=0, max_retry=7, tables=tables)
@@ -170,16 +190,65 @@ def test_the_same_plant_through_eight_doors(
 
     door("recording", of_recording, {name: one[:2] for name, one in PLANT.items()})
 
-    def of_mqtt() -> Any:
-        words = mosquitto.clients("mosquitto_sub", "-C", "2", "-W", "10", "-t", "dpstack/g/n/slave/rack/inputs", "-t",
-                                  "dpstack/g/n/slave/rack/outputs")  # fmt: skip
+    def kept(count: int, *topics: str) -> dict[str, Any]:
+        """Payloads that the broker keeps, by topic."""
+        asked = [word for topic in topics for word in ("-t", topic)]
+        words = mosquitto.clients("mosquitto_sub", "-v", "-C", str(count), "-W", "10", *asked)
         done = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=True)
-        values: dict[str, Any] = {}
-        for line in done.stdout.splitlines():
-            values |= json.loads(line)
+        return {
+            topic: json.loads(payload) for topic, _, payload in (x.partition(" ") for x in done.stdout.splitlines())
+        }
+
+    def of_mqtt() -> Any:
+        found = kept(2, "dpstack/g/n/slave/rack/inputs", "dpstack/g/n/slave/rack/outputs")
+        values = {name: value for payload in found.values() for name, value in payload.items()}
         return {name: (values[name]["value"], values[name]["quality"], values[name]["reason"]) for name in PLANT}
 
     door("MQTT", of_mqtt, {name: (PLAIN[name], *one[1:]) for name, one in PLANT.items()})
+
+    def of_house() -> Any:
+        """The templates of the discovery messages, as Jinja renders them: state, or None if unavailable; attributes."""
+        places = {name: f"slave__5__{'output' if name == 'valve' else 'input'}__{name}" for name in PLANT}
+        configs = kept(5, *(f"homeassistant/+/dpstack__g__n/{place}/config" for place in places.values()))
+        by_place = {topic.split("/")[3]: config for topic, config in configs.items()}
+        shown: list[tuple[str, Any]] = []
+        for place in places.values():
+            config = by_place[place]
+            online, quality = config["availability"]
+            values = kept(2, online["topic"], quality["topic"])
+            assert values[online["topic"]] is True
+            payload = json.dumps(values[quality["topic"]])
+            keys = config["value_template"], config["json_attributes_template"], quality["value_template"]
+            shown += [(template, payload) for template in keys]
+        words = [str(programs / "python"), "-c", RENDER]
+        done = subprocess.run(
+            words, input=json.dumps(shown), capture_output=True, text=True, check=True, timeout=HANG_S
+        )
+        rendered = iter(json.loads(done.stdout))
+        found = {}
+        for name, place in places.items():
+            state, about, is_there = next(rendered), json.loads(next(rendered)), next(rendered)
+            on = by_place[place].get("payload_on")
+            value = state == on if on is not None else float(state) if is_there == "true" else None
+            found[name] = (value if is_there == "true" else None, about["quality"], about["reason"])
+        return found
+
+    door("Home Assistant", of_house, {name: (PLAIN[name], *one[1:]) for name, one in PLANT.items()})
+
+    def of_epics() -> Any:
+        tools = Tools(programs, epics)
+        names = {name: f"P:rack:{'out' if name == 'valve' else 'in'}:{name}" for name in PLANT}
+        found = {}
+        for name, line in zip(PLANT, tools("caget", "-a", *names.values()).splitlines(), strict=True):
+            _, _, _, value, *alarm = line.split()
+            reason = tools("caget", "-S", "-t", f"{names[name]}.AMSG$")
+            found[name] = (json.loads(value), tuple(alarm or ("NO_ALARM", "NO_ALARM")), reason)
+        return found
+
+    door(
+        "EPICS", of_epics,
+        {name: (number, ALARMS[quality], text) for name, (number, quality, text) in PLANT.items()},
+    )  # fmt: skip
 
     def of_opcua() -> Any:
         nodes = {name: f"slave/5/{'output' if name == 'valve' else 'input'}/{name}" for name in PLANT}
@@ -192,9 +261,7 @@ def test_the_same_plant_through_eight_doors(
         return {name: tuple(found[node]) for name, node in nodes.items()}
 
     codes = {"good": "Good", "bad": "BadSensorFailure", "uncertain": "UncertainEngineeringUnitsExceeded"}
-    agrees(
-        "OPC UA", of_opcua, {name: (number, codes[quality], text) for name, (number, quality, text) in PLANT.items()}
-    )
+    door("OPC UA", of_opcua, {name: (number, codes[quality], text) for name, (number, quality, text) in PLANT.items()})
 
     def of_metrics() -> Any:
         with urllib.request.urlopen(f"http://127.0.0.1:{metrics}/metrics", timeout=HANG_S) as answer:
