@@ -1,11 +1,11 @@
 """Octets to the port of EPICS, guided by the structure of Channel Access.
 
-In memory. The first octet of the input says how far the client comes by itself: nowhere, past the greeting, past two
-channels, past a monitor of each. The rest is pieces: octets as they are, or a right message with some octets bent; each
-goes to the connection or, if it says so, as a datagram of searches. Behind a piece, if it says so, a value changes, a
-slave is lost, or the slave leaves. Judged: nothing reaches the loop's handler; an order comes only of a name that is
-listed, with its type; texts are printable; another client has every value meanwhile; no connection, task or watcher is
-left.
+In memory. The first octet of the input says how far the client comes by itself: nowhere, past the greeting, past its
+channels, past some monitors; one that was cut off comes back. The rest is pieces: octets as they are, or a right message
+with some octets bent; each goes to the connection or, if it says so, as a datagram of searches. Behind a piece, if it
+says so, a value changes, a slave is lost, or a slave leaves. Judged: nothing reaches the loop's handler; an order comes
+only of a name that is listed, with its type; texts are printable; another client has its value meanwhile; no connection,
+task or watcher is left.
 """
 
 from __future__ import annotations
@@ -48,8 +48,10 @@ _NAMES: Final = (
     *("DP:valves:in:level", "DP:valves:out:lamp", "DP:valves:out:flow", "DP:valves:out:horn", "DP:hoist:cmd:speed"),
     *("DP:hoist:cmd:start", "DP:hoist:drive:faults.VAL$", "DP:bus:mode", "DP:nothing"),
 )
+#: connections of the hostile client, one after the other
+_MOST_WIRES: Final = 8
 #: the first channels that a server gives have the numbers from 0 on
-_CHANNELS: Final = b"".join(_create(name, number) for number, name in enumerate(_NAMES[:3]))
+_CHANNELS: Final = b"".join(_create(name, number) for number, name in enumerate(_NAMES))
 _MONITORS: Final = b"".join(
     _message(by.EVENT_ADD, by.TIME + type_, 1, number, number, _ASKED)
     for number, type_ in enumerate((by.DOUBLE, by.ENUM, by.LONG))
@@ -163,15 +165,18 @@ async def _main(octets: bytes) -> None:
         await rig.connector.write_changes()
         good = _Wire(served, "10.0.0.1")
         assert await good.send(_FIRST[3])
-        wire = _Wire(served, "10.0.0.2")
-        await wire.send(_FIRST[script.octet() & 3])
-        while script.at < len(octets):
+        first = _FIRST[script.octet() & 3]
+        wires = []
+        while script.at < len(octets) and len(wires) < _MOST_WIRES:
+            if not wires or wires[-1].closed:
+                wires.append(_Wire(served, "10.0.0.2"))
+                await wires[-1].send(first)
             kind = script.octet()
             piece = script.take(kind & 31) if kind & 128 else _bent(_RIGHT[kind % len(_RIGHT)], script)
             if kind & 64:
                 datagram(served, piece)
             else:
-                await wire.send(piece)
+                await wires[-1].send(piece)
             _change(rig, script.octet() & 7)
             await rig.connector.write_changes()
         read = _message(by.READ, by.DOUBLE, 1, 0, 7)
@@ -180,7 +185,7 @@ async def _main(octets: bytes) -> None:
             await rig.connector.write_changes()
         level = float(rig.values["8"]["fields"]["level"])
         assert struct.pack(">d", level) in await good.send(read)
-        for one in (wire, good):
+        for one in (*wires, good):
             await one.end()
     finally:
         rig.connector.close()
