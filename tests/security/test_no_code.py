@@ -267,6 +267,7 @@ def test_a_running_bus_loads_only_modules_named_in_the_source() -> None:
     assert {word for words in found for word in words.split(", ")} - literal == {
         "place",
         "*_WHY",
+        "_KNOWN",
         '"construct"',
         connectors,
     }
@@ -274,6 +275,7 @@ def test_a_running_bus_loads_only_modules_named_in_the_source() -> None:
     assert modules
     assert all(re.fullmatch(r'"dpstack\.bridge\.\w+\.\w+"', word) for word in modules)
     assert 'place = f"{__package__}.{module}"' in sources()["dpstack/api/control/handlers.py"]
+    assert '_KNOWN: Final = "dpstack.' in sources()["dpstack/api/control/handlers.py"]
     by_need = re.findall(r"_by_need\((\S+), (\S+), bus", sources()["dpstack/api/control/handlers.py"])
     assert by_need
     assert all(re.fullmatch(r'"\w+"', word) for words in by_need for word in words)

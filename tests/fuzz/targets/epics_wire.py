@@ -1,11 +1,11 @@
 """Octets to the port of EPICS, guided by the structure of Channel Access.
 
 In memory. The first octet of the input says how far the client comes by itself: nowhere, past the greeting, past its
-channels, past some monitors; one that was cut off comes back. The rest is pieces: octets as they are, or a right message
-with some octets bent; each goes to the connection or, if it says so, as a datagram of searches. Behind a piece, if it
-says so, a value changes, a slave is lost, or a slave leaves. Judged: nothing reaches the loop's handler; an order comes
-only of a name that is listed, with its type; texts are printable; another client has its value meanwhile; no connection,
-task or watcher is left.
+channels, past some monitors; one that was cut off comes back. The rest is pieces: octets as they are, or a right
+message with some octets bent; each goes to the connection or, if it says so, as a datagram of searches. Behind a piece,
+if it says so, a value changes, a slave is lost, or a slave leaves. Judged: nothing reaches the loop's handler; an order
+comes only of a name that is listed, with its type; texts are printable; another client has its value meanwhile; no
+connection, task or watcher is left.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ async def _main(octets: bytes) -> None:
         good = _Wire(served, "10.0.0.1")
         assert await good.send(_FIRST[3])
         first = _FIRST[script.octet() & 3]
-        wires = []
+        wires: list[_Wire] = []
         while script.at < len(octets) and len(wires) < _MOST_WIRES:
             if not wires or wires[-1].closed:
                 wires.append(_Wire(served, "10.0.0.2"))
