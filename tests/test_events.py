@@ -33,9 +33,13 @@ def below(kind: type[Event]) -> Iterator[type[Event]]:
         yield from below(one)
 
 
+#: they run a program, or need an extra that the tests do without, and have no events
+NOT_LOADED = (".__main__", ".cli.assistants.server")
+
+
 def classes() -> list[type[Event]]:
     for module in pkgutil.walk_packages(dpstack.__path__, "dpstack."):
-        if not module.name.endswith("__main__"):
+        if not module.name.endswith(NOT_LOADED):
             importlib.import_module(module.name)
     # the events of the package, not those of other tests
     known = [one for one in below(Event) if one.__module__.startswith("dpstack")]

@@ -14,15 +14,16 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import mcp_types as types
 import pytest
-from mcp import ClientSession, StdioServerParameters, stdio_client
 from plant_files import plant_file
 from programs import Starter
 
 from tests.cli.listening.speaking_pty import SpeakingPty
+
+if TYPE_CHECKING:
+    from mcp import ClientSession, StdioServerParameters
 
 pytestmark = pytest.mark.strangers
 
@@ -63,18 +64,30 @@ def start(tmp_path: Path) -> Iterator[Starter]:
 
 
 @contextlib.asynccontextmanager
+async def connected(server: StdioServerParameters) -> AsyncIterator[ClientSession]:
+    from mcp import ClientSession, stdio_client
+
+    async with stdio_client(server) as (reading, writing), ClientSession(reading, writing) as made:
+        yield made
+
+
+@contextlib.asynccontextmanager
 async def session(*words: object) -> AsyncIterator[ClientSession]:
     """A session of the official client. Without ``env`` it gives the server no XDG_RUNTIME_DIR."""
+    from mcp import StdioServerParameters  # needs the extra mcp
+
     server = StdioServerParameters(
         command=sys.executable, args=[*SERVER, *map(str, words)], env={**os.environ}, cwd=Path.cwd()
     )
-    async with stdio_client(server) as (reading, writing), ClientSession(reading, writing) as made:
+    async with connected(server) as made:
         await made.initialize()
         await made.list_tools()  # by whose schemas it checks the answers
         yield made
 
 
 async def ask(client: ClientSession, tool: str, **arguments: object) -> Any:
+    import mcp_types as types
+
     result = await client.call_tool(tool, arguments)
     assert isinstance(result, types.CallToolResult)
     text = result.content[0]
@@ -85,6 +98,8 @@ async def ask(client: ClientSession, tool: str, **arguments: object) -> Any:
 
 
 async def refused(client: ClientSession, tool: str, **arguments: object) -> str:
+    import mcp_types as types
+
     result = await client.call_tool(tool, arguments)
     assert isinstance(result, types.CallToolResult)
     assert result.is_error
@@ -221,6 +236,8 @@ async def test_a_run_that_stands_still(folder: Path, start: Starter) -> None:
 async def test_the_set_up_of_the_page(folder: Path, start: Starter, tmp_path: Path) -> None:
     """The JSON of docs/how-to/assistants.md with the paths of this test, and the few variables that the official client
     gives a server besides ``env``."""
+    from mcp import StdioServerParameters
+
     page = (ROOT / "docs/how-to/assistants.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```json\n(\{\n.*?)```", page, re.DOTALL)
     plant = plant_file(folder, RAW)
@@ -236,7 +253,7 @@ async def test_the_set_up_of_the_page(folder: Path, start: Starter, tmp_path: Pa
     run = start("run", str(plant), "--json")
     run.wait_for_slaves(1)
     server = StdioServerParameters(**json.loads(block)["mcpServers"]["plant"])
-    async with stdio_client(server) as (reading, writing), ClientSession(reading, writing) as client:
+    async with connected(server) as client:
         await client.initialize()
         assert (await ask(client, "scan"))["source"] == "run"
         tools = {tool.name for tool in (await client.list_tools()).tools}
