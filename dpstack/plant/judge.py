@@ -88,7 +88,7 @@ def judged(values: SlaveValues) -> SlaveValues:
     state = values.state or "unknown"
     words, level = STATES.get(state, (state.replace("_", " "), Level.OFF))  # one that a newer version has
     alive = level is Level.GOOD and values.inputs_valid is True
-    if level is Level.GOOD and not alive:
+    if level is Level.GOOD and not alive and values.master is None:  # another master keeps its inputs to itself
         words, level = _NOT_VALID, Level.WARNING
     remark = _remark(values)
     if remark is not None:

@@ -94,6 +94,10 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[bool, str, str, str | None, str | No
         {"master": 7},
         (True, "good", "data exchange (master 7)", None, None),
     ),
+    "beside another master, which keeps the inputs to itself": (
+        {"master": 7, "inputs_valid": False},
+        (False, "good", "data exchange (master 7)", None, None),
+    ),
     "a state of a newer version": ({"state": "new_state"}, (False, "off", "new state", None, None)),
     "nothing is known": ({"state": None, "inputs_valid": None}, (False, "off", "unknown", None, None)),
 }

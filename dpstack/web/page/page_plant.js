@@ -115,7 +115,7 @@ class LinePicture {
       setAttr(parts.link, "class", `station ${kind}`);
       if (parts.kind !== kind) parts.sign.replaceChildren(shape(kind));
       parts.kind = kind;
-      if (parts.text) setText(parts.text, stateText(slave));
+      if (parts.text) setText(parts.text, ofOther(slave) ? `of master ${slave.master}` : stateText(slave));
       const broken = kindOf(slave.remark?.severity);
       if (parts.broken !== broken) parts.remark.replaceChildren(shape(broken));
       parts.broken = broken;
@@ -124,6 +124,9 @@ class LinePicture {
     }
   }
 }
+
+/** Whether another master exchanges data with the slave: it keeps its values to itself. */
+const ofOther = (slave) => slave.state === "data_exchange" && slave.master != null && !slave.alive;
 
 // Rows outside the window that are painted with each snapshot.
 const AT_A_TIME = 8;
@@ -208,7 +211,7 @@ class Row {
     if (!slave) return;
     this.state.update(kindOf(slave.level), stateText(slave));
     const { alive } = slave;
-    setText(this.age, alive ? "" : typeof slave.inputs_age_ms === "number" ? "inputs not valid" : "no inputs yet");
+    setText(this.age, alive ? "" : ofOther(slave) ? "its values are not read" : typeof slave.inputs_age_ms === "number" ? "inputs not valid" : "no inputs yet");
     if (this.inputs) this.inputs.update(slave);
     else {
       setText(this.rawIn, octets(slave.inputs, 16));
@@ -448,18 +451,18 @@ export class PlantPage {
   }
 
   paintTiles(live) {
-    let alive = 0;
+    let exchanging = 0;
     let faults = 0;
     const diagnosed = [];
     for (const slave of live.slaves.values()) {
-      alive += slave.alive ? 1 : 0;
+      exchanging += slave.alive || ofOther(slave) ? 1 : 0;
       faults += slave.level === "error" ? 1 : 0;
       if (slave.doubts?.length || slave.conspicuous) diagnosed.push(slave);
     }
     const { bus } = live;
     const all = live.slaves.size;
     const tiles = [
-      ["In data exchange", `${alive} of ${all}`, alive === all ? "good" : "bad"],
+      ["In data exchange", `${exchanging} of ${all}`, exchanging === all ? "good" : "bad"],
       ["With a fault", String(faults), faults ? "bad" : "good"],
       ["With a diagnosis", String(diagnosed.length), diagnosed.some((slave) => slave.level === "error") ? "bad" : diagnosed.length ? "warn" : "good"],
       ["Rotation time, median", micros(bus.rotation_us?.p50), null],
