@@ -430,6 +430,24 @@ def test_a_file_goes_before_hex_digits(cli: Cli, tmp_path: Path, monkeypatch: py
     assert "DC0202: is a directory" in cli.err("decode", "DC0202")
 
 
+def test_a_reader_that_ends_leaves_no_traceback(tmp_path: Path) -> None:
+    """``dpstack decode FILE | head``."""
+    name = tmp_path / "bus.pcapng"
+    with name.open("wb") as file:
+        writer = Writer(file, "a test")
+        port = writer.interface("/dev/ttyUSB0", 500_000, "", linktype=PROFIBUS_DL)
+        for number in range(3000):  # more text than a pipe holds
+            writer.packet(port, number, bytes.fromhex("DC 02 02"))
+    order = [sys.executable, "-m", "dpstack", "decode", str(name)]
+    with subprocess.Popen(order, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
+        assert program.stdout is not None
+        assert program.stderr is not None
+        assert b"dc 02 02" in program.stdout.readline()
+        program.stdout.close()
+        assert program.stderr.read() == b""
+        program.wait(HANG_S)
+
+
 def test_a_pipe_is_decoded_as_it_comes(tmp_path: Path) -> None:
     """The first telegrams are printed while the writer still has the pipe open."""
     octets = capture(tmp_path / "a.pcapng").read_bytes()
