@@ -16,7 +16,7 @@ from msgspec import Struct
 
 from dpstack.dp.slot_map import Direction, Slot
 from dpstack.gsd.identifiers import parse_identifiers
-from dpstack.importers.step7_cfg import Remark, Section, Symbol
+from dpstack.importers.step7_cfg import Area, Remark, Section, Symbol
 
 _BIT: Final = 1
 _WORD: Final = 16
@@ -28,6 +28,8 @@ _ANALOGUE: Final = re.compile(r"6ES7\s*(?:33|13[45])")
 _DIGITAL: Final = re.compile(r"6ES7\s*(?:32|13[12])")
 #: code of a floating point number in the manufacturer octets of an identifier (profile PA: 84 08 05 with status)
 _FLOAT: Final = 0x08
+#: where the octets of modules are, by direction and address in the PLC
+OctetsOf = dict[tuple[Direction, int], int]
 _LETTERS: Final = {Direction.INPUT: "I", Direction.OUTPUT: "Q"}
 
 
@@ -50,15 +52,19 @@ class Place(Struct, frozen=True):
         return ": ".join(part for part in (" ".join(p for p in (self.operand, symbol) if p), self.comment) if part)
 
 
-def places(section: Section, slot: Slot, *, own: bool) -> Iterator[Place | Remark]:
+def places(section: Section, slot: Slot, octets_of: OctetsOf, *, own: bool) -> Iterator[Place | Remark]:
     """The places of the symbols of ``section``, whose octets are those of ``slot``; a remark for each that has none.
 
-    ``own``: a module of Siemens' own, not of a GSD file.
+    ``octets_of``: the modules in front of it. ``own``: a module of Siemens' own, not of a GSD file.
     """
     for direction, area in slot.areas():
         symbols = [symbol for symbol in section.symbols if symbol.direction is direction]
         said = [one for one in section.areas if one.direction is direction and one.octets]
         octets = sum(one.octets for one in said)
+        shared = octets_of.get((direction, said[0].address)) if len(said) == 1 and said[0].bit else None
+        if shared is not None and not area.octets:
+            yield from _of_bits(section, symbols, shared, said[0])
+            continue
         if octets != area.octets and (octets or symbols):
             yield Remark(
                 section.line,
@@ -76,6 +82,34 @@ def places(section: Section, slot: Slot, *, own: bool) -> Iterator[Place | Remar
             continue
         kind = _kind(section, slot, direction, own=own)
         yield from _of_symbols(section, symbols, area.at, area.octets, kind, [one.address for one in said])
+
+
+def octets_alone(sections: Iterable[Section]) -> Iterator[tuple[Section, int, int]]:
+    """The sections with process data, and the octets of inputs and outputs that each has for itself.
+
+    With packed addresses (ET 200S) a module that does not begin with bit 0 shares the octet of one in front of it.
+    """
+    seen: OctetsOf = {}
+    for section in sections:
+        areas = [area for area in section.areas if area.octets]
+        alone = [area for area in areas if not (area.bit and (area.direction, area.address) in seen)]
+        if areas:
+            ins, outs = (sum(area.octets for area in alone if area.direction is one) for one in Direction)
+            yield section, ins, outs
+        seen |= {(area.direction, area.address): 0 for area in areas}
+
+
+def _of_bits(section: Section, symbols: list[Symbol], at: int, area: Area) -> Iterator[Place | Remark]:
+    """The places of symbols in an octet that several modules share; their numbers count from the first bit of their
+    module, unless one of them can only count from bit 0."""
+    first = 0 if any(area.bit + symbol.number >= 8 for symbol in symbols) else area.bit
+    for symbol in symbols:
+        bit = first + symbol.number
+        if bit >= 8:
+            yield _lost(section, symbol, f"number {symbol.number} lies outside the octet that it shares")
+            continue
+        operand = f"{_LETTERS[symbol.direction]} {area.address}.{bit}"
+        yield Place(symbol.direction, symbol.name, f"bool@{at}.{bit}", operand, symbol.comment, symbol.line)
 
 
 def section_title(section: Section) -> str:

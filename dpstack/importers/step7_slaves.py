@@ -19,7 +19,7 @@ from dpstack.gsd.configuration import configure, find_module
 from dpstack.gsd.identifiers import MAX_IO, io_lengths
 from dpstack.gsd.model import Device, Module
 from dpstack.importers.step7_cfg import Remark, Section
-from dpstack.importers.step7_layout import Place, places, section_title
+from dpstack.importers.step7_layout import OctetsOf, Place, octets_alone, places, section_title
 from dpstack.text import runs_of, some_of
 
 _GSD_NAME: Final = re.compile(r"[^\\/]+\.gs[a-z]", re.IGNORECASE)
@@ -291,8 +291,9 @@ def _own_of_gsd(slave: ExportedSlave, found: Found) -> Variant:
     device = found.device
     used: list[Section] = []
     modules: list[Module] = []
+    alone = {section.line: (ins, outs) for section, ins, outs in octets_alone(slave.slots)}
     for section in slave.slots:
-        module = _by_order(device, section)
+        module = _by_order(device, section, alone.get(section.line, (0, 0)))
         if module is None and any(area.octets for area in section.areas):
             raise GsdError(f"it has no module {section.text(0)} (slot {section.place('SLOT')})")
         if module is not None and section.text(0) != slave.head.text(0):
@@ -315,14 +316,18 @@ def _own_of_gsd(slave: ExportedSlave, found: Found) -> Variant:
     return variant
 
 
-def _by_order(device: Device, section: Section) -> Module | None:
-    """The module with the order number of ``section`` and as many octets; without such octets any with that number."""
+def _by_order(device: Device, section: Section, wanted: tuple[int, int]) -> Module | None:
+    """The module with the order number of ``section`` and ``wanted`` octets of inputs and outputs; else any with that
+    number, unless the octet of another module has the bits of this one."""
     order = bare_order(section.text(0))
-    named = [module for module in device.modules if module.complete and bare_order(module.name).startswith(order)]
+    named = [
+        module for module in device.modules if module.complete and bare_order(module.name).lstrip("*").startswith(order)
+    ]
     if not order or not named:
         return None
-    wanted = [sum(a.octets for a in section.areas if a.direction is d) for d in Direction]
-    return next((module for module in named if list(_lengths(module)) == wanted), named[0])
+    fitting = next((module for module in named if _lengths(module) == wanted), None)
+    packed = wanted == (0, 0) and any(area.octets for area in section.areas)
+    return fitting if packed else fitting or named[0]
 
 
 def _lengths(module: Module) -> tuple[int, int]:
@@ -339,11 +344,10 @@ def bare_order(text: str) -> str:
 
 def _of_lengths(slave: ExportedSlave) -> Variant:
     """With identifier octets that only have the right lengths: names for listening, nothing to send."""
-    rows = []
-    for section in slave.slots:
-        ins, outs = (sum(a.octets for a in section.areas if a.direction is d) for d in Direction)
-        if ins or outs:
-            rows.append((section, " ".join(section.texts), _identifiers(ins, outs)))
+    rows = [
+        (section, " ".join(section.texts), _identifiers(ins, outs) or b"\0")
+        for section, ins, outs in octets_alone(slave.slots)
+    ]
     config = b"".join(octets for _, _, octets in rows) or b"\0"
     reason = "its identifier octets here have the right lengths only: they are not in the export"
     keys: dict[str, object] = {"ident": "ask", "config": config, "refuse_master": reason}
@@ -383,13 +387,15 @@ def _lay_out(variant: Variant, rows: Sequence[tuple[Section | None, str, bytes]]
         return
     taken: set[str] = set()
     renamed: list[Place] = []
+    octets_of: OctetsOf = {}
+    packed: list[Section] = []
     bits: dict[Direction, set[str]] = {direction: set() for direction in Direction}
     for slot, (section, name, _) in zip(slots, rows, strict=True):
         if section is None:
             variant.slots += [f"fixed: {name}"] if name else []
             continue
         variant.slots.append(_slot_line(section, slot))
-        for one in places(section, slot, own=own):
+        for one in places(section, slot, octets_of, own=own):
             if isinstance(one, Remark):
                 variant.remarks.append(one)
                 continue
@@ -402,6 +408,19 @@ def _lay_out(variant: Variant, rows: Sequence[tuple[Section | None, str, bytes]]
             if named != one.name:
                 renamed.append(one)
             variant.places.append(structs.replace(one, name=named, symbol=one.name))
+        areas = [area for area in section.areas if area.octets]
+        if any(area.bit and (area.direction, area.address) in octets_of for area in areas):
+            packed.append(section)
+        for area in areas:
+            if slot.area(area.direction).octets:
+                octets_of.setdefault((area.direction, area.address), slot.area(area.direction).at)
+    if packed:
+        numbers = some_of((str(section.place("SLOT")) for section in packed), 5)
+        text = (
+            f"slave {packed[0].place('DPADDRESS')}: packed addresses: the bits of slot{'s' * (len(packed) > 1)} "
+            f"{numbers} stand in the octet of a slot in front: compare one of these values with the PLC"
+        )
+        variant.remarks.append(Remark(packed[0].line, text))
     if renamed:
         first = next(section for section, _, _ in rows if section)
         examples = some_of(repr(one.name) for one in renamed)
@@ -427,6 +446,7 @@ def _slot_line(section: Section, slot: Slot) -> str:
     titles = ", ".join(text for text in (section.text(0), section.firmware, section.text(1)) if text)
     ranges = [
         f"{'I' if area.direction is Direction.INPUT else 'Q'} {area.address}"
+        + (f".{area.bit}" if area.bit else "")
         + (f" to {area.address + area.octets - 1}" if area.octets > 1 else "")
         for area in section.areas
         if area.octets

@@ -179,6 +179,55 @@ def test_packed_addresses_keep_the_slave_and_name_the_symbols() -> None:
     assert any("places of door are not known" in one for one in remark_texts(imported(text)))
 
 
+#: four bits each in one octet, then a word that must not move
+PACKED = (
+    ('"6ES7 131-4BD01-0AA0", "4DI"', (*address("IN", 60, 1), 'SYMBOL  I , 3, "stop", ""')),
+    ('"6ES7 131-4BD01-0AA0", "4DI"', (*address("IN", 60, 1, bit=4), 'SYMBOL  I , 1, "flap", "shut"')),
+    ('"6ES7 134-4FB01-0AB0", "2AI"', (*address("IN", 512, 4), 'SYMBOL  I , 1, "level", ""')),
+)
+
+
+def packed_station(order: str = "6ES7 151-1AA05-0AB0") -> str:
+    modules = "".join(
+        section(f"DPSUBSYSTEM 1, DPADDRESS 9, SLOT {number}, {head}", *lines)
+        for number, (head, lines) in enumerate(PACKED, 4)
+    )
+    return HEAD + STATION + SUBNET + CPU + SYSTEM + section(f'DPSUBSYSTEM 1, DPADDRESS 9, "{order}", "rack"') + modules
+
+
+def test_modules_with_packed_addresses_share_an_octet() -> None:
+    slave = slaves_of(packed_station())[9]
+    assert slave["config"] == "40 80 00 40 83"  # 5 octets of inputs
+    assert slave["inputs"] == {"stop": "bool@0.3", "flap": "bool@0.5", "level": "i16@3"}
+    plant = imported(packed_station())
+    assert 'flap = "bool@0.5"  # I 60.5: shut' in plant.text
+    assert "# slot 5: 6ES7 131-4BD01-0AA0, 4DI; I 60.4" in plant.text
+    assert any("slave 9: packed addresses: the bits of slot 5 stand" in one for one in remark_texts(plant))
+
+
+def test_numbers_of_packed_modules_that_can_only_count_from_bit_0() -> None:
+    text = packed_station().replace('SYMBOL  I , 1, "flap"', 'SYMBOL  I , 6, "flap"')
+    assert slaves_of(text)[9]["inputs"]["flap"] == "bool@0.6"
+
+
+def test_packed_addresses_of_a_module_without_an_octet_of_its_own() -> None:
+    more = slot(2, "00", *address("IN", 4, 1, bit=4), 'SYMBOL  I , 3, "door", ""', 'SYMBOL  I , 9, "far", ""')
+    text = one_slave(slot(1, "10", *address("IN", 4, 1)) + more)
+    assert slaves_of(text)[9]["inputs"] == {"door": "bool@0.3"}
+    assert any("'far' has no place: number 9 lies outside" in one for one in remark_texts(imported(text)))
+
+
+@pytest.mark.parametrize("name", ["6ES7 131-4BD01-0AA0 4DI", "*6ES7 131-4BD01-0AA0 4DI"])
+def test_packed_modules_by_order_number(tmp_path: Path, name: str) -> None:
+    """The file must have a module without octets for the second one, else it is not used."""
+    text = RACK_GSD.replace("153-1AA0?", "151-1AA05").replace("331-1KF01", "134-4FB01").replace("0x57", "0x51")
+    modules = {"6ES7 131-4BD01-0AA0 4DI": "0x10"} | ({name: "0x00"} if "*" in name else {})
+    (tmp_path / "rack.gsd").write_text(text + "".join(f'Module = "{a}" {b}\nEndModule\n' for a, b in modules.items()))
+    slave = slaves_of(packed_station(), finder=FolderFinder(GsdFolder(tmp_path)))[9]
+    assert slave.get("modules", ["", ""])[1] == (name if "*" in name else "")
+    assert slave["inputs"] == {"stop": "bool@0.3", "flap": "bool@0.5", "level": "i16@3"}
+
+
 def test_another_length_than_that_of_the_identifier_is_a_remark() -> None:
     text = one_slave(slot(1, "11", *address("IN", 4, 1), 'SYMBOL  I , 0, "door", ""'))
     assert any(
